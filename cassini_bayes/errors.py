@@ -1,0 +1,43 @@
+"""Errors that a user can act on: where, what was expected, what was found, how to mend it."""
+
+from __future__ import annotations
+
+
+class CassiniBayesError(Exception):
+    """Base of every error the package raises on purpose; the command line prints it as one line."""
+
+    exit_code: int = 1
+
+
+class InputError(CassiniBayesError):
+    """Something the user gave cannot be used.
+
+    The message reads ``<where>: expected <expected>, got <got>; <fix>``. The command line prints
+    it without a traceback and exits with 2.
+
+    Parameters
+    ----------
+    where
+        File, row, column or dotted key, e.g. ``priors/x.toml: parameters.cm_x_m.unit``.
+    expected, got
+        What would have been accepted, and what was found.
+    fix
+        What the user can change.
+    """
+
+    exit_code = 2
+
+    def __init__(self, where: str, expected: str, got: str, fix: str) -> None:
+        self.where = where
+        self.expected = expected
+        self.got = got
+        self.fix = fix
+        super().__init__(f"{where}: expected {expected}, got {got}; {fix}")
+
+
+class NotConvergedError(CassiniBayesError):
+    """Sampling reached its limit before the stop rule was met; carries the criteria that failed."""
+
+    def __init__(self, message: str, failed: tuple[str, ...]) -> None:
+        self.failed = failed
+        super().__init__(message)
