@@ -1,0 +1,419 @@
+"""From events and priors to a model: which parameters are walked, which are linear, what they predict.
+
+A :class:`TotalsModel` is everything that stays constant during a fit. :func:`linear_system` turns
+a batch of walked parameters into the linear-Gaussian system of the thrusts and torques, which
+:mod:`cassini_bayes.posterior` integrates out exactly. The same system serves the likelihood, the
+posterior predictive and the residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events import TotalsEvent
+from cassini_bayes.priors import ParameterSpace, Priors
+from cassini_bayes.pulses import PULSE_SHAPES, PulseShape, effective_on_time
+from cassini_bayes.spacecraft import (
+    Spacecraft,
+    inertia_tensor,
+    lever_arms,
+    thruster_directions,
+    wheel_axes,
+    wheel_inertias,
+)
+from cassini_bayes.terms import (
+    ResponseJacobian,
+    TotalsStack,
+    hold_attitude_covariance,
+    hold_rate_covariance,
+    on_time_rounding_covariance,
+    response_jacobian,
+    stack_events,
+    thruster_columns,
+    wheel_momentum,
+    wheel_rounding_covariance,
+)
+
+Array = NDArray[np.float64]
+Parameters = Mapping[str, Array]
+DeltaVUse = Literal["as-declared", "ignore", "as-measured"]
+
+THRUST_COMMON: Final = "thrust_common_n"
+THRUST_LEVELS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
+TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
+_CENTRE: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
+_INERTIA: Final = tuple(f"inertia_{e}_kg_m2" for e in ("xx", "yy", "zz", "xy", "xz", "yz"))
+_PULSE: Final = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
+_NOISE: Final = (
+    "hold_rate_rad_s",
+    "hold_attitude_rad",
+    "on_time_resolution_s",
+    "wheel_resolution_rpm",
+)
+_COMPUTED_DELTA_V: Final = ("fsw_acceleration_factor", "fsw_impulse_offset_s")
+_DELTA_V_NOISE: Final = ("delta_v_noise_m_s", "delta_v_resolution_m_s")
+
+
+@dataclass(frozen=True)
+class LinearBlock:
+    """Prior of the parameters that enter linearly, as maps from standard-normal coordinates.
+
+    thrust[e] = common + shared @ η + own @ ξ_e and torque[e] = torque_mean + torque_sd · ξ'_e, with
+    η shared by all events and ξ_e, ξ'_e an event's own; all are N(0, 1) before the data.
+    """
+
+    common_mean_n: float
+    common_is_walked: bool
+    shared: Array  # (K, q): columns for the common level (unless walked) and each thruster
+    own: Array  # (K, p): columns for the event's level and each thruster's jitter
+    torque_mean_n_m: Array  # (3,)
+    torque_sd_n_m: Array  # (3,)
+
+
+@dataclass(frozen=True)
+class TotalsModel:
+    """Model of totals-only bias events: data, parameter space, linear block, pulse shape."""
+
+    spacecraft: Spacecraft
+    branch: str
+    stack: TotalsStack
+    space: ParameterSpace
+    linear: LinearBlock
+    pulse_shape: PulseShape
+    delta_v: DeltaVUse
+    absent_wheel_parameters: Mapping[str, float]
+
+    @property
+    def uses_measured_delta_v(self) -> NDArray[np.bool_]:
+        """(E,) which events' ΔV enters as a measurement of thrust."""
+        known = np.isfinite(self.stack.delta_v_m_s).all(-1)
+        if self.delta_v == "ignore":
+            return np.zeros_like(known)
+        return known if self.delta_v == "as-measured" else known & self.stack.delta_v_measured
+
+    @property
+    def uses_computed_delta_v(self) -> NDArray[np.bool_]:
+        """(E,) which events' ΔV enters as the output of the on-board computation."""
+        known = np.isfinite(self.stack.delta_v_m_s).all(-1)
+        if self.delta_v != "as-declared":
+            return np.zeros_like(known)
+        return known & ~self.stack.delta_v_measured
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """The balance at a batch of parameter points: target = design @ thrust + torque·D + noise.
+
+    Rows R are the three momentum axes [N m s], followed by the three ΔV axes [m/s] where any event
+    uses ΔV as a measurement. Shapes carry the batch axis n.
+    """
+
+    design: Array  # (n, E, R, K)
+    torque_design: Array  # (E, R, 3)
+    target: Array  # (n, E, R)
+    covariance: Array  # (n, E, R, R)
+    jacobian: ResponseJacobian  # at the reference thrust
+    delta_v_log_likelihood: Array  # (n, E) of the computed channel
+    common_n: Array  # (n,)
+    effective_on_time_s: Array  # (n, E, K)
+
+
+def build_model(
+    events: tuple[TotalsEvent, ...],
+    priors: Priors,
+    *,
+    pulse_shape: str = "first_order",
+    delta_v: DeltaVUse = "as-declared",
+) -> TotalsModel:
+    """Assemble the model of totals-only bias events.
+
+    Parameters
+    ----------
+    events
+        Totals rows of one thruster branch.
+    priors
+        The priors file; every parameter the model needs must be in it.
+    pulse_shape
+        Key of :data:`cassini_bayes.pulses.PULSE_SHAPES`.
+    delta_v
+        ``as-declared``: each event's ``delta_v_source`` decides; ``ignore``: ΔV is left out;
+        ``as-measured``: every ΔV is taken as a measurement of thrust (a what-if).
+
+    Raises
+    ------
+    InputError
+        Unknown pulse shape, events of another branch or wheel set, or a missing parameter.
+    """
+    if pulse_shape not in PULSE_SHAPES:
+        raise InputError(
+            "model.pulse_shape",
+            f"one of {', '.join(PULSE_SHAPES)}",
+            repr(pulse_shape),
+            "choose one of these",
+        )
+    spacecraft = priors.spacecraft
+    stack = stack_events(events, spacecraft, priors.branch)
+    for event in events:
+        if not set(event.wheels) <= set(priors.wheels):
+            raise InputError(
+                f"event {event.id}: wheels",
+                f"wheels out of {list(priors.wheels)} as in {priors.path}",
+                str(list(event.wheels)),
+                "list every wheel the events use under spacecraft.wheels, with its priors",
+            )
+    prime = [wheel for wheel in spacecraft.wheels if wheel.number in priors.wheels]
+    absent = {
+        name: 0.0
+        for wheel in spacecraft.wheels
+        if wheel.number not in priors.wheels
+        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
+    }
+    draft = TotalsModel(
+        spacecraft=spacecraft,
+        branch=priors.branch,
+        stack=stack,
+        space=priors.space(()),
+        linear=_linear_block(priors, len(stack.thrusters)),
+        pulse_shape=PULSE_SHAPES[pulse_shape],
+        delta_v=delta_v,
+        absent_wheel_parameters=absent,
+    )
+    wheel_names = [
+        name for wheel in prime for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
+    ]
+    position_names = [
+        name
+        for name in dict.fromkeys(
+            name
+            for thruster in spacecraft.thrusters_of(priors.branch)
+            for name in thruster.position_parameters
+        )
+    ]
+    names = [*_PULSE, *_CENTRE, *position_names, *wheel_names, *_INERTIA, *_NOISE]
+    if draft.uses_measured_delta_v.any():
+        names += ["mass_factor", *_DELTA_V_NOISE]
+        _require_mass(draft)
+    if draft.uses_computed_delta_v.any():
+        names += ["mass_factor", *_COMPUTED_DELTA_V, *_DELTA_V_NOISE]
+        _require_mass(draft)
+    if draft.linear.common_is_walked:
+        names.append(THRUST_COMMON)
+    names = list(dict.fromkeys(names))
+    priors.require(names, "the totals model")
+    return replace(draft, space=priors.space(names))
+
+
+def _require_mass(model: TotalsModel) -> None:
+    stack = model.stack
+    used = model.uses_measured_delta_v | model.uses_computed_delta_v
+    for row, event_id in enumerate(stack.event_ids):
+        if used[row] and not (
+            np.isfinite(stack.mass_kg[row]) and np.isfinite(stack.thrust_predicted_n[row])
+        ):
+            raise InputError(
+                f"event {event_id}: mass_kg, thrust_predicted_n",
+                "both, because the event has a velocity change",
+                "an empty cell",
+                'fill them in, or set delta_v = "ignore" in the run file\'s [model]',
+            )
+
+
+def _linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
+    """Read the linear parameters' priors; they must be normal (or fixed) to be integrated out."""
+    priors.require([THRUST_COMMON, *THRUST_LEVELS, *TORQUES], "the totals model")
+    scales: dict[str, float] = {}
+    means: dict[str, float] = {}
+    for name in (*THRUST_LEVELS, *TORQUES):
+        prior = priors.parameters[name]
+        if prior.distribution is None:
+            assert prior.fixed is not None  # the reader guarantees one of the two
+            means[name], scales[name] = prior.fixed, 0.0
+        elif prior.distribution.is_normal:
+            means[name], scales[name] = prior.distribution.mean(), prior.distribution.sd()
+        else:
+            raise InputError(
+                f"{priors.path}: parameters.{name}.dist",
+                "norm without bounds, or fixed (the parameter is integrated out exactly)",
+                f"{prior.distribution.name} (or bounds)",
+                "use a normal prior; its width can be as large as you believe",
+            )
+    common = priors.parameters[THRUST_COMMON]
+    walked = common.distribution is not None and not common.distribution.is_normal
+    one, identity = np.ones((n_thrusters, 1)), np.eye(n_thrusters)
+    shared = [scales["thrust_individual_n"] * identity]
+    if common.distribution is not None and not walked:
+        shared.insert(0, common.distribution.sd() * one)
+    mean = common.fixed if common.distribution is None else common.distribution.mean()
+    assert mean is not None  # the reader guarantees dist or fixed
+    own = [scales["thrust_event_n"] * one, scales["thrust_jitter_n"] * identity]
+    return LinearBlock(
+        common_mean_n=float(mean),
+        common_is_walked=walked,
+        shared=_used_columns(np.hstack(shared)),
+        own=_used_columns(np.hstack(own)),
+        torque_mean_n_m=np.array([means[name] for name in TORQUES]),
+        torque_sd_n_m=np.array([scales[name] for name in TORQUES]),
+    )
+
+
+def _used_columns(matrix: Array) -> Array:
+    """Drop columns of zeros: a level fixed at zero needs no coordinate."""
+    used = matrix[:, np.abs(matrix).sum(0) > 0]
+    used.setflags(write=False)
+    return used
+
+
+def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
+    """Everything the collapsed likelihood needs, at a batch of walked parameters.
+
+    Parameters
+    ----------
+    parameters
+        name → (n,) array or float, as from ``model.space.to_parameters(z)``.
+    """
+    stack, spacecraft = model.stack, model.spacecraft
+    full: dict[str, Array] = {**parameters, **_as_arrays(model.absent_wheel_parameters)}
+    axes = wheel_axes(spacecraft, full)
+    inertias = wheel_inertias(spacecraft, full)
+    arms = lever_arms(spacecraft, model.branch, full)
+    effective = effective_on_time(
+        model.pulse_shape,
+        stack.on_time_s,
+        stack.pulses,
+        *(np.asarray(full[name])[..., None, None] for name in _PULSE),
+    )
+    start = wheel_momentum(axes, inertias, stack.wheel_start_rad_s)
+    end = wheel_momentum(axes, inertias, stack.wheel_end_rad_s)
+    covariance = (
+        hold_rate_covariance(inertia_tensor(full), full["hold_rate_rad_s"])[..., None, :, :]
+        + hold_attitude_covariance(start, end, full["hold_attitude_rad"])
+        + wheel_rounding_covariance(
+            axes, inertias, stack.wheel_is_prime, full["wheel_resolution_rpm"]
+        )
+        + on_time_rounding_covariance(
+            arms, model.linear.common_mean_n, stack.couples, full["on_time_resolution_s"]
+        )
+    )
+    design = thruster_columns(arms, effective)
+    target = end - start
+    batch = np.broadcast_shapes(
+        design.shape[:-3], target.shape[:-2], covariance.shape[:-3], _batch_shape(full)
+    )
+    n_events, n_thrusters = stack.on_time_s.shape
+    design = np.broadcast_to(design, (*batch, n_events, 3, n_thrusters))
+    target = np.broadcast_to(target, (*batch, n_events, 3))
+    covariance = np.broadcast_to(covariance, (*batch, n_events, 3, 3))
+    torque_design = stack.duration_s[:, None, None] * np.eye(3)
+    if model.uses_measured_delta_v.any():
+        design, target, covariance, torque_design = _with_delta_v_rows(
+            model, full, effective, design, target, covariance, torque_design
+        )
+    fired = stack.on_time_s > 0
+    stretch = np.where(fired, effective / np.where(fired, stack.on_time_s, 1.0), 1.0)
+    reference = np.full((n_events, n_thrusters), model.linear.common_mean_n)
+    common = full[THRUST_COMMON] if model.linear.common_is_walked else model.linear.common_mean_n
+    return LinearSystem(
+        design=design,
+        torque_design=torque_design,
+        target=target,
+        covariance=covariance,
+        jacobian=response_jacobian(arms, stretch, stack.response, reference),
+        delta_v_log_likelihood=np.broadcast_to(
+            computed_delta_v_log_likelihood(model, full), (*batch, n_events)
+        ),
+        common_n=np.broadcast_to(np.asarray(common, dtype=np.float64), batch),
+        effective_on_time_s=np.broadcast_to(effective, (*batch, n_events, n_thrusters)),
+    )
+
+
+def _as_arrays(values: Mapping[str, float]) -> dict[str, Array]:
+    return {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
+
+
+def _batch_shape(parameters: Parameters) -> tuple[int, ...]:
+    return np.broadcast_shapes(*(np.shape(value) for value in parameters.values()))
+
+
+def _with_delta_v_rows(
+    model: TotalsModel,
+    parameters: Parameters,
+    effective: Array,
+    design: Array,
+    target: Array,
+    covariance: Array,
+    torque_design: Array,
+) -> tuple[Array, Array, Array, Array]:
+    """Append ΔV = Σ_k d_k F_k s_k / M as three more rows (paper 000 App. D; paper 001 eq. 22).
+
+    An event without a measured ΔV gets rows that are satisfied with density one.
+    """
+    stack, used = model.stack, model.uses_measured_delta_v
+    batch = target.shape[:-2]
+    mass = np.asarray(parameters["mass_factor"])[..., None] * np.where(used, stack.mass_kg, 1.0)
+    directions = thruster_directions(model.spacecraft, model.branch)
+    rows = directions * (effective / mass[..., None])[..., None, :]
+    rows = np.where(used[:, None, None], rows, 0.0)
+    values = np.where(used[:, None], stack.delta_v_m_s, 0.0)
+    variance = np.where(
+        used, _delta_v_variance(parameters)[..., None], 1.0 / (2.0 * np.pi)
+    )
+    blocks = np.zeros((*batch, len(used), 6, 6))
+    blocks[..., :3, :3] = covariance
+    blocks[..., 3:, 3:] = variance[..., None, None] * np.eye(3)
+    return (
+        np.concatenate([design, np.broadcast_to(rows, design.shape)], axis=-2),
+        np.concatenate([target, np.broadcast_to(values, target.shape)], axis=-1),
+        blocks,
+        np.concatenate([torque_design, np.zeros_like(torque_design)], axis=-2),
+    )
+
+
+def _delta_v_variance(parameters: Parameters) -> Array:
+    noise = np.asarray(parameters["delta_v_noise_m_s"])
+    step = np.asarray(parameters["delta_v_resolution_m_s"])
+    return np.asarray(noise**2 + step**2 / 12.0)
+
+
+def computed_delta_v(model: TotalsModel, parameters: Parameters) -> Array:
+    """ΔV [m/s] along the net commanded impulse, as the flight software would compute it.
+
+    a_e = f (F_table / M_table) |Σ_k d_k (u_k + o n_k)| with the on-board on-time per pulse o. It
+    contains the software's thrust and mass, not the true ones, and so no information on thrust.
+    Shape (..., E).
+    """
+    stack = model.stack
+    acceleration = stack.thrust_predicted_n / stack.mass_kg
+    direction, on_time, pulses = _net_impulse(model)
+    counted = on_time + np.asarray(parameters["fsw_impulse_offset_s"])[..., None] * pulses
+    return np.asarray(
+        np.asarray(parameters["fsw_acceleration_factor"])[..., None] * acceleration * counted
+    )
+
+
+def _net_impulse(model: TotalsModel) -> tuple[Array, Array, Array]:
+    """Direction (E, 3) of the net commanded on-time, its size (E,) s, and the pulses along it."""
+    stack = model.stack
+    directions = thruster_directions(model.spacecraft, model.branch)
+    net = stack.on_time_s @ directions.T
+    size = np.linalg.norm(net, axis=-1)
+    unit = net / np.where(size > 0, size, 1.0)[:, None]
+    return unit, size, np.einsum("ek,ck,ec->e", stack.pulses, directions, unit)
+
+
+def computed_delta_v_log_likelihood(model: TotalsModel, parameters: Parameters) -> Array:
+    """Log density (..., E) of the printed ΔV under the on-board computation; 0 where not used."""
+    used = model.uses_computed_delta_v
+    if not used.any():
+        return np.zeros(len(used))
+    direction, _, _ = _net_impulse(model)
+    printed = np.einsum("ec,ec->e", np.where(used[:, None], model.stack.delta_v_m_s, 0.0), direction)
+    variance = _delta_v_variance(parameters)[..., None]
+    misfit = printed - computed_delta_v(model, parameters)
+    density = -0.5 * (misfit**2 / variance + np.log(2.0 * np.pi * variance))
+    return np.where(used, density, 0.0)
