@@ -69,6 +69,7 @@ class LinearBlock:
     """
 
     common_mean_n: float
+    common_sd_n: float  # 0 where the common level is walked or fixed, else of shared column 0
     common_is_walked: bool
     shared: Array  # (K, q): columns for the common level (unless walked) and each thruster
     own: Array  # (K, p): columns for the event's level and each thruster's jitter
@@ -246,14 +247,14 @@ def _linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
     common = priors.parameters[THRUST_COMMON]
     walked = common.distribution is not None and not common.distribution.is_normal
     one, identity = np.ones((n_thrusters, 1)), np.eye(n_thrusters)
-    shared = [scales["thrust_individual_n"] * identity]
-    if common.distribution is not None and not walked:
-        shared.insert(0, common.distribution.sd() * one)
+    common_sd = 0.0 if common.distribution is None or walked else common.distribution.sd()
+    shared = [common_sd * one, scales["thrust_individual_n"] * identity]
     mean = common.fixed if common.distribution is None else common.distribution.mean()
     assert mean is not None  # the reader guarantees dist or fixed
     own = [scales["thrust_event_n"] * one, scales["thrust_jitter_n"] * identity]
     return LinearBlock(
         common_mean_n=float(mean),
+        common_sd_n=common_sd,
         common_is_walked=walked,
         shared=_used_columns(np.hstack(shared)),
         own=_used_columns(np.hstack(own)),

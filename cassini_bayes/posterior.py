@@ -2,7 +2,7 @@
 
 Given the walked parameters θ the model is linear-Gaussian in the thrusts and torques, apart from
 the response Jacobian, whose logarithm is expanded to second order about the reference thrust (the
-error of that expansion is measured by :func:`jacobian_expansion_error`). Each event's own
+error of that expansion is measured by :func:`cassini_bayes.predictive.jacobian_expansion_error`). Each event's own
 coordinates are eliminated first, then the shared ones, so the cost grows linearly with events.
 ``docs/totals-likelihood.md`` derives the formulae.
 """
@@ -14,9 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.model import LinearSystem, Parameters, TotalsModel, linear_system
-from cassini_bayes.terms import response_jacobian
-from cassini_bayes.spacecraft import lever_arms
+from cassini_bayes.model import LinearSystem, TotalsModel, linear_system
 
 Array = NDArray[np.float64]
 
@@ -41,7 +39,8 @@ class LinearDraws:
     """One draw of the linear parameters per parameter point."""
 
     thrust_n: Array  # (n, E, K)
-    shared_thrust_n: Array  # (n, K) common + individual
+    common_n: Array  # (n,) the common level
+    level_n: Array  # (n, K) common + individual: a thruster's level over all events
     external_torque_n_m: Array  # (n, E, 3)
 
 
@@ -147,7 +146,8 @@ def draw_linear(
     level = common_n[:, None] + shared @ linear.shared.T
     return LinearDraws(
         thrust_n=level[:, None, :] + own[..., :n_thrust] @ linear.own.T,
-        shared_thrust_n=level,
+        common_n=common_n + (linear.common_sd_n * shared[:, 0] if linear.common_sd_n else 0.0),
+        level_n=level,
         external_torque_n_m=linear.torque_mean_n_m + own[..., n_thrust:] @ scales.T,
     )
 
@@ -185,25 +185,3 @@ def thrust_moments(model: TotalsModel, z: Array) -> tuple[Array, Array]:
     )
     variance = (spread**2).sum(-1) + ((response @ shared_cov[:, None]) * response).sum(-1)
     return mean, variance
-
-
-def jacobian_expansion_error(model: TotalsModel, parameters: Parameters, thrust_n: Array) -> Array:
-    """Exact minus expanded log Jacobian, summed over events, at draws of thrust (n, E, K) → (n,).
-
-    The collapsed likelihood uses the expansion; this measures what it leaves out, in nats.
-    """
-    system = linear_system(model, parameters)
-    expanded = system.jacobian
-    arms = lever_arms(model.spacecraft, model.branch, parameters)
-    fired = model.stack.on_time_s > 0
-    stretch = np.where(
-        fired, system.effective_on_time_s / np.where(fired, model.stack.on_time_s, 1.0), 1.0
-    )
-    exact = response_jacobian(arms, stretch, model.stack.response, thrust_n).value
-    step = thrust_n - model.linear.common_mean_n
-    quadratic = (
-        expanded.value
-        + (expanded.gradient * step).sum(-1)
-        + 0.5 * (step[..., None, :] @ expanded.hessian @ step[..., :, None])[..., 0, 0]
-    )
-    return np.asarray((exact - quadratic).sum(-1))
