@@ -1,0 +1,42 @@
+"""Small checks that every reader of user input makes at the door."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+
+from cassini_bayes.errors import InputError
+
+
+def closest(name: str, known: Iterable[str], cutoff: float = 0.5) -> str | None:
+    """The known name most like ``name``; None when none is alike by at least ``cutoff``."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    return close[0] if close else None
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint for an unknown name: the closest known one, or all of them when none is close."""
+    choices = list(known)
+    close = closest(name, choices)
+    return f"did you mean {close!r}?" if close else f"known: {', '.join(choices) or 'none'}"
+
+
+def finite_number(where: str, value: object, unit: str = "") -> float:
+    """``value`` as a float.
+
+    Raises
+    ------
+    InputError
+        When it is no number (booleans and strings are none), NaN or infinite.
+    """
+    wanted = f"a finite number{f' in {unit}' if unit else ''}"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(where, wanted, repr(value), "write a plain number, without quotes")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise InputError(where, wanted, str(number), "give a finite value, or leave the key out")
+    return number

@@ -1,0 +1,542 @@
+"""Totals-only bias events: one row per event and source in a CSV (docs/priors.md has the format).
+
+A row is what a flight table gives of one wheel bias: the wheel rates at both ends, the commanded
+on-time and the number of pulses of every thruster, and optionally velocity change, hydrazine and
+the ground software's mass and thrust. :func:`read_totals` checks every cell at the door and names
+file, line and column of the first thing that cannot be right; inside, an event is frozen.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.checks import nearest
+from cassini_bayes.errors import InputError
+from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.storage import write_text
+
+Array = NDArray[np.float64]
+DeltaVSource = Literal["measured", "computed"]
+
+SOURCES: Final = ("flight", "fsds", "gsw_ideal", "gsw", "simulation")
+SHORTEST_PULSE_S: Final = 0.005
+"""No valve of this kind opens for less; a mean width below it means swapped or misread columns."""
+IMPLAUSIBLE_RPM: Final = 10_000.0
+"""Beyond any wheel of this kind (Cassini's are kept below 2000): a value in other units."""
+_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
+
+
+@dataclass(frozen=True, eq=False)
+class TotalsEvent:
+    """Totals of one bias event, as one source tells them. Arrays are copied and read-only.
+
+    ``on_time_s`` and ``pulses`` are aligned with ``thrusters`` (those of the branch, in file
+    order), ``rwa_start_rpm`` and ``rwa_end_rpm`` with ``wheels``. On-times are as commanded, per
+    thruster. ``delta_v_m_s`` is in body axes; ``mass_kg`` and ``thrust_predicted_n`` are what the
+    ground software assumed. None means not given.
+    """
+
+    id: str
+    epoch: datetime
+    branch: str
+    wheels: tuple[int, ...]
+    rwa_start_rpm: Array  # (W,)
+    rwa_end_rpm: Array  # (W,)
+    duration_s: float
+    thrusters: tuple[str, ...]
+    on_time_s: Array  # (K,)
+    pulses: Array | None  # (K,)
+    delta_v_m_s: Array | None  # (3,)
+    delta_v_source: DeltaVSource | None
+    hydrazine_g: float | None
+    mass_kg: float | None
+    thrust_predicted_n: float | None
+    source: str
+
+    def __post_init__(self) -> None:
+        for name in ("rwa_start_rpm", "rwa_end_rpm", "on_time_s", "pulses", "delta_v_m_s"):
+            value = getattr(self, name)
+            if value is not None:
+                array = np.array(value, dtype=np.float64)
+                array.setflags(write=False)
+                object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True)
+class _Row:
+    """Cells of one line by column, and where it stands for messages."""
+
+    file: str
+    line: int
+    cells: Mapping[str, str]
+
+    def where(self, column: str) -> str:
+        return f"{self.file}: line {self.line}, column {column}"
+
+    def refuse(self, column: str, expected: str, fix: str, got: str | None = None) -> InputError:
+        cell = self.cells[column]
+        found = got if got is not None else (repr(cell) if cell else "an empty cell")
+        return InputError(self.where(column), expected, found, fix)
+
+    def text(self, column: str, expected: str) -> str:
+        if not self.cells[column]:
+            raise self.refuse(column, expected, "fill in the cell")
+        return self.cells[column]
+
+    def optional(self, column: str, unit: str) -> float | None:
+        return self.number(column, unit) if self.cells[column] else None
+
+    def number(self, column: str, unit: str) -> float:
+        cell = self.text(column, f"a number in {unit}")
+        if not _NUMBER.fullmatch(cell) or not math.isfinite(float(cell)):
+            raise self.refuse(
+                column, f"a finite number in {unit}", "write it like -1118 or 4.28, '.' as point"
+            )
+        return float(cell)
+
+    def non_negative(self, column: str, unit: str) -> float:
+        value = self.number(column, unit)
+        if value < 0:
+            raise self.refuse(column, f"0 or more, in {unit}", "check the sign and the column")
+        return value
+
+    def positive(self, column: str, unit: str) -> float:
+        value = self.number(column, unit)
+        if value <= 0:
+            raise self.refuse(column, f"a number above 0 in {unit}", "check the value")
+        return value
+
+
+def totals_columns(spacecraft: Spacecraft) -> tuple[str, ...]:
+    """Columns of a totals CSV for this spacecraft, in the order in which they are written."""
+    wheels = [wheel.name for wheel in spacecraft.wheels]
+    thrusters = dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)
+    return (
+        *("id", "epoch", "branch", "wheels"),
+        *(f"{wheel}_rpm_start" for wheel in wheels),
+        *(f"{wheel}_rpm_end" for wheel in wheels),
+        "duration_s",
+        *(f"on_time_{thruster}_s" for thruster in thrusters),
+        *(f"pulses_{thruster}" for thruster in thrusters),
+        *_DELTA_V_COLUMNS,
+        *("hydrazine_g", "mass_kg", "thrust_predicted_n", "delta_v_source", "source"),
+    )
+
+
+def read_totals(
+    reference: str | Path, spacecraft: Spacecraft, source: str = "flight"
+) -> tuple[TotalsEvent, ...]:
+    """Read the events of one source from a totals CSV, in file order.
+
+    Parameters
+    ----------
+    reference
+        ``file.csv`` for all events, ``file.csv:ID`` for one.
+    spacecraft
+        Gives the wheels, branches and thrusters, and with them the columns.
+    source
+        Which rows: ``flight``, ``fsds``, ``gsw_ideal``, ``gsw`` or ``simulation``.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column, what was expected, what was found and the fix.
+    """
+    path, wanted = _split_reference(str(reference))
+    rows = _rows(str(path), _read_text(path), spacecraft)
+    by_source: dict[str, dict[str, _Row]] = {}
+    for row in rows:
+        identity, kind = _identity(row)
+        earlier = by_source.setdefault(kind, {}).setdefault(identity, row)
+        if earlier is not row:
+            raise row.refuse(
+                "id",
+                f"one row per event and source ({kind})",
+                "drop or rename one of the two",
+                f"{identity!r} again, as in line {earlier.line}",
+            )
+    chosen = _choose(str(path), by_source, source, wanted)
+    return tuple(_event(row, spacecraft) for row in chosen)
+
+
+def write_totals(path: str | Path, events: Iterable[TotalsEvent], spacecraft: Spacecraft) -> None:
+    """Write events as a totals CSV that :func:`read_totals` reads back exactly.
+
+    The text is read back before the file is touched, and the file is replaced in one step.
+
+    Raises
+    ------
+    InputError
+        The place cannot be written, or an event breaks a rule of the format (the message names
+        line and column that the row would have had).
+    """
+    columns = totals_columns(spacecraft)
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for event in events:
+        cells = _cells(event, spacecraft)
+        unknown = [name for name in cells if name not in columns]
+        if unknown:
+            raise InputError(
+                f"{path}: event {event.id}",
+                f"wheels and thrusters of {spacecraft.name}",
+                f"a value for {unknown[0]}",
+                "write the event with the spacecraft it was made for",
+            )
+        writer.writerow([cells.get(column, "") for column in columns])
+    text = stream.getvalue()
+    identities = set()
+    for row in _rows(str(path), text, spacecraft):
+        if (identity := _identity(row)) in identities:
+            raise row.refuse("id", "one row per event and source", "drop or rename one of the two")
+        identities.add(identity)
+        _event(row, spacecraft)
+    write_text(Path(path), text)
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    return hashlib.sha256(_read_bytes(Path(path))).hexdigest()
+
+
+def _split_reference(reference: str) -> tuple[Path, str | None]:
+    """``file.csv`` or ``file.csv:ID``; both names may hold colons, the file that exists decides."""
+    if Path(reference).exists() or ":" not in reference:
+        return Path(reference), None
+    ends = [i for i, character in enumerate(reference) if character == ":"]
+    end = next((i for i in reversed(ends) if Path(reference[:i]).is_file()), ends[-1])
+    return Path(reference[:end]), reference[end + 1 :]
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        names = [entry.name for entry in path.parent.glob("*.csv")]
+        raise InputError(
+            str(path), "a totals CSV", "no such file", nearest(path.name, names)
+        ) from None
+    except IsADirectoryError:
+        raise InputError(
+            str(path), "a totals CSV", "a folder", "name the CSV file inside it"
+        ) from None
+    except OSError as error:
+        raise InputError(
+            str(path), "a totals CSV", error.strerror or str(error), "name a readable file"
+        ) from None
+
+
+def _read_text(path: Path) -> str:
+    content = _read_bytes(path)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise InputError(
+            f"{path}: line {line}", "UTF-8 text", "other bytes", "save the file as CSV UTF-8"
+        ) from None
+
+
+def _rows(file: str, text: str, spacecraft: Spacecraft) -> list[_Row]:
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except csv.Error as error:
+        raise InputError(
+            f"{file}: line {reader.line_num}", "comma-separated values", str(error), "mend the line"
+        ) from None
+    lines = [(line, cells) for line, cells in lines if any(cells)]
+    if not lines:
+        raise InputError(file, "a header row and at least one event", "an empty file", "fill it in")
+    first, header = lines[0]
+    _check_header(f"{file}: line {first}", header, totals_columns(spacecraft))
+    if len(lines) == 1:
+        raise InputError(file, "at least one event", "only the header row", "add a row per event")
+    for line, cells in lines[1:]:
+        if len(cells) != len(header):
+            raise InputError(
+                f"{file}: line {line}",
+                f"{len(header)} cells as in the header",
+                f"{len(cells)}",
+                "check the commas; an empty cell still needs its comma",
+            )
+    return [_Row(file, line, dict(zip(header, cells, strict=True))) for line, cells in lines[1:]]
+
+
+def _check_header(where: str, header: Sequence[str], columns: Sequence[str]) -> None:
+    for i, name in enumerate(header):
+        if name in header[:i]:
+            raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")
+    missing = [name for name in columns if name not in header]
+    for name in header:
+        if name not in columns:
+            raise InputError(
+                where,
+                "the columns of a totals CSV",
+                f"the unknown column {name!r}",
+                nearest(name, missing) if missing else "drop it: every known column is there",
+            )
+    if missing:
+        raise InputError(
+            where,
+            f"the column {missing[0]!r}",
+            "a header without it",
+            "add the column; leave its cells empty where the value is not known",
+        )
+
+
+def _identity(row: _Row) -> tuple[str, str]:
+    identity = row.text("id", "a name of the event")
+    source = row.text("source", f"one of {', '.join(SOURCES)}")
+    if source not in SOURCES:
+        raise row.refuse("source", f"one of {', '.join(SOURCES)}", nearest(source, SOURCES))
+    return identity, source
+
+
+def _choose(
+    file: str, by_source: Mapping[str, Mapping[str, _Row]], source: str, wanted: str | None
+) -> list[_Row]:
+    if source not in by_source:
+        raise InputError(
+            file,
+            f"rows of source {source!r}",
+            f"rows of {', '.join(by_source)}",
+            nearest(source, by_source),
+        )
+    rows = by_source[source]
+    if wanted is None:
+        return list(rows.values())
+    if wanted not in rows:
+        others = [kind for kind, own in by_source.items() if wanted in own]
+        raise InputError(
+            f"{file}:{wanted}",
+            f"the id of an event of source {source!r}",
+            f"one that only {', '.join(others)} has" if others else f"the unknown id {wanted!r}",
+            f"choose source {others[0]!r}" if others else nearest(wanted, rows),
+        )
+    return [rows[wanted]]
+
+
+def _event(row: _Row, spacecraft: Spacecraft) -> TotalsEvent:
+    branch = row.text("branch", f"one of {', '.join(spacecraft.branches)}")
+    if branch not in spacecraft.branches:
+        raise row.refuse(
+            "branch",
+            f"a thruster branch of {spacecraft.name}",
+            nearest(branch, spacecraft.branches),
+        )
+    wheels = _wheels(row, spacecraft)
+    start, end = _wheel_rates(row, spacecraft, wheels)
+    duration = row.positive("duration_s", "s")
+    thrusters = tuple(thruster.name for thruster in spacecraft.thrusters_of(branch))
+    on_time = _on_times(row, spacecraft, thrusters, duration)
+    delta_v, delta_v_source = _delta_v(row)
+    hydrazine = row.non_negative("hydrazine_g", "g") if row.cells["hydrazine_g"] else None
+    mass = row.positive("mass_kg", "kg") if row.cells["mass_kg"] else None
+    predicted = row.cells["thrust_predicted_n"]
+    return TotalsEvent(
+        id=row.cells["id"],
+        epoch=_epoch(row),
+        branch=branch,
+        wheels=wheels,
+        rwa_start_rpm=np.array(start),
+        rwa_end_rpm=np.array(end),
+        duration_s=duration,
+        thrusters=thrusters,
+        on_time_s=np.array(on_time),
+        pulses=_pulses(row, spacecraft, thrusters, on_time),
+        delta_v_m_s=delta_v,
+        delta_v_source=delta_v_source,
+        hydrazine_g=hydrazine,
+        mass_kg=mass,
+        thrust_predicted_n=row.positive("thrust_predicted_n", "N") if predicted else None,
+        source=row.cells["source"],
+    )
+
+
+def _epoch(row: _Row) -> datetime:
+    cell = row.text("epoch", "an ISO 8601 time")
+    try:
+        epoch = datetime.fromisoformat(cell)
+    except ValueError:
+        raise row.refuse(
+            "epoch", "an ISO 8601 time, UTC", "write e.g. 2010-02-13 or 2010-02-13T12:00:00Z"
+        ) from None
+    return epoch.replace(tzinfo=UTC) if epoch.tzinfo is None else epoch.astimezone(UTC)
+
+
+def _wheels(row: _Row, spacecraft: Spacecraft) -> tuple[int, ...]:
+    known = [wheel.number for wheel in spacecraft.wheels]
+    expected = f"different wheels out of {known}, separated by blanks"
+    fix = f"write e.g. {' '.join(str(number) for number in known[:3])}"
+    words = row.text("wheels", expected).split()
+    if not all(word.isascii() and word.isdigit() and int(word) in known for word in words):
+        raise row.refuse("wheels", expected, fix)
+    wheels = tuple(int(word) for word in words)
+    if len(set(wheels)) != len(wheels):
+        raise row.refuse("wheels", expected, "list each wheel once")
+    return wheels
+
+
+def _wheel_rates(
+    row: _Row, spacecraft: Spacecraft, wheels: tuple[int, ...]
+) -> tuple[list[float], list[float]]:
+    names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
+    for number, name in names.items():
+        for column in (f"{name}_rpm_start", f"{name}_rpm_end"):
+            if number not in wheels and row.cells[column]:
+                raise row.refuse(
+                    column,
+                    f"an empty cell: wheel {number} is not among the prime wheels"
+                    f" {' '.join(map(str, wheels))}",
+                    "correct the wheels, or empty the cell",
+                )
+    start = [_wheel_rate(row, f"{names[number]}_rpm_start") for number in wheels]
+    return start, [_wheel_rate(row, f"{names[number]}_rpm_end") for number in wheels]
+
+
+def _wheel_rate(row: _Row, column: str) -> float:
+    rate = row.number(column, "rev/min, because the wheel is prime")
+    if abs(rate) > IMPLAUSIBLE_RPM:
+        raise row.refuse(
+            column,
+            f"a wheel rate within ±{IMPLAUSIBLE_RPM:g} rev/min",
+            "check the unit (rev/min, not degrees or radians) and the decimal point",
+        )
+    return rate
+
+
+def _refuse_other_branch(row: _Row, spacecraft: Spacecraft, own: Sequence[str], form: str) -> None:
+    for thruster in spacecraft.thrusters:
+        column = form.format(thruster.name)
+        if thruster.name not in own and row.cells[column]:
+            raise row.refuse(
+                column,
+                f"an empty cell: branch {row.cells['branch']} has no thruster {thruster.name}",
+                "correct the branch, or empty the cell",
+            )
+
+
+def _on_times(
+    row: _Row, spacecraft: Spacecraft, thrusters: tuple[str, ...], duration: float
+) -> list[float]:
+    _refuse_other_branch(row, spacecraft, thrusters, "on_time_{}_s")
+    values = []
+    for name in thrusters:
+        column = f"on_time_{name}_s"
+        value = row.non_negative(column, "s")
+        if value > duration:
+            raise row.refuse(
+                column,
+                f"an on-time no longer than the event, {duration:g} s",
+                "check duration_s and the unit (s)",
+            )
+        values.append(value)
+    return values
+
+
+def _pulses(
+    row: _Row, spacecraft: Spacecraft, thrusters: tuple[str, ...], on_time: Sequence[float]
+) -> Array | None:
+    _refuse_other_branch(row, spacecraft, thrusters, "pulses_{}")
+    if not any(row.cells[f"pulses_{name}"] for name in thrusters):
+        return None
+    values = []
+    for name, seconds in zip(thrusters, on_time, strict=True):
+        column = f"pulses_{name}"
+        count = row.non_negative(column, "pulses (give them for all thrusters or for none)")
+        if count != int(count):
+            raise row.refuse(column, "a whole number of pulses", "check the column")
+        if (count == 0) != (seconds == 0):
+            raise row.refuse(
+                column,
+                f"{'no' if seconds == 0 else 'at least one'} pulse for {seconds:g} s of on-time",
+                f"check this cell and on_time_{name}_s",
+            )
+        if count > 0 and seconds / count < SHORTEST_PULSE_S:
+            raise row.refuse(
+                column,
+                f"pulses of at least {SHORTEST_PULSE_S:g} s on average",
+                f"check this cell and on_time_{name}_s (s, not ms)",
+                f"{count:g} in {seconds:g} s",
+            )
+        values.append(count)
+    return np.array(values)
+
+
+def _delta_v(row: _Row) -> tuple[Array | None, DeltaVSource | None]:
+    declared = row.cells["delta_v_source"]
+    given = any(row.cells[column] for column in _DELTA_V_COLUMNS)
+    expected = "measured or computed"
+    if not given:
+        if declared:
+            raise row.refuse(
+                "delta_v_source",
+                "an empty cell: the row has no velocity change",
+                "fill in delta_v_x_m_s to delta_v_z_m_s, or empty this cell",
+            )
+        return None, None
+    vector = np.array(
+        [row.number(column, "m/s (all three axes or none)") for column in _DELTA_V_COLUMNS]
+    )
+    row.text("delta_v_source", f"{expected}, because the row has a velocity change")
+    if declared == "measured":
+        return vector, "measured"
+    if declared == "computed":
+        return vector, "computed"
+    raise row.refuse("delta_v_source", expected, nearest(declared, ("measured", "computed")))
+
+
+def _number_cell(value: float) -> str:
+    number = float(value)
+    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
+
+
+def _cells(event: TotalsEvent, spacecraft: Spacecraft) -> dict[str, str]:
+    """Cells of one event by column; what is not given is left out."""
+    names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
+    numbers: dict[str, float | None] = {
+        "duration_s": event.duration_s,
+        "hydrazine_g": event.hydrazine_g,
+        "mass_kg": event.mass_kg,
+        "thrust_predicted_n": event.thrust_predicted_n,
+    }
+    for i, wheel in enumerate(event.wheels):
+        name = names.get(wheel, f"rwa{wheel}")
+        numbers[f"{name}_rpm_start"] = event.rwa_start_rpm[i]
+        numbers[f"{name}_rpm_end"] = event.rwa_end_rpm[i]
+    for i, thruster in enumerate(event.thrusters):
+        numbers[f"on_time_{thruster}_s"] = event.on_time_s[i]
+        if event.pulses is not None:
+            numbers[f"pulses_{thruster}"] = event.pulses[i]
+    if event.delta_v_m_s is not None:
+        numbers.update(zip(_DELTA_V_COLUMNS, event.delta_v_m_s, strict=True))
+    return {
+        "id": event.id,
+        "epoch": event.epoch.astimezone(UTC).isoformat().replace("+00:00", "Z"),
+        "branch": event.branch,
+        "wheels": " ".join(str(number) for number in event.wheels),
+        "delta_v_source": event.delta_v_source or "",
+        "source": event.source,
+        **{name: _number_cell(value) for name, value in numbers.items() if value is not None},
+    }
