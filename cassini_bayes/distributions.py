@@ -203,9 +203,7 @@ class Distribution:
 
 
 def _frozen(name: str, keywords: Mapping[str, float]) -> Any:
-    family = _scipy_family(name)
-    assert family is not None  # checked at construction
-    return family(**keywords)
+    return getattr(stats, name)(**keywords)  # the name was checked at construction
 
 
 def _support(

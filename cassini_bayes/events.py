@@ -11,8 +11,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -22,6 +20,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.cells import Row, read_bytes, read_text, rows_of
 from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft import Spacecraft
@@ -31,11 +30,12 @@ Array = NDArray[np.float64]
 DeltaVSource = Literal["measured", "computed"]
 
 SOURCES: Final = ("flight", "fsds", "gsw_ideal", "gsw", "simulation")
+_COUNTED_SOURCES: Final = ("flight", "fsds", "simulation")
+"""Pulses of the ground software are computed and rounded: 0 may stand beside a short on-time."""
 SHORTEST_PULSE_S: Final = 0.005
 """No valve of this kind opens for less; a mean width below it means swapped or misread columns."""
 IMPLAUSIBLE_RPM: Final = 10_000.0
 """Beyond any wheel of this kind (Cassini's are kept below 2000): a value in other units."""
-_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
 
 
@@ -75,62 +75,22 @@ class TotalsEvent:
                 object.__setattr__(self, name, array)
 
 
-@dataclass(frozen=True)
-class _Row:
-    """Cells of one line by column, and where it stands for messages."""
+def totals_columns(spacecraft: Spacecraft, wheels: Iterable[int] | None = None) -> tuple[str, ...]:
+    """Columns of a totals CSV of this spacecraft, in the order in which they are written.
 
-    file: str
-    line: int
-    cells: Mapping[str, str]
-
-    def where(self, column: str) -> str:
-        return f"{self.file}: line {self.line}, column {column}"
-
-    def refuse(self, column: str, expected: str, fix: str, got: str | None = None) -> InputError:
-        cell = self.cells[column]
-        found = got if got is not None else (repr(cell) if cell else "an empty cell")
-        return InputError(self.where(column), expected, found, fix)
-
-    def text(self, column: str, expected: str) -> str:
-        if not self.cells[column]:
-            raise self.refuse(column, expected, "fill in the cell")
-        return self.cells[column]
-
-    def optional(self, column: str, unit: str) -> float | None:
-        return self.number(column, unit) if self.cells[column] else None
-
-    def number(self, column: str, unit: str) -> float:
-        cell = self.text(column, f"a number in {unit}")
-        if not _NUMBER.fullmatch(cell) or not math.isfinite(float(cell)):
-            raise self.refuse(
-                column, f"a finite number in {unit}", "write it like -1118 or 4.28, '.' as point"
-            )
-        return float(cell)
-
-    def non_negative(self, column: str, unit: str) -> float:
-        value = self.number(column, unit)
-        if value < 0:
-            raise self.refuse(column, f"0 or more, in {unit}", "check the sign and the column")
-        return value
-
-    def positive(self, column: str, unit: str) -> float:
-        value = self.number(column, unit)
-        if value <= 0:
-            raise self.refuse(column, f"a number above 0 in {unit}", "check the value")
-        return value
-
-
-def totals_columns(spacecraft: Spacecraft) -> tuple[str, ...]:
-    """Columns of a totals CSV for this spacecraft, in the order in which they are written."""
-    wheels = [wheel.name for wheel in spacecraft.wheels]
+    The rate columns of wheels that are prime in no event may be left out of a file: ``wheels``
+    are the numbers of those to keep, all by default.
+    """
+    kept = None if wheels is None else set(wheels)
+    names = [w.name for w in spacecraft.wheels if kept is None or w.number in kept]
     thrusters = dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)
     return (
         *("id", "epoch", "branch", "wheels"),
-        *(f"{wheel}_rpm_start" for wheel in wheels),
-        *(f"{wheel}_rpm_end" for wheel in wheels),
+        *(f"{name}_rpm_start" for name in names),
+        *(f"{name}_rpm_end" for name in names),
         "duration_s",
-        *(f"on_time_{thruster}_s" for thruster in thrusters),
-        *(f"pulses_{thruster}" for thruster in thrusters),
+        *(f"on_time_{name}_s" for name in thrusters),
+        *(f"pulses_{name}" for name in thrusters),
         *_DELTA_V_COLUMNS,
         *("hydrazine_g", "mass_kg", "thrust_predicted_n", "delta_v_source", "source"),
     )
@@ -156,8 +116,8 @@ def read_totals(
         Names file, line and column, what was expected, what was found and the fix.
     """
     path, wanted = _split_reference(str(reference))
-    rows = _rows(str(path), _read_text(path), spacecraft)
-    by_source: dict[str, dict[str, _Row]] = {}
+    rows = _totals_rows(str(path), read_text(path), spacecraft)
+    by_source: dict[str, dict[str, Row]] = {}
     for row in rows:
         identity, kind = _identity(row)
         earlier = by_source.setdefault(kind, {}).setdefault(identity, row)
@@ -183,7 +143,8 @@ def write_totals(path: str | Path, events: Iterable[TotalsEvent], spacecraft: Sp
         The place cannot be written, or an event breaks a rule of the format (the message names
         line and column that the row would have had).
     """
-    columns = totals_columns(spacecraft)
+    events = tuple(events)
+    columns = totals_columns(spacecraft, [wheel for event in events for wheel in event.wheels])
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
@@ -200,7 +161,7 @@ def write_totals(path: str | Path, events: Iterable[TotalsEvent], spacecraft: Sp
         writer.writerow([cells.get(column, "") for column in columns])
     text = stream.getvalue()
     identities = set()
-    for row in _rows(str(path), text, spacecraft):
+    for row in _totals_rows(str(path), text, spacecraft):
         if (identity := _identity(row)) in identities:
             raise row.refuse("id", "one row per event and source", "drop or rename one of the two")
         identities.add(identity)
@@ -216,7 +177,7 @@ def file_digest(path: str | Path) -> str:
     InputError
         The file cannot be read.
     """
-    return hashlib.sha256(_read_bytes(Path(path))).hexdigest()
+    return hashlib.sha256(read_bytes(Path(path))).hexdigest()
 
 
 def _split_reference(reference: str) -> tuple[Path, str | None]:
@@ -228,84 +189,11 @@ def _split_reference(reference: str) -> tuple[Path, str | None]:
     return Path(reference[:end]), reference[end + 1 :]
 
 
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        names = [entry.name for entry in path.parent.glob("*.csv")]
-        raise InputError(
-            str(path), "a totals CSV", "no such file", nearest(path.name, names)
-        ) from None
-    except IsADirectoryError:
-        raise InputError(
-            str(path), "a totals CSV", "a folder", "name the CSV file inside it"
-        ) from None
-    except OSError as error:
-        raise InputError(
-            str(path), "a totals CSV", error.strerror or str(error), "name a readable file"
-        ) from None
+def _totals_rows(file: str, text: str, spacecraft: Spacecraft) -> tuple[Row, ...]:
+    return rows_of(file, text, totals_columns(spacecraft), totals_columns(spacecraft, ()))
 
 
-def _read_text(path: Path) -> str:
-    content = _read_bytes(path)
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise InputError(
-            f"{path}: line {line}", "UTF-8 text", "other bytes", "save the file as CSV UTF-8"
-        ) from None
-
-
-def _rows(file: str, text: str, spacecraft: Spacecraft) -> list[_Row]:
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
-    except csv.Error as error:
-        raise InputError(
-            f"{file}: line {reader.line_num}", "comma-separated values", str(error), "mend the line"
-        ) from None
-    lines = [(line, cells) for line, cells in lines if any(cells)]
-    if not lines:
-        raise InputError(file, "a header row and at least one event", "an empty file", "fill it in")
-    first, header = lines[0]
-    _check_header(f"{file}: line {first}", header, totals_columns(spacecraft))
-    if len(lines) == 1:
-        raise InputError(file, "at least one event", "only the header row", "add a row per event")
-    for line, cells in lines[1:]:
-        if len(cells) != len(header):
-            raise InputError(
-                f"{file}: line {line}",
-                f"{len(header)} cells as in the header",
-                f"{len(cells)}",
-                "check the commas; an empty cell still needs its comma",
-            )
-    return [_Row(file, line, dict(zip(header, cells, strict=True))) for line, cells in lines[1:]]
-
-
-def _check_header(where: str, header: Sequence[str], columns: Sequence[str]) -> None:
-    for i, name in enumerate(header):
-        if name in header[:i]:
-            raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")
-    missing = [name for name in columns if name not in header]
-    for name in header:
-        if name not in columns:
-            raise InputError(
-                where,
-                "the columns of a totals CSV",
-                f"the unknown column {name!r}",
-                nearest(name, missing) if missing else "drop it: every known column is there",
-            )
-    if missing:
-        raise InputError(
-            where,
-            f"the column {missing[0]!r}",
-            "a header without it",
-            "add the column; leave its cells empty where the value is not known",
-        )
-
-
-def _identity(row: _Row) -> tuple[str, str]:
+def _identity(row: Row) -> tuple[str, str]:
     identity = row.text("id", "a name of the event")
     source = row.text("source", f"one of {', '.join(SOURCES)}")
     if source not in SOURCES:
@@ -314,8 +202,8 @@ def _identity(row: _Row) -> tuple[str, str]:
 
 
 def _choose(
-    file: str, by_source: Mapping[str, Mapping[str, _Row]], source: str, wanted: str | None
-) -> list[_Row]:
+    file: str, by_source: Mapping[str, Mapping[str, Row]], source: str, wanted: str | None
+) -> list[Row]:
     if source not in by_source:
         raise InputError(
             file,
@@ -337,7 +225,7 @@ def _choose(
     return [rows[wanted]]
 
 
-def _event(row: _Row, spacecraft: Spacecraft) -> TotalsEvent:
+def _event(row: Row, spacecraft: Spacecraft) -> TotalsEvent:
     branch = row.text("branch", f"one of {', '.join(spacecraft.branches)}")
     if branch not in spacecraft.branches:
         raise row.refuse(
@@ -374,7 +262,7 @@ def _event(row: _Row, spacecraft: Spacecraft) -> TotalsEvent:
     )
 
 
-def _epoch(row: _Row) -> datetime:
+def _epoch(row: Row) -> datetime:
     cell = row.text("epoch", "an ISO 8601 time")
     try:
         epoch = datetime.fromisoformat(cell)
@@ -385,7 +273,7 @@ def _epoch(row: _Row) -> datetime:
     return epoch.replace(tzinfo=UTC) if epoch.tzinfo is None else epoch.astimezone(UTC)
 
 
-def _wheels(row: _Row, spacecraft: Spacecraft) -> tuple[int, ...]:
+def _wheels(row: Row, spacecraft: Spacecraft) -> tuple[int, ...]:
     known = [wheel.number for wheel in spacecraft.wheels]
     expected = f"different wheels out of {known}, separated by blanks"
     fix = f"write e.g. {' '.join(str(number) for number in known[:3])}"
@@ -399,7 +287,7 @@ def _wheels(row: _Row, spacecraft: Spacecraft) -> tuple[int, ...]:
 
 
 def _wheel_rates(
-    row: _Row, spacecraft: Spacecraft, wheels: tuple[int, ...]
+    row: Row, spacecraft: Spacecraft, wheels: tuple[int, ...]
 ) -> tuple[list[float], list[float]]:
     names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
     for number, name in names.items():
@@ -415,7 +303,7 @@ def _wheel_rates(
     return start, [_wheel_rate(row, f"{names[number]}_rpm_end") for number in wheels]
 
 
-def _wheel_rate(row: _Row, column: str) -> float:
+def _wheel_rate(row: Row, column: str) -> float:
     rate = row.number(column, "rev/min, because the wheel is prime")
     if abs(rate) > IMPLAUSIBLE_RPM:
         raise row.refuse(
@@ -426,7 +314,7 @@ def _wheel_rate(row: _Row, column: str) -> float:
     return rate
 
 
-def _refuse_other_branch(row: _Row, spacecraft: Spacecraft, own: Sequence[str], form: str) -> None:
+def _refuse_other_branch(row: Row, spacecraft: Spacecraft, own: Sequence[str], form: str) -> None:
     for thruster in spacecraft.thrusters:
         column = form.format(thruster.name)
         if thruster.name not in own and row.cells[column]:
@@ -438,7 +326,7 @@ def _refuse_other_branch(row: _Row, spacecraft: Spacecraft, own: Sequence[str], 
 
 
 def _on_times(
-    row: _Row, spacecraft: Spacecraft, thrusters: tuple[str, ...], duration: float
+    row: Row, spacecraft: Spacecraft, thrusters: tuple[str, ...], duration: float
 ) -> list[float]:
     _refuse_other_branch(row, spacecraft, thrusters, "on_time_{}_s")
     values = []
@@ -456,7 +344,7 @@ def _on_times(
 
 
 def _pulses(
-    row: _Row, spacecraft: Spacecraft, thrusters: tuple[str, ...], on_time: Sequence[float]
+    row: Row, spacecraft: Spacecraft, thrusters: tuple[str, ...], on_time: Sequence[float]
 ) -> Array | None:
     _refuse_other_branch(row, spacecraft, thrusters, "pulses_{}")
     if not any(row.cells[f"pulses_{name}"] for name in thrusters):
@@ -467,7 +355,7 @@ def _pulses(
         count = row.non_negative(column, "pulses (give them for all thrusters or for none)")
         if count != int(count):
             raise row.refuse(column, "a whole number of pulses", "check the column")
-        if (count == 0) != (seconds == 0):
+        if row.cells["source"] in _COUNTED_SOURCES and (count == 0) != (seconds == 0):
             raise row.refuse(
                 column,
                 f"{'no' if seconds == 0 else 'at least one'} pulse for {seconds:g} s of on-time",
@@ -484,7 +372,7 @@ def _pulses(
     return np.array(values)
 
 
-def _delta_v(row: _Row) -> tuple[Array | None, DeltaVSource | None]:
+def _delta_v(row: Row) -> tuple[Array | None, DeltaVSource | None]:
     declared = row.cells["delta_v_source"]
     given = any(row.cells[column] for column in _DELTA_V_COLUMNS)
     expected = "measured or computed"

@@ -32,11 +32,14 @@ def standard_normal_log_density(z: ArrayLike) -> Array:
 class Kernel(Protocol):
     """What a distribution needs: quantile and its inverse in z, and the density in θ."""
 
-    def quantile_of_standard(self, z: Array) -> Array: ...
+    def quantile_of_standard(self, z: Array) -> Array:
+        """θ = F⁻¹(Φ(z)), elementwise."""
 
-    def standard_of(self, x: Array) -> Array: ...
+    def standard_of(self, x: Array) -> Array:
+        """z = Φ⁻¹(F(θ)), elementwise; ∓inf at and beyond the ends of the support."""
 
-    def log_density(self, x: Array) -> Array: ...
+    def log_density(self, x: Array) -> Array:
+        """log p(θ), elementwise; −inf outside the support."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +50,15 @@ class Normal:
     scale: float
 
     def quantile_of_standard(self, z: Array) -> Array:
+        """θ = F⁻¹(Φ(z)), elementwise."""
         return self.loc + self.scale * z
 
     def standard_of(self, x: Array) -> Array:
+        """z = Φ⁻¹(F(θ)), elementwise."""
         return (x - self.loc) / self.scale
 
     def log_density(self, x: Array) -> Array:
+        """log p(θ), elementwise; −inf outside the support."""
         return standard_normal_log_density((x - self.loc) / self.scale) - math.log(self.scale)
 
 
@@ -65,14 +71,17 @@ class LogNormal:
     scale: float
 
     def quantile_of_standard(self, z: Array) -> Array:
+        """θ = F⁻¹(Φ(z)), elementwise."""
         return self.loc + self.scale * np.exp(self.s * z)
 
     def standard_of(self, x: Array) -> Array:
+        """z = Φ⁻¹(F(θ)), elementwise."""
         ratio = (x - self.loc) / self.scale
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.where(ratio > 0, ratio, 0.0)) / self.s)
 
     def log_density(self, x: Array) -> Array:
+        """log p(θ), elementwise; −inf outside the support."""
         inside = x > self.loc
         ratio = np.where(inside, (x - self.loc) / self.scale, 1.0)
         log_ratio = np.log(ratio)
@@ -88,15 +97,18 @@ class Uniform:
     high: float
 
     def quantile_of_standard(self, z: Array) -> Array:
+        """θ = F⁻¹(Φ(z)), elementwise."""
         width = self.high - self.low
         return np.where(z < 0, self.low + width * ndtr(z), self.high - width * ndtr(-z))
 
     def standard_of(self, x: Array) -> Array:
+        """z = Φ⁻¹(F(θ)), elementwise."""
         from_low = np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0)
         from_high = np.clip((self.high - x) / (self.high - self.low), 0.0, 1.0)
         return np.where(from_low < 0.5, ndtri(from_low), -ndtri(from_high))
 
     def log_density(self, x: Array) -> Array:
+        """log p(θ), elementwise; −inf outside the support."""
         inside = (x >= self.low) & (x <= self.high)
         return np.where(inside, -math.log(self.high - self.low), -np.inf)
 
@@ -109,17 +121,20 @@ class HalfNormal:
     scale: float
 
     def quantile_of_standard(self, z: Array) -> Array:
+        """θ = F⁻¹(Φ(z)), elementwise."""
         lower = erfinv(ndtr(np.minimum(z, 0.0)))
         upper = erfcinv(ndtr(-np.maximum(z, 0.0)))
         return self.loc + self.scale * _SQRT_2 * np.where(z < 0, lower, upper)
 
     def standard_of(self, x: Array) -> Array:
+        """z = Φ⁻¹(F(θ)), elementwise."""
         y = np.maximum((x - self.loc) / self.scale, 0.0)
         lower = ndtri(erf(np.minimum(y, 1.0) / _SQRT_2))
         upper = -ndtri_exp(log_ndtr(-np.maximum(y, 0.5)) + math.log(2.0))
         return np.where(y < 0.67, lower, upper)
 
     def log_density(self, x: Array) -> Array:
+        """log p(θ), elementwise; −inf outside the support."""
         density = standard_normal_log_density((x - self.loc) / self.scale)
         return np.where(x >= self.loc, density + math.log(2.0 / self.scale), -np.inf)
 
@@ -157,6 +172,7 @@ class Truncated:
         return _log_normal_mass(*self._standard_bounds)
 
     def quantile_of_standard(self, z: Array) -> Array:
+        """θ = F⁻¹(Φ(z)), elementwise."""
         below_low, below_high, above_low, above_high = self._log_tails
         log_down, log_up = log_ndtr(-z), log_ndtr(z)
         log_below = np.logaddexp(below_low + log_down, below_high + log_up)
@@ -170,6 +186,7 @@ class Truncated:
         return np.clip(self.base.quantile_of_standard(y), self.low, self.high)
 
     def standard_of(self, x: Array) -> Array:
+        """z = Φ⁻¹(F(θ)), elementwise."""
         low, high = self._standard_bounds
         y = np.clip(self.base.standard_of(x), low, high)
         below = _log_normal_mass_between(low, y) - self.log_mass
@@ -181,6 +198,7 @@ class Truncated:
         )
 
     def log_density(self, x: Array) -> Array:
+        """log p(θ), elementwise; −inf outside the support."""
         inside = (x >= self.low) & (x <= self.high)
         return np.where(inside, self.base.log_density(x) - self.log_mass, -np.inf)
 
@@ -216,6 +234,7 @@ class Generic:
         return below_high - below_low if below_low < above_low else above_low - above_high
 
     def quantile_of_standard(self, z: Array) -> Array:
+        """θ = F⁻¹(Φ(z)), elementwise."""
         below_low, below_high, above_low, above_high = self._tails
         down, up = ndtr(-z), ndtr(z)
         below = below_low * down + below_high * up
@@ -228,6 +247,7 @@ class Generic:
         return np.clip(x, self.low, self.high)
 
     def standard_of(self, x: Array) -> Array:
+        """z = Φ⁻¹(F(θ)), elementwise."""
         below_low, _, _, above_high = self._tails
         x = np.clip(x, self.low, self.high)
         below = np.clip((self.frozen.cdf(x) - below_low) / self.mass, 0.0, 1.0)
@@ -235,6 +255,7 @@ class Generic:
         return np.where(below < above, ndtri(below), -ndtri(above))
 
     def log_density(self, x: Array) -> Array:
+        """log p(θ), elementwise; −inf outside the support."""
         inside = (x >= self.low) & (x <= self.high)
         density = self.frozen.logpdf(x) - math.log(self.mass)
         return np.where(inside, density, -np.inf)
