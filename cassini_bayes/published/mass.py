@@ -76,13 +76,8 @@ class PulseTermFit:
 
 
 def acceleration_interval(table: WheelBiasTable, column: str) -> Interval:
-    """F/M in m/s² that a ground-software column implies: |ΔVz| / total Z on-time.
-
-    The total lies within its own rounding and within the sum of the four rounded on-times.
-    """
-    parts = [table.cell(f"on_time_{name}", column).interval for name in Z_THRUSTERS]
-    total = sum(parts[1:], parts[0])
-    on_time = table.cell("on_time_z_total", column).interval.intersect(total)
+    """F/M in m/s² that a ground-software column implies: |ΔVz| / total Z on-time."""
+    on_time = table.cell("on_time_z_total", column).interval
     return (-table.cell("delta_v_z", column).interval).scaled(_M_PER_MM) / on_time
 
 
