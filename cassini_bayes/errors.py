@@ -33,11 +33,3 @@ class InputError(CassiniBayesError):
         self.got = got
         self.fix = fix
         super().__init__(f"{where}: expected {expected}, got {got}; {fix}")
-
-
-class NotConvergedError(CassiniBayesError):
-    """Sampling reached its limit before the stop rule was met; carries the criteria that failed."""
-
-    def __init__(self, message: str, failed: tuple[str, ...]) -> None:
-        self.failed = failed
-        super().__init__(message)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import TotalsEvent
+from cassini_bayes.parameters import ParameterSpec
 from cassini_bayes.priors import ParameterSpace, Priors
 from cassini_bayes.pulses import PULSE_SHAPES, PulseShape, effective_on_time
 from cassini_bayes.spacecraft import (
@@ -62,17 +63,19 @@ _DELTA_V_NOISE: Final = ("delta_v_noise_m_s", "delta_v_resolution_m_s")
 
 @dataclass(frozen=True)
 class LinearBlock:
-    """Prior of the parameters that enter linearly, as maps from standard-normal coordinates.
+    """Prior of the parameters that enter linearly.
 
-    thrust[e] = common + shared @ η + own @ ξ_e and torque[e] = torque_mean + torque_sd · ξ'_e, with
-    η shared by all events and ξ_e, ξ'_e an event's own; all are N(0, 1) before the data.
+    thrust[e] = common mean + shared @ η + own @ ξ_e, with η shared by all events, ξ_e the event's
+    own, all N(0, 1) before the data: shared @ sharedᵀ is the prior covariance of the thrusters'
+    levels (common + individual), own @ ownᵀ that of an event's departures (event + jitter).
     """
 
     common_mean_n: float
-    common_sd_n: float  # 0 where the common level is walked or fixed, else of shared column 0
+    common_sd_n: float  # 0 where the common level is walked or fixed
     common_is_walked: bool
-    shared: Array  # (K, q): columns for the common level (unless walked) and each thruster
-    own: Array  # (K, p): columns for the event's level and each thruster's jitter
+    individual_sd_n: float
+    shared: Array  # (K, q)
+    own: Array  # (K, p)
     torque_mean_n_m: Array  # (3,)
     torque_sd_n_m: Array  # (3,)
 
@@ -85,6 +88,7 @@ class TotalsModel:
     branch: str
     stack: TotalsStack
     space: ParameterSpace
+    specs: Mapping[str, ParameterSpec]
     linear: LinearBlock
     pulse_shape: PulseShape
     delta_v: DeltaVUse
@@ -117,8 +121,9 @@ class LinearSystem:
 
     design: Array  # (n, E, R, K)
     torque_design: Array  # (E, R, 3)
-    target: Array  # (n, E, R)
-    covariance: Array  # (n, E, R, R)
+    target: Array  # (n, E, R), less the mean external torque's share
+    covariance: Array  # (n, E, R, R) of the noise
+    torque_covariance: Array  # (E, R, R) of the external torque's departure from its mean
     jacobian: ResponseJacobian  # at the reference thrust
     delta_v_log_likelihood: Array  # (n, E) of the computed channel
     common_n: Array  # (n,)
@@ -180,6 +185,7 @@ def build_model(
         branch=priors.branch,
         stack=stack,
         space=priors.space(()),
+        specs={name: prior.spec for name, prior in priors.parameters.items()},
         linear=_linear_block(priors, len(stack.thrusters)),
         pulse_shape=PULSE_SHAPES[pulse_shape],
         delta_v=delta_v,
@@ -246,28 +252,31 @@ def _linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
             )
     common = priors.parameters[THRUST_COMMON]
     walked = common.distribution is not None and not common.distribution.is_normal
-    one, identity = np.ones((n_thrusters, 1)), np.eye(n_thrusters)
     common_sd = 0.0 if common.distribution is None or walked else common.distribution.sd()
-    shared = [common_sd * one, scales["thrust_individual_n"] * identity]
     mean = common.fixed if common.distribution is None else common.distribution.mean()
     assert mean is not None  # the reader guarantees dist or fixed
-    own = [scales["thrust_event_n"] * one, scales["thrust_jitter_n"] * identity]
+    individual, event, jitter = (scales[name] for name in THRUST_LEVELS)
     return LinearBlock(
         common_mean_n=float(mean),
         common_sd_n=common_sd,
         common_is_walked=walked,
-        shared=_used_columns(np.hstack(shared)),
-        own=_used_columns(np.hstack(own)),
+        individual_sd_n=individual,
+        shared=_level_factor(common_sd, individual, n_thrusters),
+        own=_level_factor(event, jitter, n_thrusters),
         torque_mean_n_m=np.array([means[name] for name in TORQUES]),
         torque_sd_n_m=np.array([scales[name] for name in TORQUES]),
     )
 
 
-def _used_columns(matrix: Array) -> Array:
-    """Drop columns of zeros: a level fixed at zero needs no coordinate."""
-    used = matrix[:, np.abs(matrix).sum(0) > 0]
-    used.setflags(write=False)
-    return used
+def _level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
+    """Factor B (K, r) with B Bᵀ = common_sd² 1 1ᵀ + individual_sd² 1, with no more columns than rank."""
+    if individual_sd > 0:
+        covariance = np.full((size, size), common_sd**2) + individual_sd**2 * np.eye(size)
+        factor = np.linalg.cholesky(covariance)
+    else:
+        factor = np.full((size, int(common_sd > 0)), common_sd)
+    factor.setflags(write=False)
+    return factor
 
 
 def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
@@ -322,8 +331,9 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
     return LinearSystem(
         design=design,
         torque_design=torque_design,
-        target=target,
+        target=target - torque_design @ model.linear.torque_mean_n_m,
         covariance=covariance,
+        torque_covariance=_outer(torque_design * model.linear.torque_sd_n_m),
         jacobian=response_jacobian(arms, stretch, stack.response, reference),
         delta_v_log_likelihood=np.broadcast_to(
             computed_delta_v_log_likelihood(model, full), (*batch, n_events)
@@ -331,6 +341,10 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
         common_n=np.broadcast_to(np.asarray(common, dtype=np.float64), batch),
         effective_on_time_s=np.broadcast_to(effective, (*batch, n_events, n_thrusters)),
     )
+
+
+def _outer(columns: Array) -> Array:
+    return np.asarray(columns @ np.swapaxes(columns, -1, -2))
 
 
 def _as_arrays(values: Mapping[str, float]) -> dict[str, Array]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.model import LinearSystem, TotalsModel, linear_system
+from cassini_bayes.model import LinearBlock, LinearSystem, TotalsModel, linear_system
 
 Array = NDArray[np.float64]
 
@@ -44,35 +44,21 @@ class LinearDraws:
     external_torque_n_m: Array  # (n, E, 3)
 
 
-def _own_map(model: TotalsModel) -> tuple[Array, Array, Array]:
-    """Maps from [ξ_e, ξ'_e | η] to thrust (K, p+q), and the torque columns' scales (3,)."""
-    linear = model.linear
-    used = linear.torque_sd_n_m > 0
-    n_thrusters = linear.own.shape[0]
-    to_thrust = np.hstack([linear.own, np.zeros((n_thrusters, int(used.sum()))), linear.shared])
-    scales = np.diag(linear.torque_sd_n_m)[:, used]
-    return to_thrust, scales, used
-
-
 def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
     """Integrate the thrusts and torques out of the likelihood.
 
-    With r = W x − b the whitened residual (x the linear coordinates) and the Jacobian tilt
-    g, H about the reference thrust, an event's precision is WᵀW − UᵀHU, its linear term
-    Wᵀb + Uᵀ(g + H d0); U maps x to thrust and d0 is the offset of the walked common level from the
-    reference. Block elimination as in Rasmussen & Williams (2006) eq. A.11-A.12.
+    With A the whitened design, b the whitened misfit at the common level's mean, and g, H the
+    gradient and Hessian of the response Jacobian there, an event's information on its thrusts is
+    G = AᵀA − H with linear term ν = Aᵀb + g + H d0; d0 is the distance of a walked common level
+    from the reference. Thrust is S η + L ξ_e beyond the common level, so ξ_e is eliminated with
+    the Cholesky factor of 1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S
+    (Rasmussen & Williams 2006, eqs. A.9-A.12).
     """
     linear = model.linear
-    to_thrust, torque_scales, _ = _own_map(model)
-    n_own = to_thrust.shape[1] - linear.shared.shape[1]
-    columns = system.design @ to_thrust
-    first_torque = linear.own.shape[1]
-    columns[..., first_torque:n_own] += system.torque_design @ torque_scales
-    offset = system.common_n[..., None, None] * system.design.sum(-1)
-    offset = offset + system.torque_design @ linear.torque_mean_n_m
-    misfit = system.target - offset
-    factor = np.linalg.cholesky(system.covariance)
-    white = np.linalg.solve(factor, np.concatenate([columns, misfit[..., None]], axis=-1))
+    own, shared = linear.own, linear.shared
+    misfit = system.target - system.common_n[..., None, None] * system.design.sum(-1)
+    factor = np.linalg.cholesky(system.covariance + system.torque_covariance)
+    white = np.linalg.solve(factor, np.concatenate([system.design, misfit[..., None]], axis=-1))
     log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     rows = factor.shape[-1]
 
@@ -85,21 +71,21 @@ def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
         + 0.5 * shift[..., 0] ** 2 * jacobian.hessian.sum((-2, -1))
     )
     gram = np.swapaxes(white, -1, -2) @ white
-    precision = gram[..., :-1, :-1] - to_thrust.T @ jacobian.hessian @ to_thrust
-    linear_term = gram[..., :-1, -1] + tilt @ to_thrust
+    information = gram[..., :-1, :-1] - jacobian.hessian
+    linear_term = gram[..., :-1, -1] + tilt
     constant = -0.5 * gram[..., -1, -1] - log_det - 0.5 * rows * np.log(2.0 * np.pi) + tilt_value
 
-    own_precision = precision[..., :n_own, :n_own] + np.eye(n_own)
-    own_factor = np.linalg.cholesky(own_precision)
-    right = np.concatenate(
-        [precision[..., :n_own, n_own:], linear_term[..., :n_own, None]], axis=-1
+    by_shared = _times(information, shared)
+    own_precision = _times(np.swapaxes(_times(information, own), -1, -2), own)
+    own_factor = np.linalg.cholesky(own_precision + np.eye(own.shape[1]))
+    right = _times(
+        np.concatenate([np.swapaxes(by_shared, -1, -2), linear_term[..., None, :]], axis=-2), own
     )
-    solved = np.linalg.solve(own_factor, right)
+    solved = np.linalg.solve(own_factor, np.swapaxes(right, -1, -2))
     schur = np.swapaxes(solved, -1, -2) @ solved
-    n_shared = precision.shape[-1] - n_own
-    shared_precision = (precision[..., n_own:, n_own:] - schur[..., :-1, :-1]).sum(-3)
-    shared_linear = (linear_term[..., n_own:] - schur[..., :-1, -1]).sum(-2)
-    shared_factor = np.linalg.cholesky(shared_precision + np.eye(n_shared))
+    shared_precision = shared.T @ by_shared.sum(-3) - schur[..., :-1, :-1].sum(-3)
+    shared_linear = linear_term.sum(-2) @ shared - schur[..., :-1, -1].sum(-2)
+    shared_factor = np.linalg.cholesky(shared_precision + np.eye(shared.shape[1]))
     shared_shift = np.linalg.solve(shared_factor, shared_linear[..., None])[..., 0]
     own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
     shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
@@ -118,6 +104,12 @@ def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
     )
 
 
+def _times(stack: Array, matrix: Array) -> Array:
+    """stack (..., r, K) @ matrix (K, c) as one product: numpy would loop over the stack."""
+    product = stack.reshape(-1, stack.shape[-1]) @ matrix
+    return np.asarray(product.reshape(*stack.shape[:-1], matrix.shape[1]))
+
+
 def log_likelihood(model: TotalsModel, z: Array) -> Array:
     """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
     return collapse(model, linear_system(model, model.space.to_parameters(z))).log_likelihood
@@ -129,10 +121,11 @@ def log_posterior(model: TotalsModel, z: Array) -> Array:
 
 
 def draw_linear(
-    model: TotalsModel, collapsed: Collapsed, common_n: Array, rng: np.random.Generator
+    model: TotalsModel, system: LinearSystem, collapsed: Collapsed, rng: np.random.Generator
 ) -> LinearDraws:
     """One draw of thrusts and torques from their conditional normal at every parameter point."""
     n, n_events, n_own, n_shared = collapsed.own_coupling.shape
+    linear = model.linear
     shared = _solve_transposed(
         collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
     )
@@ -140,16 +133,47 @@ def draw_linear(
     own = _solve_transposed(
         collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own))
     )
-    linear = model.linear
-    _, scales, _ = _own_map(model)
-    n_thrust = linear.own.shape[1]
-    level = common_n[:, None] + shared @ linear.shared.T
+    level = system.common_n[:, None] + shared @ linear.shared.T
+    thrust = level[:, None, :] + own @ linear.own.T
     return LinearDraws(
-        thrust_n=level[:, None, :] + own[..., :n_thrust] @ linear.own.T,
-        common_n=common_n + (linear.common_sd_n * shared[:, 0] if linear.common_sd_n else 0.0),
+        thrust_n=thrust,
+        common_n=_draw_common(linear, system.common_n, level, rng),
         level_n=level,
-        external_torque_n_m=linear.torque_mean_n_m + own[..., n_thrust:] @ scales.T,
+        external_torque_n_m=_draw_torque(model, system, thrust, rng),
     )
+
+
+def _draw_common(
+    linear: LinearBlock, common_n: Array, level_n: Array, rng: np.random.Generator
+) -> Array:
+    """The common level given every thruster's level = common + individual; the data add nothing.
+
+    A thruster's own departure of width zero makes the common level that of every thruster.
+    """
+    normals = rng.standard_normal(len(level_n))
+    if linear.common_sd_n == 0.0:
+        return common_n
+    if linear.individual_sd_n == 0.0:
+        return level_n[:, 0]
+    weight = linear.common_sd_n**-2 + level_n.shape[1] * linear.individual_sd_n**-2
+    mean = (
+        common_n * linear.common_sd_n**-2 + level_n.sum(-1) * linear.individual_sd_n**-2
+    ) / weight
+    return np.asarray(mean + normals / np.sqrt(weight))
+
+
+def _draw_torque(
+    model: TotalsModel, system: LinearSystem, thrust_n: Array, rng: np.random.Generator
+) -> Array:
+    """External torques given the thrusts: a prior draw corrected by the residual it leaves."""
+    linear = model.linear
+    residual = system.target - (system.design @ thrust_n[..., None])[..., 0]
+    departure = linear.torque_sd_n_m * rng.standard_normal((*residual.shape[:-1], 3))
+    noise = np.linalg.cholesky(system.covariance) @ rng.standard_normal((*residual.shape, 1))
+    missing = residual - (system.torque_design @ departure[..., None] + noise)[..., 0]
+    answer = np.linalg.solve(system.covariance + system.torque_covariance, missing[..., None])
+    gain = linear.torque_sd_n_m**2 * (np.swapaxes(system.torque_design, -1, -2) @ answer)[..., 0]
+    return np.asarray(linear.torque_mean_n_m + departure + gain)
 
 
 def _solve_transposed(factor: Array, right: Array) -> Array:
@@ -166,22 +190,19 @@ def thrust_moments(model: TotalsModel, z: Array) -> tuple[Array, Array]:
     """
     system = linear_system(model, model.space.to_parameters(z))
     collapsed = collapse(model, system)
-    to_thrust, _, _ = _own_map(model)
-    n_own = collapsed.own_factor.shape[-1]
-    identity = np.eye(n_own)
+    own, shared = model.linear.own, model.linear.shared
     shared_inverse = np.linalg.inv(collapsed.shared_factor)
     shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
-    shared_cov = np.swapaxes(shared_inverse, -1, -2) @ shared_inverse
-    own_inverse_t = np.swapaxes(np.linalg.solve(collapsed.own_factor, identity), -1, -2)
-    gain = own_inverse_t @ collapsed.own_coupling  # ξ_e = mean − gain (η − η̂) + own noise
+    own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.own_factor), -1, -2)
     pull = collapsed.own_shift - (collapsed.own_coupling @ shared_mean[:, None, :, None])[..., 0]
     own_mean = (own_inverse_t @ pull[..., None])[..., 0]
-    response = to_thrust[:, n_own:] - to_thrust[:, :n_own] @ gain
-    spread = to_thrust[:, :n_own] @ own_inverse_t
+    # thrust = … + [S − L gain] (η − η̂) + L (own noise)
+    gain = own_inverse_t @ collapsed.own_coupling
+    response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
+    spread = own @ own_inverse_t
     mean = (
         system.common_n[:, None, None]
-        + own_mean @ to_thrust[:, :n_own].T
-        + (shared_mean @ to_thrust[:, n_own:].T)[:, None, :]
+        + own_mean @ own.T
+        + (shared_mean @ shared.T)[:, None, :]
     )
-    variance = (spread**2).sum(-1) + ((response @ shared_cov[:, None]) * response).sum(-1)
-    return mean, variance
+    return mean, (spread**2).sum(-1) + (response**2).sum(-1)

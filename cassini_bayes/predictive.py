@@ -13,13 +13,14 @@ from cassini_bayes.terms import response_jacobian
 Array = NDArray[np.float64]
 
 
-def balance_residual(system: LinearSystem, draws: LinearDraws) -> Array:
+def balance_residual(model: TotalsModel, system: LinearSystem, draws: LinearDraws) -> Array:
     """Thruster impulse plus external torque minus the wheels' change, (n, E, R); rows as the system.
 
     The first three rows are the body axes in N m s; any further three are ΔV in m/s.
     """
     impulse = (system.design @ draws.thrust_n[..., None])[..., 0]
-    torque = (system.torque_design @ draws.external_torque_n_m[..., None])[..., 0]
+    departure = draws.external_torque_n_m - model.linear.torque_mean_n_m
+    torque = (system.torque_design @ departure[..., None])[..., 0]
     return np.asarray(impulse + torque - system.target)
 
 
@@ -50,7 +51,7 @@ def replicate_on_times(
     system = linear_system(model, parameters)
     factor = np.linalg.cholesky(system.covariance[..., :3, :3])
     fresh = (factor @ rng.standard_normal((*factor.shape[:-1], 1)))[..., 0]
-    change = fresh - balance_residual(system, draws)[..., :3]
+    change = fresh - balance_residual(model, system, draws)[..., :3]
     matrix = response_matrix(model, system, parameters, draws.thrust_n)
     answer = np.linalg.solve(matrix, change[..., None])
     return np.asarray(model.stack.on_time_s + (model.stack.response @ answer)[..., 0])
@@ -62,7 +63,7 @@ def event_log_likelihood(
     """Log density (n, E) of each event's figures given all parameters, thrusts and torques."""
     system = linear_system(model, parameters)
     factor = np.linalg.cholesky(system.covariance)
-    white = np.linalg.solve(factor, balance_residual(system, draws)[..., None])[..., 0]
+    white = np.linalg.solve(factor, balance_residual(model, system, draws)[..., None])[..., 0]
     log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     arms = lever_arms(model.spacecraft, model.branch, parameters)
     jacobian = response_jacobian(

@@ -65,7 +65,7 @@ def draws_of(
     """Physical parameters and a draw of the thrusts and torques at posterior points z (n, d)."""
     parameters = model.space.to_parameters(z)
     system = linear_system(model, parameters)
-    return parameters, draw_linear(model, collapse(model, system), system.common_n, rng)
+    return parameters, draw_linear(model, system, collapse(model, system), rng)
 
 
 def prior_draws(
@@ -81,13 +81,14 @@ def prior_draws(
         (n,),
     )
     n_events = len(model.stack.event_ids)
-    shared = rng.standard_normal((n, linear.shared.shape[1]))
+    individual = linear.individual_sd_n * rng.standard_normal((n, linear.shared.shape[0]))
+    common = common + linear.common_sd_n * rng.standard_normal(n)
     own = rng.standard_normal((n, n_events, linear.own.shape[1]))
     torque = rng.standard_normal((n, n_events, 3))
-    level = common[:, None] + shared @ linear.shared.T
+    level = common[:, None] + individual
     return parameters, LinearDraws(
         thrust_n=level[:, None, :] + own @ linear.own.T,
-        common_n=common + (linear.common_sd_n * shared[:, 0] if linear.common_sd_n else 0.0),
+        common_n=common,
         level_n=level,
         external_torque_n_m=linear.torque_mean_n_m + linear.torque_sd_n_m * torque,
     )
@@ -233,7 +234,7 @@ def _parameter_dataset(
     for name in model.space.names:
         if name in wheel_inertia or name == _COMMON:
             continue
-        spec = model.space.specs[name]
+        spec = model.specs[name]
         variables[name] = ((), parameters[name], spec.unit, spec.meaning)
     return _dataset(variables, model, shape)
 
@@ -245,7 +246,7 @@ def _predictive_dataset(
     rng: np.random.Generator,
     shape: tuple[int, int],
 ) -> xr.Dataset:
-    residual = balance_residual(linear_system(model, parameters), draws)[..., :3]
+    residual = balance_residual(model, linear_system(model, parameters), draws)[..., :3]
     return _dataset(
         {
             "on_time_s": (
@@ -315,7 +316,7 @@ def _constants(model: TotalsModel) -> xr.Dataset:
         ),
     }
     for name, value in model.space.fixed.items():
-        spec = model.space.specs[name]
+        spec = model.specs[name]
         data[name] = xr.DataArray(value, attrs={"units": spec.unit, "long_name": spec.meaning})
     for name, value in zip(TORQUES, model.linear.torque_mean_n_m, strict=True):
         data[f"prior_mean_{name}"] = xr.DataArray(

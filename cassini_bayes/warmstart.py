@@ -22,6 +22,7 @@ LogDensity = Callable[[Array], Array]
 
 GRADIENT_STEP = 1e-4
 HESSIAN_STEP = 2e-2
+LEAST_CURVATURE = 0.25
 
 
 @dataclass(frozen=True)
@@ -156,36 +157,42 @@ def warm_start(
     d: int,
     rng: np.random.Generator,
     *,
-    dof: float = 8.0,
-    pilot_draws: int = 2_000,
+    dof: float = 15.0,
+    pilots: int = 2,
     draws: int = 4_000,
 ) -> WarmStart:
-    """Mode → Laplace → one refinement of the proposal by its own importance draws → evidence.
-
-    The refined location and scale are the weighted moments of the pilot draws, mixed with the
-    Laplace values in proportion to what the pilot's effective sample size can support.
-    """
+    """Mode → Laplace → refinement of the proposal by its own importance draws → evidence."""
     mode = find_mode(log_density, np.zeros(d))
     curvature = -hessian(log_density, mode)
     values, vectors = np.linalg.eigh(curvature)
-    # a prior precision of 1 per coordinate bounds the posterior's from below, up to skewness
-    covariance = (vectors / np.maximum(values, 0.25)) @ vectors.T
-    laplace = Proposal(mode, np.linalg.cholesky(covariance), dof)
+    # the prior alone has curvature one; far less is finite-difference noise or a saddle
+    covariance = (vectors / np.maximum(values, LEAST_CURVATURE)) @ vectors.T
     _, log_det = np.linalg.slogdet(covariance)
     laplace_log_evidence = float(
         log_density(mode[None])[0] + 0.5 * d * np.log(2.0 * np.pi) + 0.5 * log_det
     )
-    pilot = importance(log_density, laplace, rng, pilot_draws)
-    weights = np.exp(pilot.log_weights)
-    location = weights @ pilot.z
-    deviation = pilot.z - location
+    proposal = Proposal(mode, np.linalg.cholesky(covariance), dof)
+    for _ in range(pilots):
+        proposal = refined(proposal, importance(log_density, proposal, rng, draws))
+    final = importance(log_density, proposal, rng, draws)
+    return WarmStart(mode, proposal, laplace_log_evidence, final)
+
+
+def refined(proposal: Proposal, draws: ImportanceDraws) -> Proposal:
+    """Proposal with the weighted moments of its own importance draws.
+
+    Moments from few effective draws are noisy: they are mixed with the old location and scale in
+    proportion to how many effective draws there are per dimension.
+    """
+    weights = np.exp(draws.log_weights)
+    location = weights @ draws.z
+    deviation = draws.z - location
     moments = (weights[:, None] * deviation).T @ deviation
-    effective = pilot.efficiency * pilot_draws
-    trust = effective / (effective + 5.0 * d)
-    refined = Proposal(
-        trust * location + (1.0 - trust) * mode,
-        np.linalg.cholesky(trust * moments + (1.0 - trust) * covariance),
-        dof,
+    n, d = draws.z.shape
+    trust = draws.efficiency * n / (draws.efficiency * n + 5.0 * d)
+    scale = trust * moments + (1.0 - trust) * proposal.factor @ proposal.factor.T
+    return Proposal(
+        trust * location + (1.0 - trust) * proposal.location,
+        np.linalg.cholesky(scale),
+        proposal.dof,
     )
-    final = importance(log_density, refined, rng, draws)
-    return WarmStart(mode, refined, laplace_log_evidence, final)

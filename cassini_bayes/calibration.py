@@ -1,0 +1,284 @@
+"""Simulation-based calibration of the totals model: do 90 % intervals hold the truth 90 % of the time?
+
+Parameters are drawn from the priors, events are simulated by the mechanism of
+``docs/totals-likelihood.md`` §3 (the on-times that respond are solved for, exactly, not through the
+likelihood), every simulated set is fitted, and the rank of each true value among its posterior
+draws is kept. If likelihood, priors and sampler are right the ranks are uniform (Talts et al. 2018,
+Modrák et al. 2023).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.checkpoint import CheckpointStore
+from cassini_bayes.errors import CassiniBayesError
+from cassini_bayes.events import TotalsEvent, read_totals
+from cassini_bayes.model import TotalsModel, build_model
+from cassini_bayes.posterior import LinearDraws, log_posterior
+from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.pulses import effective_on_time
+from cassini_bayes.result import draws_of, prior_draws
+from cassini_bayes.sampling import SamplerSettings, sample
+from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
+from cassini_bayes.terms import RAD_S_PER_RPM, wheel_momentum
+from cassini_bayes.warmstart import warm_start
+
+Array = NDArray[np.float64]
+Control = Literal["none", "hold-rates-ignored", "rectangular-pulses"]
+
+LEAST_ON_TIME_S: Final = 4.0
+TRUSTED_K: Final = 0.5
+RANK_DRAWS: Final = 999
+REPETITIONS_PER_FILE: Final = 20
+CONTROL_HOLD_RATE: Final = 1e-7
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What a calibration campaign runs: template events, priors, control, seed."""
+
+    events_path: str
+    priors_path: str
+    seed: int
+    control: Control = "none"
+
+    def identity(self) -> str:
+        """Name under which finished repetitions are kept."""
+        return f"totals-sbc/{self.control}/{self.seed}"
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """Ranks of the true values: (repetitions, parameters) as fractions in [0, 1]."""
+
+    names: tuple[str, ...]
+    ranks: Array
+    pareto_k: Array
+    by_chain: NDArray[np.bool_]
+
+    def coverage(self, probability: float = 0.9) -> Array:
+        """Share of repetitions whose central interval holds the truth, per parameter."""
+        tail = (1.0 - probability) / 2.0
+        return np.asarray(((self.ranks > tail) & (self.ranks < 1.0 - tail)).mean(0))
+
+
+def with_room(event: TotalsEvent) -> TotalsEvent:
+    """The event with at least some seconds of on-time on every thruster, at the same pulse width.
+
+    A simulated bias may need less of a pair than the flight did; the limit cycle's own on-time,
+    which does not depend on the parameters, is raised so that no on-time turns negative.
+    """
+    assert event.pulses is not None  # the template is a flight row
+    width = np.where(event.pulses > 0, event.on_time_s / np.maximum(event.pulses, 1), 0.125)
+    on_time = event.on_time_s + LEAST_ON_TIME_S
+    return replace(event, on_time_s=on_time, pulses=np.maximum(np.rint(on_time / width), 1.0))
+
+
+def simulate_totals(
+    template: tuple[TotalsEvent, ...],
+    model: TotalsModel,
+    parameters: dict[str, Array],
+    truth: LinearDraws,
+    rng: np.random.Generator,
+) -> tuple[TotalsEvent, ...]:
+    """Fly the template's wheel biases with given true parameters (batch of one).
+
+    Wheel rates are those of the template up to their printed step; body rates and attitude errors
+    at both ends are drawn; the on-times of the responding pairs are solved for by Newton's method
+    on the full pulse-shape formula, pulse counts being the on-time over the template's mean width,
+    rounded; on-times are rounded to their printed step.
+
+    Raises
+    ------
+    CassiniBayesError
+        An on-time came out negative (the template needs more room).
+    """
+    stack = model.stack
+    full = {**parameters, **{k: np.asarray(v) for k, v in model.absent_wheel_parameters.items()}}
+    one = {name: np.asarray(value).reshape(-1)[0] for name, value in full.items()}
+    axes, inertias = wheel_axes(model.spacecraft, one), wheel_inertias(model.spacecraft, one)
+    arms = lever_arms(model.spacecraft, model.branch, one)
+    inertia = inertia_tensor(one)
+    half_step = 0.5 * one["wheel_resolution_rpm"] * RAD_S_PER_RPM * stack.wheel_is_prime
+    shape = stack.wheel_start_rad_s.shape
+    start = wheel_momentum(
+        axes, inertias, stack.wheel_start_rad_s + half_step * rng.uniform(-1, 1, shape)
+    )
+    end = wheel_momentum(
+        axes, inertias, stack.wheel_end_rad_s + half_step * rng.uniform(-1, 1, shape)
+    )
+    n_events = len(stack.event_ids)
+    rates = rng.normal(0.0, one["hold_rate_rad_s"], (2, n_events, 3))
+    attitude = rng.normal(0.0, one["hold_attitude_rad"], (2, n_events, 3))
+    body = (rates[1] - rates[0]) @ inertia.T
+    held = np.cross(attitude[1], end) - np.cross(attitude[0], start)
+    torque = truth.external_torque_n_m[0] * stack.duration_s[:, None]
+    impulse = end - start + body + held - torque
+    shape_values = (one["tau_delay_s"], one["tau_rise_s"], one["tau_fall_s"])
+    width = stack.on_time_s / stack.pulses
+    force = arms[None] * truth.thrust_n[0][:, None, :]
+
+    def solve(on_time: Array, pulses: Array) -> Array:
+        for _ in range(20):
+            effective = effective_on_time(model.pulse_shape, on_time, pulses, *shape_values)
+            missing = impulse - (force @ effective[..., None])[..., 0]
+            matrix = force @ ((effective / on_time)[..., None] * stack.response)
+            step = np.linalg.solve(matrix, missing[..., None])
+            on_time = on_time + (stack.response @ step)[..., 0]
+            if np.abs(step).max() < 1e-10:
+                return on_time
+        raise CassiniBayesError("the simulated on-times did not settle")
+
+    on_time = solve(stack.on_time_s, stack.on_time_s / width)
+    for _ in range(3):  # more on-time means more pulses of the same width
+        on_time = solve(on_time, on_time / width)
+    pulses = np.maximum(np.rint(on_time / width), 1.0)
+    on_time = solve(on_time, pulses)
+    if on_time.min() <= 0:
+        raise CassiniBayesError(f"a simulated on-time is negative: {on_time.min():.2f} s")
+    step = float(one["on_time_resolution_s"])
+    return tuple(
+        replace(event, on_time_s=np.rint(u / step) * step, pulses=n, source="simulation")
+        for event, u, n in zip(template, on_time, pulses, strict=True)
+    )
+
+
+def one_repetition(campaign: Campaign, index: int) -> tuple[Array, float, bool]:
+    """Draw, simulate, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in for k̂."""
+    priors = read_priors(campaign.priors_path)
+    template = tuple(
+        with_room(event) for event in read_totals(campaign.events_path, priors.spacecraft)
+    )
+    rng = np.random.default_rng(np.random.SeedSequence((campaign.seed, index)))
+    model = build_model(template, priors, delta_v="ignore")
+    parameters, truth = prior_draws(model, 1, rng)
+    simulated = simulate_totals(template, model, parameters, truth, rng)
+    fitted = build_model(
+        simulated,
+        _controlled(priors, campaign.control),
+        pulse_shape="rectangular" if campaign.control == "rectangular-pulses" else "first_order",
+        delta_v="ignore",
+    )
+    dimension = len(fitted.space.names)
+    warm = warm_start(lambda z: log_posterior(fitted, z), dimension, rng)
+    by_chain = not warm.draws.pareto_k < TRUSTED_K
+    if by_chain:
+        settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
+        chains = sample(lambda z: log_posterior(fitted, z), warm.proposal, settings)
+        z, _ = chains.thinned(4 * RANK_DRAWS)
+        z = rng.permutation(z.reshape(-1, dimension))[:RANK_DRAWS]
+    else:
+        z = warm.draws.resample(rng, RANK_DRAWS)
+    found, draws = draws_of(fitted, z, rng)
+    true_values = _flatten(parameters, truth, model)
+    drawn = _flatten(found, draws, fitted)
+    ranks = [
+        _rank(drawn[name], true_values[name][0], rng) if name in drawn else np.nan
+        for name in true_values
+    ]
+    return np.array(ranks), warm.draws.pareto_k, by_chain
+
+
+def _rank(draws: Array, truth: float, rng: np.random.Generator) -> float:
+    """Fraction of draws below the truth; ties (a fixed parameter) are broken at random."""
+    below = float((draws < truth).sum())
+    ties = float((draws == truth).sum())
+    return (below + rng.uniform() * (ties + 1.0)) / (len(draws) + 1.0)
+
+
+def _controlled(priors: Priors, control: Control) -> Priors:
+    """Priors of a negative control: the hold rates taken as (almost) zero."""
+    if control == "hold-rates-ignored":
+        return priors.with_fixed("hold_rate_rad_s", CONTROL_HOLD_RATE)
+    return priors
+
+
+def _flatten(
+    parameters: dict[str, Array], draws: LinearDraws, model: TotalsModel
+) -> dict[str, Array]:
+    """Every inferred scalar as name → (n,)."""
+    stack = model.stack
+    flat = {name: np.asarray(parameters[name]) for name in model.space.names}
+    flat["thrust_common_n"] = draws.common_n
+    for k, thruster in enumerate(stack.thrusters):
+        flat[f"thrust_level_n[{thruster}]"] = draws.level_n[:, k]
+    for e, event in enumerate(stack.event_ids):
+        for k, thruster in enumerate(stack.thrusters):
+            flat[f"thrust_n[{event},{thruster}]"] = draws.thrust_n[:, e, k]
+        for c, axis in enumerate("xyz"):
+            flat[f"external_torque_n_m[{event},{axis}]"] = draws.external_torque_n_m[:, e, c]
+    return flat
+
+
+def parameter_names(campaign: Campaign) -> tuple[str, ...]:
+    """Names of the ranked scalars, in the order of the ranks."""
+    priors = read_priors(campaign.priors_path)
+    template = tuple(with_room(e) for e in read_totals(campaign.events_path, priors.spacecraft))
+    model = build_model(template, priors, delta_v="ignore")
+    return tuple(_flatten(*prior_draws(model, 1, np.random.default_rng(0)), model))
+
+
+def run_campaign(
+    campaign: Campaign, repetitions: int, folder: Path, jobs: int
+) -> Iterator[tuple[int, int]]:
+    """Run the repetitions that are not yet in ``folder``; yields (done, total) as files finish.
+
+    Each file holds a fixed set of repetitions with seeds of their own, so a killed campaign loses
+    the unfinished files only and the result does not depend on ``jobs``.
+    """
+    store = CheckpointStore(folder, campaign.identity())
+    files = range(-(-repetitions // REPETITIONS_PER_FILE))
+    missing = [index for index in files if store.load(_file(index)) is None]
+    done = len(files) - len(missing)
+    yield done * REPETITIONS_PER_FILE, repetitions
+    with ProcessPoolExecutor(max_workers=jobs) as pool:
+        pending = {pool.submit(_one_file, campaign, index): index for index in missing}
+        for future, index in pending.items():
+            store.save(_file(index), future.result())
+            done += 1
+            yield min(done * REPETITIONS_PER_FILE, repetitions), repetitions
+
+
+def _file(index: int) -> str:
+    return f"ranks_{index:05d}"
+
+
+def _one_file(campaign: Campaign, index: int) -> dict[str, NDArray[np.generic]]:
+    first = index * REPETITIONS_PER_FILE
+    results = [one_repetition(campaign, i) for i in range(first, first + REPETITIONS_PER_FILE)]
+    return {
+        "ranks": np.stack([result[0] for result in results]),
+        "pareto_k": np.array([result[1] for result in results]),
+        "by_chain": np.array([result[2] for result in results]),
+    }
+
+
+def read_ranks(campaign: Campaign, repetitions: int, folder: Path) -> Ranks:
+    """Collect the finished repetitions of a campaign.
+
+    Raises
+    ------
+    CassiniBayesError
+        Some are missing.
+    """
+    store = CheckpointStore(folder, campaign.identity())
+    blocks = []
+    for index in range(-(-repetitions // REPETITIONS_PER_FILE)):
+        block = store.load(_file(index))
+        if block is None:
+            raise CassiniBayesError(f"{folder}: {_file(index)} is missing: run the campaign again")
+        blocks.append(block)
+    return Ranks(
+        names=parameter_names(campaign),
+        ranks=np.concatenate([np.asarray(b["ranks"], dtype=np.float64) for b in blocks]),
+        pareto_k=np.concatenate([np.asarray(b["pareto_k"], dtype=np.float64) for b in blocks]),
+        by_chain=np.concatenate([np.asarray(b["by_chain"], dtype=bool) for b in blocks]),
+    )

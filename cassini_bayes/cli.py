@@ -1,0 +1,164 @@
+"""The command line. Exit status: 0 done, 1 not converged or a check failed, 2 bad input."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from cassini_bayes import __version__
+from cassini_bayes.configuration import RunFile, check_run, read_run_file
+from cassini_bayes.errors import CassiniBayesError
+from cassini_bayes.run import Outcome, execute
+from cassini_bayes.sampling import ProgressReport
+
+app = typer.Typer(
+    name="cassini-bayes",
+    help="Bayesian posteriors of a spacecraft's thruster forces from wheel-bias telemetry.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Seed = Annotated[int | None, typer.Option("--seed", help="Random seed (overrides the run file).")]
+Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")]
+
+
+class ConsoleReporter:
+    """Progress on standard error: a live line in a terminal, plain lines elsewhere."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._console = Console(stderr=True, quiet=quiet, highlight=False, soft_wrap=True)
+        self._began = time.monotonic()
+
+    def say(self, text: str) -> None:
+        """A line with the seconds since the start."""
+        self._console.print(f"[{time.monotonic() - self._began:6.1f} s] {text}", markup=False)
+
+    def progress(self, report: ProgressReport) -> None:
+        """Steps done, steps and time left, and what is still missing."""
+        if report.failed:
+            self.say(
+                f"step {report.step}: about {report.steps_left} steps, {report.seconds_left:.0f} s "
+                f"left; waiting for {', '.join(report.failed)}"
+            )
+        else:
+            self.say(f"step {report.step}: stop rule met")
+
+
+@app.command("run")
+def run_command(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the run.")] = None,
+    seed: Seed = None,
+    force: Force = False,
+    resume: Resume = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run the whole pipeline of one run file: posterior, tables, figures, report."""
+    run = read_run_file(run_file)
+    if seed is not None:
+        run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
+    folder = out or run_file.parent / (run.output.folder or run_file.stem)
+    _finish(
+        execute(
+            run,
+            run_file.parent,
+            folder,
+            name=run_file.stem,
+            command=["cassini-bayes", *sys.argv[1:]],
+            reporter=ConsoleReporter(quiet),
+            force=force,
+            resume=resume,
+        ),
+        as_json,
+    )
+
+
+@app.command("fit")
+def fit_command(
+    events: Annotated[
+        list[str], typer.Argument(metavar="EVENT...", help="Totals CSV, or CSV:ID for one row.")
+    ],
+    priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
+    seed: Seed = None,
+    force: Force = False,
+    resume: Resume = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Posterior only: fit.nc and tables, no report."""
+    sampler: dict[str, Any] = {} if seed is None else {"seed": seed}
+    run: RunFile = check_run(
+        {
+            "events": list(events),
+            "priors": str(priors),
+            "source": source,
+            "sampler": sampler,
+            "output": {"report": False},
+        },
+        "command line",
+    )
+    _finish(
+        execute(
+            run,
+            Path(),
+            out,
+            name=out.name,
+            command=["cassini-bayes", *sys.argv[1:]],
+            reporter=ConsoleReporter(quiet),
+            force=force,
+            resume=resume,
+        ),
+        as_json,
+    )
+
+
+def _finish(outcome: Outcome, as_json: bool) -> None:
+    if as_json:
+        columns = ["name", "unit", "mean", "sd", "hdi_90_low", "hdi_90_high"]
+        result = {
+            "converged": outcome.converged,
+            "folder": str(outcome.folder),
+            "seconds": round(outcome.seconds, 1),
+            "interval": "90 % highest density",
+            "summary": outcome.review.summary[columns].to_dict(orient="records"),
+            "warnings": list(outcome.review.warnings),
+        }
+        typer.echo(json.dumps(result))
+    else:
+        report = outcome.folder / "report.html"
+        typer.echo(str(report if report.exists() else outcome.folder / "summary.csv"))
+    raise typer.Exit(0 if outcome.converged else 1)
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"cassini_bayes {__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Entry point: errors become one line on standard error, never a traceback."""
+    try:
+        app()
+    except CassiniBayesError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        typer.echo("stopped; go on with the same command and --resume", err=True)
+        sys.exit(130)
