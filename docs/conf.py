@@ -1,0 +1,55 @@
+"""Sphinx settings: MyST pages, the API from docstrings, no network while building."""
+
+import re
+from importlib.metadata import version as installed_version
+
+project = "cassini_bayes"
+author = "the cassini_bayes maintainers"
+project_copyright = "2026, the cassini_bayes maintainers"
+release = version = installed_version("cassini-bayes")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.apidoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",  # the browser typesets the formulas; without a network they read as TeX
+    "sphinx.ext.napoleon",
+]
+exclude_patterns = ["_build", "_api/modules.rst"]
+suppress_warnings = ["ref.python"]  # fields of several classes share short names such as "event"
+
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+# One page per module, made from the files there are.
+apidoc_modules = [
+    {
+        "path": "../cassini_bayes",
+        "destination": "_api",
+        "separate_modules": True,
+        "module_first": True,
+        "max_depth": 1,
+        "automodule_options": {"members"},
+    }
+]
+autodoc_member_order = "bysource"
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+
+html_theme = "furo"
+html_title = f"cassini_bayes {release}"
+html_show_sourcelink = False
+
+
+def _bars_are_magnitudes(app, what, name, obj, options, lines):
+    """In a docstring |x| is a magnitude, never a substitution; ``literal`` text is left alone."""
+    for number, line in enumerate(lines):
+        parts = re.split(r"(``.*?``)", line)
+        parts[::2] = [part.replace("|", r"\|") for part in parts[::2]]
+        lines[number] = "".join(parts)
+
+
+def setup(app):
+    """Hook the docstrings after napoleon has read them."""
+    app.connect("autodoc-process-docstring", _bars_are_magnitudes, priority=900)
