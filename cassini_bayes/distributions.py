@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 # A prior with less of its probability between its bounds than this was not meant.
 _LEAST_MASS: Final = 1e-12
-_MOMENT_GRID: Final = np.linspace(-37.0, 37.0, 14801)
+_MOMENT_GRID: Final = np.linspace(-20.0, 20.0, 8001)
 
 
 def _scipy_family(name: str) -> Any | None:

@@ -237,13 +237,13 @@ class Generic:
         """θ = F⁻¹(Φ(z)), elementwise."""
         below_low, below_high, above_low, above_high = self._tails
         down, up = ndtr(-z), ndtr(z)
-        below = below_low * down + below_high * up
-        above = above_low * down + above_high * up
-        x = np.where(
-            below < above,
-            self.frozen.ppf(np.minimum(below, 1.0)),
-            self.frozen.isf(np.minimum(above, 1.0)),
-        )
+        below = np.asarray(below_low * down + below_high * up)
+        above = np.asarray(above_low * down + above_high * up)
+        lower = below < above
+        x = np.empty_like(below)
+        # scipy's inverses are slow and fussy far outside their half: each gets its own only.
+        x[lower] = self.frozen.ppf(below[lower])
+        x[~lower] = self.frozen.isf(above[~lower])
         return np.clip(x, self.low, self.high)
 
     def standard_of(self, x: Array) -> Array:
