@@ -147,9 +147,6 @@ def rows_of(
 def _check_header(
     where: str, header: Sequence[str], columns: Sequence[str], needed: Collection[str]
 ) -> None:
-    for i, name in enumerate(header):
-        if name in header[:i]:
-            raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")
     missing = [name for name in columns if name not in header]
     for name in header:
         if name not in columns:
@@ -159,7 +156,10 @@ def _check_header(
                 f"the unknown column {name!r}",
                 nearest(name, missing) if missing else "drop it: every known column is there",
             )
-    lacking = [name for name in needed if name not in header]
+    for i, name in enumerate(header):
+        if name in header[:i]:
+            raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")
+    lacking = [name for name in columns if name in needed and name not in header]
     if lacking:
         raise InputError(
             where,

@@ -75,25 +75,25 @@ class TotalsEvent:
                 object.__setattr__(self, name, array)
 
 
-def totals_columns(spacecraft: Spacecraft, wheels: Iterable[int] | None = None) -> tuple[str, ...]:
+def totals_columns(spacecraft: Spacecraft) -> tuple[str, ...]:
     """Columns of a totals CSV of this spacecraft, in the order in which they are written.
 
-    The rate columns of wheels that are prime in no event may be left out of a file: ``wheels``
-    are the numbers of those to keep, all by default.
+    A file may leave out the rate columns of wheels that are prime in none of its events.
     """
-    kept = None if wheels is None else set(wheels)
-    names = [w.name for w in spacecraft.wheels if kept is None or w.number in kept]
     thrusters = dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)
     return (
         *("id", "epoch", "branch", "wheels"),
-        *(f"{name}_rpm_start" for name in names),
-        *(f"{name}_rpm_end" for name in names),
+        *_rate_columns(spacecraft),
         "duration_s",
         *(f"on_time_{name}_s" for name in thrusters),
         *(f"pulses_{name}" for name in thrusters),
         *_DELTA_V_COLUMNS,
         *("hydrazine_g", "mass_kg", "thrust_predicted_n", "delta_v_source", "source"),
     )
+
+
+def _rate_columns(spacecraft: Spacecraft) -> tuple[str, ...]:
+    return tuple(f"{w.name}_rpm_{end}" for end in ("start", "end") for w in spacecraft.wheels)
 
 
 def read_totals(
@@ -143,8 +143,7 @@ def write_totals(path: str | Path, events: Iterable[TotalsEvent], spacecraft: Sp
         The place cannot be written, or an event breaks a rule of the format (the message names
         line and column that the row would have had).
     """
-    events = tuple(events)
-    columns = totals_columns(spacecraft, [wheel for event in events for wheel in event.wheels])
+    columns = totals_columns(spacecraft)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
@@ -190,7 +189,8 @@ def _split_reference(reference: str) -> tuple[Path, str | None]:
 
 
 def _totals_rows(file: str, text: str, spacecraft: Spacecraft) -> tuple[Row, ...]:
-    return rows_of(file, text, totals_columns(spacecraft), totals_columns(spacecraft, ()))
+    columns = totals_columns(spacecraft)
+    return rows_of(file, text, columns, set(columns) - set(_rate_columns(spacecraft)))
 
 
 def _identity(row: Row) -> tuple[str, str]:
