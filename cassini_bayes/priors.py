@@ -39,6 +39,7 @@ __all__ = [
 ZERO_CENTRED: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
 _OWN_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
 _NEVER_NEGATIVE_BLOCKS: Final = ("tail-off", "wheel inertia", "mass", "noise")
+_BUT_SIGNED: Final = ("rate_bias_x_rad_s", "rate_bias_y_rad_s", "rate_bias_z_rad_s")
 _NEVER_NEGATIVE: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
 # More prior probability of a negative value than this means that a bound was forgotten.
 _NEGATIVE_MASS: Final = 1e-3
@@ -330,13 +331,20 @@ def _refuse_off_centre(where: str, value: float) -> None:
 
 
 def _check_unit(where: str, spec: ParameterSpec, unit: object) -> None:
-    if unit != spec.unit:
+    if not isinstance(unit, str) or _plain_unit(unit) != _plain_unit(spec.unit):
         raise InputError(
             where,
             repr(spec.unit),
             "nothing" if unit is None else repr(unit),
             f"{spec.name} is in {spec.unit}: convert the values, then write that unit",
         )
+
+
+def _plain_unit(unit: str) -> str:
+    """One spelling of a unit: kg m², kg·m^2 and kg m2 are the same."""
+    for written, plain in (("²", "2"), ("^", ""), ("·", " "), ("*", " "), ("rev/min", "rpm")):
+        unit = unit.replace(written, plain)
+    return " ".join(unit.split())
 
 
 def _read_fixed(where: str, spec: ParameterSpec, table: Mapping[str, object]) -> float:
@@ -377,7 +385,8 @@ def _read_distribution(
 
 
 def _never_negative(spec: ParameterSpec) -> bool:
-    return spec.block in _NEVER_NEGATIVE_BLOCKS or spec.name in _NEVER_NEGATIVE
+    in_block = spec.block in _NEVER_NEGATIVE_BLOCKS and spec.name not in _BUT_SIGNED
+    return in_block or spec.name in _NEVER_NEGATIVE
 
 
 def _check_never_negative(where: str, spec: ParameterSpec, distribution: Distribution) -> None:

@@ -99,13 +99,13 @@ class Uniform:
     def quantile_of_standard(self, z: Array) -> Array:
         """θ = F⁻¹(Φ(z)), elementwise."""
         width = self.high - self.low
-        return np.where(z < 0, self.low + width * ndtr(z), self.high - width * ndtr(-z))
+        return np.asarray(np.where(z < 0, self.low + width * ndtr(z), self.high - width * ndtr(-z)))
 
     def standard_of(self, x: Array) -> Array:
         """z = Φ⁻¹(F(θ)), elementwise."""
         from_low = np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0)
         from_high = np.clip((self.high - x) / (self.high - self.low), 0.0, 1.0)
-        return np.where(from_low < 0.5, ndtri(from_low), -ndtri(from_high))
+        return np.asarray(np.where(from_low < 0.5, ndtri(from_low), -ndtri(from_high)))
 
     def log_density(self, x: Array) -> Array:
         """log p(θ), elementwise; −inf outside the support."""
@@ -124,14 +124,14 @@ class HalfNormal:
         """θ = F⁻¹(Φ(z)), elementwise."""
         lower = erfinv(ndtr(np.minimum(z, 0.0)))
         upper = erfcinv(ndtr(-np.maximum(z, 0.0)))
-        return self.loc + self.scale * _SQRT_2 * np.where(z < 0, lower, upper)
+        return np.asarray(self.loc + self.scale * _SQRT_2 * np.where(z < 0, lower, upper))
 
     def standard_of(self, x: Array) -> Array:
         """z = Φ⁻¹(F(θ)), elementwise."""
         y = np.maximum((x - self.loc) / self.scale, 0.0)
         lower = ndtri(erf(np.minimum(y, 1.0) / _SQRT_2))
         upper = -ndtri_exp(log_ndtr(-np.maximum(y, 0.5)) + math.log(2.0))
-        return np.where(y < 0.67, lower, upper)
+        return np.asarray(np.where(y < 0.67, lower, upper))
 
     def log_density(self, x: Array) -> Array:
         """log p(θ), elementwise; −inf outside the support."""
@@ -191,11 +191,8 @@ class Truncated:
         y = np.clip(self.base.standard_of(x), low, high)
         below = _log_normal_mass_between(low, y) - self.log_mass
         above = _log_normal_mass_between(-high, -y) - self.log_mass
-        return np.where(
-            below < above,
-            ndtri_exp(np.minimum(below, 0.0)),
-            -ndtri_exp(np.minimum(above, 0.0)),
-        )
+        lower, upper = ndtri_exp(np.minimum(below, 0.0)), -ndtri_exp(np.minimum(above, 0.0))
+        return np.asarray(np.where(below < above, lower, upper))
 
     def log_density(self, x: Array) -> Array:
         """log p(θ), elementwise; −inf outside the support."""
@@ -244,7 +241,7 @@ class Generic:
         # scipy's inverses are slow and fussy far outside their half: each gets its own only.
         x[lower] = self.frozen.ppf(below[lower])
         x[~lower] = self.frozen.isf(above[~lower])
-        return np.clip(x, self.low, self.high)
+        return np.asarray(np.clip(x, self.low, self.high))
 
     def standard_of(self, x: Array) -> Array:
         """z = Φ⁻¹(F(θ)), elementwise."""
@@ -252,10 +249,10 @@ class Generic:
         x = np.clip(x, self.low, self.high)
         below = np.clip((self.frozen.cdf(x) - below_low) / self.mass, 0.0, 1.0)
         above = np.clip((self.frozen.sf(x) - above_high) / self.mass, 0.0, 1.0)
-        return np.where(below < above, ndtri(below), -ndtri(above))
+        return np.asarray(np.where(below < above, ndtri(below), -ndtri(above)))
 
     def log_density(self, x: Array) -> Array:
         """log p(θ), elementwise; −inf outside the support."""
         inside = (x >= self.low) & (x <= self.high)
-        density = self.frozen.logpdf(x) - math.log(self.mass)
+        density = np.asarray(self.frozen.logpdf(x)) - math.log(self.mass)
         return np.where(inside, density, -np.inf)

@@ -404,6 +404,23 @@ def test_bounds_may_leave_out_the_edge_of_a_one_sided_family(tmp_path: Path) -> 
     assert read_priors(write(tmp_path, text)).parameters["hold_rate_rad_s"].distribution.low == 1e-5
 
 
+@pytest.mark.parametrize("unit", ["kg m2", "kg m²", "kg·m²", "kg m^2", "kg*m^2", " kg  m2 "])
+def test_spellings_of_one_unit(tmp_path: Path, unit: str) -> None:
+    """A unit may be written as papers or as keyboards do; another unit stays refused."""
+    table = "[parameters.inertia_xx_kg_m2]\nfixed = 6558\nunit = '{}'\nsource = 'paper 004'\n"
+    priors = read_priors(write(tmp_path, TEXT + table.format(unit)))
+    assert priors.parameters["inertia_xx_kg_m2"].fixed == 6558.0
+    with pytest.raises(InputError, match=r"inertia_xx_kg_m2\.unit"):
+        read_priors(write(tmp_path, TEXT + table.format(unit.replace("kg", "g"))))
+
+
+def test_a_gyro_bias_has_a_sign(tmp_path: Path) -> None:
+    """Negative control of the rule on negative values: a bias may well be below zero."""
+    table = "\n[parameters.rate_bias_x_rad_s]\nfixed = -1e-6\nunit = 'rad/s'\nsource = 'x'\n"
+    priors = read_priors(write(tmp_path, TEXT + table))
+    assert priors.parameters["rate_bias_x_rad_s"].fixed == -1e-6
+
+
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     """Missing (with the nearest name), a folder, or not text: said in one line."""
     write(tmp_path, TEXT)
