@@ -44,7 +44,7 @@ class SamplerSettings:
     target_ess: int = 2_000
     first_check: int = 120
     max_steps: int = 20_000
-    independence_share: float = 0.5
+    independence_share: float = 0.8
     seed: int = 2010
 
     def walkers_for(self, dimensions: int) -> int:

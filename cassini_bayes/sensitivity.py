@@ -24,7 +24,7 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
     * *noise-only σ*: √E[Var(F | z)], what a fit with all nuisances known would report (it includes
       the priors of the collapsed thrust levels);
     * *share* of block B: Cov(m, Σ_{j∈B} b_j z_j) / Var(F) with b the regression of m on z over the
-      posterior; with the noise share, E[Var(F|z)] / Var(F), the shares add up to one (up to the
+      posterior; with the noise-only share, E[Var(F|z)] / Var(F), the shares add up to one (up to the
       nonlinear part of m, which is reported as ``nonlinear|share``). A share can be negative where
       blocks are anticorrelated by the data;
     * *consider contribution* of block B: √Σ_{j∈B} (∂m/∂z_j)² at the posterior mean, i.e. the shift
@@ -32,7 +32,7 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
       consider covariance; ``consider_sd_n`` adds them to the noise-only σ in quadrature.
 
     Returns one row per event and thruster: event, thruster, full_sd_n, noise_only_sd_n,
-    consider_sd_n, ``<block>|consider_n``, ``<block>|share``, ``noise|share``, ``nonlinear|share``.
+    consider_sd_n, ``<block>|consider_n``, ``<block>|share``, ``noise-only|share``, ``nonlinear|share``.
     """
     mean, variance = thrust_moments(model, z)
     n, n_events, n_thrusters = mean.shape
@@ -71,7 +71,7 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
             "noise_only_sd_n": np.sqrt(conditional.reshape(-1)),
             "consider_sd_n": np.sqrt(conditional.reshape(-1) + (derivative**2).sum(0)),
             **columns,
-            "noise|share": noise_share,
+            "noise-only|share": noise_share,
             "nonlinear|share": 1.0 - noise_share - explained,
         }
     )

@@ -1,0 +1,126 @@
+"""What a parameter name means: unit, block and meaning. No values; those are in priors files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+BLOCKS: Final = (
+    "thrust",
+    "tail-off",
+    "centre of mass",
+    "geometry",
+    "wheel inertia",
+    "wheel alignment",
+    "inertia",
+    "torque",
+    "mass",
+    "noise",
+    "flight software",
+)
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """Name, unit (``"1"`` when dimensionless), block (one of :data:`BLOCKS`) and meaning."""
+
+    name: str
+    unit: str
+    block: str
+    meaning: str
+
+
+def _specs(block: str, unit: str, **meanings: str) -> tuple[ParameterSpec, ...]:
+    return tuple(ParameterSpec(name, unit, block, text) for name, text in meanings.items())
+
+
+_GENERIC: Final = (
+    *_specs(
+        "thrust",
+        "N",
+        thrust_common_n="thrust level common to all thrusters and events",
+        thrust_individual_n="a thruster's own departure from the common level, same in every event",
+        thrust_event_n="an event's departure, the same for all thrusters (tank pressure)",
+        thrust_jitter_n="departure of one thruster in one event",
+    ),
+    *_specs(
+        "tail-off",
+        "s",
+        tau_delay_s="valve delay between command and thrust",
+        tau_rise_s="time constant of the thrust's rise",
+        tau_fall_s="time constant of the thrust's tail-off",
+    ),
+    *_specs(
+        "centre of mass",
+        "m",
+        cm_x_m="centre of mass, X, in the frame of the thruster positions",
+        cm_y_m="centre of mass, Y, in the frame of the thruster positions",
+        cm_z_m="centre of mass, Z, in the frame of the thruster positions",
+    ),
+    *_specs(
+        "inertia",
+        "kg m2",
+        inertia_xx_kg_m2="inertia matrix element xx, with the stationary wheels",
+        inertia_yy_kg_m2="inertia matrix element yy, with the stationary wheels",
+        inertia_zz_kg_m2="inertia matrix element zz, with the stationary wheels",
+        inertia_xy_kg_m2="inertia matrix element xy (sign as in the matrix)",
+        inertia_xz_kg_m2="inertia matrix element xz (sign as in the matrix)",
+        inertia_yz_kg_m2="inertia matrix element yz (sign as in the matrix)",
+    ),
+    *_specs(
+        "torque",
+        "N m",
+        external_torque_x_n_m="steady external torque about body X",
+        external_torque_y_n_m="steady external torque about body Y",
+        external_torque_z_n_m="steady external torque about body Z",
+    ),
+    *_specs(
+        "noise",
+        "rad/s",
+        rate_bias_x_rad_s="gyro bias about body X, measured minus true",
+        rate_bias_y_rad_s="gyro bias about body Y, measured minus true",
+        rate_bias_z_rad_s="gyro bias about body Z, measured minus true",
+        rate_noise_rad_s="white noise of a rate sample, 1 sigma",
+        hold_rate_rad_s="body rate left in the dead-band at either end of a bias, 1 sigma per axis",
+    ),
+    *_specs(
+        "mass",
+        "kg",
+        mass_kg="wet mass",
+    ),
+    *_specs("mass", "1", mass_factor="factor common to the table masses of all events"),
+    *_specs(
+        "noise",
+        "rpm",
+        wheel_noise_rpm="white noise of a wheel-rate sample, 1 sigma",
+        wheel_resolution_rpm="least step of a wheel rate",
+    ),
+    *_specs(
+        "noise",
+        "rad",
+        attitude_noise_rad="white noise of an attitude sample, 1 sigma per axis",
+        hold_attitude_rad="attitude error in the dead-band at either end of a bias, 1 sigma per axis",
+    ),
+    *_specs("noise", "s", on_time_resolution_s="least step of a thruster on-time"),
+    *_specs(
+        "noise",
+        "m/s",
+        delta_v_noise_m_s="noise of a velocity change beyond its printed step, 1 sigma",
+        delta_v_resolution_m_s="least step of a velocity change",
+    ),
+    *_specs(
+        "flight software",
+        "1",
+        fsw_acceleration_factor="factor on the tables' thrust over mass in a computed ΔV",
+    ),
+    *_specs(
+        "flight software",
+        "s",
+        fsw_impulse_offset_s="on-time the on-board ΔV computation adds per pulse",
+    ),
+)
+
+
+def generic_parameters() -> tuple[ParameterSpec, ...]:
+    """Parameters that any spacecraft has; its own (geometry, wheels) are in the spacecraft file."""
+    return _GENERIC
