@@ -1,4 +1,4 @@
-"""Totals events are read with every cell checked, and written so that no half-written file stays."""
+"""Totals events are read with every cell checked, and written so that no half-file ever stays."""
 
 from __future__ import annotations
 
