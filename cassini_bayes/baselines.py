@@ -65,9 +65,7 @@ def perturbation_bars(model: TotalsModel, nominal: Mapping[str, float]) -> pd.Da
         rss = np.sqrt((shifts**2).sum(0))
         worst = np.abs(shifts).sum(0)
         on_time = (
-            stack.on_time_s.sum(0)
-            if event == ""
-            else stack.on_time_s[stack.event_ids.index(event)]
+            stack.on_time_s.sum(0) if event == "" else stack.on_time_s[stack.event_ids.index(event)]
         )
         for k, thruster in enumerate(stack.thrusters):
             fired_long = on_time if method != MEAN else np.full_like(on_time, on_time.sum())
@@ -102,9 +100,7 @@ def _perturbed(model: TotalsModel, nominal: Mapping[str, float]) -> list[dict[st
     return points
 
 
-def _estimates(
-    model: TotalsModel, batch: Mapping[str, Array]
-) -> dict[tuple[str, str], Array]:
+def _estimates(model: TotalsModel, batch: Mapping[str, Array]) -> dict[tuple[str, str], Array]:
     """(method, event) → corrected thrust (n, K) for n sets of assumed parameters."""
     stack = model.stack
     absent = {k: np.asarray(v) for k, v in model.absent_wheel_parameters.items()}
@@ -125,9 +121,7 @@ def _estimates(
         weighted = (stack.on_time_s[e] * factor).sum(-1, keepdims=True) / stack.on_time_s[e].sum()
         found[MEAN, event] = np.broadcast_to(mean / weighted, each.shape)
     n = len(columns)
-    pooled = _least_squares(
-        columns.reshape(n, -1, columns.shape[-1]), change.reshape(n, -1)
-    )
+    pooled = _least_squares(columns.reshape(n, -1, columns.shape[-1]), change.reshape(n, -1))
     factor = correction_factor(stack.on_time_s.sum(0), stack.pulses.sum(0), batch)
     found[POOLED, ""] = (pooled @ stack.couples) / factor
     return found
@@ -146,6 +140,7 @@ def correction_factor(on_time_s: Array, pulses: Array, parameters: Mapping[str, 
     fired = pulses > 0
     width = np.where(fired, on_time_s / np.where(fired, pulses, 1.0), 1.0)
     effective = PULSE_SHAPES["published_2012"].effective_time(
-        width, *(np.asarray(parameters[f"tau_{part}_s"])[..., None] for part in ("delay", "rise", "fall"))
+        width,
+        *(np.asarray(parameters[f"tau_{part}_s"])[..., None] for part in ("delay", "rise", "fall")),
     )
     return np.where(fired, effective / width, 1.0)

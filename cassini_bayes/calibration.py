@@ -1,4 +1,4 @@
-"""Simulation-based calibration of the totals model: do 90 % intervals hold the truth 90 % of the time?
+"""Simulation-based calibration of the totals model: do 90 % intervals hold 90 % of the truths?
 
 Parameters are drawn from the priors, events are simulated by the mechanism of
 ``docs/totals-likelihood.md`` §3 (the on-times that respond are solved for, exactly, not through the
@@ -9,9 +9,10 @@ Modrák et al. 2023).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal
 
@@ -85,7 +86,7 @@ def with_room(event: TotalsEvent) -> TotalsEvent:
 def simulate_totals(
     template: tuple[TotalsEvent, ...],
     model: TotalsModel,
-    parameters: dict[str, Array],
+    parameters: Mapping[str, Array | float],
     truth: LinearDraws,
     rng: np.random.Generator,
 ) -> tuple[TotalsEvent, ...]:
@@ -168,11 +169,11 @@ def one_repetition(campaign: Campaign, index: int) -> tuple[Array, float, bool]:
         delta_v="ignore",
     )
     dimension = len(fitted.space.names)
-    warm = warm_start(lambda z: log_posterior(fitted, z), dimension, rng)
+    warm = warm_start(partial(log_posterior, fitted), dimension, rng)
     by_chain = not warm.draws.pareto_k < TRUSTED_K
     if by_chain:
         settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
-        chains = sample(lambda z: log_posterior(fitted, z), warm.proposal, settings)
+        chains = sample(partial(log_posterior, fitted), warm.proposal, settings)
         z, _ = chains.thinned(4 * RANK_DRAWS)
         z = rng.permutation(z.reshape(-1, dimension))[:RANK_DRAWS]
     else:
@@ -202,7 +203,7 @@ def _controlled(priors: Priors, control: Control) -> Priors:
 
 
 def _flatten(
-    parameters: dict[str, Array], draws: LinearDraws, model: TotalsModel
+    parameters: Mapping[str, Array | float], draws: LinearDraws, model: TotalsModel
 ) -> dict[str, Array]:
     """Every inferred scalar as name → (n,)."""
     stack = model.stack

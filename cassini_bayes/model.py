@@ -1,4 +1,4 @@
-"""From events and priors to a model: which parameters are walked, which are linear, what they predict.
+"""From events and priors to a model: what is walked, what is linear, what they predict.
 
 A :class:`TotalsModel` is everything that stays constant during a fit. :func:`linear_system` turns
 a batch of walked parameters into the linear-Gaussian system of the thrusts and torques, which
@@ -42,7 +42,7 @@ from cassini_bayes.terms import (
 )
 
 Array = NDArray[np.float64]
-Parameters = Mapping[str, Array]
+Parameters = Mapping[str, Array | float]
 DeltaVUse = Literal["as-declared", "ignore", "as-measured"]
 
 THRUST_COMMON: Final = "thrust_common_n"
@@ -97,18 +97,18 @@ class TotalsModel:
     @property
     def uses_measured_delta_v(self) -> NDArray[np.bool_]:
         """(E,) which events' ΔV enters as a measurement of thrust."""
-        known = np.isfinite(self.stack.delta_v_m_s).all(-1)
         if self.delta_v == "ignore":
-            return np.zeros_like(known)
-        return known if self.delta_v == "as-measured" else known & self.stack.delta_v_measured
+            return np.zeros_like(self.stack.has_delta_v)
+        if self.delta_v == "as-measured":
+            return self.stack.has_delta_v
+        return self.stack.has_delta_v & self.stack.delta_v_measured
 
     @property
     def uses_computed_delta_v(self) -> NDArray[np.bool_]:
         """(E,) which events' ΔV enters as the output of the on-board computation."""
-        known = np.isfinite(self.stack.delta_v_m_s).all(-1)
         if self.delta_v != "as-declared":
-            return np.zeros_like(known)
-        return known & ~self.stack.delta_v_measured
+            return np.zeros_like(self.stack.has_delta_v)
+        return self.stack.has_delta_v & ~self.stack.delta_v_measured
 
 
 @dataclass(frozen=True)
@@ -192,16 +192,11 @@ def build_model(
         absent_wheel_parameters=absent,
     )
     wheel_names = [
-        name for wheel in prime for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
-    ]
-    position_names = [
         name
-        for name in dict.fromkeys(
-            name
-            for thruster in spacecraft.thrusters_of(priors.branch)
-            for name in thruster.position_parameters
-        )
+        for wheel in prime
+        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
     ]
+    position_names = spacecraft.geometry[priors.branch].parameters
     names = [*_PULSE, *_CENTRE, *position_names, *wheel_names, *_INERTIA, *_NOISE]
     if draft.uses_measured_delta_v.any():
         names += ["mass_factor", *_DELTA_V_NOISE]
@@ -269,14 +264,14 @@ def _linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
 
 
 def _level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
-    """Factor B (K, r) with B Bᵀ = common_sd² 1 1ᵀ + individual_sd² 1, with no more columns than rank."""
+    """Factor B (K, rank) with B Bᵀ = common_sd² 1 1ᵀ + individual_sd² 1."""
     if individual_sd > 0:
         covariance = np.full((size, size), common_sd**2) + individual_sd**2 * np.eye(size)
         factor = np.linalg.cholesky(covariance)
     else:
         factor = np.full((size, int(common_sd > 0)), common_sd)
     factor.setflags(write=False)
-    return factor
+    return np.asarray(factor, dtype=np.float64)
 
 
 def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
@@ -288,7 +283,7 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
         name → (n,) array or float, as from ``model.space.to_parameters(z)``.
     """
     stack, spacecraft = model.stack, model.spacecraft
-    full: dict[str, Array] = {**parameters, **_as_arrays(model.absent_wheel_parameters)}
+    full = _as_arrays({**parameters, **model.absent_wheel_parameters})
     axes = wheel_axes(spacecraft, full)
     inertias = wheel_inertias(spacecraft, full)
     arms = lever_arms(spacecraft, model.branch, full)
@@ -347,7 +342,7 @@ def _outer(columns: Array) -> Array:
     return np.asarray(columns @ np.swapaxes(columns, -1, -2))
 
 
-def _as_arrays(values: Mapping[str, float]) -> dict[str, Array]:
+def _as_arrays(values: Parameters) -> dict[str, Array]:
     return {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
 
 
@@ -375,9 +370,7 @@ def _with_delta_v_rows(
     rows = directions * (effective / mass[..., None])[..., None, :]
     rows = np.where(used[:, None, None], rows, 0.0)
     values = np.where(used[:, None], stack.delta_v_m_s, 0.0)
-    variance = np.where(
-        used, _delta_v_variance(parameters)[..., None], 1.0 / (2.0 * np.pi)
-    )
+    variance = np.where(used, _delta_v_variance(parameters)[..., None], 1.0 / (2.0 * np.pi))
     blocks = np.zeros((*batch, len(used), 6, 6))
     blocks[..., :3, :3] = covariance
     blocks[..., 3:, 3:] = variance[..., None, None] * np.eye(3)
@@ -404,7 +397,7 @@ def computed_delta_v(model: TotalsModel, parameters: Parameters) -> Array:
     """
     stack = model.stack
     acceleration = stack.thrust_predicted_n / stack.mass_kg
-    direction, on_time, pulses = _net_impulse(model)
+    _, on_time, pulses = _net_impulse(model)
     counted = on_time + np.asarray(parameters["fsw_impulse_offset_s"])[..., None] * pulses
     return np.asarray(
         np.asarray(parameters["fsw_acceleration_factor"])[..., None] * acceleration * counted
@@ -427,7 +420,9 @@ def computed_delta_v_log_likelihood(model: TotalsModel, parameters: Parameters) 
     if not used.any():
         return np.zeros(len(used))
     direction, _, _ = _net_impulse(model)
-    printed = np.einsum("ec,ec->e", np.where(used[:, None], model.stack.delta_v_m_s, 0.0), direction)
+    printed = np.einsum(
+        "ec,ec->e", np.where(used[:, None], model.stack.delta_v_m_s, 0.0), direction
+    )
     variance = _delta_v_variance(parameters)[..., None]
     misfit = printed - computed_delta_v(model, parameters)
     density = -0.5 * (misfit**2 / variance + np.log(2.0 * np.pi * variance))

@@ -57,7 +57,7 @@ def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
     linear = model.linear
     own, shared = linear.own, linear.shared
     misfit = system.target - system.common_n[..., None, None] * system.design.sum(-1)
-    factor = np.linalg.cholesky(system.covariance + system.torque_covariance)
+    factor = _cholesky(system.covariance + system.torque_covariance)
     white = np.linalg.solve(factor, np.concatenate([system.design, misfit[..., None]], axis=-1))
     log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     rows = factor.shape[-1]
@@ -77,15 +77,15 @@ def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
 
     by_shared = _times(information, shared)
     own_precision = _times(np.swapaxes(_times(information, own), -1, -2), own)
-    own_factor = np.linalg.cholesky(own_precision + np.eye(own.shape[1]))
+    own_factor = _cholesky(own_precision + np.eye(own.shape[1]))
     right = _times(
         np.concatenate([np.swapaxes(by_shared, -1, -2), linear_term[..., None, :]], axis=-2), own
     )
-    solved = np.linalg.solve(own_factor, np.swapaxes(right, -1, -2))
+    solved: Array = np.asarray(np.linalg.solve(own_factor, np.swapaxes(right, -1, -2)), dtype=float)
     schur = np.swapaxes(solved, -1, -2) @ solved
     shared_precision = shared.T @ by_shared.sum(-3) - schur[..., :-1, :-1].sum(-3)
     shared_linear = linear_term.sum(-2) @ shared - schur[..., :-1, -1].sum(-2)
-    shared_factor = np.linalg.cholesky(shared_precision + np.eye(shared.shape[1]))
+    shared_factor = _cholesky(shared_precision + np.eye(shared.shape[1]))
     shared_shift = np.linalg.solve(shared_factor, shared_linear[..., None])[..., 0]
     own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
     shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
@@ -104,6 +104,10 @@ def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
     )
 
 
+def _cholesky(matrix: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
+
+
 def _times(stack: Array, matrix: Array) -> Array:
     """stack (..., r, K) @ matrix (K, c) as one product: numpy would loop over the stack."""
     product = stack.reshape(-1, stack.shape[-1]) @ matrix
@@ -117,7 +121,7 @@ def log_likelihood(model: TotalsModel, z: Array) -> Array:
 
 def log_posterior(model: TotalsModel, z: Array) -> Array:
     """Collapsed log likelihood plus log prior density in z, shape (n,); each prior counts once."""
-    return log_likelihood(model, z) + model.space.log_prior_terms(z).sum(-1)
+    return np.asarray(log_likelihood(model, z) + model.space.log_prior_terms(z).sum(-1))
 
 
 def draw_linear(
@@ -130,9 +134,7 @@ def draw_linear(
         collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
     )
     pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
-    own = _solve_transposed(
-        collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own))
-    )
+    own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
     level = system.common_n[:, None] + shared @ linear.shared.T
     thrust = level[:, None, :] + own @ linear.own.T
     return LinearDraws(
@@ -200,9 +202,5 @@ def thrust_moments(model: TotalsModel, z: Array) -> tuple[Array, Array]:
     gain = own_inverse_t @ collapsed.own_coupling
     response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
     spread = own @ own_inverse_t
-    mean = (
-        system.common_n[:, None, None]
-        + own_mean @ own.T
-        + (shared_mean @ shared.T)[:, None, :]
-    )
+    mean = system.common_n[:, None, None] + own_mean @ own.T + (shared_mean @ shared.T)[:, None, :]
     return mean, (spread**2).sum(-1) + (response**2).sum(-1)

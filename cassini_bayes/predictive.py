@@ -24,7 +24,9 @@ def balance_residual(model: TotalsModel, system: LinearSystem, draws: LinearDraw
     return np.asarray(impulse + torque - system.target)
 
 
-def response_matrix(model: TotalsModel, system: LinearSystem, parameters: Parameters, thrust_n: Array) -> Array:
+def response_matrix(
+    model: TotalsModel, system: LinearSystem, parameters: Parameters, thrust_n: Array
+) -> Array:
     """M = ∂(momentum)/∂(responding on-times) at given thrusts (n, E, K) → (n, E, 3, 3), N m."""
     stretch = on_time_stretch(model, system)
     arms = lever_arms(model.spacecraft, model.branch, parameters)
@@ -57,9 +59,7 @@ def replicate_on_times(
     return np.asarray(model.stack.on_time_s + (model.stack.response @ answer)[..., 0])
 
 
-def event_log_likelihood(
-    model: TotalsModel, parameters: Parameters, draws: LinearDraws
-) -> Array:
+def event_log_likelihood(model: TotalsModel, parameters: Parameters, draws: LinearDraws) -> Array:
     """Log density (n, E) of each event's figures given all parameters, thrusts and torques."""
     system = linear_system(model, parameters)
     factor = np.linalg.cholesky(system.covariance)
@@ -79,9 +79,7 @@ def event_log_likelihood(
     )
 
 
-def jacobian_expansion_error(
-    model: TotalsModel, parameters: Parameters, thrust_n: Array
-) -> Array:
+def jacobian_expansion_error(model: TotalsModel, parameters: Parameters, thrust_n: Array) -> Array:
     """Exact minus expanded log Jacobian, summed over events, at thrusts (n, E, K) → (n,) nats.
 
     The collapsed likelihood uses the expansion; this measures what it leaves out.

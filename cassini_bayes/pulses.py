@@ -112,9 +112,7 @@ def _published_2012_time(width: Array, delay: Array, rise: Array, fall: Array) -
 def _published_2012(time: Array, width: Array, delay: Array, rise: Array, fall: Array) -> Array:
     # the impulse lost in the rise is taken as F τ_r: full thrust from τ_r after the valve delay
     falling = _decay(time - delay - width, fall)
-    return np.where(
-        time < delay + rise, 0.0, np.where(time < delay + width, 1.0, falling)
-    )
+    return np.where(time < delay + rise, 0.0, np.where(time < delay + width, 1.0, falling))
 
 
 PULSE_SHAPES: Final[Mapping[str, PulseShape]] = {

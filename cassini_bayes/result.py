@@ -61,7 +61,7 @@ class Fit:
 
 def draws_of(
     model: TotalsModel, z: Array, rng: np.random.Generator
-) -> tuple[dict[str, Array], LinearDraws]:
+) -> tuple[dict[str, Array | float], LinearDraws]:
     """Physical parameters and a draw of the thrusts and torques at posterior points z (n, d)."""
     parameters = model.space.to_parameters(z)
     system = linear_system(model, parameters)
@@ -70,7 +70,7 @@ def draws_of(
 
 def prior_draws(
     model: TotalsModel, n: int, rng: np.random.Generator
-) -> tuple[dict[str, Array], LinearDraws]:
+) -> tuple[dict[str, Array | float], LinearDraws]:
     """Parameters, thrusts and torques drawn from their priors, before any data."""
     linear = model.linear
     parameters = model.space.to_parameters(model.space.sample(rng, n))
@@ -166,7 +166,7 @@ _Variable = tuple[tuple[str, ...], Array, str, str]
 
 
 def _coordinates(model: TotalsModel) -> dict[str, list[str] | list[int]]:
-    prime = model.stack.wheel_is_prime.any(0)
+    prime = model.stack.wheel_is_used
     return {
         "event": list(model.stack.event_ids),
         "thruster": list(model.stack.thrusters),
@@ -214,9 +214,7 @@ def _parameter_dataset(
     size = len(draws.thrust_n)
     wheel_inertia = {
         w.inertia_parameter: w
-        for w, used in zip(
-            model.spacecraft.wheels, model.stack.wheel_is_prime.any(0), strict=True
-        )
+        for w, used in zip(model.spacecraft.wheels, model.stack.wheel_is_used, strict=True)
         if used
     }
     free = set(model.space.names)
@@ -235,7 +233,7 @@ def _parameter_dataset(
         if name in wheel_inertia or name == _COMMON:
             continue
         spec = model.specs[name]
-        variables[name] = ((), parameters[name], spec.unit, spec.meaning)
+        variables[name] = ((), np.asarray(parameters[name]), spec.unit, spec.meaning)
     return _dataset(variables, model, shape)
 
 
@@ -293,7 +291,7 @@ def _observed(model: TotalsModel) -> xr.Dataset:
 
 def _constants(model: TotalsModel) -> xr.Dataset:
     stack, coordinates = model.stack, _coordinates(model)
-    prime = stack.wheel_is_prime.any(0)
+    prime = stack.wheel_is_used
     rpm = 60.0 / (2.0 * np.pi)
     data: dict[str, xr.DataArray] = {
         "duration_s": xr.DataArray(

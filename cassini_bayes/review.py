@@ -114,7 +114,8 @@ def nuisance_table(model: TotalsModel, priors: Priors, z: Array) -> pd.DataFrame
     for name in model.space.names:
         prior = priors.parameters[name]
         assert prior.distribution is not None  # walked parameters have one
-        low, high = hdi(physical[name])
+        values = np.asarray(physical[name])
+        low, high = hdi(values)
         rows.append(
             {
                 "name": name,
@@ -124,8 +125,8 @@ def nuisance_table(model: TotalsModel, priors: Priors, z: Array) -> pd.DataFrame
                 "source": prior.source,
                 "prior_mean": prior.distribution.mean(),
                 "prior_sd": prior.distribution.sd(),
-                "mean": physical[name].mean(),
-                "sd": physical[name].std(ddof=1),
+                "mean": values.mean(),
+                "sd": values.std(ddof=1),
                 "hdi_90_low": float(low),
                 "hdi_90_high": float(high),
             }
@@ -277,5 +278,3 @@ def worst_convergence(summary: pd.DataFrame) -> tuple[float, float, float]:
         float(varying["ess_bulk"].min()),
         float(varying["ess_tail"].min()),
     )
-
-

@@ -16,6 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -186,7 +187,7 @@ def execute(
         return _derived_ess(model, z, run.sampler.seed) < target
 
     chains = sample(
-        lambda z: log_posterior(model, z),
+        partial(log_posterior, model),
         warm.proposal,
         run.sampler.settings(),
         store=store,
@@ -235,9 +236,9 @@ def _stream(run: RunFile, which: int) -> np.random.Generator:
 
 def _linear_size(model: TotalsModel) -> int:
     """Numbers of thrusts and torques integrated out: shared levels, and those of each event."""
-    torques = int((model.linear.torque_sd_n_m > 0).sum())
-    own = model.linear.own.shape[1] + torques
-    return model.linear.shared.shape[1] + own * len(model.stack.event_ids)
+    torques = int(np.count_nonzero(model.linear.torque_sd_n_m))
+    own = int(model.linear.own.shape[1]) + torques
+    return int(model.linear.shared.shape[1]) + own * len(model.stack.event_ids)
 
 
 def _stored_warm_start(model: TotalsModel, seed: int, store: CheckpointStore) -> WarmStart:
@@ -259,7 +260,7 @@ def _stored_warm_start(model: TotalsModel, seed: int, store: CheckpointStore) ->
             ),
         )
     rng = np.random.default_rng(np.random.SeedSequence((seed, WARM_START_STREAM)))
-    warm = warm_start(lambda z: log_posterior(model, z), len(model.space.names), rng)
+    warm = warm_start(partial(log_posterior, model), len(model.space.names), rng)
     draws = warm.draws
     store.save(
         "warmstart",
@@ -303,8 +304,7 @@ def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
     The declared use is the fit itself; the others are importance draws, with k̂ in the name of the
     variant where it is too large to trust.
     """
-    known = np.isfinite(inputs.model.stack.delta_v_m_s).all(-1)
-    if not known.any():
+    if not inputs.model.stack.has_delta_v.any():
         return []
     tables = []
     rng = _stream(run, VARIANT_STREAM)
@@ -318,13 +318,13 @@ def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
         model = build_model(
             inputs.events, inputs.priors, pulse_shape=run.model.pulse_shape, delta_v=use
         )
-        warm = warm_start(
-            lambda z, model=model: log_posterior(model, z), len(model.space.names), rng
-        )
+        warm = warm_start(partial(log_posterior, model), len(model.space.names), rng)
         z = warm.draws.resample(rng, len(warm.draws.z))
         _, draws = draws_of(model, z, rng)
         trusted = warm.draws.pareto_k < 0.7
-        note = "" if trusted else f" (importance draws, k̂ = {warm.draws.pareto_k:.2f}: not reliable)"
+        note = (
+            "" if trusted else f" (importance draws, k̂ = {warm.draws.pareto_k:.2f}: not reliable)"
+        )
         tables.append(thrust_variant(label + note, model, draws.thrust_n))
     return tables
 

@@ -42,9 +42,9 @@ class SamplerSettings:
     ensembles: int = 4
     walkers: int = 0
     target_ess: int = 2_000
-    first_check: int = 120
+    first_check: int = 200
     max_steps: int = 20_000
-    independence_share: float = 0.8
+    independence_share: float = 0.7
     seed: int = 2010
 
     def walkers_for(self, dimensions: int) -> int:
@@ -125,10 +125,8 @@ def check_convergence(
     from arviz import ess, rhat  # two seconds to import: only where it is needed
 
     m, steps, walkers, d = z.shape
-    tau = np.max(
-        [emcee.autocorr.integrated_time(z[i], tol=0, quiet=True) for i in range(m)], axis=0
-    )
-    tau = np.maximum(tau, 1.0)
+    every_walker = np.moveaxis(z, 0, 1).reshape(steps, m * walkers, d)
+    tau = np.maximum(emcee.autocorr.integrated_time(every_walker, tol=0, quiet=True), 1.0)
     burn_in = int(np.ceil(BURN_IN_TAU * tau.max()))
     kept = z[:, min(burn_in, steps - 4) :]
     flat = kept.reshape(m, -1, d)
@@ -261,9 +259,7 @@ def _checked(log_density: LogDensity) -> LogDensity:
     def guarded(z: Array) -> Array:
         values = log_density(z)
         if values.shape != (len(z),):
-            raise CassiniBayesError(
-                f"log density: expected shape {(len(z),)}, got {values.shape}"
-            )
+            raise CassiniBayesError(f"log density: expected shape {(len(z),)}, got {values.shape}")
         if np.isnan(values).any():
             worst = z[int(np.flatnonzero(np.isnan(values))[0])]
             raise CassiniBayesError(f"log density is NaN at z = {np.round(worst, 3).tolist()}")
@@ -277,9 +273,7 @@ def _ensemble(
 ) -> emcee.EnsembleSampler:
     share = settings.independence_share
 
-    def independent(
-        coordinates: Array, random: np.random.RandomState
-    ) -> tuple[Array, Array]:
+    def independent(coordinates: Array, random: np.random.RandomState) -> tuple[Array, Array]:
         new = proposal.transform(
             random.standard_normal(coordinates.shape),
             random.chisquare(proposal.dof, len(coordinates)),

@@ -46,10 +46,12 @@ class TotalsStack:
     wheel_start_rad_s: Array  # (E, W)
     wheel_end_rad_s: Array  # (E, W)
     wheel_is_prime: NDArray[np.bool_]  # (E, W)
+    wheel_is_used: NDArray[np.bool_]  # (W,) prime in some event
     duration_s: Array  # (E,)
     response: Array  # (E, K, 3) thrusters that answer a momentum demand about each axis
     couples: Array  # (G, K) indicator
     delta_v_m_s: Array  # (E, 3), NaN where not given
+    has_delta_v: NDArray[np.bool_]  # (E,)
     delta_v_measured: NDArray[np.bool_]  # (E,)
     mass_kg: Array  # (E,) table mass, NaN where not given
     thrust_predicted_n: Array  # (E,) NaN where not given
@@ -106,6 +108,8 @@ def stack_events(
         end[row, columns] = np.asarray(event.rwa_end_rpm) * RAD_S_PER_RPM
         prime[row, columns] = True
     prime.setflags(write=False)
+    given = np.array([event.delta_v_m_s is not None for event in events])
+    given.setflags(write=False)
     measured = np.array([event.delta_v_source == "measured" for event in events])
     measured.setflags(write=False)
     no_vector = np.full(3, np.nan)
@@ -118,12 +122,14 @@ def stack_events(
         wheel_start_rad_s=_frozen(start),
         wheel_end_rad_s=_frozen(end),
         wheel_is_prime=prime,
+        wheel_is_used=np.asarray(prime.any(0)),
         duration_s=_frozen([event.duration_s for event in events]),
         response=_frozen(response_directions(on_time, pair_indicator(spacecraft, branch))),
         couples=_frozen([[name in group for name in names] for group in groups]),
         delta_v_m_s=_frozen(
             [no_vector if event.delta_v_m_s is None else event.delta_v_m_s for event in events]
         ),
+        has_delta_v=given,
         delta_v_measured=measured,
         mass_kg=_frozen([np.nan if event.mass_kg is None else event.mass_kg for event in events]),
         thrust_predicted_n=_frozen(
@@ -251,6 +257,7 @@ def response_jacobian(
     columns = lever_arms[..., None, :, :]
     matrix = (columns * thrust_n[..., None, :]) @ rows
     _, value = np.linalg.slogdet(matrix)
-    projector = rows @ np.linalg.solve(matrix, np.broadcast_to(columns, matrix.shape[:-1] + columns.shape[-1:]))
+    spread = np.broadcast_to(columns, (*matrix.shape[:-1], columns.shape[-1]))
+    projector = rows @ np.linalg.solve(matrix, spread)
     gradient = np.diagonal(projector, axis1=-2, axis2=-1)
     return ResponseJacobian(value, gradient, -projector * np.swapaxes(projector, -1, -2))

@@ -116,7 +116,9 @@ def hessian(log_density: LogDensity, point: Array) -> Array:
     rows, columns = np.triu_indices(d, 1)
     pairs_plus = unit[rows] + unit[columns]
     pairs_minus = unit[rows] - unit[columns]
-    offsets = np.vstack([np.zeros((1, d)), unit, -unit, pairs_plus, -pairs_plus, pairs_minus, -pairs_minus])
+    offsets = np.vstack(
+        [np.zeros((1, d)), unit, -unit, pairs_plus, -pairs_plus, pairs_minus, -pairs_minus]
+    )
     values = log_density(point + offsets)
     centre, plus, minus = values[0], values[1 : d + 1], values[d + 1 : 2 * d + 1]
     same, opposite = values[2 * d + 1 :].reshape(2, 2, -1).sum(1)

@@ -29,10 +29,10 @@ ROOT: Final = Path(cassini_bayes.__file__).parent
 LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("errors",),
     ("checks", "storage"),
-    ("published", "quantiles", "cells", "checkpoint"),
+    ("published", "parameters", "quantiles", "cells", "checkpoint"),
     ("distributions",),
     ("spacecraft", "pulses"),
-    ("parameters", "events"),
+    ("events",),
     ("parameter_space",),
     ("priors",),
     ("simulation",),

@@ -91,9 +91,7 @@ def test_collapsed_likelihood_equals_plain_likelihood_by_bayes_identity() -> Non
             sd = model.linear.torque_sd_n_m
             white = (torque - model.linear.torque_mean_n_m) / sd
             log_prior += -0.5 * (white**2).sum() - n_events * np.log(sd * np.sqrt(2 * np.pi)).sum()
-            evidence.append(
-                plain + log_prior - dense_conditional(model, system, thrust, torque)
-            )
+            evidence.append(plain + log_prior - dense_conditional(model, system, thrust, torque))
         assert evidence == pytest.approx([log_likelihood(model, z[None])[0]] * 3, rel=1e-8)
 
 
@@ -124,7 +122,9 @@ def dense_conditional(
     centre = np.linalg.solve(precision, linear_term)
     log_det = np.linalg.slogdet(precision)[1]
     return float(
-        0.5 * log_det - 0.5 * size * np.log(2 * np.pi) - 0.5 * (x - centre) @ precision @ (x - centre)
+        0.5 * log_det
+        - 0.5 * size * np.log(2 * np.pi)
+        - 0.5 * (x - centre) @ precision @ (x - centre)
     )
 
 

@@ -74,10 +74,7 @@ def plain_log_likelihood(
     """Log density of momentum balances of Cassini events, one point, first-order pulses."""
     total = 0.0
     inertia = np.array(
-        [
-            [p[f"inertia_{''.join(sorted(a + b))}_kg_m2"] for b in "xyz"]
-            for a in "xyz"
-        ]
+        [[p[f"inertia_{''.join(sorted(a + b))}_kg_m2"] for b in "xyz"] for a in "xyz"]
     )
     rpm = 2 * np.pi / 60
     for e, event in enumerate(events):

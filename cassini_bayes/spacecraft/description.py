@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -17,9 +18,27 @@ Array = NDArray[np.float64]
 AXIS_DEMANDS: Final = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
+CENTRE_OF_MASS: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
+
+# Cross product as a tensor: (a × b)_i = Σ_jk LEVI_CIVITA[i, j, k] a_j b_k.
+LEVI_CIVITA: Final = np.array(
+    [
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]],
+        [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
+        [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    ]
+)
+LEVI_CIVITA.setflags(write=False)
+
+
 @dataclass(frozen=True, eq=False)
 class Wheel:
-    """A reaction wheel: number, name (telemetry prefix), nominal spin axis in body axes (3,)."""
+    """A reaction wheel.
+
+    ``name`` is the prefix of its telemetry columns, ``axis`` its nominal spin axis (3,), a unit
+    vector in body axes. ``tilt_parameters`` are the names of (u, v), or None for a wheel whose axis
+    is taken as known.
+    """
 
     number: int
     name: str
@@ -27,10 +46,25 @@ class Wheel:
     inertia_parameter: str
     tilt_parameters: tuple[str, str] | None
 
+    @property
+    def tilt_axes(self) -> Array:
+        """The directions of u and v as rows (2, 3): e1 = unit(ẑ × a), e2 = a × e1.
+
+        e1 turns the axis about +Z (u > 0: growing azimuth), e2 raises it towards +Z (v > 0). Not
+        defined for an axis along Z, which the reader refuses to tilt.
+        """
+        x, y, _ = self.axis
+        e1 = np.array([-y, x, 0.0]) / np.hypot(x, y)
+        return np.stack([e1, np.cross(self.axis, e1)])
+
 
 @dataclass(frozen=True, eq=False)
 class Thruster:
-    """A thruster: position as numbers or (sign, parameter name) per body axis, force direction."""
+    """A thruster: position and direction of the force on the spacecraft, in body axes.
+
+    Each coordinate of ``position`` is a number in m, or a sign and the name of a parameter in m.
+    ``direction`` (3,) is a unit vector.
+    """
 
     name: str
     branches: tuple[str, ...]
@@ -45,13 +79,20 @@ class Thruster:
 
 @dataclass(frozen=True, eq=False)
 class BranchGeometry:
-    """One branch's thrusters as arrays: position = constant + Σ_j weights[..., j] p_j (J names)."""
+    """One branch's thrusters as linear maps, made once so that a batch costs a matrix product.
+
+    With p the J values of ``parameters`` and e the centre of mass, positions are
+    ``position_constant + Σ_j p_j position_weights[j]`` and lever arms
+    ``arm_constant + Σ_j (p, e)_j arm_weights[j]``: (r − e) × d is linear in r and in e.
+    """
 
     names: tuple[str, ...]
     parameters: tuple[str, ...]
-    constant: Array  # (3, K) m
-    weights: Array  # (3, K, J)
     directions: Array  # (3, K) unit force directions
+    position_constant: Array  # (3, K) m
+    position_weights: Array  # (J, 3, K)
+    arm_constant: Array  # (3, K) m
+    arm_weights: Array  # (J + 3, 3, K), the last three for the centre of mass
 
     @classmethod
     def of(cls, thrusters: tuple[Thruster, ...]) -> BranchGeometry:
@@ -60,17 +101,26 @@ class BranchGeometry:
             dict.fromkeys(name for thruster in thrusters for name in thruster.position_parameters)
         )
         constant = np.zeros((3, len(thrusters)))
-        weights = np.zeros((3, len(thrusters), len(names)))
+        weights = np.zeros((len(names), 3, len(thrusters)))
         for k, thruster in enumerate(thrusters):
             for axis, entry in enumerate(thruster.position):
                 if isinstance(entry, tuple):
-                    weights[axis, k, names.index(entry[1])] = entry[0]
+                    weights[names.index(entry[1]), axis, k] = entry[0]
                 else:
                     constant[axis, k] = entry
         directions = np.stack([thruster.direction for thruster in thrusters], axis=-1)
-        for array in (constant, weights, directions):
+        centre = -np.eye(3)[:, :, None] * np.ones(len(thrusters))
+        cross = "ijl,...jk,lk->...ik"
+        arrays = (
+            directions,
+            constant,
+            weights,
+            np.einsum(cross, LEVI_CIVITA, constant, directions),
+            np.einsum(cross, LEVI_CIVITA, np.concatenate([weights, centre]), directions),
+        )
+        for array in arrays:
             array.setflags(write=False)
-        return cls(tuple(t.name for t in thrusters), names, constant, weights, directions)
+        return cls(tuple(thruster.name for thruster in thrusters), names, *arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +128,8 @@ class Spacecraft:
     """Wheels, thrusters, branches, controller mapping and own parameters of a spacecraft.
 
     ``axis_pairs`` maps a torque demand (``"+x"`` … ``"-z"``) to the thrusters fired together for
-    it; ``parameters`` are the spacecraft's own (geometry, wheels); ``digest`` is the SHA-256 of the
-    file it was read from.
+    it; ``parameters`` are the spacecraft's own (geometry, wheels); ``geometry`` maps a branch to
+    its arrays; ``digest`` is the SHA-256 of the file it was read from.
     """
 
     name: str
@@ -91,6 +141,34 @@ class Spacecraft:
     geometry: Mapping[str, BranchGeometry]
     digest: str
 
+    def __post_init__(self) -> None:
+        for name in ("axis_pairs", "geometry"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # a mapping proxy cannot go to another process, the dictionary behind it can
+        values = (getattr(self, field.name) for field in fields(self))
+        plain = tuple(dict(v) if isinstance(v, MappingProxyType) else v for v in values)
+        return Spacecraft, plain
+
+    def geometry_of(self, branch: str) -> BranchGeometry:
+        """Arrays of a branch's thrusters.
+
+        Raises
+        ------
+        InputError
+            The spacecraft has no such branch.
+        """
+        try:
+            return self.geometry[branch]
+        except KeyError as error:
+            raise InputError(
+                f"spacecraft {self.name}: branch",
+                f"one of {', '.join(self.branches)}",
+                repr(branch),
+                "choose a branch of this spacecraft",
+            ) from error
+
     def thrusters_of(self, branch: str) -> tuple[Thruster, ...]:
         """Thrusters of a branch in file order.
 
@@ -99,18 +177,18 @@ class Spacecraft:
         InputError
             The spacecraft has no such branch.
         """
-        if branch not in self.branches:
-            raise InputError(
-                f"spacecraft {self.name}: branch",
-                f"one of {', '.join(self.branches)}",
-                repr(branch),
-                "choose a branch of this spacecraft",
-            )
-        return tuple(thruster for thruster in self.thrusters if branch in thruster.branches)
+        members = set(self.geometry_of(branch).names)
+        return tuple(thruster for thruster in self.thrusters if thruster.name in members)
 
     def thruster_names(self, branch: str) -> tuple[str, ...]:
-        """Names of a branch's thrusters in file order."""
-        return tuple(thruster.name for thruster in self.thrusters_of(branch))
+        """Names of a branch's thrusters in file order.
+
+        Raises
+        ------
+        InputError
+            The spacecraft has no such branch.
+        """
+        return self.geometry_of(branch).names
 
     def wheel(self, number: int) -> Wheel:
         """The wheel with a number.
@@ -125,7 +203,7 @@ class Spacecraft:
                 return wheel
         raise InputError(
             f"spacecraft {self.name}: wheel",
-            f"one of {[wheel.number for wheel in self.wheels]}",
+            f"one of {', '.join(str(wheel.number) for wheel in self.wheels)}",
             str(number),
             "choose a wheel of this spacecraft",
         )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
-from cassini_bayes.parameters import BLOCKS, ParameterSpec
+from cassini_bayes.parameters import BLOCKS, ParameterSpec, generic_parameters
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
     BranchGeometry,
@@ -23,11 +24,19 @@ from cassini_bayes.spacecraft.description import (
     Wheel,
 )
 
-UNIT_TOLERANCE = 1e-6
+UNIT_TOLERANCE: Final = 1e-6
+"""A direction within this of norm one is normalised; any other is an error."""
+
+_OPPOSITE: Final = dict(zip("+-", "-+", strict=True))
+
+_Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*$")]
+_ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+_Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # strict: a quoted number or a boolean is a mistake, not a number
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class _ParameterTable(_Table):
@@ -38,218 +47,306 @@ class _ParameterTable(_Table):
 
 class _WheelTable(_Table):
     number: int = Field(ge=1)
-    name: str = Field(pattern=r"^[a-z][a-z0-9]*$")
-    axis: tuple[float, float, float]
+    name: _Name
+    axis: _Triple
     inertia: str
-    tilt: tuple[str, str] | None = None
+    tilt: Annotated[list[str], Field(min_length=2, max_length=2)] | None = None
 
 
 class _ThrusterTable(_Table):
-    name: str = Field(pattern=r"^[a-z][a-z0-9]*$")
+    name: _Name
     branches: list[str] = Field(min_length=1)
-    position: tuple[float | str, float | str, float | str]
-    direction: tuple[float, float, float]
+    position: Annotated[list[float | str], Field(min_length=3, max_length=3)]
+    direction: _Triple
 
 
 class _File(_Table):
     name: str = Field(min_length=1)
-    branches: list[str] = Field(min_length=1)
-    parameters: dict[str, _ParameterTable]
+    branches: list[Annotated[str, Field(min_length=1)]] = Field(min_length=1)
+    parameters: dict[_ParameterName, _ParameterTable]
     wheel: list[_WheelTable] = Field(min_length=1)
     thruster: list[_ThrusterTable] = Field(min_length=1)
     axis_pairs: dict[str, list[str]]
 
 
+_OWNERS: Final[Mapping[str, type[_Table]]] = {
+    "parameters": _ParameterTable,
+    "wheel": _WheelTable,
+    "thruster": _ThrusterTable,
+}
+
+
 def load_spacecraft(reference: str | Path) -> Spacecraft:
     """Read a spacecraft: the name of a built-in one, or the path of a TOML file.
+
+    Checked: every key and type; unit vectors (a norm within 1e-6 of one is normalised away);
+    names that occur once; parameters that are declared, in the unit of their use, and hide none of
+    :func:`cassini_bayes.parameters.generic_parameters`; axis pairs of known thrusters on every
+    branch, none of which serves both senses of an axis. Whether a pair turns the right way depends
+    on values: :func:`cassini_bayes.spacecraft.check_axis_pairs`.
 
     Raises
     ------
     InputError
         Names the file, the dotted key, what was expected and found, and the nearest valid name.
     """
-    path = Path(reference)
-    built_in = resources.files(__package__).joinpath(f"{reference}.toml")
-    if path.suffix != ".toml":
-        if not built_in.is_file():
-            names = [
-                entry.name.removesuffix(".toml")
-                for entry in resources.files(__package__).iterdir()
-                if entry.name.endswith(".toml")
-            ]
+    if Path(reference).suffix == ".toml":
+        try:
+            content = Path(reference).read_bytes()
+        except OSError as error:
             raise InputError(
-                "spacecraft",
-                f"a built-in spacecraft ({', '.join(names)}) or the path of a .toml file",
-                repr(str(reference)),
-                nearest(str(reference), names),
-            )
-        return _build(_parse(built_in.read_bytes(), f"{reference}.toml"), f"{reference}.toml")
-    try:
-        content = path.read_bytes()
-    except OSError as error:
+                str(reference),
+                "a spacecraft file",
+                error.strerror or str(error),
+                "check the path",
+            ) from error
+        return _build(_parse(content, str(reference)), str(reference), content)
+    files = resources.files(__package__)
+    names = [e.name.removesuffix(".toml") for e in files.iterdir() if e.name.endswith(".toml")]
+    if str(reference) not in names:
         raise InputError(
-            str(path), "a spacecraft file", error.strerror or str(error), "check the path"
-        ) from error
-    return _build(_parse(content, str(path)), str(path))
+            "spacecraft",
+            f"a built-in spacecraft ({', '.join(names)}) or the path of a .toml file",
+            repr(str(reference)),
+            nearest(str(reference), names),
+        )
+    content = files.joinpath(f"{reference}.toml").read_bytes()
+    return _build(_parse(content, f"{reference}.toml"), f"{reference}.toml", content)
 
 
-def _parse(content: bytes, where: str) -> tuple[_File, str]:
+def _parse(content: bytes, where: str) -> _File:
     try:
-        table = tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
+        table = tomllib.loads(content.decode("utf-8-sig"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(where, "valid TOML in UTF-8", str(error), "mend that place") from error
     try:
-        return _File.model_validate(table), hashlib.sha256(content).hexdigest()
+        return _File.model_validate(table)
     except ValidationError as error:
         raise _as_input_error(error, table, where) from error
 
 
-def _as_input_error(error: ValidationError, table: dict[str, Any], where: str) -> InputError:
+def _as_input_error(error: ValidationError, table: Mapping[str, Any], where: str) -> InputError:
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    place = f"{where}: {key}"
+    loc = first["loc"]
+    place = f"{where}: {_dotted(loc, table)}"
     if first["type"] == "extra_forbidden":
-        tables: dict[str, type[_Table]] = {
-            "parameters": _ParameterTable,
-            "wheel": _WheelTable,
-            "thruster": _ThrusterTable,
-        }
-        owner = tables.get(str(first["loc"][0]), _File) if len(first["loc"]) > 1 else _File
+        known = list((_File if len(loc) == 1 else _OWNERS[str(loc[0])]).model_fields)
+        return InputError(
+            place, f"one of {', '.join(known)}", "an unknown key", nearest(str(loc[-1]), known)
+        )
+    key = next(str(part) for part in reversed(loc) if isinstance(part, str))
+    if first["type"] == "missing":
+        return InputError(place, "a value", "nothing", f"add {key} = …")
+    if loc[-1] == "[key]":  # pydantic's mark for the key of a table
         return InputError(
             place,
-            f"one of {', '.join(owner.model_fields)}",
-            "an unknown key",
-            nearest(str(first["loc"][-1]), owner.model_fields),
+            "a name of lower-case letters, digits and underscores",
+            repr(first["input"]),
+            "rename the parameter",
         )
-    if first["type"] == "missing":
-        return InputError(place, "a value", "nothing", f"add {first['loc'][-1]} = …")
-    return InputError(place, first["msg"], repr(first.get("input")), f"change {key}")
+    expected = first["msg"].removeprefix("Input should ").removeprefix("be ")
+    got = first["input"]
+    return InputError(place, expected, repr(got), f"change {_dotted(loc, table)}")
 
 
-def _build(parsed: tuple[_File, str], where: str) -> Spacecraft:
-    file, digest = parsed
-    specs = tuple(_spec(name, table, where) for name, table in file.parameters.items())
-    known = {spec.name for spec in specs}
-    _unique([wheel.name for wheel in file.wheel], f"{where}: wheel.name")
-    _unique([str(wheel.number) for wheel in file.wheel], f"{where}: wheel.number")
-    _unique([thruster.name for thruster in file.thruster], f"{where}: thruster.name")
-    wheels = tuple(_wheel(table, known, where) for table in file.wheel)
-    thrusters = tuple(_thruster(table, known, file.branches, where) for table in file.thruster)
-    names = [thruster.name for thruster in thrusters]
-    for demand in (*AXIS_DEMANDS, *file.axis_pairs):
-        place = f"{where}: axis_pairs.{demand}"
-        if demand not in AXIS_DEMANDS:
-            raise InputError(
-                place, f"one of {', '.join(AXIS_DEMANDS)}", repr(demand), nearest(demand, AXIS_DEMANDS)
-            )
-        for name in file.axis_pairs.get(demand, [""]):
-            if name not in names:
-                raise InputError(
-                    place, "names of thrusters", repr(name) if name else "nothing", nearest(name, names)
-                )
-    geometry = {}
-    for branch in file.branches:
-        members = tuple(thruster for thruster in thrusters if branch in thruster.branches)
-        if not members:
-            raise InputError(
-                f"{where}: branches",
-                "a thruster on every branch",
-                f"none on {branch!r}",
-                "add the branch to its thrusters, or drop it",
-            )
-        for demand in AXIS_DEMANDS:
-            if not {thruster.name for thruster in members} & set(file.axis_pairs[demand]):
-                raise InputError(
-                    f"{where}: axis_pairs.{demand}",
-                    f"a thruster of branch {branch!r}",
-                    str(file.axis_pairs[demand]),
-                    "name the thrusters that answer this demand on that branch",
-                )
-        geometry[branch] = BranchGeometry.of(members)
+def _dotted(loc: tuple[int | str, ...], table: Mapping[str, Any]) -> str:
+    """Dotted key of pydantic's location: ``wheel.rwa1.axis``, ``thruster[3].position[1]``.
+
+    Entries of an array of tables go by their name if they have one, else by their place, counted
+    from 1 like everything else in the message.
+    """
+    text = ""
+    if loc[-1] in ("float", "str") and isinstance(loc[-2], int):
+        loc = loc[:-1]  # pydantic names the alternative it tried for a coordinate
+    for depth, part in enumerate(part for part in loc if part != "[key]"):
+        if not isinstance(part, int):
+            text += f".{part}" if text else part
+            continue
+        name = None
+        if depth == 1 and isinstance(table[str(loc[0])][part], dict):
+            name = table[str(loc[0])][part].get("name")
+        text += f".{name}" if isinstance(name, str) and name else f"[{part + 1}]"
+    return text
+
+
+def _build(file: _File, where: str, content: bytes) -> Spacecraft:
+    specs = {n: _spec(n, t, f"{where}: parameters.{n}") for n, t in file.parameters.items()}
+    _unique(file.branches, f"{where}: branches")
+    _unique((wheel.name for wheel in file.wheel), f"{where}: wheel.name")
+    _unique((wheel.number for wheel in file.wheel), f"{where}: wheel.number")
+    _unique((thruster.name for thruster in file.thruster), f"{where}: thruster.name")
+    wheels = tuple(_wheel(t, specs, f"{where}: wheel.{t.name}") for t in file.wheel)
+    thrusters = tuple(
+        _thruster(t, specs, file.branches, f"{where}: thruster.{t.name}") for t in file.thruster
+    )
+    pairs = _axis_pairs(file, where)
     return Spacecraft(
         name=file.name,
         wheels=wheels,
         thrusters=thrusters,
         branches=tuple(file.branches),
-        axis_pairs={demand: tuple(file.axis_pairs[demand]) for demand in AXIS_DEMANDS},
-        parameters=specs,
-        geometry=geometry,
-        digest=digest,
+        axis_pairs=pairs,
+        parameters=tuple(specs.values()),
+        geometry={b: _branch(b, thrusters, pairs, where) for b in file.branches},
+        digest=hashlib.sha256(content).hexdigest(),
     )
 
 
-def _spec(name: str, table: _ParameterTable, where: str) -> ParameterSpec:
+def _spec(name: str, table: _ParameterTable, place: str) -> ParameterSpec:
     if table.block not in BLOCKS:
         raise InputError(
-            f"{where}: parameters.{name}.block",
+            f"{place}.block",
             f"one of {', '.join(BLOCKS)}",
             repr(table.block),
             nearest(table.block, BLOCKS),
         )
+    if name in {spec.name for spec in generic_parameters()}:
+        raise InputError(
+            place,
+            "a name of the spacecraft's own",
+            f"{name!r}, which every spacecraft has",
+            "rename it, or leave it out",
+        )
     return ParameterSpec(name, table.unit, table.block, table.meaning)
 
 
-def _unique(names: list[str], place: str) -> None:
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise InputError(place, "each one once", f"{name!r} twice", "rename one of them")
+def _unique(values: Iterable[object], place: str) -> None:
+    seen = set()
+    for value in values:
+        if value in seen:
+            raise InputError(place, "each one once", f"{value!r} twice", "rename or drop one")
+        seen.add(value)
 
 
-def _known(name: str, known: set[str], place: str) -> str:
-    if name not in known:
+def _declared(name: str, specs: Mapping[str, ParameterSpec], unit: str, place: str) -> str:
+    """``name``, once it is known to be a parameter of the file in the unit of its use."""
+    if name not in specs:
+        raise InputError(
+            place, "a parameter declared under [parameters]", repr(name), nearest(name, specs)
+        )
+    if specs[name].unit != unit:
         raise InputError(
             place,
-            "a parameter declared under [parameters]",
-            repr(name),
-            nearest(name, sorted(known)),
+            f"a parameter in {unit}",
+            f"{name!r} in {specs[name].unit}",
+            f"declare parameters.{name}.unit = {unit!r}, or use another parameter",
         )
     return name
 
 
-def _unit_vector(values: tuple[float, float, float], place: str) -> NDArray[np.float64]:
+def _unit_vector(values: list[float], place: str) -> NDArray[np.float64]:
     vector = np.array(values, dtype=np.float64)
     norm = float(np.linalg.norm(vector))
-    if not abs(norm - 1.0) < UNIT_TOLERANCE:
+    if not abs(norm - 1.0) <= UNIT_TOLERANCE:
         raise InputError(
-            place, "a unit vector", f"norm {norm:.9g}", "divide it by its norm (9 digits are enough)"
+            place,
+            f"a unit vector (norm within {UNIT_TOLERANCE:g} of 1)",
+            f"norm {norm:.9g}",
+            "divide the three numbers by it",
         )
     vector /= norm
     vector.setflags(write=False)
     return vector
 
 
-def _wheel(table: _WheelTable, known: set[str], where: str) -> Wheel:
-    place = f"{where}: wheel {table.name}"
+def _wheel(table: _WheelTable, specs: Mapping[str, ParameterSpec], place: str) -> Wheel:
     axis = _unit_vector(table.axis, f"{place}.axis")
-    tilt = table.tilt
-    if tilt is not None:
-        tilt = (_known(tilt[0], known, f"{place}.tilt"), _known(tilt[1], known, f"{place}.tilt"))
-        if abs(axis[2]) > 1.0 - UNIT_TOLERANCE:
-            raise InputError(
-                f"{place}.tilt",
-                "a spin axis that is not along Z (the tilt axes are built from ẑ × axis)",
-                f"axis {table.axis}",
-                "leave out tilt for this wheel",
-            )
-    inertia = _known(table.inertia, known, f"{place}.inertia")
-    return Wheel(table.number, table.name, axis, inertia, tilt)
+    inertia = _declared(table.inertia, specs, "kg m2", f"{place}.inertia")
+    if table.tilt is None:
+        return Wheel(table.number, table.name, axis, inertia, None)
+    _unique(table.tilt, f"{place}.tilt")
+    u, v = (_declared(name, specs, "rad", f"{place}.tilt") for name in table.tilt)
+    if abs(axis[2]) > 1.0 - UNIT_TOLERANCE:
+        raise InputError(
+            f"{place}.tilt",
+            "a spin axis that is not along Z (the tilt axes are built from ẑ × axis)",
+            f"axis {table.axis}",
+            "leave out tilt for this wheel",
+        )
+    return Wheel(table.number, table.name, axis, inertia, (u, v))
 
 
 def _thruster(
-    table: _ThrusterTable, known: set[str], branches: list[str], where: str
+    table: _ThrusterTable, specs: Mapping[str, ParameterSpec], branches: list[str], place: str
 ) -> Thruster:
-    place = f"{where}: thruster {table.name}"
+    _unique(table.branches, f"{place}.branches")
     for branch in table.branches:
         if branch not in branches:
             raise InputError(
-                f"{place}.branches", f"out of {branches}", repr(branch), nearest(branch, branches)
+                f"{place}.branches",
+                f"out of {', '.join(branches)}",
+                repr(branch),
+                nearest(branch, branches),
             )
-    entries: list[float | tuple[float, str]] = []
-    for entry in table.position:
-        if isinstance(entry, str):
-            sign = -1.0 if entry.startswith("-") else 1.0
-            entries.append((sign, _known(entry.lstrip("+-"), known, f"{place}.position")))
-        else:
-            entries.append(float(entry))
+    position = tuple(
+        _coordinate(entry, specs, f"{place}.position[{i}]")
+        for i, entry in enumerate(table.position, start=1)
+    )
     direction = _unit_vector(table.direction, f"{place}.direction")
-    return Thruster(table.name, tuple(table.branches), tuple(entries), direction)
+    return Thruster(table.name, tuple(table.branches), position, direction)
+
+
+def _coordinate(
+    entry: float | str, specs: Mapping[str, ParameterSpec], place: str
+) -> float | tuple[float, str]:
+    if not isinstance(entry, str):
+        return float(entry)
+    sign = -1.0 if entry.startswith("-") else 1.0
+    name = entry[1:] if entry.startswith(("+", "-")) else entry
+    return sign, _declared(name, specs, "m", place)
+
+
+def _axis_pairs(file: _File, where: str) -> dict[str, tuple[str, ...]]:
+    names = [thruster.name for thruster in file.thruster]
+    for demand, pair in file.axis_pairs.items():
+        place = f"{where}: axis_pairs.{demand}"
+        if demand not in AXIS_DEMANDS:
+            known = ", ".join(AXIS_DEMANDS)
+            raise InputError(
+                place, f"one of {known}", "an unknown key", nearest(demand, AXIS_DEMANDS)
+            )
+        _unique(pair, place)
+        for name in pair:
+            if name not in names:
+                raise InputError(place, "names of thrusters", repr(name), nearest(name, names))
+            if name in file.axis_pairs.get(_OPPOSITE[demand[0]] + demand[1], ()):
+                raise InputError(
+                    place,
+                    "thrusters that do not serve the opposite demand as well",
+                    repr(name),
+                    "name it on one side only",
+                )
+    for demand in AXIS_DEMANDS:
+        if not file.axis_pairs.get(demand):
+            raise InputError(
+                f"{where}: axis_pairs.{demand}",
+                "names of thrusters",
+                "nothing",
+                "name the thrusters fired for this torque demand",
+            )
+    return {demand: tuple(file.axis_pairs[demand]) for demand in AXIS_DEMANDS}
+
+
+def _branch(
+    branch: str,
+    thrusters: tuple[Thruster, ...],
+    pairs: Mapping[str, tuple[str, ...]],
+    where: str,
+) -> BranchGeometry:
+    members = tuple(thruster for thruster in thrusters if branch in thruster.branches)
+    if not members:
+        raise InputError(
+            f"{where}: branches",
+            "a thruster on every branch",
+            f"none on {branch!r}",
+            "add the branch to its thrusters, or drop it",
+        )
+    for demand, pair in pairs.items():
+        if not any(thruster.name in pair for thruster in members):
+            raise InputError(
+                f"{where}: axis_pairs.{demand}",
+                f"a thruster of branch {branch!r}",
+                ", ".join(pair),
+                "name the thrusters that answer this demand on that branch",
+            )
+    return BranchGeometry.of(members)
