@@ -18,6 +18,8 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import kstest
+from threadpoolctl import threadpool_limits
 
 from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.errors import CassiniBayesError
@@ -34,12 +36,15 @@ from cassini_bayes.warmstart import warm_start
 
 Array = NDArray[np.float64]
 Control = Literal["none", "hold-rates-ignored", "rectangular-pulses"]
+CONTROLS: Final[tuple[Control, ...]] = ("none", "hold-rates-ignored", "rectangular-pulses")
 
 LEAST_ON_TIME_S: Final = 4.0
 TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
 REPETITIONS_PER_FILE: Final = 20
 CONTROL_HOLD_RATE: Final = 1e-7
+COVERAGE_TOLERANCE: Final = 0.03
+SETTLED_S: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,35 @@ class Ranks:
         return np.asarray(((self.ranks > tail) & (self.ranks < 1.0 - tail)).mean(0))
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a campaign passes: every parameter's coverage within the tolerance."""
+
+    lowest: float
+    highest: float
+    passed: bool
+    failing: tuple[str, ...]
+    smallest_p_value: float
+
+
+def judge(ranks: Ranks) -> Verdict:
+    """Coverage of 90 % intervals against the tolerance, and uniformity of all ranks.
+
+    ``smallest_p_value`` is the least Kolmogorov-Smirnov p-value over all parameters, corrected for
+    their number by Holm's method (for the smallest one that is Bonferroni's).
+    """
+    coverage = ranks.coverage()
+    outside = np.abs(coverage - 0.9) > COVERAGE_TOLERANCE
+    p_values = [float(kstest(column, "uniform").pvalue) for column in ranks.ranks.T]
+    return Verdict(
+        lowest=float(coverage.min()),
+        highest=float(coverage.max()),
+        passed=not outside.any(),
+        failing=tuple(name for name, bad in zip(ranks.names, outside, strict=True) if bad),
+        smallest_p_value=min(1.0, min(p_values) * len(p_values)),
+    )
+
+
 def with_room(event: TotalsEvent) -> TotalsEvent:
     """The event with at least some seconds of on-time on every thruster, at the same pulse width.
 
@@ -93,9 +127,9 @@ def simulate_totals(
     """Fly the template's wheel biases with given true parameters (batch of one).
 
     Wheel rates are those of the template up to their printed step; body rates and attitude errors
-    at both ends are drawn; the on-times of the responding pairs are solved for by Newton's method
-    on the full pulse-shape formula, pulse counts being the on-time over the template's mean width,
-    rounded; on-times are rounded to their printed step.
+    at both ends are drawn; the on-times of the responding pairs are solved for by iteration on the
+    full pulse-shape formula. Pulse counts are the on-time over the template's mean width, rounded;
+    on-times are rounded to their printed step.
 
     Raises
     ------
@@ -127,19 +161,21 @@ def simulate_totals(
     width = stack.on_time_s / stack.pulses
     force = arms[None] * truth.thrust_n[0][:, None, :]
 
+    matrix = force @ stack.response
+
     def solve(on_time: Array, pulses: Array) -> Array:
-        for _ in range(20):
+        # with the number of pulses given, a second more on-time is a second more of steady thrust
+        for _ in range(50):
             effective = effective_on_time(model.pulse_shape, on_time, pulses, *shape_values)
             missing = impulse - (force @ effective[..., None])[..., 0]
-            matrix = force @ ((effective / on_time)[..., None] * stack.response)
             step = np.linalg.solve(matrix, missing[..., None])
             on_time = on_time + (stack.response @ step)[..., 0]
-            if np.abs(step).max() < 1e-10:
+            if np.abs(step).max() < SETTLED_S:
                 return on_time
         raise CassiniBayesError("the simulated on-times did not settle")
 
     on_time = solve(stack.on_time_s, stack.on_time_s / width)
-    for _ in range(3):  # more on-time means more pulses of the same width
+    for _ in range(20):  # more on-time means more pulses of the same width
         on_time = solve(on_time, on_time / width)
     pulses = np.maximum(np.rint(on_time / width), 1.0)
     on_time = solve(on_time, pulses)
@@ -254,7 +290,8 @@ def _file(index: int) -> str:
 
 def _one_file(campaign: Campaign, index: int) -> dict[str, NDArray[np.generic]]:
     first = index * REPETITIONS_PER_FILE
-    results = [one_repetition(campaign, i) for i in range(first, first + REPETITIONS_PER_FILE)]
+    with threadpool_limits(1):  # the work is spread over processes; more threads would compete
+        results = [one_repetition(campaign, i) for i in range(first, first + REPETITIONS_PER_FILE)]
     return {
         "ranks": np.stack([result[0] for result in results]),
         "pareto_k": np.array([result[1] for result in results]),
@@ -281,5 +318,5 @@ def read_ranks(campaign: Campaign, repetitions: int, folder: Path) -> Ranks:
         names=parameter_names(campaign),
         ranks=np.concatenate([np.asarray(b["ranks"], dtype=np.float64) for b in blocks]),
         pareto_k=np.concatenate([np.asarray(b["pareto_k"], dtype=np.float64) for b in blocks]),
-        by_chain=np.concatenate([np.asarray(b["by_chain"], dtype=bool) for b in blocks]),
+        by_chain=np.concatenate([np.asarray(b["by_chain"], dtype=np.bool_) for b in blocks]),
     )

@@ -38,6 +38,7 @@ class ConsoleReporter:
     def __init__(self, quiet: bool) -> None:
         self._console = Console(stderr=True, quiet=quiet, highlight=False, soft_wrap=True)
         self._began = time.monotonic()
+        self._first: dict[str, tuple[float, int]] = {}
 
     def say(self, text: str) -> None:
         """A line with the seconds since the start."""
@@ -52,6 +53,16 @@ class ConsoleReporter:
             )
         else:
             self.say(f"step {report.step}: stop rule met")
+
+    def count(self, what: str, done: int, total: int) -> None:
+        """Repetitions done of a campaign, and the time left."""
+        now = time.monotonic()
+        if what not in self._first:
+            self._first[what] = (now, done)
+        since, already = self._first[what]
+        left = (total - done) * (now - since) / (done - already) if done > already else float("nan")
+        rest = f", {left:.0f} s left" if left == left else ""
+        self.say(f"{what}: {done} of {total}{rest}")
 
 
 @app.command("run")
@@ -123,6 +134,55 @@ def fit_command(
         ),
         as_json,
     )
+
+
+calibrate = typer.Typer(help="Calibration campaigns: long, resumable, in parallel.")
+app.add_typer(calibrate, name="calibrate")
+
+
+@calibrate.command("totals")
+def calibrate_totals_command(
+    page: Annotated[Path, typer.Option("--page", help="Results page to write (.md).")] = Path(
+        "docs/results/totals-sbc.md"
+    ),
+    work: Annotated[Path, typer.Option("--work", help="Folder of finished repetitions.")] = Path(
+        "runs/calibrate-totals"
+    ),
+    events: Annotated[str, typer.Option("--events", help="Template totals CSV.")] = (
+        "cassini_bayes/published/flight_2009_2010.csv"
+    ),
+    priors: Annotated[str, typer.Option("--priors", help="Priors file.")] = (
+        "priors/cassini_b_branch_2010.toml"
+    ),
+    repetitions: Annotated[int, typer.Option("--repetitions", min=20)] = 2_000,
+    controls: Annotated[
+        int, typer.Option("--controls", min=20, help="Repetitions of each negative control.")
+    ] = 400,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="200 repetitions, 60 per control.")
+    ] = False,
+    seed: Annotated[int, typer.Option("--seed")] = 20_261_121,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
+    quiet: Quiet = False,
+) -> None:
+    """Simulation-based calibration of the totals model, with two negative controls."""
+    from cassini_bayes.campaigns import calibrate_totals
+
+    reporter = ConsoleReporter(quiet)
+    passed = calibrate_totals(
+        events,
+        priors,
+        seed=seed,
+        repetitions=200 if quick else repetitions,
+        control_repetitions=60 if quick else controls,
+        folder=work,
+        page=page,
+        jobs=jobs,
+        command=["cassini-bayes", *sys.argv[1:]],
+        progress=reporter.count,
+    )
+    typer.echo(str(page))
+    raise typer.Exit(0 if passed else 1)
 
 
 def _finish(outcome: Outcome, as_json: bool) -> None:

@@ -1,9 +1,10 @@
 """The collapsed posterior: thrusts and torques integrated out exactly, drawn back afterwards.
 
 Given the walked parameters θ the model is linear-Gaussian in the thrusts and torques, apart from
-the response Jacobian, whose logarithm is expanded to second order about the reference thrust (the
-error of that expansion is measured by :func:`cassini_bayes.predictive.jacobian_expansion_error`). Each event's own
-coordinates are eliminated first, then the shared ones, so the cost grows linearly with events.
+the response Jacobian, whose logarithm is expanded to second order about the reference thrust
+(:func:`cassini_bayes.predictive.jacobian_expansion_error` measures what that leaves out). Each
+event's own coordinates are eliminated first, then the shared ones, so the cost grows linearly with
+events.
 ``docs/totals-likelihood.md`` derives the formulae.
 """
 

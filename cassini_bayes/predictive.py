@@ -1,4 +1,4 @@
-"""What the model says of the measured figures: residuals, replicated on-times, pointwise densities."""
+"""What the model says of the measured figures: residuals, replicated on-times, densities."""
 
 from __future__ import annotations
 

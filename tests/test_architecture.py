@@ -47,7 +47,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("review",),
     ("plots",),
     ("report",),
-    ("configuration",),
+    ("configuration", "campaigns"),
     ("run",),
     ("cli",),
 )
