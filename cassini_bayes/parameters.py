@@ -99,7 +99,7 @@ _GENERIC: Final = (
         "noise",
         "rad",
         attitude_noise_rad="white noise of an attitude sample, 1 sigma per axis",
-        hold_attitude_rad="attitude error in the dead-band at either end of a bias, 1 sigma per axis",
+        hold_attitude_rad="attitude error left in the dead-band at either end, 1 sigma per axis",
     ),
     *_specs("noise", "s", on_time_resolution_s="least step of a thruster on-time"),
     *_specs(

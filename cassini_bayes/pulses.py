@@ -2,14 +2,17 @@
 
 A pulse is commanded on at t = 0 and off at t = Δ. Valve and propellant delay it by τ_d, the thrust
 rises with time constant τ_r and tails off with τ_f. The *effective time* of a pulse is its impulse
-over the steady thrust [s]. The papers read the same sentence in different ways, so each reading is
-a shape of its own, with the thrust curve that it integrates. All functions broadcast.
+over the steady thrust, in s. The papers read the same sentence in different ways, so each reading
+is a shape of its own, with the thrust curve that it integrates; docs/geometry-and-pulses.md has
+the comparison. All functions broadcast. Widths and time constants are not negative; a time constant
+of 0 is an edge without rise or tail.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -19,10 +22,15 @@ Array = NDArray[np.float64]
 EffectiveTime = Callable[[Array, Array, Array, Array], Array]
 ThrustFraction = Callable[[Array, Array, Array, Array, Array], Array]
 
+_INSTANT_S: Final = 1e-30  # a time constant of 0 without dividing by it
+
 
 @dataclass(frozen=True)
 class PulseShape:
-    """A pulse shape: its effective time and the thrust curve that integrates to it."""
+    """A pulse shape: its effective time and the thrust curve that integrates to it.
+
+    ``name`` is the key of :data:`PULSE_SHAPES`, ``source`` says whose reading it is.
+    """
 
     name: str
     source: str
@@ -36,7 +44,10 @@ class PulseShape:
         tau_rise_s: ArrayLike,
         tau_fall_s: ArrayLike,
     ) -> Array:
-        """Impulse of one pulse of commanded width over the steady thrust, in s."""
+        """Impulse of one pulse of commanded width over the steady thrust, in s.
+
+        The arguments broadcast against each other; the result has their common shape.
+        """
         return self._effective(*_floats(width_s, tau_delay_s, tau_rise_s, tau_fall_s))
 
     def thrust_fraction(
@@ -47,7 +58,10 @@ class PulseShape:
         tau_rise_s: ArrayLike,
         tau_fall_s: ArrayLike,
     ) -> Array:
-        """Thrust over steady thrust at a time after the on command."""
+        """Thrust over steady thrust at a time after the on command of one pulse.
+
+        The arguments broadcast against each other; the result has their common shape.
+        """
         return self._fraction(*_floats(time_s, width_s, tau_delay_s, tau_rise_s, tau_fall_s))
 
 
@@ -55,10 +69,13 @@ def _floats(*values: ArrayLike) -> tuple[Array, ...]:
     return tuple(np.asarray(value, dtype=np.float64) for value in values)
 
 
+# Below any time constant that means something, above what would overflow a quotient.
+_NO_TIME_S: Final = 1e-200
+
+
 def _decay(time: Array, tau: Array) -> Array:
-    """exp(−t/τ) for t ≥ 0, with its limit 0 at τ = 0 (1 at t = 0)."""
-    safe = np.where(tau > 0, tau, 1.0)
-    return np.where(tau > 0, np.exp(-np.maximum(time, 0.0) / safe), time <= 0)
+    """exp(−t/τ) for t ≥ 0, 1 before, with its limit 0 at τ = 0 (1 at t = 0)."""
+    return np.exp(-np.maximum(time, 0.0) / np.maximum(tau, _NO_TIME_S))
 
 
 def _rectangular_time(width: Array, delay: Array, rise: Array, fall: Array) -> Array:
@@ -94,8 +111,11 @@ def _first_order_held(time: Array, width: Array, delay: Array, rise: Array, fall
 
 
 def _published_2005_time(width: Array, delay: Array, rise: Array, fall: Array) -> Array:
-    at_off, at_delay = _decay(width, rise), _decay(delay, rise)
-    return (width + fall) + rise * (at_off - at_delay) - (fall + delay) * at_off
+    # the printed closed form where the thrust begins before the off command (τ_d ≤ Δ); a shorter
+    # pulse has no rise, only the hold, from τ_d to Δ + τ_d
+    late = np.minimum(width, delay)
+    at_off, at_begin = _decay(width, rise), _decay(late, rise)
+    return width + fall + rise * (at_off - at_begin) - (fall + late) * at_off
 
 
 def _published_2005(time: Array, width: Array, delay: Array, rise: Array, fall: Array) -> Array:
@@ -110,41 +130,53 @@ def _published_2012_time(width: Array, delay: Array, rise: Array, fall: Array) -
 
 
 def _published_2012(time: Array, width: Array, delay: Array, rise: Array, fall: Array) -> Array:
-    # the impulse lost in the rise is taken as F τ_r: full thrust from τ_r after the valve delay
-    falling = _decay(time - delay - width, fall)
-    return np.where(time < delay + rise, 0.0, np.where(time < delay + width, 1.0, falling))
+    # A full tail, and the deficit of the rise left to run on after the off command: continuous,
+    # and its integral is eq. (7) at every width.
+    since_on = time - delay
+    full = _decay(since_on - width, fall)
+    return np.where(since_on < 0, 0.0, full - _decay(since_on, rise))
 
 
-PULSE_SHAPES: Final[Mapping[str, PulseShape]] = {
-    shape.name: shape
-    for shape in (
-        PulseShape("rectangular", "instantaneous thrust", _rectangular_time, _rectangular),
-        PulseShape(
-            "first_order",
-            "paper 000 §V, read as a pure transport delay of both edges",
-            _first_order_time,
-            _first_order,
-        ),
-        PulseShape(
-            "first_order_held",
-            "paper 000 §V, read literally: the thrust reached at the off command is held for τ_d",
-            _first_order_held_time,
-            _first_order_held,
-        ),
-        PulseShape(
-            "published_2005",
-            "paper 000 §V, closed form (rise timed from the command, so thrust jumps at τ_d)",
-            _published_2005_time,
-            _published_2005,
-        ),
-        PulseShape(
-            "published_2012",
-            "paper 003 eq. (7): τ_r lost, τ_f gained, whatever the width",
-            _published_2012_time,
-            _published_2012,
-        ),
-    )
-}
+_SHAPES: Final = (
+    PulseShape("rectangular", "instantaneous thrust", _rectangular_time, _rectangular),
+    PulseShape(
+        "first_order",
+        "paper 000 section V, read as a pure transport delay of both edges",
+        _first_order_time,
+        _first_order,
+    ),
+    PulseShape(
+        "first_order_held",
+        "paper 000 section V, read literally: the thrust reached at the off command stays for τ_d",
+        _first_order_held_time,
+        _first_order_held,
+    ),
+    PulseShape(
+        "published_2005",
+        "paper 000 section V, closed form: the rise is timed from the command and starts at τ_d",
+        _published_2005_time,
+        _published_2005,
+    ),
+    PulseShape(
+        "published_2012",
+        "paper 003 eq. (7): τ_r lost and τ_f gained, whatever the width",
+        _published_2012_time,
+        _published_2012,
+    ),
+)
+
+PULSE_SHAPES: Final[Mapping[str, PulseShape]] = MappingProxyType({s.name: s for s in _SHAPES})
+"""Every pulse shape by its name.
+
+With reached(t) = 1 − exp(−t/τ_r), the effective times are
+
+* ``rectangular``: Δ
+* ``first_order``: Δ + (τ_f − τ_r) reached(Δ)
+* ``first_order_held``: u − τ_r reached(u) + (τ_d + τ_f) reached(u), u = max(Δ − τ_d, 0)
+* ``published_2005``: Δ + τ_f + τ_r (exp(−Δ/τ_r) − exp(−τ_d/τ_r)) − (τ_f + τ_d) exp(−Δ/τ_r) for
+  Δ ≥ τ_d, and (Δ + τ_f) reached(Δ) below
+* ``published_2012``: Δ − τ_r + τ_f
+"""
 
 
 def effective_on_time(
@@ -155,9 +187,25 @@ def effective_on_time(
     tau_rise_s: ArrayLike,
     tau_fall_s: ArrayLike,
 ) -> Array:
-    """Effective on-time of pulses of equal width: n eff(u/n), and 0 where there was no pulse.
+    """Effective on-time of a number of pulses: n · effective_time(u/n), and 0 without a pulse.
 
-    Adjacent firings merge (a 250 ms firing is one pulse), so ``pulses`` counts tail-offs.
+    The pulses are taken as equally wide. Adjacent firings merge (two of 125 ms in a row are one
+    pulse of 250 ms), so ``pulses`` counts tail-offs, not control cycles.
+
+    Parameters
+    ----------
+    shape
+        Pulse shape, e.g. ``PULSE_SHAPES["first_order"]``.
+    on_time_s
+        Commanded on-time of all pulses together, u.
+    pulses
+        Number of pulses, n.
+    tau_delay_s, tau_rise_s, tau_fall_s
+        Time constants; all arguments broadcast.
+
+    Returns
+    -------
+    Impulse over steady thrust, s, in the arguments' common shape.
     """
     on_time, count = _floats(on_time_s, pulses)
     fired = count > 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
@@ -46,7 +47,7 @@ class Wheel:
     inertia_parameter: str
     tilt_parameters: tuple[str, str] | None
 
-    @property
+    @cached_property
     def tilt_axes(self) -> Array:
         """The directions of u and v as rows (2, 3): e1 = unit(ẑ × a), e2 = a × e1.
 
@@ -55,7 +56,9 @@ class Wheel:
         """
         x, y, _ = self.axis
         e1 = np.array([-y, x, 0.0]) / np.hypot(x, y)
-        return np.stack([e1, np.cross(self.axis, e1)])
+        axes = np.stack([e1, np.cross(self.axis, e1)])
+        axes.setflags(write=False)
+        return axes
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,8 @@ def wheel_axes(spacecraft: Spacecraft, parameters: Parameters) -> Array:
     tilted = [(column, w) for column, w in enumerate(spacecraft.wheels) if w.tilt_parameters]
     tilts = _stack(parameters, tuple(n for _, w in tilted for n in w.tilt_parameters or ()))
     axes = np.empty((*tilts.shape[:-1], 3, len(spacecraft.wheels)))
-    axes[...] = np.stack([wheel.axis for wheel in spacecraft.wheels], axis=-1)
+    for column, wheel in enumerate(spacecraft.wheels):
+        axes[..., column] = wheel.axis
     for i, (column, wheel) in enumerate(tilted):
         axis = wheel.axis + tilts[..., 2 * i : 2 * i + 2] @ wheel.tilt_axes
         axes[..., column] = axis / np.sqrt((axis * axis).sum(-1, keepdims=True))
