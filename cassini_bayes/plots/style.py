@@ -1,0 +1,96 @@
+"""One look for every figure: colours that survive colour blindness and grey print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+STYLE: Final[Mapping[str, object]] = MappingProxyType(
+    {
+        "font.family": "DejaVu Sans",
+        "font.size": 9.0,
+        "axes.titlesize": 9.5,
+        "axes.labelsize": 9.0,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.edgecolor": "#555555",
+        "axes.linewidth": 0.8,
+        "axes.axisbelow": True,
+        "axes.grid": False,
+        "grid.color": "#dddddd",
+        "grid.linewidth": 0.6,
+        "xtick.color": "#333333",
+        "ytick.color": "#333333",
+        "xtick.labelsize": 8.0,
+        "ytick.labelsize": 8.0,
+        "legend.frameon": False,
+        "legend.fontsize": 8.5,
+        "figure.facecolor": "white",
+        "savefig.facecolor": "white",
+        "hatch.linewidth": 0.6,
+        "svg.fonttype": "path",  # the same picture on a machine without this font
+        "svg.hashsalt": "cassini_bayes",  # the same bytes from the same draws
+    }
+)
+
+# Twelve colours told apart with the common kinds of colour blindness, dark ones first; markers
+# differ as well, so that grey print keeps thrusters apart.
+_COLOURS: Final = (
+    "#332288", "#117733", "#CC6677", "#882255", "#44AA99", "#999933",
+    "#AA4499", "#4477AA", "#661100", "#6699CC", "#BB8800", "#777777",
+)  # fmt: skip
+_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "h", "<", ">", "p", "d")
+
+# Fills of the error budget: light enough for a hatch to show.
+BLOCK_FILLS: Final = (
+    ("#4477AA", ""), ("#EECC66", "//"), ("#994455", ""), ("#88CCEE", ".."), ("#117733", ""),
+    ("#EE99AA", "\\\\"), ("#332288", ""), ("#DDDDAA", "xx"), ("#AA4499", ""), ("#99DDCC", "++"),
+)  # fmt: skip
+
+INK: Final = "#222222"
+PRIOR: Final = "#b9b9b9"
+PRIOR_LINE: Final = "#8a4b08"
+BASELINE: Final = "#444444"
+POSTERIOR: Final = "#22558c"
+VERDICT_COLOURS: Final[Mapping[str, str]] = MappingProxyType(
+    {"conflict": "#b2182b", "informed": POSTERIOR, "prior returned": "#777777"}
+)
+
+
+@dataclass(frozen=True)
+class ThrusterStyle:
+    """Colour and marker of a thruster, the same in every figure."""
+
+    colour: str
+    marker: str
+
+
+def thruster_styles(thrusters: Sequence[str]) -> dict[str, ThrusterStyle]:
+    """A style per thruster, in the spacecraft's order; beyond twelve, colours come round again."""
+    return {
+        name: ThrusterStyle(
+            _COLOURS[i % len(_COLOURS)],
+            _MARKERS[(i + i // len(_COLOURS)) % len(_MARKERS)],
+        )
+        for i, name in enumerate(thrusters)
+    }
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """An empty figure outside any plotting session, laid out so that labels never overlap."""
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def event_axis(axes: Axes, labels: Sequence[str], axis_label: str = "event") -> None:
+    """Events along x, one slot each, separated by hair lines."""
+    axes.set_xlim(-0.5, len(labels) - 0.5)
+    axes.set_xticks(range(len(labels)), labels, rotation=90 if len(labels) > 3 else 0)
+    axes.tick_params(axis="x", length=0)
+    axes.set_xlabel(axis_label)
+    for i in range(1, len(labels)):
+        axes.axvline(i - 0.5, color="#e4e4e4", lw=0.6, zorder=0)
