@@ -28,7 +28,12 @@ def coverage_figure(ranks: Mapping[str, Ranks], tolerance: float) -> Figure:
             n, p = campaign.ranks.shape
             coverage = np.sort(campaign.coverage())
             low, high = binom.ppf([0.005, 0.995], n, 0.9) / n
-            left.axhspan(0.9 - tolerance, 0.9 + tolerance, color="#e4e4e4", label="90 ± 3 %")
+            left.axhspan(
+                0.9 - tolerance,
+                0.9 + tolerance,
+                color="#e4e4e4",
+                label=f"90 ± {100 * tolerance:.0f} %",
+            )
             left.axhspan(low, high, color="#bcd0e6", label="99 % binomial band, one parameter")
             outside = np.abs(coverage - 0.9) > tolerance
             colours = np.where(outside, VERDICT_COLOURS["conflict"], POSTERIOR)
