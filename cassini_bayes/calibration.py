@@ -217,7 +217,7 @@ def one_repetition(campaign: Campaign, index: int) -> tuple[Array, float, bool]:
         delta_v="ignore",
     )
     dimension = len(fitted.space.names)
-    warm = warm_start(partial(log_posterior, fitted), dimension, rng)
+    warm = warm_start(partial(log_posterior, fitted), dimension, rng, pilots=1, draws=2_000)
     by_chain = not warm.draws.pareto_k < TRUSTED_K
     if by_chain:
         settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))

@@ -157,7 +157,7 @@ def calibrate_totals_command(
     repetitions: Annotated[int, typer.Option("--repetitions", min=20)] = 2_000,
     controls: Annotated[
         int, typer.Option("--controls", min=20, help="Repetitions of each negative control.")
-    ] = 400,
+    ] = 200,
     quick: Annotated[
         bool, typer.Option("--quick", help="200 repetitions, 60 per control.")
     ] = False,

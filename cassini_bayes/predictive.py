@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def balance_residual(model: TotalsModel, system: LinearSystem, draws: LinearDraws) -> Array:
-    """Thruster impulse plus external torque minus the wheels' change, (n, E, R); rows as the system.
+    """Thruster impulse plus external torque minus the wheels' change, (n, E, R).
 
     The first three rows are the body axes in N m s; any further three are ΔV in m/s.
     """

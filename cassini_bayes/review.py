@@ -260,8 +260,8 @@ def assemble_review(
 def _observations(nuisances: pd.DataFrame) -> list[str]:
     """Conflicts between priors and data, said in a sentence each."""
     return [
-        f"{row['name']}: the data pull it {row['surprise']:+.1f} standard deviations from its prior "
-        f"({row['prior_mean']:.4g} ± {row['prior_sd']:.2g} → {row['mean']:.4g} ± {row['sd']:.2g} "
+        f"{row['name']}: the data pull it {row['surprise']:+.1f} standard deviations from its "
+        f"prior ({row['prior_mean']:.4g} ± {row['prior_sd']:.2g} → {row['mean']:.4g} ± {row['sd']:.2g} "
         f"{row['unit']})."
         for _, row in nuisances[nuisances["verdict"] == "conflict"].iterrows()
     ]

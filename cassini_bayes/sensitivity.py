@@ -32,7 +32,8 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
       consider covariance; ``consider_sd_n`` adds them to the noise-only σ in quadrature.
 
     Returns one row per event and thruster: event, thruster, full_sd_n, noise_only_sd_n,
-    consider_sd_n, ``<block>|consider_n``, ``<block>|share``, ``noise-only|share``, ``nonlinear|share``.
+    consider_sd_n, ``<block>|consider_n``, ``<block>|share``, ``noise-only|share`` and
+    ``nonlinear|share``.
     """
     mean, variance = thrust_moments(model, z)
     n, n_events, n_thrusters = mean.shape

@@ -102,7 +102,7 @@ def find_mode(log_density: LogDensity, start: Array) -> Array:
         gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * GRADIENT_STEP)
         return -float(values[0]), -gradient
 
-    if not np.isfinite(objective(start)[0]):
+    if not np.isfinite(log_density(start[None])).all():
         raise CassiniBayesError("the posterior is not finite at the centre of the prior")
     found = minimize(objective, start, jac=True, method="L-BFGS-B", options={"maxiter": 500})
     return np.asarray(found.x, dtype=np.float64)

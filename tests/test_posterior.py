@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 @pytest.fixture(scope="module")
 def case() -> tuple[tuple[TotalsEvent, ...], Priors, TotalsModel]:
+    """The eight flight events, their priors and the model without ΔV."""
     events, priors = flight()
     return events, priors, build_model(events, priors, delta_v="ignore")
 
@@ -74,7 +75,7 @@ def test_collapsed_likelihood_equals_plain_likelihood_by_bayes_identity() -> Non
     """log p(y) = log p(y|F,τ) + log p(F,τ) − log p(F,τ|y) with the plain likelihood, any F, τ."""
     events, priors = flight(3)
     model = build_model(events, priors, delta_v="ignore")
-    n_events, k = model.stack.on_time_s.shape
+    n_events = len(events)
     rng = np.random.default_rng(2)
     for z in 0.5 * model.space.sample(rng, 3):
         values = point(model, z[None])
@@ -163,7 +164,7 @@ def test_collapsed_likelihood_equals_brute_force_marginalisation() -> None:
 def test_conditional_draws_have_the_conditional_moments(
     case: tuple[tuple[TotalsEvent, ...], Priors, TotalsModel],
 ) -> None:
-    """Thrusts drawn back at one point have the closed-form mean and variance (4 s.e., 192 tests)."""
+    """Thrusts drawn back at one point have the closed-form mean and variance (4.5 s.e.)."""
     _, _, model = case
     n = 10_000
     z = np.repeat(0.3 * model.space.sample(np.random.default_rng(3), 1), n, axis=0)
@@ -196,7 +197,7 @@ def test_common_level_is_recovered_from_levels_when_data_say_nothing() -> None:
 def test_shared_prior_counts_once_over_eight_events(
     case: tuple[tuple[TotalsEvent, ...], Priors, TotalsModel],
 ) -> None:
-    """log posterior − log likelihood is one unit normal per walked parameter, however many events."""
+    """log posterior − log likelihood is one unit normal per walked parameter, not per event."""
     _, _, model = case
     z = model.space.sample(np.random.default_rng(7), 4)
     once = multivariate_normal(np.zeros(z.shape[1])).logpdf(z)
