@@ -93,11 +93,12 @@ def load_spacecraft(reference: str | Path) -> Spacecraft:
     if Path(reference).suffix == ".toml":
         try:
             content = Path(reference).read_bytes()
-        except OSError as error:
+        except (OSError, ValueError) as error:  # a null byte in the path is a ValueError
+            got = error.strerror if isinstance(error, OSError) else None
             raise InputError(
-                str(reference),
+                repr(str(reference)) if got is None else str(reference),
                 "a spacecraft file",
-                error.strerror or str(error),
+                got or str(error),
                 "check the path",
             ) from error
         return _build(_parse(content, str(reference)), str(reference), content)
@@ -126,7 +127,8 @@ def _parse(content: bytes, where: str) -> _File:
 
 
 def _as_input_error(error: ValidationError, table: Mapping[str, Any], where: str) -> InputError:
-    first = error.errors()[0]
+    # a misspelt key is also a missing one: naming it says more
+    first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
     loc = first["loc"]
     place = f"{where}: {_dotted(loc, table)}"
     if first["type"] == "extra_forbidden":
