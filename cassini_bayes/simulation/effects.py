@@ -1,0 +1,316 @@
+"""Effects that a scenario can hide in its events: the catalogue of causes, and some outside it.
+
+An effect is a name, the keys of its parameters, what may stand behind the colon of its name, and a
+function from plan to plan. Effects change what happens, never which random numbers are drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Final
+
+from cassini_bayes.checks import finite_number, nearest
+from cassini_bayes.errors import InputError
+from cassini_bayes.simulation.plan import Plan, Surge, TorquePulse, Vector, frozen_mapping
+from cassini_bayes.simulation.settings import Appendage, EffectRequest
+from cassini_bayes.spacecraft import Spacecraft
+
+Values = Mapping[str, float]
+Change = Callable[[Plan, str, Values], Plan]
+AXES: Final = ("x", "y", "z")
+ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
+FLEXIBLE_INERTIA_FRACTION: Final = 0.01
+"""Inertia of the oscillating part over the spacecraft's about the same axis: small, so that the
+given amplitude is what the rates show."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One kind of effect.
+
+    Attributes
+    ----------
+    name
+        Without target.
+    keys
+        Required parameters; ``{target}`` stands for the target.
+    targets
+        ``None``, or which targets the name takes: thruster, wheel, axis, element.
+    change
+        Applies it to a plan.
+    catalogued
+        Whether a diagnosis knows it by name.
+    optional
+        Parameters with defaults.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    targets: str | None
+    change: Change
+    catalogued: bool = True
+    optional: Mapping[str, float] = MappingProxyType({})
+
+
+def _axis_index(target: str) -> int:
+    return AXES.index(target)
+
+
+def _set(vector: Vector, index: int, value: float) -> Vector:
+    changed = list(vector)
+    changed[index] = value
+    return (changed[0], changed[1], changed[2])
+
+
+def _thrust_scale(plan: Plan, _: str, values: Values) -> Plan:
+    return plan.with_thrust_factor(values["thrust_factor"])
+
+
+def _thruster_degraded(plan: Plan, target: str, values: Values) -> Plan:
+    return plan.with_thrust_factor(values["thrust_factor"], only=target)
+
+
+def _thrust_warmup(plan: Plan, _: str, values: Values) -> Plan:
+    deficits = dict.fromkeys(plan.thrusters, values["warmup_deficit"])
+    return replace(
+        plan, warmup_deficit=frozen_mapping(deficits), warmup_time_s=values["warmup_time_s"]
+    )
+
+
+def _parameters(plan: Plan, _: str, values: Values) -> Plan:
+    return plan.with_parameters(**values)
+
+
+def _pulse_shape(plan: Plan, _: str, values: Values) -> Plan:
+    return replace(plan, impulse_offset_s=values["impulse_time_offset_s"])
+
+
+def _misalignment(plan: Plan, target: str, values: Values) -> Plan:
+    cant = (values["cant_a_rad"], values["cant_b_rad"])
+    return replace(plan, cants_rad={**plan.cants_rad, target: cant})
+
+
+def _leak(plan: Plan, target: str, values: Values) -> Plan:
+    return replace(plan, leaks_n=frozen_mapping({**plan.leaks_n, target: values["leak_n"]}))
+
+
+def _time_offset(plan: Plan, _: str, values: Values) -> Plan:
+    misreading = replace(plan.misreading, counters_late_s=values["time_offset_s"])
+    return replace(plan, misreading=misreading)
+
+
+def _rate_scale(plan: Plan, target: str, values: Values) -> Plan:
+    scale = _set(plan.misreading.rate_scale, _axis_index(target), values["rate_scale"])
+    return replace(plan, misreading=replace(plan.misreading, rate_scale=scale))
+
+
+def _flexible_mode(plan: Plan, _: str, values: Values) -> Plan:
+    index = int(values["axis"])
+    element = ELEMENTS[index]
+    inertia = FLEXIBLE_INERTIA_FRACTION * plan.parameters[f"inertia_{element}_kg_m2"]
+    # what is given is the free spacecraft's mode; an appendage has the modes of a clamped one
+    clamped = math.sqrt(1.0 - FLEXIBLE_INERTIA_FRACTION)
+    mode = Appendage(
+        name="flexible_mode",
+        axis=_set((0.0, 0.0, 0.0), index, 1.0),
+        inertia_kg_m2=inertia,
+        frequency_hz=values["frequency_hz"] * clamped,
+        damping=values["damping"] * clamped,
+        # momentum is shared: I ω = −J_a θ̇ about the axis
+        initial_rate_rad_s=values["amplitude_rad_s"] / FLEXIBLE_INERTIA_FRACTION,
+    )
+    return replace(plan, appendages=(*plan.appendages, mode))
+
+
+def _firing_logic(plan: Plan, _: str, values: Values) -> Plan:
+    changed = {
+        "mapping": "shared" if plan.rcs.mapping == "union" else "union",
+        "rate_gain_s": plan.rcs.rate_gain_s * values["rate_gain_factor"],
+        "dead_band_rad": tuple(b * values["dead_band_factor"] for b in plan.rcs.dead_band_rad),
+        "hysteresis": values["hysteresis"],
+    }
+    return replace(plan, rcs=plan.rcs.model_copy(update=changed))
+
+
+def _atmospheric_torque(plan: Plan, _: str, values: Values) -> Plan:
+    peak = (values["peak_x_n_m"], values["peak_y_n_m"], values["peak_z_n_m"])
+    return replace(plan, torque_pulse=TorquePulse(peak, values["centre_s"], values["width_s"]))
+
+
+def _pressure_surge(plan: Plan, _: str, values: Values) -> Plan:
+    surge = Surge(values["thrust_fraction"], values["start_s"], values["decay_s"])
+    return replace(plan, surge=surge)
+
+
+def _tachometer(plan: Plan, _: str, values: Values) -> Plan:
+    misreading = replace(plan.misreading, speed_slope_per_rpm=values["slope_per_rpm"])
+    return replace(plan, misreading=misreading)
+
+
+def _plume(plan: Plan, target: str, values: Values) -> Plan:
+    return replace(plan, plume=frozen_mapping({**plan.plume, target: values["lever_m"]}))
+
+
+_ALL: Final = (
+    Effect("thrust_scale", ("thrust_factor",), None, _thrust_scale),
+    Effect("thruster_degraded", ("thrust_factor",), "thruster", _thruster_degraded),
+    Effect("thrust_warmup", ("warmup_deficit", "warmup_time_s"), None, _thrust_warmup),
+    Effect("tail_off", ("tau_fall_s",), None, _parameters),
+    Effect("pulse_shape", ("impulse_time_offset_s",), None, _pulse_shape),
+    Effect("center_of_mass", ("cm_{target}_m",), "axis", _parameters),
+    Effect("wheel_inertia", ("rwa{target}_inertia_kg_m2",), "wheel", _parameters),
+    Effect(
+        "wheel_alignment",
+        ("rwa{target}_tilt_u_rad", "rwa{target}_tilt_v_rad"),
+        "tilting wheel",
+        _parameters,
+    ),
+    Effect("thruster_misalignment", ("cant_a_rad", "cant_b_rad"), "thruster", _misalignment),
+    Effect(
+        "external_torque", tuple(f"external_torque_{axis}_n_m" for axis in AXES), None, _parameters
+    ),
+    Effect("thruster_leak", ("leak_n",), "thruster", _leak),
+    Effect("inertia", ("inertia_{target}_kg_m2",), "element", _parameters),
+    Effect("time_offset", ("time_offset_s",), None, _time_offset),
+    Effect("rate_bias", ("rate_bias_{target}_rad_s",), "axis", _parameters),
+    Effect("rate_scale", ("rate_scale",), "axis", _rate_scale),
+    Effect(
+        "flexible_mode",
+        ("frequency_hz", "damping", "amplitude_rad_s"),
+        None,
+        _flexible_mode,
+        optional=MappingProxyType({"axis": 2.0}),
+    ),
+    Effect(
+        "firing_logic",
+        (),
+        None,
+        _firing_logic,
+        optional=MappingProxyType(
+            {"rate_gain_factor": 1.0, "dead_band_factor": 1.0, "hysteresis": 0.3}
+        ),
+    ),
+    Effect(
+        "atmospheric_torque",
+        ("peak_x_n_m", "peak_y_n_m", "peak_z_n_m", "centre_s", "width_s"),
+        None,
+        _atmospheric_torque,
+        catalogued=False,
+    ),
+    Effect(
+        "pressure_surge",
+        ("thrust_fraction", "start_s", "decay_s"),
+        None,
+        _pressure_surge,
+        catalogued=False,
+    ),
+    Effect("tachometer_scale", ("slope_per_rpm",), None, _tachometer, catalogued=False),
+    Effect("plume_impingement", ("lever_m",), "thruster", _plume, catalogued=False),
+)
+EFFECTS: Final[Mapping[str, Effect]] = MappingProxyType({effect.name: effect for effect in _ALL})
+_POSITIVE: Final = ("thrust_factor", "warmup_time_s", "width_s", "decay_s", "frequency_hz")
+_NOT_NEGATIVE: Final = ("leak_n", "tau_fall_s", "damping", "warmup_deficit")
+
+
+@dataclass(frozen=True)
+class ChosenEffect:
+    """An effect with its target and every parameter; ``events`` limits it (None: all)."""
+
+    effect: Effect
+    target: str
+    values: Mapping[str, float]
+    events: tuple[str, ...] | None
+
+    @property
+    def name(self) -> str:
+        """The name as a scenario and a diagnosis spell it."""
+        return f"{self.effect.name}:{self.target}" if self.target else self.effect.name
+
+    def applied(self, plan: Plan) -> Plan:
+        """The plan with this effect, if it acts in that event."""
+        if self.events is not None and plan.event.id not in self.events:
+            return plan
+        return self.effect.change(plan, self.target, self.values)
+
+
+def possible_targets(
+    effect: Effect, spacecraft: Spacecraft, branch: str, wheels: tuple[int, ...]
+) -> tuple[str, ...]:
+    """What may stand behind the colon of an effect's name; empty where there is no colon."""
+    if effect.targets == "thruster":
+        return spacecraft.thruster_names(branch)
+    if effect.targets == "wheel":
+        return tuple(str(number) for number in wheels)
+    if effect.targets == "tilting wheel":
+        return tuple(str(n) for n in wheels if spacecraft.wheel(n).tilt_parameters is not None)
+    return {"axis": AXES, "element": ELEMENTS}.get(effect.targets or "", ())
+
+
+def choose_effect(
+    request: EffectRequest,
+    spacecraft: Spacecraft,
+    branch: str,
+    wheels: tuple[int, ...],
+    where: str,
+) -> ChosenEffect:
+    """Check a requested effect against the catalogue and the spacecraft.
+
+    Raises
+    ------
+    InputError
+        Unknown name or target, a parameter that is missing, unknown or impossible.
+    """
+    kind, _, target = request.name.partition(":")
+    if kind not in EFFECTS:
+        raise InputError(
+            f"{where}.name", "the name of an effect", repr(request.name), nearest(kind, EFFECTS)
+        )
+    effect = EFFECTS[kind]
+    targets = possible_targets(effect, spacecraft, branch, wheels)
+    if effect.targets is None and target:
+        raise InputError(f"{where}.name", repr(kind), repr(request.name), "drop the colon")
+    if effect.targets is not None and target not in targets:
+        raise InputError(
+            f"{where}.name",
+            f"{kind}:<{effect.targets}>, one of {', '.join(targets) or 'none here'}",
+            repr(request.name),
+            nearest(target, targets),
+        )
+    required = tuple(key.format(target=target) for key in effect.keys)
+    known = (*required, *effect.optional)
+    for key in request.parameters:
+        if key not in known:
+            raise InputError(
+                f"{where}.parameters.{key}",
+                f"one of {', '.join(known) or 'none'}",
+                "an unknown parameter",
+                nearest(key, known),
+            )
+    for key in required:
+        if key not in request.parameters:
+            raise InputError(f"{where}.parameters.{key}", "a number", "nothing", f"add {key} = …")
+    values = dict(effect.optional)
+    for key, value in request.parameters.items():
+        values[key] = _checked(f"{where}.parameters.{key}", key, value)
+    return ChosenEffect(effect, target, frozen_mapping(values), request.events)
+
+
+def _checked(where: str, key: str, value: object) -> float:
+    number = finite_number(where, value)
+    if key in _POSITIVE and number <= 0.0:
+        raise InputError(where, "a number above 0", repr(value), "give a size that is physical")
+    inertia = key.endswith("_inertia_kg_m2") or key in (
+        f"inertia_{element}_kg_m2" for element in ELEMENTS[:3]
+    )
+    if inertia and number <= 0.0:
+        raise InputError(where, "a number above 0", repr(value), "an inertia is positive")
+    if key in _NOT_NEGATIVE and number < 0.0:
+        raise InputError(where, "0 or more", repr(value), "give a size that is physical")
+    if key == "axis" and number not in (0.0, 1.0, 2.0):
+        raise InputError(where, "0, 1 or 2 for x, y or z", repr(value), "choose an axis")
+    if key == "hysteresis" and not 0.0 <= number <= 1.0:
+        raise InputError(where, "a fraction from 0 to 1", repr(value), "choose a fraction")
+    return number
