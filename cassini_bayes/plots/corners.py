@@ -30,6 +30,7 @@ ROOM_FOR_KEY: Final = 6  # columns
 LABEL_OFFSET_IN: Final = 0.46
 BINS: Final = 26
 PRIOR_BINS: Final = 40
+FARTHEST_PRIOR: Final = 10.0  # posterior standard deviations at which a prior is still shown
 WIDEST_VIEW: Final = 5.0  # posterior standard deviations shown on either side for a wide prior
 
 
@@ -148,9 +149,11 @@ def _view(column: Column) -> tuple[float, float]:
     low, high = np.quantile(column.posterior, [0.002, 0.998])
     centre, sd = column.posterior.mean(), column.posterior.std()
     if _varies(column.prior):
-        prior_low, prior_high = np.quantile(column.prior, [0.02, 0.98])
+        prior_low, prior_middle, prior_high = np.quantile(column.prior, [0.02, 0.5, 0.98])
         low = min(low, max(prior_low, centre - WIDEST_VIEW * sd))
         high = max(high, min(prior_high, centre + WIDEST_VIEW * sd))
+        if abs(prior_middle - centre) < FARTHEST_PRIOR * sd:  # a conflict is shown whole
+            low, high = min(low, prior_middle - sd), max(high, prior_middle + sd)
     room = 0.04 * (high - low)
     return float(low - room), float(high + room)
 

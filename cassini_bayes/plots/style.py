@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-STYLE: Final[Mapping[str, object]] = MappingProxyType(
+STYLE: Final[Mapping[Any, object]] = MappingProxyType(
     {
         "font.family": "DejaVu Sans",
         "font.size": 9.0,
