@@ -265,6 +265,36 @@ def test_a_spacecraft_travels_to_worker_processes(name: str) -> None:
         )
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_what_was_read_is_frozen(name: str) -> None:
+    """No table and no array of a branch, wheel or thruster can be written to."""
+    craft = load_spacecraft(FILES[name])
+    for mapping in (craft.axis_pairs, craft.geometry):
+        with pytest.raises(TypeError, match="item assignment"):
+            mapping["+x"] = ()  # type: ignore[index]
+    arrays = [thruster.direction for thruster in craft.thrusters]
+    arrays += [wheel.tilt_axes for wheel in craft.wheels if wheel.tilt_parameters]
+    for geometry in craft.geometry.values():
+        own = [value for value in vars(geometry).values() if isinstance(value, np.ndarray)]
+        assert len(own) == 5
+        arrays += own
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+
+
+def test_only_rounding_is_normalised_away(tmp_path: Path) -> None:
+    """A norm 2e-7 off one becomes one; 1.6e-6 off is an error that states the norm."""
+    path = tmp_path / "rounded.toml"
+    path.write_text(TEXT.replace("axis = [0.6, 0.0, 0.8]", "axis = [0.6000003, 0.0, 0.8]"))
+    axis = load_spacecraft(path).wheel(1).axis
+    assert axis[0] != 0.6
+    assert np.linalg.norm(axis) == pytest.approx(1.0, abs=1e-15)
+    path.write_text(TEXT.replace("axis = [0.6, 0.0, 0.8]", "axis = [0.6, 0.0, 0.800002]"))
+    with pytest.raises(InputError, match=r"wheel\.w1\.axis.*got norm 1\.0000016"):
+        load_spacecraft(path)
+
+
 # ---- any spacecraft, from its file to the posterior ---------------------------------------------
 
 
