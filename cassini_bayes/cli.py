@@ -25,7 +25,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Seed = Annotated[int | None, typer.Option("--seed", help="Random seed (overrides the run file).")]
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it; typer turns the interrupt into it."""
+
+Seed = Annotated[
+    int | None, typer.Option("--seed", min=0, help="Random seed (overrides the run file).")
+]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]
@@ -91,7 +96,8 @@ def run_command(
             force=force,
             resume=resume,
         ),
-        as_json,
+        as_json=as_json,
+        quiet=quiet,
     )
 
 
@@ -132,7 +138,8 @@ def fit_command(
             force=force,
             resume=resume,
         ),
-        as_json,
+        as_json=as_json,
+        quiet=quiet,
     )
 
 
@@ -161,7 +168,7 @@ def calibrate_totals_command(
     quick: Annotated[
         bool, typer.Option("--quick", help="200 repetitions, 60 per control.")
     ] = False,
-    seed: Annotated[int, typer.Option("--seed")] = 20_261_121,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_261_121,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
     quiet: Quiet = False,
 ) -> None:
@@ -185,7 +192,8 @@ def calibrate_totals_command(
     raise typer.Exit(0 if passed else 1)
 
 
-def _finish(outcome: Outcome, as_json: bool) -> None:
+def _finish(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
+    """Say what came of a run: the result on standard output, what is amiss on standard error."""
     if as_json:
         columns = ["name", "unit", "mean", "sd", "hdi_90_low", "hdi_90_high"]
         result = {
@@ -197,9 +205,15 @@ def _finish(outcome: Outcome, as_json: bool) -> None:
             "warnings": list(outcome.review.warnings),
         }
         typer.echo(json.dumps(result))
-    else:
+    elif not quiet:
         report = outcome.folder / "report.html"
         typer.echo(str(report if report.exists() else outcome.folder / "summary.csv"))
+    if not outcome.converged:
+        typer.echo(
+            f"not converged: {outcome.folder / 'summary.csv'} lists R-hat and ESS of every scalar; "
+            "raise max_steps under [sampler] in a run file and run it with --force",
+            err=True,
+        )
     raise typer.Exit(0 if outcome.converged else 1)
 
 
@@ -217,8 +231,22 @@ def main() -> None:
     try:
         app()
     except CassiniBayesError as error:
-        typer.echo(f"error: {error}", err=True)
+        _say_error(str(error))
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        typer.echo("stopped; go on with the same command and --resume", err=True)
-        sys.exit(130)
+    except OSError as error:
+        place = error.filename or "the system"
+        reason = error.strerror or str(error)
+        _say_error(f"{place}: {reason}; check the path, its permissions and the free space")
+        sys.exit(2)
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:
+            typer.echo(
+                "stopped; a run or fit goes on with the same command and --resume, a campaign with "
+                "the same command",
+                err=True,
+            )
+        raise
+
+
+def _say_error(text: str) -> None:
+    typer.echo(f"error: {' '.join(text.split())}", err=True)

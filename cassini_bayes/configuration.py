@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
+from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.sampling import SamplerSettings
 
 
@@ -71,10 +73,17 @@ def read_run_file(path: Path) -> RunFile:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError as error:
-        raise InputError(str(path), "a run file", "no such file", "check the path") from error
-    except (OSError, UnicodeDecodeError) as error:
+        names = [entry.name for entry in path.parent.glob("*.toml")]
         raise InputError(
-            str(path), "a readable UTF-8 file", str(error), "check the file"
+            str(path), "a run file", "no such file", nearest(path.name, names)
+        ) from error
+    except OSError as error:
+        raise InputError(
+            str(path), "a run file", error.strerror or str(error), "name a readable TOML file"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InputError(
+            str(path), "UTF-8 text", f"other bytes at byte {error.start}", "save it as UTF-8"
         ) from error
     try:
         table = tomllib.loads(text)
@@ -86,25 +95,50 @@ def read_run_file(path: Path) -> RunFile:
 def check_run(table: dict[str, Any], where: str) -> RunFile:
     """Validate a run table, rewriting the first error as an :class:`InputError`."""
     try:
-        return RunFile.model_validate(table)
+        run = RunFile.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        got = repr(first.get("input"))
-        if first["type"] == "extra_forbidden":
-            owner = RunFile if len(first["loc"]) == 1 else _TABLES[str(first["loc"][0])]
-            names = list(owner.model_fields)
-            raise InputError(
-                f"{where}: {key}",
-                f"one of {', '.join(names)}",
-                "an unknown key",
-                nearest(str(first["loc"][-1]), names),
-            ) from error
-        if first["type"] == "missing":
-            raise InputError(f"{where}: {key}", "a value", "nothing", f"add {key} = …") from error
+        raise _refusal(where, first["type"], first["loc"], first["msg"], first.get("input")) from (
+            error
+        )
+    if run.model.pulse_shape not in PULSE_SHAPES:
         raise InputError(
-            f"{where}: {key}", first["msg"].removeprefix("Input should be "), got, f"change {key}"
-        ) from error
+            f"{where}: model.pulse_shape",
+            f"one of {', '.join(PULSE_SHAPES)}",
+            repr(run.model.pulse_shape),
+            nearest(run.model.pulse_shape, PULSE_SHAPES),
+        )
+    return run
+
+
+def _refusal(
+    where: str, kind: str, place: tuple[int | str, ...], message: str, value: object
+) -> InputError:
+    """What pydantic found, in this package's words."""
+    key = ".".join(str(part) for part in place)
+    at, got = f"{where}: {key}", repr(value)
+    if kind == "extra_forbidden":
+        owner = RunFile if len(place) == 1 else _TABLES[str(place[0])]
+        names = list(owner.model_fields)
+        return InputError(
+            at, f"one of {', '.join(names)}", "an unknown key", nearest(str(place[-1]), names)
+        )
+    if kind == "missing":
+        return InputError(at, "a value", "nothing", f"add {key} = …")
+    if kind == "model_type":
+        return InputError(at, f"a table [{key}]", got, f"write its keys below a line [{key}]")
+    if kind == "too_short":
+        return InputError(at, "at least one", "an empty list", f'write e.g. {key} = ["file.csv"]')
+    if kind == "list_type":
+        fix = f"write {key} = [{json.dumps(value)}]" if isinstance(value, str) else "use brackets"
+        return InputError(at, "a list of texts", got, fix)
+    if kind == "literal_error":
+        choices = get_args(ModelTable.model_fields["delta_v"].annotation)
+        return InputError(at, f"one of {', '.join(choices)}", got, nearest(str(value), choices))
+    expected = message.removeprefix("Input should be ").replace("a valid string", "a text")
+    return InputError(
+        at, expected.replace("a valid integer", "a whole number"), got, f"change {key}"
+    )
 
 
 _TABLES: dict[str, type[_Table]] = {

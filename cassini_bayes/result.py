@@ -357,6 +357,10 @@ def read_fit(path: Path) -> Fit:
                 groups[name] = dataset.load()
         with xr.open_dataset(path, engine="h5netcdf") as root:
             attributes = dict(root.attrs)
+    except FileNotFoundError as error:
+        raise InputError(
+            str(path), "a fit.nc of this package", "no such file", "check the path"
+        ) from error
     except (OSError, KeyError, ValueError) as error:
         raise InputError(
             str(path),

@@ -36,7 +36,7 @@ from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.result import Fit, build_fit, draws_of, save_fit
 from cassini_bayes.review import Review, assemble_review, thrust_variant, worst_convergence
 from cassini_bayes.sampling import Chains, ProgressReport, sample
-from cassini_bayes.storage import digest, write_text
+from cassini_bayes.storage import digest, is_leftover, remove_leftovers, write_text
 from cassini_bayes.warmstart import ImportanceDraws, Proposal, WarmStart, warm_start
 
 Array = NDArray[np.float64]
@@ -86,9 +86,20 @@ def read_inputs(run: RunFile, base: Path) -> Inputs:
     priors = read_priors(priors_path)
     events: list[TotalsEvent] = []
     digests = {run.priors: digest(priors_path)}
+    given: dict[str, str] = {}
     for reference in run.events:
-        events.extend(read_totals(str(base / reference), priors.spacecraft, run.source))
-        file = reference if (base / reference).is_file() else reference.rpartition(":")[0]
+        found = read_totals(str(base / reference), priors.spacecraft, run.source)
+        for event in found:
+            if event.id in given:
+                raise InputError(
+                    f"{base / reference}: event {event.id}",
+                    "each event once in a fit",
+                    f"the id that {base / given[event.id]} has given",
+                    "leave one of the two out, or rename one of them",
+                )
+        given |= {event.id: reference for event in found}
+        events.extend(found)
+        file = _file_of(base, reference)
         digests[file] = digest(base / file)
     model = build_model(
         tuple(events), priors, pulse_shape=run.model.pulse_shape, delta_v=run.model.delta_v
@@ -96,8 +107,19 @@ def read_inputs(run: RunFile, base: Path) -> Inputs:
     return Inputs(tuple(events), priors, model, digests)
 
 
+def _file_of(base: Path, reference: str) -> str:
+    """The file that ``file.csv`` or ``file.csv:ID`` names; names and ids may hold colons."""
+    file = reference
+    while not (base / file).is_file() and ":" in file:
+        file = file.rpartition(":")[0]
+    return file
+
+
 def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
     """Make the run folder, or refuse: an existing run is never overwritten silently.
+
+    ``resume`` wins over ``force``, so the command that began a run goes on with it once
+    ``--resume`` is added. What killed writes left behind counts as nothing, and is removed.
 
     Raises
     ------
@@ -111,25 +133,34 @@ def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
             raise InputError(
                 str(folder), "a run to resume", "none there", "start it without --resume"
             )
+        remove_leftovers(folder)
         return
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.exists() and not folder.is_dir():
+        raise InputError(str(folder), "a folder for the run", "a file", "choose another --out")
+    if folder.is_dir() and not all(map(is_leftover, folder.iterdir())):
+        if not is_run:
+            raise InputError(
+                str(folder),
+                "a new folder, or an earlier run of this package (with resolved.toml)",
+                "a folder that holds something else",
+                "--force only replaces runs: choose another --out",
+            )
         if not force:
             raise InputError(
                 str(folder),
                 "a new folder",
-                "an existing run" if is_run else "a folder that is not empty",
+                "an existing run",
                 "use --resume to go on with it, --force to start anew, or another --out",
             )
-        if not is_run:
-            raise InputError(
-                str(folder),
-                "an earlier run of this package (with resolved.toml)",
-                "something else",
-                "--force only replaces runs: choose another --out",
-            )
-        shutil.rmtree(folder)
+        # The file that makes it a run goes last, so that a removal cut short can be done again.
+        for entry in sorted(folder.iterdir(), key=lambda path: path.name == "resolved.toml"):
+            if entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry)
+            else:
+                entry.unlink()
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(folder)
     except OSError as error:
         raise InputError(
             str(folder), "a place that can be written", str(error.strerror), "choose another --out"
@@ -164,11 +195,15 @@ def execute(
     began = time.monotonic()
     inputs = read_inputs(run, base)
     model = inputs.model
-    prepare_folder(folder, force=force, resume=resume)
+    settings = run.sampler.settings()
+    settings.walkers_for(len(model.space.names))
     identity = _identity(run, inputs)
     provenance = _provenance(run, inputs, identity, command)
-    if not resume:
-        write_text(folder / "resolved.toml", tomli_w.dumps(run.model_dump()))
+    if resume:
+        _refuse_other_run(folder / "provenance.json", identity)
+    prepare_folder(folder, force=force, resume=resume)
+    write_text(folder / "resolved.toml", tomli_w.dumps(run.model_dump()))
+    if not (folder / "provenance.json").exists():
         write_text(folder / "provenance.json", json.dumps(provenance, indent=2) + "\n")
     store = CheckpointStore(folder / "checkpoint", identity)
     reporter.say(
@@ -176,9 +211,10 @@ def execute(
         f"{_linear_size(model)} collapsed parameters"
     )
     warm = _stored_warm_start(model, run.sampler.seed, store)
+    draws = warm.draws
     reporter.say(
-        f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}, "
-        f"Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
+        f"warm start: log evidence {draws.log_evidence:.2f} ± {draws.log_evidence_se:.2f}, "
+        f"Pareto k̂ {draws.pareto_k:.2f}, efficiency {draws.efficiency:.0%}"
     )
     target = run.sampler.target_ess
 
@@ -189,7 +225,7 @@ def execute(
     chains = sample(
         partial(log_posterior, model),
         warm.proposal,
-        run.sampler.settings(),
+        settings,
         store=store,
         progress=reporter.progress,
         more=wants_more,
@@ -342,6 +378,21 @@ def _identity(run: RunFile, inputs: Inputs) -> str:
         "libraries": _versions(),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _refuse_other_run(provenance: Path, identity: str) -> None:
+    """Refuse to resume what began with other inputs; without a readable record, blocks decide."""
+    try:
+        earlier = json.loads(provenance.read_bytes())["identity"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    if earlier != identity:
+        raise InputError(
+            str(provenance),
+            "the events, priors, settings and versions that this run began with",
+            "others",
+            "undo the change and use --resume, or start anew with --force",
+        )
 
 
 def _code_digest() -> str:

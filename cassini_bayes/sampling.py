@@ -48,8 +48,21 @@ class SamplerSettings:
     seed: int = 2010
 
     def walkers_for(self, dimensions: int) -> int:
-        """Walkers per ensemble: even, at least four per dimension unless set."""
+        """Walkers per ensemble: even, at least four per dimension unless set.
+
+        Raises
+        ------
+        InputError
+            Fewer than two per dimension: their differences would not reach every direction.
+        """
         wanted = self.walkers or max(4 * dimensions, 32)
+        if wanted < 2 * dimensions:
+            raise InputError(
+                "sampler.walkers",
+                f"at least {2 * dimensions}, two for each of {dimensions} walked parameters",
+                str(wanted),
+                "raise it, or leave it out (four per parameter)",
+            )
         return wanted + wanted % 2
 
 
@@ -86,10 +99,11 @@ class Chains:
         return int(np.ceil(BURN_IN_TAU * self.convergence.autocorrelation_time.max()))
 
     def thinned(self, draws: int) -> tuple[Array, Array]:
-        """About ``draws`` draws per ensemble after burn-in: z (M, draws, d), log density (M, draws).
+        """About ``draws`` draws per ensemble after burn-in.
 
-        Whole steps are kept, spaced evenly, so neighbours in the flattened order are different
-        walkers and the steps kept are as far apart as the number of draws allows.
+        Shapes: z (M, draws, d), log density (M, draws). Whole steps are kept, spaced evenly, so
+        neighbours in the flattened order are different walkers and the steps kept are as far apart
+        as the number of draws allows.
         """
         m, steps, walkers, d = self.z.shape
         kept_steps = max(1, draws // walkers)
@@ -208,7 +222,7 @@ def sample(
     densities: list[Array] = []
     accepted = np.zeros(settings.ensembles)
     tau: Array | None = None
-    step, block, goal = 0, 0, settings.first_check
+    step, block, goal = 0, 0, min(settings.first_check, settings.max_steps)
     began, fresh_steps = time.monotonic(), 0
     while True:
         stored = store.load(f"block_{block:04d}") if store else None

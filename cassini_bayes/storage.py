@@ -8,8 +8,12 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from cassini_bayes.errors import InputError
+
+PARTIAL: Final = ".partial"
+"""Marks the temporary files of :func:`atomic_write`; only a kill leaves one behind."""
 
 
 @contextmanager
@@ -26,7 +30,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix
+            dir=path.parent, prefix=f".{path.name}.", suffix=f"{PARTIAL}{path.suffix}"
         )
         os.close(handle)
     except OSError as error:
@@ -36,12 +40,24 @@ def atomic_write(path: Path) -> Iterator[Path]:
         yield temporary
         _sync(temporary)
         temporary.chmod(0o644)
-        os.replace(temporary, path)
+        temporary.replace(path)
         _sync(path.parent)
     except OSError as error:
         raise _unwritable(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def is_leftover(path: Path) -> bool:
+    """Whether a file is what a killed :func:`atomic_write` left behind."""
+    return path.name.startswith(".") and PARTIAL in path.suffixes
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove, in a folder and those below it, what killed writes left behind."""
+    for path in folder.rglob(f".*{PARTIAL}*"):
+        if is_leftover(path):
+            path.unlink(missing_ok=True)
 
 
 def _sync(path: Path) -> None:
