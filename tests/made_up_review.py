@@ -303,13 +303,14 @@ def _budget(
         "wheel inertia",
         "wheel alignment",
         "inertia",
+        "noise",
     ]
     n = len(events) * len(thrusters)
     rows = summary[summary["quantity"] == "thrust_n"]
     full = rows["sd"].to_numpy()
-    shares = rng.dirichlet([4.0, 2.0, 0.6, 0.8, 0.5, 0.05, 5.0, 0.05], n)
+    shares = rng.dirichlet([4.0, 2.0, 0.6, 0.8, 0.5, 0.05, 0.4, 5.0, 0.05], n)
     shares[:, 5] *= -1.0  # a block anticorrelated with another
-    noise = np.sqrt(shares[:, 6]) * full
+    noise = np.sqrt(shares[:, 7]) * full
     budget = pd.DataFrame(
         {
             "event": np.repeat(events, len(thrusters)),
@@ -318,13 +319,13 @@ def _budget(
             "noise_only_sd_n": noise,
         }
     )
-    consider = np.abs(shares[:, :6]) ** 0.5 * full[:, None] * 1.6
+    consider = np.abs(shares[:, :7]) ** 0.5 * full[:, None] * 1.6
     budget["consider_sd_n"] = np.sqrt(noise**2 + (consider**2).sum(1))
     for j, block in enumerate(blocks):
         budget[f"{block}|consider_n"] = consider[:, j]
         budget[f"{block}|share"] = shares[:, j]
-    budget["noise|share"] = shares[:, 6]
-    budget["nonlinear|share"] = 1.0 - shares[:, :7].sum(1)
+    budget["noise-only|share"] = shares[:, 7]
+    budget["nonlinear|share"] = 1.0 - shares[:, :8].sum(1)
     return budget
 
 

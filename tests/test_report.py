@@ -136,7 +136,9 @@ def test_summary_says_level_spread_and_what_limits(html: str, review: Review) ->
     first = Page(html.split('<p class="summary">')[1].split("</p>")[0]).text
     common = review.summary[review.summary["quantity"] == "thrust_common_n"].iloc[0]
     assert f"{common['mean']:.3f} ± {common['sd']:.3f} N" in first
-    shares = review.budget.filter(like="|share").drop(columns=["noise|share", "nonlinear|share"])
+    shares = review.budget.filter(like="|share").drop(
+        columns=["noise-only|share", "nonlinear|share"]
+    )
     worst = shares.mean().idxmax().removesuffix("|share")
     assert f"{worst} limits the accuracy most: {100 * shares.mean().max():.0f} %" in first
 

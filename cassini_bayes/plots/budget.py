@@ -19,22 +19,26 @@ from cassini_bayes.review import Review
 Array = NDArray[np.float64]
 
 SHARE: Final = "|share"
+NOISE_ONLY: Final = "noise-only"
+NONLINEAR: Final = "nonlinear"
+NOT_BLOCKS: Final = (NOISE_ONLY, NONLINEAR)  # what is left besides the blocks of nuisances
 
 
 def budget_blocks(budget: pd.DataFrame) -> list[str]:
     """Blocks of the error budget, largest mean share first; noise and the rest last."""
     columns = [c for c in budget.columns if c.endswith(SHARE)]
     names = [c.removesuffix(SHARE) for c in columns]
-    blocks = [n for n in names if n not in ("noise", "nonlinear")]
+    blocks = [n for n in names if n not in NOT_BLOCKS]
     blocks.sort(key=lambda n: -float(np.nanmean(np.abs(budget[n + SHARE]))) if len(budget) else 0.0)
-    return blocks + [n for n in ("noise", "nonlinear") if n in names]
+    return blocks + [n for n in NOT_BLOCKS if n in names]
 
 
 def block_label(block: str) -> str:
     """What a share of the budget stands for."""
     return {
-        "noise": "left with all nuisances known (dead-band rates, rounding, thrust priors)",
-        "nonlinear": "joint, not attributable to one block",
+        NOISE_ONLY: "left with all nuisances known (dead-band rates, rounding, thrust priors)",
+        NONLINEAR: "joint, not attributable to one block",
+        "noise": "noise scales (unknown size of the dead-band rates)",
     }.get(block, block)
 
 
@@ -71,7 +75,7 @@ def budget_figure(review: Review) -> Figure:
 
 
 def _fills(blocks: Sequence[str]) -> dict[str, tuple[str, str]]:
-    special = {"noise": ("#cccccc", ""), "nonlinear": ("#666666", "..")}
+    special = {NOISE_ONLY: ("#cccccc", ""), NONLINEAR: ("#666666", "..")}
     ordinary = [b for b in blocks if b not in special]
     fills = {b: BLOCK_FILLS[i % len(BLOCK_FILLS)] for i, b in enumerate(ordinary)}
     return {b: special.get(b) or fills[b] for b in blocks}

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.plots.budget import SHARE, budget_blocks
+from cassini_bayes.plots.budget import NOISE_ONLY, NONLINEAR, SHARE, budget_blocks
 from cassini_bayes.plots.quantities import (
     INTERVAL_SHORT,
     MISSING,
@@ -95,10 +95,8 @@ def budget_event_table(review: Review) -> Table:
 
 
 def _budget_columns(review: Review) -> tuple[str, ...]:
-    shares = (
-        f"{'all nuisances known' if b == 'noise' else 'joint' if b == 'nonlinear' else b} [%]"
-        for b in budget_blocks(review.budget)
-    )
+    heads = {NOISE_ONLY: "all nuisances known", NONLINEAR: "joint", "noise": "noise scales"}
+    shares = (f"{heads.get(block, block)} [%]" for block in budget_blocks(review.budget))
     return ("noise-only σ [mN]", "full σ [mN]", "consider σ [mN]", *shares)
 
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.plots.budget import SHARE, budget_blocks
+from cassini_bayes.plots.budget import NOISE_ONLY, NOT_BLOCKS, SHARE, budget_blocks
 from cassini_bayes.plots.quantities import (
     INTERVAL,
     INTERVAL_SHORT,
@@ -69,9 +69,9 @@ def _span(values: np.ndarray, unit: str) -> str:
 
 def _limit_sentence(review: Review) -> list[str]:
     """Which block carries most of the variance."""
-    blocks = [b for b in budget_blocks(review.budget) if b not in ("noise", "nonlinear")]
+    blocks = [b for b in budget_blocks(review.budget) if b not in NOT_BLOCKS]
     shares = {b: float(np.nanmean(review.budget[b + SHARE])) for b in blocks}
-    noise = float(np.nanmean(review.budget["noise|share"]))
+    noise = float(np.nanmean(review.budget[NOISE_ONLY + SHARE]))
     if not shares:
         return []
     worst = max(shares, key=lambda b: shares[b])
