@@ -22,6 +22,7 @@ from cassini_bayes.priors import ParameterSpace, Priors
 from cassini_bayes.pulses import PULSE_SHAPES, PulseShape, effective_on_time
 from cassini_bayes.spacecraft import (
     Spacecraft,
+    check_axis_pairs,
     inertia_tensor,
     lever_arms,
     thruster_directions,
@@ -173,13 +174,15 @@ def build_model(
                 str(list(event.wheels)),
                 "list every wheel the events use under spacecraft.wheels, with its priors",
             )
-    prime = [wheel for wheel in spacecraft.wheels if wheel.number in priors.wheels]
-    absent = {
-        name: 0.0
-        for wheel in spacecraft.wheels
-        if wheel.number not in priors.wheels
-        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
-    }
+    wheel_names, idle_names = (
+        [
+            name
+            for wheel in spacecraft.wheels
+            if (wheel.number in priors.wheels) == prime
+            for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
+        ]
+        for prime in (True, False)
+    )
     draft = TotalsModel(
         spacecraft=spacecraft,
         branch=priors.branch,
@@ -189,13 +192,9 @@ def build_model(
         linear=_linear_block(priors, len(stack.thrusters)),
         pulse_shape=PULSE_SHAPES[pulse_shape],
         delta_v=delta_v,
-        absent_wheel_parameters=absent,
+        # a parameter that an idle wheel shares with a prime one keeps its prior
+        absent_wheel_parameters={name: 0.0 for name in idle_names if name not in wheel_names},
     )
-    wheel_names = [
-        name
-        for wheel in prime
-        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
-    ]
     position_names = spacecraft.geometry[priors.branch].parameters
     names = [*_PULSE, *_CENTRE, *position_names, *wheel_names, *_INERTIA, *_NOISE]
     if draft.uses_measured_delta_v.any():
@@ -208,7 +207,18 @@ def build_model(
         names.append(THRUST_COMMON)
     names = list(dict.fromkeys(names))
     priors.require(names, "the totals model")
-    return replace(draft, space=priors.space(names))
+    model = replace(draft, space=priors.space(names))
+    check_axis_pairs(spacecraft, priors.branch, prior_centre(model))
+    return model
+
+
+def prior_centre(model: TotalsModel) -> dict[str, float]:
+    """Prior mean of every walked parameter and value of every fixed one: what one would assume."""
+    means = {
+        name: distribution.mean()
+        for name, distribution in zip(model.space.names, model.space.distributions, strict=True)
+    }
+    return {**model.space.fixed, **means}
 
 
 def _require_mass(model: TotalsModel) -> None:

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.baselines import perturbation_bars
-from cassini_bayes.model import TotalsModel, computed_delta_v, linear_system
+from cassini_bayes.model import TotalsModel, computed_delta_v, linear_system, prior_centre
 from cassini_bayes.priors import Priors
 from cassini_bayes.result import Fit
 from cassini_bayes.sensitivity import error_budget, prior_against_posterior
@@ -214,16 +214,6 @@ def thrust_variant(name: str, model: TotalsModel, thrust_n: Array) -> pd.DataFra
     )
 
 
-def nominal_values(model: TotalsModel, priors: Priors) -> dict[str, float]:
-    """Prior mean of every walked parameter and value of every fixed one: what the papers assume."""
-    nominal = dict(model.space.fixed)
-    for name in model.space.names:
-        distribution = priors.parameters[name].distribution
-        assert distribution is not None  # walked parameters have one
-        nominal[name] = distribution.mean()
-    return nominal
-
-
 def assemble_review(
     name: str,
     model: TotalsModel,
@@ -238,8 +228,8 @@ def assemble_review(
 ) -> Review:
     """Build every table of a review; z (n, d) are the posterior draws of the fit, flattened."""
     nuisances = nuisance_table(model, priors, z)
-    baseline = perturbation_bars(model, nominal_values(model, priors))
-    review = Review(
+    baseline = perturbation_bars(model, prior_centre(model))
+    return Review(
         name=name,
         fit=fit,
         summary=summarise(fit),
@@ -254,15 +244,14 @@ def assemble_review(
         facts=facts,
         warnings=(*warnings, *_observations(nuisances)),
     )
-    return review
 
 
 def _observations(nuisances: pd.DataFrame) -> list[str]:
     """Conflicts between priors and data, said in a sentence each."""
     return [
         f"{row['name']}: the data pull it {row['surprise']:+.1f} standard deviations from its "
-        f"prior ({row['prior_mean']:.4g} ± {row['prior_sd']:.2g} → {row['mean']:.4g} ± {row['sd']:.2g} "
-        f"{row['unit']})."
+        f"prior ({row['prior_mean']:.4g} ± {row['prior_sd']:.2g} → {row['mean']:.4g} ± "
+        f"{row['sd']:.2g} {row['unit']})."
         for _, row in nuisances[nuisances["verdict"] == "conflict"].iterrows()
     ]
 

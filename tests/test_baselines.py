@@ -17,9 +17,8 @@ from cassini_bayes.baselines import (
 )
 from cassini_bayes.calibration import simulate_totals, with_room
 from cassini_bayes.events import TotalsEvent
-from cassini_bayes.model import TotalsModel, build_model
+from cassini_bayes.model import TotalsModel, build_model, prior_centre
 from cassini_bayes.posterior import LinearDraws
-from cassini_bayes.review import nominal_values
 
 
 def equal_pulses(event: TotalsEvent) -> TotalsEvent:
@@ -36,7 +35,7 @@ def exact_events(thrust: float) -> tuple[TotalsModel, dict[str, float]]:
     priors = priors.with_fixed("on_time_resolution_s", 1e-6)
     template = tuple(equal_pulses(with_room(event)) for event in events)
     model = build_model(template, priors, delta_v="ignore")
-    nominal = nominal_values(model, priors)
+    nominal = prior_centre(model)
     n_events, k = model.stack.on_time_s.shape
     truth = LinearDraws(
         thrust_n=np.full((1, n_events, k), thrust),
@@ -91,7 +90,7 @@ def test_bars_combine_one_at_a_time_perturbations() -> None:
     """RSS is below the worst case; removing the tail-off perturbation leaves smaller bars."""
     events, priors = flight()
     model = build_model(events, priors, delta_v="ignore")
-    nominal = nominal_values(model, priors)
+    nominal = prior_centre(model)
     table = perturbation_bars(model, nominal)
     assert (table["bar_rss_n"] <= table["bar_worst_n"] + 1e-12).all()
     no_tail = {**nominal, "tau_fall_s": 1e-9}
@@ -106,7 +105,7 @@ def test_short_on_times_are_marked_invalid() -> None:
     """The 5 s rule of paper 003 marks thrusters with less on-time, in totals per event."""
     events, priors = flight()
     model = build_model(events, priors, delta_v="ignore")
-    table = perturbation_bars(model, nominal_values(model, priors))
+    table = perturbation_bars(model, prior_centre(model))
     per_event = table[table["method"] == PER_EVENT]
     assert (per_event["valid"] == (per_event["on_time_s"] >= 5.0)).all()
     assert 0 < per_event["valid"].sum() < len(per_event)
@@ -121,7 +120,7 @@ def test_thruster_that_did_not_fire_has_no_estimate() -> None:
         pulses=events[0].pulses * (np.arange(8) != 2),
     )
     model = build_model((silent, events[1]), priors, delta_v="ignore")
-    table = perturbation_bars(model, nominal_values(model, priors))
+    table = perturbation_bars(model, prior_centre(model))
     row = table[
         (table["method"] == PER_EVENT) & (table["event"] == silent.id) & (table["thruster"] == "z3")
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from totals_cases import B_BRANCH, FLIGHT, ROOT, flight, point
 
 from cassini_bayes.distributions import Distribution
 from cassini_bayes.errors import InputError
-from cassini_bayes.events import read_totals
+from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.model import build_model, computed_delta_v, linear_system
 from cassini_bayes.posterior import collapse, draw_linear, log_likelihood
 from cassini_bayes.priors import read_priors
@@ -138,3 +139,42 @@ def test_computed_delta_v_is_the_tables_own_arithmetic() -> None:
     }
     found = computed_delta_v(model, values)[0] * 1e3
     assert found == pytest.approx(0.77 * 48.36 / 2414.4 * 1e3, abs=1e-6)
+
+
+def test_parameter_shared_by_an_idle_and_a_prime_wheel_keeps_its_prior() -> None:
+    """A wheel left out must not switch off a parameter that a wheel in use depends on."""
+    priors = read_priors(ROOT / "tests" / "data" / "priors" / "twelve.toml")
+    shared = "old_wheel_inertia_kg_m2"
+    users = [w.number for w in priors.spacecraft.wheels if w.inertia_parameter == shared]
+    assert len(users) > 1
+    prime = tuple(number for number in priors.wheels if number != users[0])
+    fewer = replace(priors, wheels=prime)
+    names = fewer.spacecraft.thruster_names(fewer.branch)
+    event = TotalsEvent(
+        id="made-up",
+        epoch=datetime(2020, 1, 1, tzinfo=UTC),
+        branch=fewer.branch,
+        wheels=prime,
+        rwa_start_rpm=np.zeros(3),
+        rwa_end_rpm=np.full(3, 500.0),
+        duration_s=600.0,
+        thrusters=names,
+        on_time_s=np.full(len(names), 2.0),
+        pulses=np.full(len(names), 16.0),
+        delta_v_m_s=None,
+        delta_v_source=None,
+        hydrazine_g=None,
+        mass_kg=None,
+        thrust_predicted_n=None,
+        source="simulation",
+    )
+    model = build_model((event,), fewer)
+    assert shared not in model.absent_wheel_parameters
+    assert shared in model.space.names
+
+
+def test_axis_pair_with_the_wrong_torque_is_refused() -> None:
+    """A centre of mass beyond the thrusters turns a pair's torque round: said before sampling."""
+    events, priors = flight(1)
+    with pytest.raises(InputError, match="axis_pairs"):
+        build_model(events, priors.with_fixed("cm_y_m", 2.0))
