@@ -20,7 +20,7 @@ from cassini_bayes.predictive import (
     jacobian_expansion_error,
     replicate_on_times,
 )
-from cassini_bayes.storage import atomic_write
+from cassini_bayes.storage import write_bytes
 
 Array = NDArray[np.float64]
 
@@ -324,22 +324,27 @@ def _constants(model: TotalsModel) -> xr.Dataset:
 
 
 def save_fit(fit: Fit, path: Path) -> None:
-    """Write the fit as NetCDF 4, atomically; ``arviz.from_netcdf`` reads it."""
-    with atomic_write(path) as temporary:
-        xr.Dataset(attrs=dict(fit.attributes)).to_netcdf(temporary, mode="w", engine="h5netcdf")
-        for name in GROUPS:
-            dataset = fit.groups[name]
-            dataset.to_netcdf(
-                temporary,
-                mode="a",
-                group=name,
-                engine="h5netcdf",
-                encoding={
-                    key: {"zlib": True, "complevel": 1}
-                    for key, variable in dataset.data_vars.items()
-                    if variable.ndim > 1
-                },
-            )
+    """Write the fit as NetCDF 4, atomically; ``arviz.from_netcdf`` reads it.
+
+    The file is made in memory: the HDF5 library survives no full disk (it ends the process).
+
+    Raises
+    ------
+    InputError
+        The place cannot be written; an earlier file stays as it was.
+    """
+    groups = {f"/{name}": fit.groups[name] for name in GROUPS}
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs=dict(fit.attributes)), **groups})
+    encoding = {
+        group: {
+            key: {"zlib": True, "complevel": 1}
+            for key, variable in dataset.data_vars.items()
+            if variable.ndim > 1
+        }
+        for group, dataset in groups.items()
+    }
+    content = tree.to_netcdf(engine="h5netcdf", encoding=encoding)
+    write_bytes(path, bytes(content))
 
 
 def read_fit(path: Path) -> Fit:
