@@ -158,7 +158,7 @@ def test_intervals_say_kind_and_probability(figures) -> None:
         "delta_v_thrusts",
     ):
         figure = figures[name]
-        texts = [figure.get_suptitle()]
+        texts = [figure.get_suptitle(), *(g.get_title().get_text() for g in figure.legends)]
         texts += [t.get_text() for legend in figure.legends for t in legend.get_texts()]
         assert any("90 %" in t and ("HDI" in t or "interval" in t) for t in texts), name
 

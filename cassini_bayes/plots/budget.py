@@ -19,6 +19,7 @@ from cassini_bayes.review import Review
 Array = NDArray[np.float64]
 
 SHARE: Final = "|share"
+LEAST_SHOWN: Final = 0.003  # a share too thin to be seen is not in the legend
 NOISE_ONLY: Final = "noise-only"
 NONLINEAR: Final = "nonlinear"
 NOT_BLOCKS: Final = (NOISE_ONLY, NONLINEAR)  # what is left besides the blocks of nuisances
@@ -67,6 +68,7 @@ def budget_figure(review: Review) -> Figure:
         handles=[
             Patch(facecolor=fill, hatch=hatch, edgecolor="white", label=block_label(block))
             for block, (fill, hatch) in _fills(blocks).items()
+            if (budget[block + SHARE].abs() >= LEAST_SHOWN).any()
         ],
         loc="outside lower left",
         ncols=3,

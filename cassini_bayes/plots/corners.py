@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from cassini_bayes.plots.quantities import plus_minus, wrapped_name
+from cassini_bayes.plots.quantities import MISSING, plus_minus, wrapped_name
 from cassini_bayes.plots.style import INK, POSTERIOR, PRIOR_LINE
 from cassini_bayes.plots.tables import Column, level_columns, nuisance_column
 from cassini_bayes.review import Review
@@ -228,7 +228,8 @@ def _labels(cells: NDArray[np.object_], columns: Sequence[Column]) -> None:
             cells[i, 0].set_ylabel(label, fontsize=8.5)
             cells[i, 0].yaxis.set_label_coords(beside, 0.5)
         else:
-            cells[0, 0].set_ylabel(f"density\n[1/{column.unit}]", fontsize=8.5)
+            inverse = MISSING if column.unit == MISSING else f"1/({column.unit})"
+            cells[0, 0].set_ylabel(f"density\n[{inverse}]", fontsize=8.5)
             cells[0, 0].yaxis.set_label_coords(beside, 0.5)
         for j in range(i + 1):
             axes = cells[i, j]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -19,9 +21,16 @@ from cassini_bayes.plots.style import INK, POSTERIOR, event_axis, new_figure
 from cassini_bayes.plots.tables import events_of, grid, thrusters_of
 from cassini_bayes.review import Review
 
+CHANNEL_NOISE: Final = "delta_v_noise_m_s"
+MM_PER_M: Final = 1e3
+
 
 def delta_v_figure(review: Review) -> Figure | None:
-    """Printed ΔV against the fit of the on-board computation; None when no event declares one."""
+    """Printed ΔV against the fit of the on-board computation; None when no event declares one.
+
+    The thick bar is what is known of the computed value, the thin one adds the channel's own noise,
+    as fitted: the printed value belongs in the thin one.
+    """
     table = review.delta_v
     if table.empty:
         return None
@@ -30,11 +39,13 @@ def delta_v_figure(review: Review) -> Figure | None:
         table[c].to_numpy(dtype=float)
         for c in ("printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s")
     )
-    figure = new_figure(10.0, 4.2)
+    figure = new_figure(10.0, 4.6)
     values, differences = figure.subplots(1, 2)
     x, reach = np.arange(len(events)), NORMAL_90 * sd
+    scatter = NORMAL_90 * np.hypot(sd, _channel_noise_mm_s(review))
     for axes, zero in ((values, 0.0), (differences, mean)):
         axes.vlines(x, mean - zero - reach, mean - zero + reach, color=POSTERIOR, lw=6, alpha=0.4)
+        axes.vlines(x, mean - zero - scatter, mean - zero + scatter, color=POSTERIOR, lw=1.2)
         axes.plot(x, mean - zero, ls="", marker="_", ms=11, mew=1.4, color=POSTERIOR)
         axes.plot(
             x, printed - zero, ls="", marker="D", ms=5, mfc="white", mec=INK, mew=1.2, zorder=4
@@ -43,7 +54,7 @@ def delta_v_figure(review: Review) -> Figure | None:
         axes.grid(axis="y")
     values.set_ylabel("ΔV [mm/s]")
     values.set_ylim(bottom=0.0)
-    differences.set_ylabel("ΔV, difference from the fit's mean [mm/s]")
+    differences.set_ylabel("ΔV minus the fit's mean [mm/s]")
     figure.suptitle(
         "ΔV: printed, and the on-board computation as fitted",
         fontsize=11.5,
@@ -68,13 +79,24 @@ def delta_v_figure(review: Review) -> Figure | None:
                 color=POSTERIOR,
                 lw=6,
                 alpha=0.4,
-                label=f"computed channel, {NORMAL_INTERVAL}",
+                label="computed value",
             ),
+            Line2D([], [], color=POSTERIOR, lw=1.2, label="with the channel's own noise"),
         ],
         loc="outside lower center",
-        ncols=2,
+        ncols=3,
+        title=f"bars: {NORMAL_INTERVAL}",
     )
     return figure
+
+
+def _channel_noise_mm_s(review: Review) -> float:
+    """Root mean square of the noise of the ΔV channel over the posterior; 0 where it has none."""
+    for group in ("posterior", "constant_data"):
+        dataset = review.fit.groups[group]
+        if CHANNEL_NOISE in dataset:
+            return MM_PER_M * float(np.sqrt((dataset[CHANNEL_NOISE].values ** 2).mean()))
+    return 0.0
 
 
 def delta_v_thrust_figure(review: Review) -> Figure | None:
