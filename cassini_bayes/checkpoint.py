@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.storage import atomic_write
 
 FORMAT = 1
+_BROKEN_ARCHIVE: Final = (zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,11 @@ class CheckpointStore:
         """
         path = self.folder / f"{name}.npz"
         try:
-            with np.load(path, allow_pickle=False) as file:
+            # opened here: numpy leaves the file open when it is no archive
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}
             header = json.loads(arrays.pop("header").tobytes())
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        except (OSError, TypeError, ValueError, KeyError, EOFError, *_BROKEN_ARCHIVE):
             return None
         if header.get("format") != FORMAT or header.get("identity") != self.identity:
             raise InputError(
