@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -52,9 +53,11 @@ class ConsoleReporter:
     def progress(self, report: ProgressReport) -> None:
         """Steps done, steps and time left, and what is still missing."""
         if report.failed:
+            seconds = report.seconds_left
+            duration = "" if math.isnan(seconds) else f", {seconds:.0f} s"
             self.say(
-                f"step {report.step}: about {report.steps_left} steps, {report.seconds_left:.0f} s "
-                f"left; waiting for {', '.join(report.failed)}"
+                f"step {report.step}: about {report.steps_left} steps{duration} left; "
+                f"waiting for {', '.join(report.failed)}"
             )
         else:
             self.say(f"step {report.step}: stop rule met")

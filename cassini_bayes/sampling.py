@@ -118,7 +118,7 @@ class Chains:
 
 @dataclass(frozen=True)
 class ProgressReport:
-    """What a progress line says."""
+    """What a progress line says; the time left is NaN before anything was sampled afresh."""
 
     step: int
     steps_left: int
@@ -223,8 +223,9 @@ def sample(
     accepted = np.zeros(settings.ensembles)
     tau: Array | None = None
     step, block, goal = 0, 0, min(settings.first_check, settings.max_steps)
-    began, fresh_steps = time.monotonic(), 0
+    fresh_seconds, fresh_steps = 0.0, 0
     while True:
+        began = time.monotonic()
         stored = store.load(f"block_{block:04d}") if store else None
         if stored is None:
             results = [
@@ -247,8 +248,10 @@ def sample(
         z = np.concatenate(blocks, axis=1)
         convergence = check_convergence(z, settings, tau)
         tau = convergence.autocorrelation_time
+        if stored is None:
+            fresh_seconds += time.monotonic() - began
         if progress:
-            per_step = (time.monotonic() - began) / max(fresh_steps, 1)
+            per_step = fresh_seconds / fresh_steps if fresh_steps else np.nan
             progress(
                 ProgressReport(
                     step,
