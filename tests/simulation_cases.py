@@ -85,6 +85,7 @@ def make_plan(
     thrust_n: float = 0.75,
     branch: str = "B",
     wheels: tuple[int, ...] = (1, 2, 4),
+    manager: WheelSettings | None = None,
     **changes: Any,
 ) -> Plan:
     """A plan of one event; ``changes`` replace fields of the plan."""
@@ -92,7 +93,7 @@ def make_plan(
     settings = {
         "rcs": RcsSettings(),
         "rwa": RwaSettings(),
-        "wheels": WheelSettings(),
+        "wheels": manager or WheelSettings(),
         "propulsion": PropulsionSettings(),
         "start": StartSettings(),
     }

@@ -43,6 +43,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("predictive",),
     ("result", "warmstart"),
     ("sampling",),
+    ("scenario",),
     ("baselines", "sensitivity", "criticism", "prediction", "calibration", "trend"),
     ("review",),
     ("plots",),
@@ -59,7 +60,7 @@ MAY_ONLY_IMPORT: Final[Mapping[str, frozenset[str]]] = {
 }
 
 # And who may know of it: those that put inference to the test, from this line on.
-ONLY_FROM: Final[Mapping[str, str]] = {"simulation": "calibration"}
+ONLY_FROM: Final[Mapping[str, str]] = {"simulation": "scenario"}
 
 # Libraries with one door into the package.
 ONLY_IN: Final[Mapping[str, frozenset[str]]] = {

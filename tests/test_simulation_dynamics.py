@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from simulation_cases import BIAS, PARAMETERS, SLEWS, make_plan, run
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.pulses import PULSE_SHAPES
@@ -18,7 +19,6 @@ from cassini_bayes.simulation.settings import (
     Appendage,
     StartSettings,
 )
-from tests.simulation_cases import BIAS, PARAMETERS, SLEWS, make_plan, run
 
 Array = NDArray[np.float64]
 BOOM = Appendage(

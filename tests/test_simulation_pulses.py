@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from simulation_cases import BIAS, PARAMETERS, make_plan, run
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.engine import make_thrusters
 from cassini_bayes.simulation.settings import PropulsionSettings, RcsSettings
-from tests.simulation_cases import BIAS, PARAMETERS, make_plan, run
 
 TAUS = tuple(PARAMETERS[f"tau_{which}_s"] for which in ("delay", "rise", "fall"))
 SHAPES = ("rectangular", "first_order", "first_order_held", "published_2005")
@@ -106,7 +106,7 @@ def test_propellant_and_delta_v_follow_the_pulses_of_a_whole_event() -> None:
 
 
 def test_a_shape_without_a_response_is_refused() -> None:
-    """The one published shape whose rise outlasts the command cannot be simulated, nor can typos."""
+    """The shape whose rise outlasts the command cannot be simulated, and neither can a typo."""
     for name in ("published_2012", "first_oder"):
         with pytest.raises(InputError, match="first_order"):
             make_thrusters(make_plan(propulsion=PropulsionSettings(pulse_shape=name)))

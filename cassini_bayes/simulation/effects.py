@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Final
 
@@ -52,7 +52,7 @@ class Effect:
     targets: str | None
     change: Change
     catalogued: bool = True
-    optional: Mapping[str, float] = MappingProxyType({})
+    optional: Mapping[str, float] = field(default_factory=dict)
 
 
 def _axis_index(target: str) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
@@ -17,6 +17,7 @@ from cassini_bayes.simulation.motion import RPM_PER_RAD_S, Motion, PulseLog
 from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.simulation.settings import Slew
 from cassini_bayes.spacecraft import (
+    Spacecraft,
     centre_of_mass,
     inertia_tensor,
     pair_indicator,
@@ -62,6 +63,12 @@ class Steps:
         return cls(step_s, counts[0], counts[1])
 
 
+def prime_wheels(plan: Plan) -> Spacecraft:
+    """The spacecraft with its prime wheels only, in the order of the event's columns."""
+    wheels = tuple(plan.spacecraft.wheel(number) for number in plan.wheel_numbers)
+    return replace(plan.spacecraft, wheels=wheels)
+
+
 def make_body(plan: Plan) -> kernel.Body:
     """Mass properties as arrays.
 
@@ -70,9 +77,9 @@ def make_body(plan: Plan) -> kernel.Body:
     InputError
         The inertia cannot be that of a body with these wheels and appendages.
     """
-    rows = _wheel_rows(plan)
-    axes = np.ascontiguousarray(wheel_axes(plan.spacecraft, plan.parameters)[:, rows])
-    wheels = wheel_inertias(plan.spacecraft, plan.parameters)[rows]
+    prime = prime_wheels(plan)
+    axes = np.ascontiguousarray(wheel_axes(prime, plan.parameters))
+    wheels = wheel_inertias(prime, plan.parameters)
     inertia = inertia_tensor(plan.parameters)
     couplings = np.zeros((3, len(plan.appendages)))
     for m, appendage in enumerate(plan.appendages):
@@ -185,7 +192,7 @@ def ramp_duration_s(plan: Plan) -> float:
     speed loop leaves its limit, at Δ/a − τ_W (not before the start).
     """
     assert plan.event.to_rpm is not None
-    inertias = wheel_inertias(plan.spacecraft, plan.parameters)[_wheel_rows(plan)]
+    inertias = wheel_inertias(prime_wheels(plan), plan.parameters)
     tau = plan.wheels.time_constant_s
     times = []
     for start, end, inertia in zip(plan.event.from_rpm, plan.event.to_rpm, inertias, strict=True):
@@ -383,11 +390,6 @@ def _rwa_law(plan: Plan, body: kernel.Body) -> kernel.RwaLaw:
         slew_acceleration_rad_s2=_floats([slew.acceleration_rad_s2 for slew in slews]),
         slew_base=np.array(base),
     )
-
-
-def _wheel_rows(plan: Plan) -> list[int]:
-    numbers = [wheel.number for wheel in plan.spacecraft.wheels]
-    return [numbers.index(number) for number in plan.wheel_numbers]
 
 
 def _turned(attitude: Array, angle: Array) -> Array:

@@ -1,0 +1,258 @@
+"""Reading a scenario file, every value checked at the door."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from cassini_bayes.checks import finite_number, nearest
+from cassini_bayes.errors import InputError
+from cassini_bayes.parameters import generic_parameters
+from cassini_bayes.simulation.effects import ChosenEffect, choose_effect
+from cassini_bayes.simulation.settings import EventSettings, Scenario
+from cassini_bayes.simulation.telemetry import record_interval_s
+from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
+
+DRAW_FROM: Final = "draw_from"
+
+
+@dataclass(frozen=True)
+class ScenarioFile:
+    """A scenario that was checked, with the spacecraft and the effects that it names."""
+
+    path: Path
+    scenario: Scenario
+    spacecraft: Spacecraft
+    effects: tuple[ChosenEffect, ...]
+
+    @property
+    def draw_from(self) -> Path | None:
+        """The priors file that the truth is drawn from, if there is one; beside the scenario."""
+        reference = self.scenario.truth.get(DRAW_FROM)
+        return None if reference is None else self.path.parent / str(reference)
+
+    def given(self) -> dict[str, float]:
+        """Parameters that the scenario itself gives, common to all events."""
+        return {
+            name: float(value)
+            for name, value in self.scenario.truth.items()
+            if name != DRAW_FROM and not isinstance(value, dict)
+        }
+
+    def individual_n(self) -> dict[str, float]:
+        """Departures of single thrusters that the scenario gives."""
+        table = self.scenario.truth.get("thrust_individual_n", {})
+        return dict(table) if isinstance(table, dict) else {}
+
+
+def read_scenario(path: str | Path) -> ScenarioFile:
+    """Read and check a scenario file (``docs/simulation.md`` has the format).
+
+    Raises
+    ------
+    InputError
+        Names the file, the dotted key, what was expected, what was found and the nearest name.
+    """
+    path = Path(path)
+    document = _parse(path)
+    try:
+        scenario = Scenario.model_validate(document)
+    except ValidationError as error:
+        raise _as_input_error(error, str(path)) from None
+    spacecraft = _spacecraft(path, scenario)
+    where = str(path)
+    _check_wheels(where, scenario, spacecraft)
+    seen: set[str] = set()
+    for index, event in enumerate(scenario.event):
+        _check_event(f"{where}: event.{index}", event, scenario)
+        if event.id in seen:
+            raise InputError(
+                f"{where}: event.{index}.id", "each id once", f"{event.id!r} again", "rename it"
+            )
+        seen.add(event.id)
+    _check_truth(where, scenario, spacecraft)
+    record_interval_s(scenario.telemetry)
+    effects = []
+    for index, request in enumerate(scenario.effect):
+        place = f"{where}: effect.{index}"
+        for name in request.events or ():
+            if name not in seen:
+                raise InputError(
+                    f"{place}.events", "ids of events", repr(name), nearest(name, sorted(seen))
+                )
+        effects.append(
+            choose_effect(
+                request,
+                spacecraft,
+                scenario.spacecraft.branch,
+                scenario.spacecraft.wheels,
+                place,
+            )
+        )
+    return ScenarioFile(path, scenario, spacecraft, tuple(effects))
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        names = [entry.name for entry in path.parent.glob("*.toml")]
+        raise InputError(
+            str(path), "a scenario file", "no such file", nearest(path.name, names)
+        ) from None
+    except OSError as error:
+        raise InputError(
+            str(path), "a scenario file", error.strerror or str(error), "name a readable TOML file"
+        ) from None
+    try:
+        return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(str(path), "valid TOML in UTF-8", str(error), "mend that place") from None
+
+
+def _as_input_error(error: ValidationError, where: str) -> InputError:
+    first = error.errors()[0]
+    location = [str(part) for part in first["loc"]]
+    place = f"{where}: {'.'.join(location)}"
+    if first["type"] == "extra_forbidden":
+        known = list(_fields_at(first["loc"][:-1]))
+        return InputError(
+            place, f"one of {', '.join(known)}", "an unknown key", nearest(location[-1], known)
+        )
+    if first["type"] == "missing":
+        return InputError(place, "a value", "nothing", f"add {location[-1]} = …")
+    return InputError(
+        place, first["msg"].lower(), repr(first.get("input")), f"change {location[-1]}"
+    )
+
+
+def _fields_at(location: tuple[int | str, ...]) -> Mapping[str, Any]:
+    """Fields of the table at a place of the scenario's model."""
+    model: type[BaseModel] = Scenario
+    for part in location:
+        if isinstance(part, int):
+            continue
+        inner = _models_in(model.model_fields[part].annotation)
+        if inner is None:
+            break
+        model = inner
+    return model.model_fields
+
+
+def _models_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for a in get_args(annotation) if (found := _models_in(a))), None)
+
+
+def _spacecraft(path: Path, scenario: Scenario) -> Spacecraft:
+    table = scenario.spacecraft
+    if (table.name is None) == (table.file is None):
+        raise InputError(
+            f"{path}: spacecraft",
+            "either name (a built-in) or file (a TOML file beside this one)",
+            "both" if table.name is not None else "neither",
+            'write e.g. name = "cassini"',
+        )
+    if table.name is not None:
+        return load_spacecraft(table.name)
+    return load_spacecraft(path.parent / str(table.file))
+
+
+def _check_wheels(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:
+    table = scenario.spacecraft
+    if table.branch not in spacecraft.branches:
+        raise InputError(
+            f"{where}: spacecraft.branch",
+            f"a thruster branch of {spacecraft.name}",
+            repr(table.branch),
+            nearest(table.branch, spacecraft.branches),
+        )
+    known = [wheel.number for wheel in spacecraft.wheels]
+    for i, number in enumerate(table.wheels):
+        if number not in known or number in table.wheels[:i]:
+            raise InputError(
+                f"{where}: spacecraft.wheels[{i}]",
+                f"different wheels out of {known}",
+                str(number),
+                f"write e.g. wheels = {known[:3]}",
+            )
+
+
+def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
+    wheels = scenario.spacecraft.wheels
+    if event.epoch.tzinfo is None:
+        raise InputError(f"{where}.epoch", "a time in UTC", str(event.epoch), "add Z to it")
+    for key in ("from_rpm", "to_rpm"):
+        value = getattr(event, key)
+        if value is not None and len(value) != len(wheels):
+            raise InputError(
+                f"{where}.{key}",
+                f"{len(wheels)} rates, of wheels {list(wheels)}",
+                f"{len(value)}",
+                "give one rate per prime wheel",
+            )
+    needed = {"bias": "to_rpm", "slew": "slew", "delta_v": "delta_v_m_s"}.get(event.kind)
+    if needed is not None and not getattr(event, needed):
+        raise InputError(
+            f"{where}.{needed}", f"a value for a {event.kind} event", "nothing", f"add {needed}"
+        )
+    if event.kind in ("quiescent", "delta_v") and event.duration_s is None:
+        raise InputError(
+            f"{where}.duration_s",
+            f"the duration of a {event.kind} event",
+            "nothing",
+            "add duration_s = …",
+        )
+    for i, slew in enumerate(event.slew):
+        if math.hypot(*slew.axis) == 0.0:
+            raise InputError(f"{where}.slew.{i}.axis", "a direction", "zero", "give an axis")
+    if abs(math.hypot(*event.attitude) - 1.0) > 1e-6:
+        raise InputError(
+            f"{where}.attitude",
+            "a quaternion of unit norm, scalar last",
+            str(event.attitude),
+            "divide it by its norm",
+        )
+
+
+def _check_truth(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:
+    names = [spec.name for spec in (*generic_parameters(), *spacecraft.parameters)]
+    thrusters = spacecraft.thruster_names(scenario.spacecraft.branch)
+    for key, value in scenario.truth.items():
+        place = f"{where}: truth.{key}"
+        if key == DRAW_FROM:
+            if not isinstance(value, str) or not value:
+                raise InputError(place, "the path of a priors file", repr(value), "name the file")
+        elif key == "thrust_individual_n" and isinstance(value, dict):
+            for thruster, departure in value.items():
+                if thruster not in thrusters:
+                    raise InputError(
+                        f"{place}.{thruster}",
+                        "a thruster of the branch",
+                        repr(thruster),
+                        nearest(thruster, thrusters),
+                    )
+                finite_number(f"{place}.{thruster}", departure, "N")
+        else:
+            _check_value(place, key, value, names)
+    for index, event in enumerate(scenario.event):
+        for key, value in event.truth.items():
+            _check_value(f"{where}: event.{index}.truth.{key}", key, value, names)
+
+
+def _check_value(place: str, key: str, value: object, names: list[str]) -> None:
+    if key not in names:
+        raise InputError(place, "the name of a parameter", repr(key), nearest(key, names))
+    number = finite_number(place, value)
+    positive = key.startswith(("tau_", "thrust_common", "mass_")) or key.endswith(
+        ("_inertia_kg_m2", "_noise_rad_s", "_resolution_s")
+    )
+    if positive and number < 0.0:
+        raise InputError(place, "0 or more", repr(value), "check the sign")
