@@ -6,16 +6,10 @@ A run folder holds ``resolved.toml`` and ``provenance.json`` (written before sam
 
 from __future__ import annotations
 
-import hashlib
-import importlib.metadata
-import json
-import os
-import platform
 import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Final, Protocol
@@ -23,31 +17,29 @@ from typing import Final, Protocol
 import numpy as np
 import pandas as pd
 import tomli_w
-from numpy.typing import NDArray
 
-import cassini_bayes
+from cassini_bayes import __version__
 from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.configuration import RunFile
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import TotalsEvent, read_totals
+from cassini_bayes.fitting import Sampled, convergence_table, fit_model
 from cassini_bayes.model import DeltaVUse, TotalsModel, build_model
 from cassini_bayes.posterior import log_posterior
 from cassini_bayes.priors import Priors, read_priors
-from cassini_bayes.result import Fit, build_fit, draws_of, save_fit
+from cassini_bayes.provenance import Provenance, provenance_of, refuse_other_run
+from cassini_bayes.result import Fit, draws_of, save_fit
 from cassini_bayes.review import Review, assemble_review, thrust_variant, worst_convergence
-from cassini_bayes.sampling import Chains, ProgressReport, sample
+from cassini_bayes.sampling import MAX_RHAT, ProgressReport
 from cassini_bayes.storage import digest, is_leftover, remove_leftovers, write_text
-from cassini_bayes.warmstart import ImportanceDraws, Proposal, WarmStart, warm_start
+from cassini_bayes.warmstart import warm_start
 
-Array = NDArray[np.float64]
-
-LIBRARIES: Final = ("numpy", "scipy", "emcee", "arviz", "xarray", "h5netcdf", "pandas", "corner")
 VARIANTS: Final[Mapping[DeltaVUse, str]] = {
     "ignore": "ΔV left out",
     "as-declared": "ΔV as declared (computed)",
     "as-measured": "ΔV as if measured",
 }
-WARM_START_STREAM, LINEAR_STREAM, VARIANT_STREAM = 1, 2, 3
+VARIANT_STREAM: Final = 3
 
 
 class Reporter(Protocol):
@@ -194,63 +186,38 @@ def execute(
     """
     began = time.monotonic()
     inputs = read_inputs(run, base)
-    model = inputs.model
     settings = run.sampler.settings()
-    settings.walkers_for(len(model.space.names))
-    identity = _identity(run, inputs)
-    provenance = _provenance(run, inputs, identity, command)
+    settings.walkers_for(len(inputs.model.space.names))
+    provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
     if resume:
-        _refuse_other_run(folder / "provenance.json", identity)
+        refuse_other_run(folder / "provenance.json", provenance.identity)
     prepare_folder(folder, force=force, resume=resume)
     write_text(folder / "resolved.toml", tomli_w.dumps(run.model_dump()))
     if not (folder / "provenance.json").exists():
-        write_text(folder / "provenance.json", json.dumps(provenance, indent=2) + "\n")
-    store = CheckpointStore(folder / "checkpoint", identity)
-    reporter.say(
-        f"{len(inputs.events)} events, {len(model.space.names)} walked and "
-        f"{_linear_size(model)} collapsed parameters"
-    )
-    warm = _stored_warm_start(model, run.sampler.seed, store)
-    draws = warm.draws
-    reporter.say(
-        f"warm start: log evidence {draws.log_evidence:.2f} ± {draws.log_evidence_se:.2f}, "
-        f"Pareto k̂ {draws.pareto_k:.2f}, efficiency {draws.efficiency:.0%}"
-    )
-    target = run.sampler.target_ess
-
-    def wants_more(chains: Chains) -> bool:
-        z, _ = chains.thinned(run.output.draws_per_ensemble)
-        return _derived_ess(model, z, run.sampler.seed) < target
-
-    chains = sample(
-        partial(log_posterior, model),
-        warm.proposal,
+        write_text(folder / "provenance.json", provenance.as_json() + "\n")
+    sampled = fit_model(
+        inputs.model,
         settings,
-        store=store,
+        draws_per_ensemble=run.output.draws_per_ensemble,
+        prior_draws=run.output.prior_draws,
+        store=CheckpointStore(folder / "checkpoint", provenance.identity),
+        say=reporter.say,
         progress=reporter.progress,
-        more=wants_more,
     )
-    z, log_density = chains.thinned(run.output.draws_per_ensemble)
-    reporter.say(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
-    attributes = _attributes(run, warm, chains)
-    fit = build_fit(
-        model, z, log_density, _stream(run, LINEAR_STREAM), attributes, run.output.prior_draws
-    )
-    save_fit(fit, folder / "fit.nc")
+    save_fit(sampled.fit, folder / "fit.nc")
     reporter.say("tables")
-    flat = z.reshape(-1, z.shape[-1])
     review = assemble_review(
         name,
-        model,
+        inputs.model,
         inputs.priors,
-        fit,
-        flat,
-        variants=_variants(run, inputs, fit) if run.output.report else [],
-        convergence=_convergence_table(model, chains),
-        facts=_facts(run, warm, chains, fit, provenance),
-        warnings=_warnings(warm, chains, fit),
+        sampled.fit,
+        sampled.flat_z,
+        variants=_variants(run, inputs, sampled.fit) if run.output.report else [],
+        convergence=convergence_table(sampled),
+        facts=_facts(run, sampled, provenance),
+        warnings=sampled.warnings,
     )
-    converged = _converged(review, chains, target)
+    converged = _converged(review, sampled)
     _write_tables(review, folder)
     if run.output.report:
         from cassini_bayes.plots import make_figures, save_figures
@@ -265,75 +232,6 @@ def execute(
     return Outcome(folder, review, converged, seconds)
 
 
-def _stream(run: RunFile, which: int) -> np.random.Generator:
-    """A random stream of its own for each stage, all from the one seed."""
-    return np.random.default_rng(np.random.SeedSequence((run.sampler.seed, which)))
-
-
-def _linear_size(model: TotalsModel) -> int:
-    """Numbers of thrusts and torques integrated out: shared levels, and those of each event."""
-    torques = int(np.count_nonzero(model.linear.torque_sd_n_m))
-    own = int(model.linear.own.shape[1]) + torques
-    return int(model.linear.shared.shape[1]) + own * len(model.stack.event_ids)
-
-
-def _stored_warm_start(model: TotalsModel, seed: int, store: CheckpointStore) -> WarmStart:
-    """The warm start of this run: from its checkpoint, or computed and stored."""
-    stored = store.load("warmstart")
-    if stored is not None:
-        values = {key: np.asarray(array, dtype=np.float64) for key, array in stored.items()}
-        return WarmStart(
-            mode=values["mode"],
-            proposal=Proposal(values["location"], values["factor"], float(values["dof"])),
-            laplace_log_evidence=float(values["laplace_log_evidence"]),
-            draws=ImportanceDraws(
-                z=values["z"],
-                log_weights=values["log_weights"],
-                log_evidence=float(values["log_evidence"]),
-                log_evidence_se=float(values["log_evidence_se"]),
-                pareto_k=float(values["pareto_k"]),
-                efficiency=float(values["efficiency"]),
-            ),
-        )
-    rng = np.random.default_rng(np.random.SeedSequence((seed, WARM_START_STREAM)))
-    warm = warm_start(partial(log_posterior, model), len(model.space.names), rng)
-    draws = warm.draws
-    store.save(
-        "warmstart",
-        {
-            "mode": warm.mode,
-            "location": warm.proposal.location,
-            "factor": warm.proposal.factor,
-            "dof": np.array(warm.proposal.dof),
-            "laplace_log_evidence": np.array(warm.laplace_log_evidence),
-            "z": draws.z,
-            "log_weights": draws.log_weights,
-            "log_evidence": np.array(draws.log_evidence),
-            "log_evidence_se": np.array(draws.log_evidence_se),
-            "pareto_k": np.array(draws.pareto_k),
-            "efficiency": np.array(draws.efficiency),
-        },
-    )
-    return warm
-
-
-def _derived_ess(model: TotalsModel, z: Array, seed: int) -> float:
-    """Smallest bulk or tail effective sample size over the thrusts drawn for these points."""
-    from arviz import ess  # two seconds to import: only where it is needed
-
-    m, n, d = z.shape
-    rng = np.random.default_rng(np.random.SeedSequence((seed, LINEAR_STREAM)))
-    _, draws = draws_of(model, z.reshape(-1, d), rng)
-    thrust = draws.thrust_n.reshape(m, n, -1)
-    varying = thrust[..., thrust.std((0, 1)) > 0]
-    sizes = [
-        float(ess(varying[:, :, j], method=method))
-        for j in range(varying.shape[-1])
-        for method in ("bulk", "tail")
-    ]
-    return min(sizes, default=np.inf)
-
-
 def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
     """Thrust posteriors with ΔV left out, as declared, and as if measured.
 
@@ -343,7 +241,7 @@ def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
     if not inputs.model.stack.has_delta_v.any():
         return []
     tables = []
-    rng = _stream(run, VARIANT_STREAM)
+    rng = np.random.default_rng(np.random.SeedSequence((run.sampler.seed, VARIANT_STREAM)))
     for use, label in VARIANTS.items():
         if use == run.model.delta_v:
             values = fit.posterior["thrust_n"].values
@@ -365,133 +263,17 @@ def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
     return tables
 
 
-def _identity(run: RunFile, inputs: Inputs) -> str:
-    """Hash of all that the draws depend on: data, priors, model and sampler settings, code."""
-    parts = {
-        "data": dict(inputs.digests),
-        "spacecraft": inputs.priors.spacecraft.digest,
-        "source": run.source,
-        "events": list(run.events),
-        "model": run.model.model_dump(),
-        "sampler": run.sampler.model_dump(),
-        "code": _code_digest(),
-        "libraries": _versions(),
-    }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-
-
-def _refuse_other_run(provenance: Path, identity: str) -> None:
-    """Refuse to resume what began with other inputs; without a readable record, blocks decide."""
-    try:
-        earlier = json.loads(provenance.read_bytes())["identity"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return
-    if earlier != identity:
-        raise InputError(
-            str(provenance),
-            "the events, priors, settings and versions that this run began with",
-            "others",
-            "undo the change and use --resume, or start anew with --force",
-        )
-
-
-def _code_digest() -> str:
-    folder = Path(cassini_bayes.__file__).parent
-    total = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        total.update(str(path.relative_to(folder)).encode())
-        total.update(path.read_bytes())
-    return total.hexdigest()
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "python": platform.python_version(),
-        **{name: importlib.metadata.version(name) for name in LIBRARIES},
-    }
-
-
-def _provenance(
-    run: RunFile, inputs: Inputs, identity: str, command: Sequence[str]
-) -> dict[str, object]:
-    return {
-        "format": 1,
-        "package": {"cassini_bayes": cassini_bayes.__version__, "code_sha256": _code_digest()},
-        "versions": _versions(),
-        "sha256": dict(inputs.digests),
-        "identity": identity,
-        "seed": run.sampler.seed,
-        "command": [os.fspath(part) for part in command],
-        "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "events": [event.id for event in inputs.events],
-        "walked": list(inputs.model.space.names),
-    }
-
-
-def _attributes(run: RunFile, warm: WarmStart, chains: Chains) -> dict[str, str | float | int]:
-    return {
-        "package": f"cassini_bayes {cassini_bayes.__version__}",
-        "seed": run.sampler.seed,
-        "log_evidence": warm.draws.log_evidence,
-        "log_evidence_se": warm.draws.log_evidence_se,
-        "pareto_k": warm.draws.pareto_k,
-        "laplace_log_evidence": warm.laplace_log_evidence,
-        "steps": chains.convergence.step,
-        "burn_in_steps": chains.burn_in,
-        "acceptance": float(chains.acceptance.mean()),
-        "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
-    }
-
-
-def _convergence_table(model: TotalsModel, chains: Chains) -> pd.DataFrame:
-    convergence = chains.convergence
-    return pd.DataFrame(
-        {
-            "name": model.space.names,
-            "tau_steps": convergence.autocorrelation_time,
-            "rhat": convergence.rhat,
-            "ess": convergence.ess,
-        }
-    )
-
-
-def _converged(review: Review, chains: Chains, target: int) -> bool:
+def _converged(review: Review, sampled: Sampled) -> bool:
     rhat, bulk, tail = worst_convergence(review.summary)
-    return chains.convergence.done and rhat < 1.01 and bulk >= target and tail >= target
+    target = sampled.settings.target_ess
+    done = sampled.chains.convergence.done
+    return done and rhat < MAX_RHAT and bulk >= target and tail >= target
 
 
-def _warnings(warm: WarmStart, chains: Chains, fit: Fit) -> list[str]:
-    found = []
-    if not chains.convergence.done:
-        found.append(
-            "Sampling stopped at its limit before the stop rule held: "
-            + "; ".join(chains.convergence.failed)
-        )
-    if warm.draws.pareto_k > 0.7:
-        found.append(
-            f"The importance draws behind the evidence are not reliable (Pareto k̂ = "
-            f"{warm.draws.pareto_k:.2f} > 0.7)."
-        )
-    error = fit.groups["sample_stats"]["jacobian_expansion_error"].values
-    if error.std() > 0.1:
-        found.append(
-            f"The expansion of the response Jacobian is off by {error.std():.2f} nats (standard "
-            "deviation over the posterior; 0.1 is tolerable)."
-        )
-    return found
-
-
-def _facts(
-    run: RunFile,
-    warm: WarmStart,
-    chains: Chains,
-    fit: Fit,
-    provenance: Mapping[str, object],
-) -> dict[str, str]:
+def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, str]:
+    fit, warm, chains = sampled.fit, sampled.warm, sampled.chains
     convergence = chains.convergence
     error = fit.groups["sample_stats"]["jacobian_expansion_error"].values
-    versions = provenance["versions"]
-    assert isinstance(versions, dict)  # built above
     return {
         "Stop rule": (
             f"{'met' if convergence.done else 'NOT met'} at step {convergence.step}: steps after "
@@ -517,16 +299,15 @@ def _facts(
         "Pulse shape": run.model.pulse_shape,
         "ΔV": run.model.delta_v,
         "Data rows": f"source “{run.source}” of {', '.join(run.events)}",
-        "Versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-        "Package": f"cassini_bayes {cassini_bayes.__version__}",
-        "Identity": str(provenance["identity"]),
-        "Command": " ".join(str(part) for part in _as_list(provenance["command"])),
-        "Started (UTC)": str(provenance["started_utc"]),
+        "Versions": ", ".join(f"{name} {version}" for name, version in provenance.versions.items()),
+        "Package": f"cassini_bayes {__version__}",
+        "SHA-256 of the inputs": "; ".join(
+            f"{name} {value}" for name, value in provenance.digests.items()
+        ),
+        "Identity": provenance.identity,
+        "Command": " ".join(provenance.command),
+        "Started (UTC)": provenance.started_utc,
     }
-
-
-def _as_list(value: object) -> list[object]:
-    return list(value) if isinstance(value, list) else [value]
 
 
 def _write_tables(review: Review, folder: Path) -> None:

@@ -1,0 +1,221 @@
+"""Fit a model: warm start, ensembles, thrusts drawn back. What a run file and a notebook share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from cassini_bayes.checkpoint import CheckpointStore
+from cassini_bayes.model import TotalsModel
+from cassini_bayes.posterior import log_posterior
+from cassini_bayes.result import Fit, build_fit, draws_of
+from cassini_bayes.sampling import Chains, ProgressReport, SamplerSettings, sample
+from cassini_bayes.warmstart import ImportanceDraws, Proposal, WarmStart, warm_start
+
+Array = NDArray[np.float64]
+
+_WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
+SERIOUS_EXPANSION_ERROR: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A fitted model: the record of the fit, and what it was made of.
+
+    ``z`` (M, n, d) are the stored draws in walked coordinates, in the order of ``fit.posterior``.
+    """
+
+    model: TotalsModel
+    settings: SamplerSettings
+    fit: Fit
+    z: Array
+    warm: WarmStart
+    chains: Chains
+
+    @property
+    def flat_z(self) -> Array:
+        """Stored draws of all ensembles, (M n, d)."""
+        return self.z.reshape(-1, self.z.shape[-1])
+
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences about anything that makes the draws or the evidence doubtful."""
+        found = []
+        convergence, draws = self.chains.convergence, self.warm.draws
+        if not convergence.done:
+            found.append(
+                "Sampling stopped at its limit before the stop rule held: "
+                + "; ".join(convergence.failed)
+            )
+        if draws.pareto_k > 0.7:
+            found.append(
+                "The importance draws behind the evidence are not reliable (Pareto k̂ = "
+                f"{draws.pareto_k:.2f} > 0.7)."
+            )
+        error = self.fit.groups["sample_stats"]["jacobian_expansion_error"].values.std()
+        if error > SERIOUS_EXPANSION_ERROR:
+            found.append(
+                f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
+                f"deviation over the posterior; {SERIOUS_EXPANSION_ERROR} is tolerable)."
+            )
+        return found
+
+
+def fit_model(
+    model: TotalsModel,
+    settings: SamplerSettings | None = None,
+    *,
+    draws_per_ensemble: int = 4_000,
+    prior_draws: int = 4_000,
+    store: CheckpointStore | None = None,
+    say: Callable[[str], None] | None = None,
+    progress: Callable[[ProgressReport], None] | None = None,
+) -> Sampled:
+    """Sample the posterior of a model until the stop rule holds, and assemble the fit.
+
+    Parameters
+    ----------
+    settings
+        Sampler settings with the seed; the same seed gives the same draws.
+    draws_per_ensemble, prior_draws
+        How many draws the fit keeps.
+    store
+        Where finished blocks are kept, to go on from after a kill.
+    say, progress
+        Told about stages and sampling progress.
+
+    Raises
+    ------
+    InputError
+        Settings that the sampler cannot use, or checkpoints of another run.
+    """
+    settings = settings or SamplerSettings()
+    settings.walkers_for(len(model.space.names))
+    tell = say or (lambda _: None)
+    tell(
+        f"{len(model.stack.event_ids)} events, {len(model.space.names)} walked and "
+        f"{collapsed_size(model)} collapsed parameters"
+    )
+    warm = _warm_start(model, settings.seed, store)
+    tell(
+        f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
+        f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
+    )
+
+    def wants_more(chains: Chains) -> bool:
+        z, _ = chains.thinned(draws_per_ensemble)
+        return _derived_ess(model, z, settings.seed) < settings.target_ess
+
+    chains = sample(
+        partial(log_posterior, model),
+        warm.proposal,
+        settings,
+        store=store,
+        progress=progress,
+        more=wants_more,
+    )
+    z, log_density = chains.thinned(draws_per_ensemble)
+    tell(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
+    attributes: dict[str, str | float | int] = {
+        "seed": settings.seed,
+        "log_evidence": warm.draws.log_evidence,
+        "log_evidence_se": warm.draws.log_evidence_se,
+        "pareto_k": warm.draws.pareto_k,
+        "laplace_log_evidence": warm.laplace_log_evidence,
+        "steps": chains.convergence.step,
+        "burn_in_steps": chains.burn_in,
+        "acceptance": float(chains.acceptance.mean()),
+        "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
+    }
+    rng = _stream(settings.seed, _LINEAR)
+    fit = build_fit(model, z, log_density, rng, attributes, prior_draws)
+    return Sampled(model, settings, fit, z, warm, chains)
+
+
+def convergence_table(sampled: Sampled) -> pd.DataFrame:
+    """Autocorrelation time, R-hat and effective sample size of every walked parameter."""
+    convergence = sampled.chains.convergence
+    return pd.DataFrame(
+        {
+            "name": sampled.model.space.names,
+            "tau_steps": convergence.autocorrelation_time,
+            "rhat": convergence.rhat,
+            "ess": convergence.ess,
+        }
+    )
+
+
+def _stream(seed: int, which: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence((seed, which)))
+
+
+def collapsed_size(model: TotalsModel) -> int:
+    """Numbers of thrusts and torques integrated out: shared levels, and those of each event."""
+    torques = int(np.count_nonzero(model.linear.torque_sd_n_m))
+    own = int(model.linear.own.shape[1]) + torques
+    return int(model.linear.shared.shape[1]) + own * len(model.stack.event_ids)
+
+
+def _warm_start(model: TotalsModel, seed: int, store: CheckpointStore | None) -> WarmStart:
+    """The warm start: from its checkpoint, or computed and stored."""
+    stored = store.load("warmstart") if store else None
+    if stored is not None:
+        values = {key: np.asarray(array, dtype=np.float64) for key, array in stored.items()}
+        return WarmStart(
+            mode=values["mode"],
+            proposal=Proposal(values["location"], values["factor"], float(values["dof"])),
+            laplace_log_evidence=float(values["laplace_log_evidence"]),
+            draws=ImportanceDraws(
+                z=values["z"],
+                log_weights=values["log_weights"],
+                log_evidence=float(values["log_evidence"]),
+                log_evidence_se=float(values["log_evidence_se"]),
+                pareto_k=float(values["pareto_k"]),
+                efficiency=float(values["efficiency"]),
+            ),
+        )
+    rng = _stream(seed, _WARM_START)
+    warm = warm_start(partial(log_posterior, model), len(model.space.names), rng)
+    if store is None:
+        return warm
+    draws = warm.draws
+    store.save(
+        "warmstart",
+        {
+            "mode": warm.mode,
+            "location": warm.proposal.location,
+            "factor": warm.proposal.factor,
+            "dof": np.array(warm.proposal.dof),
+            "laplace_log_evidence": np.array(warm.laplace_log_evidence),
+            "z": draws.z,
+            "log_weights": draws.log_weights,
+            "log_evidence": np.array(draws.log_evidence),
+            "log_evidence_se": np.array(draws.log_evidence_se),
+            "pareto_k": np.array(draws.pareto_k),
+            "efficiency": np.array(draws.efficiency),
+        },
+    )
+    return warm
+
+
+def _derived_ess(model: TotalsModel, z: Array, seed: int) -> float:
+    """Smallest bulk or tail effective sample size over the thrusts drawn for these points."""
+    from arviz import ess  # two seconds to import: only where it is needed
+
+    m, n, d = z.shape
+    rng = _stream(seed, _LINEAR)
+    _, draws = draws_of(model, z.reshape(-1, d), rng)
+    thrust = draws.thrust_n.reshape(m, n, -1)
+    varying = thrust[..., thrust.std((0, 1)) > 0]
+    sizes = [
+        float(ess(varying[:, :, j], method=method))
+        for j in range(varying.shape[-1])
+        for method in ("bulk", "tail")
+    ]
+    return min(sizes, default=np.inf)
