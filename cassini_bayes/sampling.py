@@ -28,6 +28,7 @@ LENGTH_IN_TAU: Final = 50.0
 TAU_CHANGE: Final = 0.05
 MAX_RHAT: Final = 1.01
 GROWTH: Final = 1.25
+START_ATTEMPTS: Final = 100
 
 
 @dataclass(frozen=True)
@@ -277,9 +278,11 @@ def _checked(log_density: LogDensity) -> LogDensity:
         values = log_density(z)
         if values.shape != (len(z),):
             raise CassiniBayesError(f"log density: expected shape {(len(z),)}, got {values.shape}")
-        if np.isnan(values).any():
-            worst = z[int(np.flatnonzero(np.isnan(values))[0])]
-            raise CassiniBayesError(f"log density is NaN at z = {np.round(worst, 3).tolist()}")
+        impossible = np.isnan(values) | (values == np.inf)
+        if impossible.any():
+            first = int(np.flatnonzero(impossible)[0])
+            place = np.round(z[first], 3).tolist()
+            raise CassiniBayesError(f"log density is {values[first]} at z = {place}")
         return values
 
     return guarded
@@ -308,13 +311,28 @@ def _ensemble(
 def _start(
     log_density: LogDensity, proposal: Proposal, walkers: int, seed: np.random.SeedSequence
 ) -> emcee.State:
-    """Dispersed, full-rank start: draws of the proposal itself, from the ensemble's own stream."""
+    """Dispersed, full-rank start: draws of the proposal itself, from the ensemble's own stream.
+
+    Draws outside the support are drawn again.
+    """
     random = np.random.RandomState(np.random.MT19937(seed))
-    d = len(proposal.location)
-    z = proposal.transform(
-        random.standard_normal((walkers, d)), random.chisquare(proposal.dof, walkers)
-    )
-    return emcee.State(z, log_prob=log_density(z), random_state=random.get_state())
+    z = np.empty((walkers, len(proposal.location)))
+    values = np.full(walkers, -np.inf)
+    for _ in range(START_ATTEMPTS):
+        outside = np.flatnonzero(values == -np.inf)
+        if not len(outside):
+            break
+        z[outside] = proposal.transform(
+            random.standard_normal((len(outside), z.shape[1])),
+            random.chisquare(proposal.dof, len(outside)),
+        )
+        values[outside] = log_density(z[outside])
+    else:
+        raise CassiniBayesError(
+            f"log density is -inf at {START_ATTEMPTS} draws of the proposal in a row: it has no "
+            "place to start from"
+        )
+    return emcee.State(z, log_prob=values, random_state=random.get_state())
 
 
 def _advance(
