@@ -97,7 +97,8 @@ def check_run(table: dict[str, Any], where: str) -> RunFile:
     try:
         run = RunFile.model_validate(table)
     except ValidationError as error:
-        first = error.errors()[0]
+        # a misspelt key comes before the one that is then missing
+        first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
         raise _refusal(where, first["type"], first["loc"], first["msg"], first.get("input")) from (
             error
         )
