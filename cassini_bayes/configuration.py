@@ -33,7 +33,7 @@ class SamplerTable(_Table):
     walkers: int = Field(0, ge=0)
     target_ess: int = Field(2_000, ge=100)
     first_check: int = Field(200, ge=20)
-    max_steps: int = Field(20_000, ge=100)
+    max_steps: int = Field(5_000, ge=100)
     independence_share: float = Field(0.7, ge=0.0, le=0.9)
     seed: int = Field(2010, ge=0)
 

@@ -15,6 +15,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.delta_v import ComputedDeltaV, computed_channel
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import TotalsEvent
 from cassini_bayes.parameters import ParameterSpec
@@ -58,7 +59,7 @@ _NOISE: Final = (
     "on_time_resolution_s",
     "wheel_resolution_rpm",
 )
-_COMPUTED_DELTA_V: Final = ("fsw_acceleration_factor", "fsw_impulse_offset_s")
+SOFTWARE: Final = ("fsw_acceleration_factor", "fsw_impulse_offset_s")
 _DELTA_V_NOISE: Final = ("delta_v_noise_m_s", "delta_v_resolution_m_s")
 
 
@@ -94,6 +95,7 @@ class TotalsModel:
     pulse_shape: PulseShape
     delta_v: DeltaVUse
     absent_wheel_parameters: Mapping[str, float]
+    computed: ComputedDeltaV | None  # the channel of ΔV computed on board, where events have it
 
     @property
     def uses_measured_delta_v(self) -> NDArray[np.bool_]:
@@ -126,7 +128,7 @@ class LinearSystem:
     covariance: Array  # (n, E, R, R) of the noise
     torque_covariance: Array  # (E, R, R) of the external torque's departure from its mean
     jacobian: ResponseJacobian  # at the reference thrust
-    delta_v_log_likelihood: Array  # (n, E) of the computed channel
+    delta_v_variance: Array  # (n,) of a printed ΔV; 0 where no event uses it
     common_n: Array  # (n,)
     effective_on_time_s: Array  # (n, E, K)
 
@@ -194,6 +196,7 @@ def build_model(
         delta_v=delta_v,
         # a parameter that an idle wheel shares with a prime one keeps its prior
         absent_wheel_parameters={name: 0.0 for name in idle_names if name not in wheel_names},
+        computed=None,
     )
     position_names = spacecraft.geometry[priors.branch].parameters
     names = [*_PULSE, *_CENTRE, *position_names, *wheel_names, *_INERTIA, *_NOISE]
@@ -201,8 +204,19 @@ def build_model(
         names += ["mass_factor", *_DELTA_V_NOISE]
         _require_mass(draft)
     if draft.uses_computed_delta_v.any():
-        names += ["mass_factor", *_COMPUTED_DELTA_V, *_DELTA_V_NOISE]
+        names += ["mass_factor", *_DELTA_V_NOISE]
         _require_mass(draft)
+        means, scales = _normal_priors(priors, SOFTWARE)
+        draft = replace(
+            draft,
+            computed=computed_channel(
+                stack,
+                thruster_directions(spacecraft, priors.branch),
+                draft.uses_computed_delta_v,
+                np.array(means),
+                np.array(scales),
+            ),
+        )
     if draft.linear.common_is_walked:
         names.append(THRUST_COMMON)
     names = list(dict.fromkeys(names))
@@ -238,29 +252,15 @@ def _require_mass(model: TotalsModel) -> None:
 
 def _linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
     """Read the linear parameters' priors; they must be normal (or fixed) to be integrated out."""
-    priors.require([THRUST_COMMON, *THRUST_LEVELS, *TORQUES], "the totals model")
-    scales: dict[str, float] = {}
-    means: dict[str, float] = {}
-    for name in (*THRUST_LEVELS, *TORQUES):
-        prior = priors.parameters[name]
-        if prior.distribution is None:
-            assert prior.fixed is not None  # the reader guarantees one of the two
-            means[name], scales[name] = prior.fixed, 0.0
-        elif prior.distribution.is_normal:
-            means[name], scales[name] = prior.distribution.mean(), prior.distribution.sd()
-        else:
-            raise InputError(
-                f"{priors.path}: parameters.{name}.dist",
-                "norm without bounds, or fixed (the parameter is integrated out exactly)",
-                f"{prior.distribution.name} (or bounds)",
-                "use a normal prior; its width can be as large as you believe",
-            )
+    priors.require([THRUST_COMMON], "the totals model")
+    levels = _normal_priors(priors, THRUST_LEVELS)[1]
+    torque_means, torque_scales = _normal_priors(priors, TORQUES)
     common = priors.parameters[THRUST_COMMON]
     walked = common.distribution is not None and not common.distribution.is_normal
     common_sd = 0.0 if common.distribution is None or walked else common.distribution.sd()
     mean = common.fixed if common.distribution is None else common.distribution.mean()
     assert mean is not None  # the reader guarantees dist or fixed
-    individual, event, jitter = (scales[name] for name in THRUST_LEVELS)
+    individual, event, jitter = levels
     return LinearBlock(
         common_mean_n=float(mean),
         common_sd_n=common_sd,
@@ -268,9 +268,32 @@ def _linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
         individual_sd_n=individual,
         shared=_level_factor(common_sd, individual, n_thrusters),
         own=_level_factor(event, jitter, n_thrusters),
-        torque_mean_n_m=np.array([means[name] for name in TORQUES]),
-        torque_sd_n_m=np.array([scales[name] for name in TORQUES]),
+        torque_mean_n_m=np.array(torque_means),
+        torque_sd_n_m=np.array(torque_scales),
     )
+
+
+def _normal_priors(priors: Priors, names: tuple[str, ...]) -> tuple[list[float], list[float]]:
+    """Means and standard deviations of parameters that are integrated out: normal or fixed."""
+    priors.require(names, "the totals model")
+    means, scales = [], []
+    for name in names:
+        prior = priors.parameters[name]
+        if prior.distribution is None:
+            assert prior.fixed is not None  # the reader guarantees one of the two
+            means.append(prior.fixed)
+            scales.append(0.0)
+        elif prior.distribution.is_normal:
+            means.append(prior.distribution.mean())
+            scales.append(prior.distribution.sd())
+        else:
+            raise InputError(
+                f"{priors.path}: parameters.{name}.dist",
+                "norm without bounds, or fixed (the parameter is integrated out exactly)",
+                f"{prior.distribution.name} (or bounds)",
+                "use a normal prior; its width can be as large as you believe",
+            )
+    return means, scales
 
 
 def _level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
@@ -340,9 +363,7 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
         covariance=covariance,
         torque_covariance=_outer(torque_design * model.linear.torque_sd_n_m),
         jacobian=response_jacobian(arms, stretch, stack.response, reference),
-        delta_v_log_likelihood=np.broadcast_to(
-            computed_delta_v_log_likelihood(model, full), (*batch, n_events)
-        ),
+        delta_v_variance=np.broadcast_to(_delta_v_variance(full), batch),
         common_n=np.broadcast_to(np.asarray(common, dtype=np.float64), batch),
         effective_on_time_s=np.broadcast_to(effective, (*batch, n_events, n_thrusters)),
     )
@@ -393,47 +414,8 @@ def _with_delta_v_rows(
 
 
 def _delta_v_variance(parameters: Parameters) -> Array:
+    if _DELTA_V_NOISE[0] not in parameters:
+        return np.zeros(())
     noise = np.asarray(parameters["delta_v_noise_m_s"])
     step = np.asarray(parameters["delta_v_resolution_m_s"])
     return np.asarray(noise**2 + step**2 / 12.0)
-
-
-def computed_delta_v(model: TotalsModel, parameters: Parameters) -> Array:
-    """ΔV [m/s] along the net commanded impulse, as the flight software would compute it.
-
-    a_e = f (F_table / M_table) |Σ_k d_k (u_k + o n_k)| with the on-board on-time per pulse o. It
-    contains the software's thrust and mass, not the true ones, and so no information on thrust.
-    Shape (..., E).
-    """
-    stack = model.stack
-    acceleration = stack.thrust_predicted_n / stack.mass_kg
-    _, on_time, pulses = _net_impulse(model)
-    counted = on_time + np.asarray(parameters["fsw_impulse_offset_s"])[..., None] * pulses
-    return np.asarray(
-        np.asarray(parameters["fsw_acceleration_factor"])[..., None] * acceleration * counted
-    )
-
-
-def _net_impulse(model: TotalsModel) -> tuple[Array, Array, Array]:
-    """Direction (E, 3) of the net commanded on-time, its size (E,) s, and the pulses along it."""
-    stack = model.stack
-    directions = thruster_directions(model.spacecraft, model.branch)
-    net = stack.on_time_s @ directions.T
-    size = np.linalg.norm(net, axis=-1)
-    unit = net / np.where(size > 0, size, 1.0)[:, None]
-    return unit, size, np.einsum("ek,ck,ec->e", stack.pulses, directions, unit)
-
-
-def computed_delta_v_log_likelihood(model: TotalsModel, parameters: Parameters) -> Array:
-    """Log density (..., E) of the printed ΔV under the on-board computation; 0 where not used."""
-    used = model.uses_computed_delta_v
-    if not used.any():
-        return np.zeros(len(used))
-    direction, _, _ = _net_impulse(model)
-    printed = np.einsum(
-        "ec,ec->e", np.where(used[:, None], model.stack.delta_v_m_s, 0.0), direction
-    )
-    variance = _delta_v_variance(parameters)[..., None]
-    misfit = printed - computed_delta_v(model, parameters)
-    density = -0.5 * (misfit**2 / variance + np.log(2.0 * np.pi * variance))
-    return np.where(used, density, 0.0)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.delta_v import channel_log_likelihood, draw_software
 from cassini_bayes.model import LinearBlock, LinearSystem, TotalsModel, linear_system
 
 Array = NDArray[np.float64]
@@ -43,6 +44,7 @@ class LinearDraws:
     common_n: Array  # (n,) the common level
     level_n: Array  # (n, K) common + individual: a thruster's level over all events
     external_torque_n_m: Array  # (n, E, 3)
+    software: Array  # (n, 2) factor and on-time per pulse of the on-board ΔV computation
 
 
 def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
@@ -91,10 +93,12 @@ def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
     own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
     shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
     log_likelihood = (
-        (constant + 0.5 * schur[..., -1, -1] - own_log_det + system.delta_v_log_likelihood).sum(-1)
+        (constant + 0.5 * schur[..., -1, -1] - own_log_det).sum(-1)
         + 0.5 * (shared_shift**2).sum(-1)
         - shared_log_det
     )
+    if model.computed is not None:
+        log_likelihood += channel_log_likelihood(model.computed, system.delta_v_variance)
     return Collapsed(
         log_likelihood=log_likelihood,
         own_factor=own_factor,
@@ -143,6 +147,11 @@ def draw_linear(
         common_n=_draw_common(linear, system.common_n, level, rng),
         level_n=level,
         external_torque_n_m=_draw_torque(model, system, thrust, rng),
+        software=(
+            np.zeros((n, 2))
+            if model.computed is None
+            else draw_software(model.computed, system.delta_v_variance, rng)
+        ),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.delta_v import event_channel_log_likelihood
 from cassini_bayes.model import LinearSystem, Parameters, TotalsModel, linear_system
 from cassini_bayes.posterior import LinearDraws
 from cassini_bayes.spacecraft import lever_arms
@@ -70,13 +71,12 @@ def event_log_likelihood(model: TotalsModel, parameters: Parameters, draws: Line
         arms, on_time_stretch(model, system), model.stack.response, draws.thrust_n
     ).value
     rows = factor.shape[-1]
-    return np.asarray(
-        -0.5 * (white**2).sum(-1)
-        - log_det
-        - 0.5 * rows * np.log(2.0 * np.pi)
-        + jacobian
-        + system.delta_v_log_likelihood
-    )
+    density = -0.5 * (white**2).sum(-1) - log_det - 0.5 * rows * np.log(2.0 * np.pi) + jacobian
+    if model.computed is not None:
+        density = density + event_channel_log_likelihood(
+            model.computed, draws.software, system.delta_v_variance
+        )
+    return np.asarray(density)
 
 
 def jacobian_expansion_error(model: TotalsModel, parameters: Parameters, thrust_n: Array) -> Array:

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.model import TORQUES, Parameters, TotalsModel, linear_system
+from cassini_bayes.model import SOFTWARE, TORQUES, Parameters, TotalsModel, linear_system
 from cassini_bayes.posterior import LinearDraws, collapse, draw_linear
 from cassini_bayes.predictive import (
     balance_residual,
@@ -91,6 +91,15 @@ def prior_draws(
         common_n=common,
         level_n=level,
         external_torque_n_m=linear.torque_mean_n_m + linear.torque_sd_n_m * torque,
+        software=_prior_software(model, n, rng),
+    )
+
+
+def _prior_software(model: TotalsModel, n: int, rng: np.random.Generator) -> Array:
+    if model.computed is None:
+        return np.zeros((n, 2))
+    return np.asarray(
+        model.computed.prior_mean + model.computed.prior_sd * rng.standard_normal((n, 2))
     )
 
 
@@ -229,6 +238,10 @@ def _parameter_dataset(
     if "mass_factor" in parameters:
         mass = np.broadcast_to(parameters["mass_factor"], (size,))[:, None] * model.stack.mass_kg
         variables["mass_kg"] = (("event",), mass, "kg", "wet mass: table mass times factor")
+    if model.computed is not None:
+        for column, name in enumerate(SOFTWARE):
+            spec = model.specs[name]
+            variables[name] = ((), draws.software[:, column], spec.unit, spec.meaning)
     for name in model.space.names:
         if name in wheel_inertia or name == _COMMON:
             continue

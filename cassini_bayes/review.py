@@ -11,7 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.baselines import perturbation_bars
-from cassini_bayes.model import TotalsModel, computed_delta_v, linear_system, prior_centre
+from cassini_bayes.delta_v import predicted_delta_v
+from cassini_bayes.model import SOFTWARE, TotalsModel, linear_system, prior_centre
 from cassini_bayes.priors import Priors
 from cassini_bayes.result import Fit
 from cassini_bayes.sensitivity import error_budget, prior_against_posterior
@@ -178,21 +179,33 @@ def balance_table(model: TotalsModel, fit: Fit, z: Array) -> pd.DataFrame:
     )
 
 
-def delta_v_table(model: TotalsModel, z: Array) -> pd.DataFrame:
-    """Printed ΔV against the on-board computation, events that declare a computed ΔV only."""
-    used = model.uses_computed_delta_v
-    if not used.any():
+def delta_v_table(model: TotalsModel, fit: Fit) -> pd.DataFrame:
+    """Printed ΔV against the on-board computation, events that declare a computed ΔV only.
+
+    ``computed_sd_mm_s`` is the spread of the computation itself, ``noise_sd_mm_s`` that of the
+    printed figure about it.
+    """
+    channel = model.computed
+    if channel is None:
         return pd.DataFrame(
-            columns=["event", "printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s"]
+            columns=[
+                "event",
+                "printed_mm_s",
+                "computed_mean_mm_s",
+                "computed_sd_mm_s",
+                "noise_sd_mm_s",
+            ]
         )
-    computed = computed_delta_v(model, model.space.to_parameters(z))[:, used] * MM_PER_M
-    printed = np.linalg.norm(model.stack.delta_v_m_s[used], axis=-1) * MM_PER_M
+    software = np.stack([fit.posterior[name].values.reshape(-1) for name in SOFTWARE], axis=-1)
+    computed = predicted_delta_v(channel, software) * MM_PER_M
+    noise = fit.posterior["delta_v_noise_m_s"].values.mean() * MM_PER_M
     return pd.DataFrame(
         {
-            "event": np.array(model.stack.event_ids)[used],
-            "printed_mm_s": printed,
+            "event": np.array(model.stack.event_ids)[channel.used],
+            "printed_mm_s": channel.printed_m_s * MM_PER_M,
             "computed_mean_mm_s": computed.mean(0),
             "computed_sd_mm_s": computed.std(0, ddof=1),
+            "noise_sd_mm_s": noise,
         }
     )
 
@@ -238,7 +251,7 @@ def assemble_review(
         baseline=baseline,
         predictive=predictive_table(fit),
         balance=balance_table(model, fit, z),
-        delta_v=delta_v_table(model, z),
+        delta_v=delta_v_table(model, fit),
         variants=pd.concat(variants, ignore_index=True) if variants else pd.DataFrame(),
         convergence=convergence,
         facts=facts,

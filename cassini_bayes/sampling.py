@@ -44,7 +44,7 @@ class SamplerSettings:
     walkers: int = 0
     target_ess: int = 2_000
     first_check: int = 200
-    max_steps: int = 20_000
+    max_steps: int = 5_000
     independence_share: float = 0.7
     seed: int = 2010
 

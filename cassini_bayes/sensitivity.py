@@ -24,9 +24,9 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
     * *noise-only σ*: √E[Var(F | z)], what a fit with all nuisances known would report (it includes
       the priors of the collapsed thrust levels);
     * *share* of block B: Cov(m, Σ_{j∈B} b_j z_j) / Var(F) with b the regression of m on z over the
-      posterior; with the noise-only share, E[Var(F|z)] / Var(F), the shares add up to one (up to the
-      nonlinear part of m, which is reported as ``nonlinear|share``). A share can be negative where
-      blocks are anticorrelated by the data;
+      posterior; with the noise-only share, E[Var(F|z)] / Var(F), the shares add up to one (up to
+      the nonlinear part of m, which is reported as ``nonlinear|share``). A share can be negative
+      where blocks are anticorrelated by the data;
     * *consider contribution* of block B: √Σ_{j∈B} (∂m/∂z_j)² at the posterior mean, i.e. the shift
       from one **prior** standard deviation of each nuisance left unestimated, as in a navigation
       consider covariance; ``consider_sd_n`` adds them to the noise-only σ in quadrature.

@@ -37,6 +37,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("priors",),
     ("simulation",),
     ("terms",),
+    ("delta_v",),
     ("statistics",),
     ("model",),
     ("posterior",),

@@ -42,6 +42,7 @@ def exact_events(thrust: float) -> tuple[TotalsModel, dict[str, float]]:
         common_n=np.full(1, thrust),
         level_n=np.full((1, k), thrust),
         external_torque_n_m=np.zeros((1, n_events, 3)),
+        software=np.zeros((1, 2)),
     )
     rng = np.random.default_rng(1)
     simulated = simulate_totals(template, model, nominal, truth, rng)
