@@ -1,3 +1,85 @@
-"""Bayesian posteriors of spacecraft thrust and inertia from attitude telemetry, with emcee."""
+"""Bayesian posteriors of spacecraft thrust and inertia from attitude telemetry, with emcee.
+
+The whole job in a few names, loaded when first used::
+
+    import cassini_bayes as cb
+
+    priors = cb.read_priors("priors/cassini_b_branch_2010.toml")
+    events = cb.read_totals("flight.csv", priors.spacecraft)
+    model = cb.build_model(events, priors)
+    sampled = cb.fit_model(model, cb.SamplerSettings(seed=1))
+    cb.summarise(sampled.fit)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cassini_bayes.baselines import perturbation_bars
+    from cassini_bayes.errors import CassiniBayesError, InputError
+    from cassini_bayes.events import TotalsEvent, read_totals, write_totals
+    from cassini_bayes.fitting import Sampled, convergence_table, fit_model
+    from cassini_bayes.model import TotalsModel, build_model, prior_centre
+    from cassini_bayes.plots import make_figures
+    from cassini_bayes.priors import Priors, read_priors
+    from cassini_bayes.result import Fit, read_fit, save_fit
+    from cassini_bayes.review import Review, assemble_review, nuisance_table, summarise
+    from cassini_bayes.sampling import SamplerSettings
+    from cassini_bayes.sensitivity import error_budget
+    from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "baselines": ("perturbation_bars",),
+    "errors": ("CassiniBayesError", "InputError"),
+    "events": ("TotalsEvent", "read_totals", "write_totals"),
+    "fitting": ("Sampled", "convergence_table", "fit_model"),
+    "model": ("TotalsModel", "build_model", "prior_centre"),
+    "plots": ("make_figures",),
+    "priors": ("Priors", "read_priors"),
+    "result": ("Fit", "read_fit", "save_fit"),
+    "review": ("Review", "assemble_review", "nuisance_table", "summarise"),
+    "sampling": ("SamplerSettings",),
+    "sensitivity": ("error_budget",),
+    "spacecraft": ("Spacecraft", "load_spacecraft"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "CassiniBayesError",
+    "Fit",
+    "InputError",
+    "Priors",
+    "Review",
+    "Sampled",
+    "SamplerSettings",
+    "Spacecraft",
+    "TotalsEvent",
+    "TotalsModel",
+    "assemble_review",
+    "build_model",
+    "convergence_table",
+    "error_budget",
+    "fit_model",
+    "load_spacecraft",
+    "make_figures",
+    "nuisance_table",
+    "perturbation_bars",
+    "prior_centre",
+    "read_fit",
+    "read_priors",
+    "read_totals",
+    "save_fit",
+    "summarise",
+    "write_totals",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module the first time it is asked for."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)

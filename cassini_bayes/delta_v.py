@@ -3,8 +3,8 @@
 ΔV = (F_table / M_table)(f u + o n) along the net commanded impulse, with u the net on-time, n the
 pulses along it, f a factor and o the on-time added per pulse. Thrust, mass and tail-off in it are
 the software's own: it holds no information on the true thrust. The channel is linear in f and o,
-which are integrated out exactly given the noise and drawn back afterwards (walked, they form a funnel
-with it that hardly mixes).
+which are integrated out exactly given the noise and drawn back afterwards (walked, they form a
+funnel with it that hardly mixes).
 """
 
 from __future__ import annotations
