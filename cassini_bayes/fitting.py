@@ -124,6 +124,7 @@ def fit_model(
     tell(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
     attributes: dict[str, str | float | int] = {
         "seed": settings.seed,
+        "target_ess": settings.target_ess,
         "log_evidence": warm.draws.log_evidence,
         "log_evidence_se": warm.draws.log_evidence_se,
         "pareto_k": warm.draws.pareto_k,

@@ -18,6 +18,7 @@ from cassini_bayes.predictive import (
     balance_residual,
     event_log_likelihood,
     jacobian_expansion_error,
+    on_time_stretch,
     replicate_on_times,
 )
 from cassini_bayes.storage import write_bytes
@@ -213,6 +214,12 @@ def _parameter_dataset(
             "thruster's level over all events: common plus individual",
         ),
         "thrust_common_n": ((), draws.common_n, "N", "common level of the branch"),
+        "impulse_per_on_time_n": (
+            ("event", "thruster"),
+            draws.thrust_n * on_time_stretch(model, linear_system(model, parameters)),
+            "N",
+            "impulse delivered per second of commanded on-time, tail-off included",
+        ),
         "external_torque_n_m": (
             ("event", "axis"),
             draws.external_torque_n_m,
