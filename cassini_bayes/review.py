@@ -21,6 +21,15 @@ Array = NDArray[np.float64]
 
 HDI_PROBABILITY: Final = 0.90
 MM_PER_M: Final = 1e3
+VARIANT_COLUMNS: Final = (
+    "variant",
+    "event",
+    "thruster",
+    "mean_n",
+    "sd_n",
+    "hdi_90_low_n",
+    "hdi_90_high_n",
+)
 
 
 @dataclass(frozen=True)
@@ -252,7 +261,11 @@ def assemble_review(
         predictive=predictive_table(fit),
         balance=balance_table(model, fit, z),
         delta_v=delta_v_table(model, fit),
-        variants=pd.concat(variants, ignore_index=True) if variants else pd.DataFrame(),
+        variants=(
+            pd.concat(variants, ignore_index=True)
+            if variants
+            else pd.DataFrame(columns=list(VARIANT_COLUMNS))
+        ),
         convergence=convergence,
         facts=facts,
         warnings=(*warnings, *_observations(nuisances)),
