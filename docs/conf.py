@@ -50,6 +50,14 @@ def _bars_are_magnitudes(app, what, name, obj, options, lines):
         lines[number] = "".join(parts)
 
 
+def _documented_elsewhere(app, what, name, obj, skip, options):
+    """Leave out what a module only shows: names of its own package's face and of libraries."""
+    home = getattr(obj, "__module__", None)
+    here = app.env.current_document.docname.removeprefix("_api/")
+    return True if home is not None and what == "module" and home != here else None
+
+
 def setup(app):
     """Hook the docstrings after napoleon has read them."""
+    app.connect("autodoc-skip-member", _documented_elsewhere)
     app.connect("autodoc-process-docstring", _bars_are_magnitudes, priority=900)
