@@ -63,7 +63,7 @@ def calibrate_totals(
     verdicts = {control: judge(ranks) for control, ranks in collected.items()}
     figure = coverage_figure(
         {LABELS[control]: ranks for control, ranks in collected.items()},
-        verdicts["none"].tolerance,
+        {LABELS[control]: verdict.tolerance for control, verdict in verdicts.items()},
     )
     write_bytes(page.with_suffix(".png"), encode(figure, "png"))
     coverage = pd.DataFrame(
@@ -108,10 +108,10 @@ be skewed; the negative controls have to fail.
 
 ![Coverage and rank distributions]({stem}.png)
 
-Coverage of every parameter: [{stem}.csv]({stem}.csv). Draws are importance draws where Pareto k̂ is
-below 0.5 (largest k̂ of the model's fits {main.pareto_k.max():.2f}), else a chain ({chains} of
+Coverage of every parameter: [{stem}.csv]({stem}.csv). Draws are importance draws where Pareto k̂
+is below 0.5 (largest k̂ of the model's fits {main.pareto_k.max():.2f}), else a chain ({chains} of
 {len(main.ranks)} fits).
 
-Made by `{" ".join(command)}` (seed {seed}), cassini_bayes {__version__}, Python
+Made by `{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__} and Python
 {platform.python_version()}.
 """
