@@ -33,3 +33,8 @@ class InputError(CassiniBayesError):
         self.got = got
         self.fix = fix
         super().__init__(f"{where}: expected {expected}, got {got}; {fix}")
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
+        # An exception is rebuilt from its message alone: one raised in a worker process would
+        # break the pool instead of reaching the user.
+        return type(self), (self.where, self.expected, self.got, self.fix)
