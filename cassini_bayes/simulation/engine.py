@@ -97,6 +97,7 @@ def make_body(plan: Plan) -> kernel.Body:
         reduced_inverse=np.asarray(np.linalg.inv(reduced), dtype=np.float64),
         axes=axes,
         wheel_inertia_kg_m2=np.ascontiguousarray(wheels),
+        wheel_inverse=1.0 / wheels,
         drag_coulomb_n_m=float(plan.wheels.drag_coulomb_n_m),
         drag_viscous_n_m_s=float(plan.wheels.drag_viscous_n_m_s),
         couplings=couplings,
@@ -255,22 +256,11 @@ def simulate_motion(
         np.zeros((n_thrusters, n_cycles + 1)),
         np.zeros(n_thrusters, dtype=np.int64),
     )
-    record = kernel.Record(
-        time_s=np.zeros(n_records),
-        attitude=np.zeros((n_records, 4)),
-        rate_rad_s=np.zeros((n_records, 3)),
-        wheels_rad_s=np.zeros((n_records, n_wheels)),
-        modes=np.zeros((n_records, 2 * len(plan.appendages))),
-        attitude_error_rad=np.zeros((n_records, 3)),
-        angular_impulse_n_m_s=np.zeros((n_records, 3)),
-        delta_v_body_m_s=np.zeros((n_records, 3)),
-        delta_v_inertial_m_s=np.zeros((n_records, 3)),
-        tank_pressure_kpa=np.zeros(n_records),
-        propellant_kg=np.zeros(n_records),
-    )
+    record = kernel.empty_record(n_records, n_wheels, len(plan.appendages))
     attitude_knowledge, rate_knowledge = _knowledge(plan, n_cycles + 1, knowledge_rng)
     kernel.advance(
         state,
+        np.zeros(n_wheels),
         steps.step_s,
         n_steps,
         steps.per_cycle,
@@ -279,8 +269,8 @@ def simulate_motion(
         _torque(plan),
         _wheel_loop(plan),
         make_thrusters(plan),
-        _rcs_law(plan, body),
-        _rwa_law(plan, body),
+        rcs_law(plan, body),
+        rwa_law(plan, body),
         attitude_knowledge,
         rate_knowledge,
         pulses,
@@ -342,7 +332,8 @@ def _wheel_loop(plan: Plan) -> kernel.WheelLoop:
     )
 
 
-def _rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
+def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
+    """The thruster controller's settings as numbers."""
     settings = plan.rcs
     pairs = pair_indicator(plan.spacecraft, plan.branch)
     burn = np.zeros(len(plan.thrusters))
@@ -370,7 +361,8 @@ def _rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
     )
 
 
-def _rwa_law(plan: Plan, body: kernel.Body) -> kernel.RwaLaw:
+def rwa_law(plan: Plan, body: kernel.Body) -> kernel.RwaLaw:
+    """The wheel controller's settings as numbers, and the attitudes between its slews."""
     slews = sorted(plan.event.slew, key=lambda slew: slew.start_s)
     base = [_unit(plan.event.attitude)]
     for slew in slews:

@@ -27,7 +27,9 @@ EDGE_TOLERANCE_S: Final = 1e-12
 
 
 def _compiled(function: Function) -> Function:
-    return cast(Function, njit(cache=True)(function))
+    # numpy's division: checks for zero would cost a third of the time, and nothing here divides by
+    # a number that the readers let be zero
+    return cast(Function, njit(cache=True, error_model="numpy")(function))
 
 
 class Body(NamedTuple):
@@ -37,6 +39,7 @@ class Body(NamedTuple):
     reduced_inverse: Array  # (3, 3) inverse of I − Σ I_w a aᵀ − Σ δ δᵀ
     axes: Array  # (3, W)
     wheel_inertia_kg_m2: Array  # (W,)
+    wheel_inverse: Array  # (W,) 1 / inertia: a division costs as much as five products
     drag_coulomb_n_m: float
     drag_viscous_n_m_s: float
     couplings: Array  # (3, M)
@@ -160,7 +163,7 @@ class Record(NamedTuple):
 def drag_torque(coulomb: float, viscous: float, speed: float) -> float:
     """Drag on a wheel, N m: Coulomb (smoothed within about 1 rad/s of rest) and viscous."""
     if coulomb == 0.0:
-        return viscous * speed
+        return viscous * speed  # tanh is what would cost
     return coulomb * math.tanh(speed) + viscous * speed
 
 
@@ -226,7 +229,7 @@ def derivative(
             wheel_torque = accelerating - (1.0 - loop.drag_compensation) * drag
         else:
             wheel_torque = motor[j] - drag
-        out[7 + j] = wheel_torque / body.wheel_inertia_kg_m2[j]
+        out[7 + j] = wheel_torque * body.wheel_inverse[j]
         tx -= body.axes[0, j] * wheel_torque
         ty -= body.axes[1, j] * wheel_torque
         tz -= body.axes[2, j] * wheel_torque
@@ -277,10 +280,11 @@ def runge_kutta_step(
     torque: Torque,
     loop: WheelLoop,
     work: Array,
+    scratch: Array,
 ) -> None:
-    """One classical Runge-Kutta step of ``y`` in place; ``work`` is (6, len(y)) scratch."""
+    """One classical Runge-Kutta step of ``y`` in place; scratch: ``work`` (5, len(y)), (3,)."""
     size = y.shape[0]
-    k1, k2, k3, k4, at, scratch = work[0], work[1], work[2], work[3], work[4], work[5]
+    k1, k2, k3, k4, at = work[0], work[1], work[2], work[3], work[4]
     half = 0.5 * step
     derivative(time, y, thrust_torque, motor, body, torque, loop, k1, scratch)
     for i in range(size):
@@ -295,9 +299,9 @@ def runge_kutta_step(
     sixth = step / 6.0
     for i in range(size):
         y[i] += sixth * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-    norm = math.sqrt(y[0] * y[0] + y[1] * y[1] + y[2] * y[2] + y[3] * y[3])
+    scale = 1.0 / math.sqrt(y[0] * y[0] + y[1] * y[1] + y[2] * y[2] + y[3] * y[3])
     for i in range(4):
-        y[i] /= norm
+        y[i] *= scale
 
 
 @_compiled
@@ -600,9 +604,27 @@ def log_pulses(pulses: Pulses, time: float, widths: Array) -> None:
             pulses.number[k] += 1
 
 
+def empty_record(rows: int, wheels: int, modes: int) -> Record:
+    """A log for so many rows, to be filled."""
+    return Record(
+        time_s=np.zeros(rows),
+        attitude=np.zeros((rows, 4)),
+        rate_rad_s=np.zeros((rows, 3)),
+        wheels_rad_s=np.zeros((rows, wheels)),
+        modes=np.zeros((rows, 2 * modes)),
+        attitude_error_rad=np.zeros((rows, 3)),
+        angular_impulse_n_m_s=np.zeros((rows, 3)),
+        delta_v_body_m_s=np.zeros((rows, 3)),
+        delta_v_inertial_m_s=np.zeros((rows, 3)),
+        tank_pressure_kpa=np.zeros(rows),
+        propellant_kg=np.zeros(rows),
+    )
+
+
 @_compiled
 def advance(
     y: Array,
+    motor: Array,
     step: float,
     n_steps: int,
     steps_per_cycle: int,
@@ -620,6 +642,9 @@ def advance(
 ) -> None:
     """Integrate ``y`` over ``n_steps`` fixed steps, filling ``pulses`` and ``record``.
 
+    ``motor`` are the motors' torques outside the speed loop: constant, unless the wheel controller
+    sets them.
+
     Thrust is integrated exactly over every step and enters as its mean, so no impulse is lost
     whatever the step; the rows of the ``_knowledge`` arrays are the errors with which the
     controllers know attitude and rate, one row per control cycle.
@@ -631,8 +656,8 @@ def advance(
     widths = np.zeros(n_thrusters)
     thrust_torque = np.zeros(3)
     force = np.zeros(3)
-    motor = np.zeros(n_wheels)
-    rk_work = np.zeros((6, max(y.shape[0], 8)))[:, : y.shape[0]]
+    rk_work = np.zeros((5, y.shape[0]))
+    scratch = np.zeros(3)
     vectors = np.zeros((7, 3))
     target = np.zeros(4)
     middle = np.zeros(4)
@@ -654,6 +679,9 @@ def advance(
     leaking = False
     for k in range(n_thrusters):
         leaking = leaking or thrusters.leak_n[k] > 0.0
+    disturbed = torque.width_s > 0.0
+    for axis in range(3):
+        disturbed = disturbed or torque.steady_n_m[axis] != 0.0
 
     for i in range(n_steps + 1):
         time = i * step
@@ -709,6 +737,7 @@ def advance(
         for axis in range(3):
             thrust_torque[axis] = 0.0
             force[axis] = 0.0
+        thrusting = False
         blow_down = 1.0 / (1.0 + propellant / (HYDRAZINE_DENSITY_KG_M3 * thrusters.ullage_m3))
         factor = blow_down
         if thrusters.surge_decay_s > 0.0 and time >= thrusters.surge_start_s:
@@ -718,20 +747,21 @@ def advance(
             count = pulses.number[k]
             delivered = 0.0
             if count > 0:
-                levels[k], delivered = thrust_step(
-                    levels[k],
-                    time,
-                    step,
-                    pulses.start_s[k],
-                    pulses.width_s[k],
-                    count,
-                    thrusters,
-                )
-                begun = pulses.start_s[k, count - 1]
-                left = begun + pulses.width_s[k, count - 1] - time
-                on_time[k] += min(max(left, 0.0), step)
+                ends = pulses.start_s[k, count - 1] + pulses.width_s[k, count - 1]
+                if levels[k] > 0.0 or time <= ends + thrusters.hold_end_delay_s:
+                    on_time[k] += min(max(ends - time, 0.0), step)
+                    levels[k], delivered = thrust_step(
+                        levels[k],
+                        time,
+                        step,
+                        pulses.start_s[k],
+                        pulses.width_s[k],
+                        count,
+                        thrusters,
+                    )
             if delivered == 0.0 and not leaking:
                 continue
+            thrusting = True
             strength = thrusters.thrust_n[k] * factor
             if thrusters.warmup_deficit[k] != 0.0:
                 cold = math.exp(-on_time[k] / thrusters.warmup_time_s)
@@ -747,7 +777,9 @@ def advance(
 
         for axis in range(4):
             before[axis] = y[axis]
-        runge_kutta_step(time, step, y, thrust_torque, motor, body, torque, loop, rk_work)
+        runge_kutta_step(time, step, y, thrust_torque, motor, body, torque, loop, rk_work, scratch)
+        if not (thrusting or disturbed):
+            continue
 
         for axis in range(4):
             middle[axis] = before[axis] + y[axis]

@@ -1,0 +1,94 @@
+"""The page of results is made whole by its command, in small."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cassini_bayes import simulation_results
+from cassini_bayes.plots.simulation import motion_figure
+from cassini_bayes.simulation import read_scenario
+from cassini_bayes.simulation_results import (
+    fsds_section,
+    impulse_error,
+    main,
+    markdown,
+    naive_thrust_n,
+    simulated,
+)
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_fsds_case_gives_the_naive_thrust_of_paper_000(monkeypatch: pytest.MonkeyPatch) -> None:
+    """0.98 N for a truth of 0.75 N, and the truth once divided by effective over commanded time."""
+    monkeypatch.chdir(ROOT)
+    _, rows = fsds_section()
+    header, paper, first = rows[0], rows[1], rows[2]
+    naive, corrected = header.index("naive thrust [N]"), header.index("corrected [N]")
+    assert paper[naive] == "0.98"
+    assert float(first[naive]) == pytest.approx(0.98, abs=0.02)
+    assert float(first[corrected]) == pytest.approx(0.75, abs=0.005)
+    assert float(first[1]) == pytest.approx(float(paper[1]), rel=0.03)
+
+
+def test_only_the_y2_y4_pair_works_in_the_fsds_case() -> None:
+    """Y1 and Y3 never fire; Z thrusters only in their limit cycle, each less than 12 % of Y2."""
+    (event,) = simulated(read_scenario(ROOT / "runs" / "scenarios" / "fsds_2005.toml"), 1)
+    on_time = {name: float(log.width_s.sum()) for name, log in event.motion.pulses.items()}
+    assert on_time["y2"] == on_time["y4"] > 20.0
+    assert on_time["y1"] == on_time["y3"] == 0.0
+    assert max(on_time[f"z{i}"] for i in range(1, 5)) < 0.12 * on_time["y2"]
+    assert naive_thrust_n(event.motion, ("y1", "y3", "y2", "y4"), 1.234) > 0.9
+
+
+def test_the_y_bias_hardly_uses_the_z_thrusters() -> None:
+    """Equal changes of all wheels: momentum along Z, as paper 003 proposes."""
+    (event,) = simulated(read_scenario(ROOT / "runs" / "scenarios" / "y_bias_2012.toml"), 1)
+    on_time = {name: float(log.width_s.sum()) for name, log in event.motion.pulses.items()}
+    assert max(on_time[f"z{i}"] for i in range(1, 5)) < 0.2 * on_time["y2"]
+
+
+@pytest.mark.parametrize("width_s", [0.007, 0.125, 0.75])
+def test_the_impulse_error_is_far_below_what_is_asked(
+    width_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """1e-6 is asked for; the integral over a step is exact."""
+    monkeypatch.chdir(ROOT)
+    assert impulse_error(width_s) < 1e-12
+
+
+@pytest.mark.slow
+def test_the_page_is_written_with_its_tables_and_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One seed, one setting: page, CSV files and PNG files, each referred to by the page."""
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(simulation_results, "SCAN", {"as in the scenario": {}})
+    monkeypatch.setattr(simulation_results, "TAIL_OFFS_S", ())
+    main(["--out", str(tmp_path), "--seeds", "1", "--scan-seeds", "1"])
+    text = (tmp_path / "simulation.md").read_text("utf-8")
+    for name in ("simulation_biases.png", "simulation_event.png"):
+        assert name in text
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    with (tmp_path / "simulation_biases.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 8 * 14
+    assert all(np.isfinite(float(row["simulated_mean"])) for row in rows)
+
+
+def test_a_picture_of_a_slew_has_no_firings() -> None:
+    """Every kind of event can be drawn."""
+    events = simulated(read_scenario(ROOT / "runs" / "scenarios" / "slews_2000.toml"), 1)
+    for event in events:
+        figure = motion_figure(event)
+        assert len(figure.axes) == 5
+        assert not figure.axes[4].collections[0].get_segments()
+
+
+def test_a_markdown_table_is_one() -> None:
+    """Header, rule, rows."""
+    assert markdown(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
