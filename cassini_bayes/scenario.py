@@ -187,6 +187,8 @@ def simulate_scenario(
     InputError
         Anything wrong with the scenario, or a folder that holds something already.
     """
+    if seed < 0:
+        raise InputError("--seed", "a whole number from 0", str(seed), "choose another seed")
     file = read_scenario(path)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
@@ -205,6 +207,7 @@ def simulate_scenario(
             shutil.rmtree(target)
         write_text(target / "event.toml", event_text(event.plan, file.scenario.telemetry))
         write_text(target / "telemetry.csv", telemetry_text(event.telemetry))
+    (folder / TOTALS_FILE).unlink(missing_ok=True)
     totals = simulation.totals()
     if totals:
         write_totals(folder / TOTALS_FILE, totals, file.spacecraft)

@@ -224,3 +224,9 @@ def test_an_unknown_event_of_an_effect_is_refused(tmp_path: Path) -> None:
     text = TEXT + EFFECT + 'events = ["onw"]\n'
     with pytest.raises(InputError, match="one"):
         read_scenario(written(tmp_path, text))
+
+
+def test_a_negative_seed_is_refused(tmp_path: Path) -> None:
+    """Seeds are whole numbers from 0."""
+    with pytest.raises(InputError, match="from 0"):
+        simulate_scenario(written(tmp_path), tmp_path / "out", -1)

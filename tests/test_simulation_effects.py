@@ -224,6 +224,8 @@ def test_an_effect_can_be_confined_to_some_events() -> None:
         ("thruster_leak:z1", {"leak_n": float("nan")}, "finite"),
         ("wheel_alignment:1", {"rwa1_tilt_u_rad": 0.0, "rwa1_tilt_v_rad": 0.0}, "4"),
         ("inertia:xx", {"inertia_xx_kg_m2": 0.0}, "positive"),
+        ("thrust_warmup", {"warmup_deficit": 1.5, "warmup_time_s": 1.0}, "fraction"),
+        ("pressure_surge", {"thrust_fraction": -1, "start_s": 0, "decay_s": 1}, "no thrust"),
         (
             "flexible_mode",
             {"frequency_hz": 1, "damping": 0, "amplitude_rad_s": 0, "axis": 3},

@@ -309,6 +309,10 @@ def _checked(where: str, key: str, value: object) -> float:
         raise InputError(where, "a number above 0", repr(value), "an inertia is positive")
     if key in _NOT_NEGATIVE and number < 0.0:
         raise InputError(where, "0 or more", repr(value), "give a size that is physical")
+    if key == "warmup_deficit" and number > 1.0:
+        raise InputError(where, "a fraction from 0 to 1", repr(value), "1 is no thrust when cold")
+    if key == "thrust_fraction" and number <= -1.0:
+        raise InputError(where, "more than -1", repr(value), "-1 would be no thrust at all")
     if key == "axis" and number not in (0.0, 1.0, 2.0):
         raise InputError(where, "0, 1 or 2 for x, y or z", repr(value), "choose an axis")
     if key == "hysteresis" and not 0.0 <= number <= 1.0:

@@ -29,7 +29,10 @@ EDGE_TOLERANCE_S: Final = 1e-12
 def _compiled(function: Function) -> Function:
     # numpy's division: checks for zero would cost a third of the time, and nothing here divides by
     # a number that the readers let be zero
-    return cast(Function, njit(cache=True, error_model="numpy")(function))
+    try:
+        return cast(Function, njit(cache=True, error_model="numpy")(function))
+    except RuntimeError:  # no folder where compiled code may be kept: compile in every process
+        return cast(Function, njit(error_model="numpy")(function))
 
 
 class Body(NamedTuple):
@@ -604,6 +607,74 @@ def log_pulses(pulses: Pulses, time: float, widths: Array) -> None:
             pulses.number[k] += 1
 
 
+@_compiled
+def can_thrust(time: float, thrusters: Thrusters, pulses: Pulses, levels: Array) -> bool:
+    """Whether any thruster can push in the control cycle that begins: a tail, or a pulse."""
+    for k in range(levels.shape[0]):
+        count = pulses.number[k]
+        if count == 0:
+            continue
+        ends = pulses.start_s[k, count - 1] + pulses.width_s[k, count - 1]
+        if levels[k] > 0.0 or time <= ends + thrusters.hold_end_delay_s:
+            return True
+    return False
+
+
+@_compiled
+def deliver(
+    time: float,
+    step: float,
+    thrusters: Thrusters,
+    leaking: bool,
+    used_kg: float,
+    pulses: Pulses,
+    levels: Array,
+    on_time: Array,
+    torque: Array,
+    force: Array,
+) -> tuple[float, bool]:
+    """Mean torque and force of all thrusters over a step, into the arrays.
+
+    Advances the thrust levels and the thrusters' own on-times; returns the hydrazine used, kg, and
+    whether anything thrust.
+    """
+    gained = 0.0
+    thrusting = False
+    for axis in range(3):
+        torque[axis] = 0.0
+        force[axis] = 0.0
+    factor = 1.0 / (1.0 + used_kg / (HYDRAZINE_DENSITY_KG_M3 * thrusters.ullage_m3))
+    if thrusters.surge_decay_s > 0.0 and time >= thrusters.surge_start_s:
+        age = (time - thrusters.surge_start_s) / thrusters.surge_decay_s
+        factor *= 1.0 + thrusters.surge_fraction * math.exp(-age)
+    for k in range(thrusters.thrust_n.shape[0]):
+        count = pulses.number[k]
+        delivered = 0.0
+        if count > 0:
+            ends = pulses.start_s[k, count - 1] + pulses.width_s[k, count - 1]
+            if levels[k] > 0.0 or time <= ends + thrusters.hold_end_delay_s:
+                on_time[k] += min(max(ends - time, 0.0), step)
+                levels[k], delivered = thrust_step(
+                    levels[k], time, step, pulses.start_s[k], pulses.width_s[k], count, thrusters
+                )
+        if delivered == 0.0 and not leaking:
+            continue
+        thrusting = True
+        strength = thrusters.thrust_n[k] * factor
+        if thrusters.warmup_deficit[k] != 0.0:
+            cold = math.exp(-on_time[k] / thrusters.warmup_time_s)
+            strength *= 1.0 - thrusters.warmup_deficit[k] * cold
+        newton_seconds = strength * delivered + thrusters.leak_n[k] * step
+        isp = specific_impulse(thrusters.isp_s, on_time[k] / (time + step))
+        gained += newton_seconds / (STANDARD_GRAVITY_M_S2 * isp)
+        mean = newton_seconds / step
+        for axis in range(3):
+            lever = thrusters.levers_m[axis, k] + thrusters.parasitic_m[axis, k]
+            torque[axis] += lever * mean
+            force[axis] += thrusters.directions[axis, k] * mean
+    return gained, thrusting
+
+
 def empty_record(rows: int, wheels: int, modes: int) -> Record:
     """A log for so many rows, to be filled."""
     return Record(
@@ -676,6 +747,8 @@ def advance(
     propellant = 0.0
     burned = 0.0
     kept = 0
+    awake = False
+    thrusting = False
     leaking = False
     for k in range(n_thrusters):
         leaking = leaking or thrusters.leak_n[k] > 0.0
@@ -714,6 +787,7 @@ def advance(
                 for k in range(n_thrusters):
                     if burning and rcs.burn[k] > 0.0:
                         burned += rcs.burn_acceleration_m_s2 * widths[k]
+            awake = leaking or can_thrust(time, thrusters, pulses, levels)
         if i % steps_per_record == 0:
             slew_target(rwa, time, target, rate_command, acceleration)
             attitude_error(target, y, error)
@@ -734,47 +808,24 @@ def advance(
         if i == n_steps:
             break
 
-        for axis in range(3):
-            thrust_torque[axis] = 0.0
-            force[axis] = 0.0
-        thrusting = False
-        blow_down = 1.0 / (1.0 + propellant / (HYDRAZINE_DENSITY_KG_M3 * thrusters.ullage_m3))
-        factor = blow_down
-        if thrusters.surge_decay_s > 0.0 and time >= thrusters.surge_start_s:
-            age = (time - thrusters.surge_start_s) / thrusters.surge_decay_s
-            factor *= 1.0 + thrusters.surge_fraction * math.exp(-age)
-        for k in range(n_thrusters):
-            count = pulses.number[k]
-            delivered = 0.0
-            if count > 0:
-                ends = pulses.start_s[k, count - 1] + pulses.width_s[k, count - 1]
-                if levels[k] > 0.0 or time <= ends + thrusters.hold_end_delay_s:
-                    on_time[k] += min(max(ends - time, 0.0), step)
-                    levels[k], delivered = thrust_step(
-                        levels[k],
-                        time,
-                        step,
-                        pulses.start_s[k],
-                        pulses.width_s[k],
-                        count,
-                        thrusters,
-                    )
-            if delivered == 0.0 and not leaking:
-                continue
-            thrusting = True
-            strength = thrusters.thrust_n[k] * factor
-            if thrusters.warmup_deficit[k] != 0.0:
-                cold = math.exp(-on_time[k] / thrusters.warmup_time_s)
-                strength *= 1.0 - thrusters.warmup_deficit[k] * cold
-            newton_seconds = strength * delivered + thrusters.leak_n[k] * step
-            isp = specific_impulse(thrusters.isp_s, on_time[k] / (time + step))
-            propellant += newton_seconds / (STANDARD_GRAVITY_M_S2 * isp)
-            mean = newton_seconds / step
-            for axis in range(3):
-                lever = thrusters.levers_m[axis, k] + thrusters.parasitic_m[axis, k]
-                thrust_torque[axis] += lever * mean
-                force[axis] += thrusters.directions[axis, k] * mean
-
+        if awake:
+            gained, thrusting = deliver(
+                time,
+                step,
+                thrusters,
+                leaking,
+                propellant,
+                pulses,
+                levels,
+                on_time,
+                thrust_torque,
+                force,
+            )
+            propellant += gained
+        elif thrusting:
+            thrusting = False
+            thrust_torque[:] = 0.0
+            force[:] = 0.0
         for axis in range(4):
             before[axis] = y[axis]
         runge_kutta_step(time, step, y, thrust_torque, motor, body, torque, loop, rk_work, scratch)
