@@ -9,6 +9,7 @@ Modrák et al. 2023).
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -22,15 +23,21 @@ from scipy.stats import kstest, norm
 from threadpoolctl import threadpool_limits
 
 from cassini_bayes.checkpoint import CheckpointStore
-from cassini_bayes.errors import CassiniBayesError
+from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events import TotalsEvent, read_totals
-from cassini_bayes.model import TotalsModel, build_model
+from cassini_bayes.model import SOFTWARE, TotalsModel, build_model
 from cassini_bayes.posterior import LinearDraws, log_posterior
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.pulses import effective_on_time
 from cassini_bayes.result import draws_of, prior_draws
 from cassini_bayes.sampling import SamplerSettings, sample
-from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
+from cassini_bayes.spacecraft import (
+    inertia_tensor,
+    lever_arms,
+    thruster_directions,
+    wheel_axes,
+    wheel_inertias,
+)
 from cassini_bayes.storage import digest
 from cassini_bayes.terms import RAD_S_PER_RPM, wheel_momentum
 from cassini_bayes.warmstart import warm_start
@@ -44,9 +51,33 @@ TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
 REPETITIONS_PER_FILE: Final = 20
 CONTROL_HOLD_RATE: Final = 1e-7
+MODEL_CODE: Final = (
+    "calibration",
+    "delta_v",
+    "distributions",
+    "model",
+    "parameter_space",
+    "posterior",
+    "priors",
+    "pulses",
+    "quantiles",
+    "terms",
+    "warmstart",
+)
 COVERAGE_TOLERANCE: Final = 0.03
 LEAST_P_VALUE: Final = 0.01
 SETTLED_S: Final = 1e-9
+
+
+def model_code_digest() -> str:
+    """SHA-256 over the modules that a repetition runs through: simulation, model, priors, draws."""
+    folder = Path(__file__).parent
+    files = [folder / f"{name}.py" for name in MODEL_CODE]
+    files += sorted((folder / "spacecraft").glob("*.py"))
+    total = hashlib.sha256()
+    for path in files:
+        total.update(path.read_bytes())
+    return total.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -59,9 +90,9 @@ class Campaign:
     control: Control = "none"
 
     def identity(self) -> str:
-        """What finished repetitions depend on: control, seed, events and priors."""
+        """What finished repetitions depend on: control, seed, events, priors, model code."""
         events, priors = digest(Path(self.events_path)), digest(Path(self.priors_path))
-        return f"totals-sbc/{self.control}/{self.seed}/{events}/{priors}"
+        return f"totals-sbc/{self.control}/{self.seed}/{events}/{priors}/{model_code_digest()}"
 
 
 @dataclass(frozen=True)
@@ -72,6 +103,12 @@ class Ranks:
     ranks: Array
     pareto_k: Array
     by_chain: NDArray[np.bool_]
+
+    def of_fitted(self) -> Ranks:
+        """Only the parameters that the fitted model has: a control may fix one of the true ones."""
+        kept = np.flatnonzero(np.isfinite(self.ranks).sum(0) == len(self.ranks))
+        names = tuple(self.names[column] for column in kept)
+        return replace(self, names=names, ranks=self.ranks[:, kept])
 
     def coverage(self, probability: float = 0.9) -> Array:
         """Share of repetitions whose central interval holds the truth, per parameter."""
@@ -102,6 +139,7 @@ def judge(ranks: Ranks) -> Verdict:
     that is wider (few repetitions). ``smallest_p_value`` is the least Kolmogorov-Smirnov p-value
     over all parameters times their number (Holm's first step).
     """
+    ranks = ranks.of_fitted()
     coverage = ranks.coverage()
     n, parameters = ranks.ranks.shape
     scatter = norm.isf(0.005 / parameters) * np.sqrt(0.9 * 0.1 / n)
@@ -123,7 +161,13 @@ def with_room(event: TotalsEvent) -> TotalsEvent:
     A simulated bias may need less of a pair than the flight did; the limit cycle's own on-time,
     which does not depend on the parameters, is raised so that no on-time turns negative.
     """
-    assert event.pulses is not None  # the template is a flight row
+    if event.pulses is None:
+        raise InputError(
+            f"event {event.id}: pulses",
+            "the number of pulses of every thruster",
+            "none",
+            "take rows of a source with pulse counts as the template",
+        )
     width = np.where(event.pulses > 0, event.on_time_s / np.maximum(event.pulses, 1), 0.125)
     on_time = event.on_time_s + LEAST_ON_TIME_S
     return replace(event, on_time_s=on_time, pulses=np.maximum(np.rint(on_time / width), 1.0))
@@ -194,10 +238,34 @@ def simulate_totals(
     if on_time.min() <= 0:
         raise CassiniBayesError(f"a simulated on-time is negative: {on_time.min():.2f} s")
     step = float(one["on_time_resolution_s"])
+    printed = np.rint(on_time / step) * step
+    computed = _on_board_delta_v(model, printed, pulses, one, truth.software[0], rng)
     return tuple(
-        replace(event, on_time_s=np.rint(u / step) * step, pulses=n, source="simulation")
-        for event, u, n in zip(template, on_time, pulses, strict=True)
+        replace(event, on_time_s=u, pulses=n, delta_v_m_s=v, source="simulation")
+        for event, u, n, v in zip(template, printed, pulses, computed, strict=True)
     )
+
+
+def _on_board_delta_v(
+    model: TotalsModel,
+    on_time: Array,
+    pulses: Array,
+    parameters: Mapping[str, Array],
+    software: Array,
+    rng: np.random.Generator,
+) -> list[Array | None]:
+    """What the flight software would print: its own thrust, mass and tail-off in it."""
+    stack = model.stack
+    if model.computed is None:
+        return [None] * len(on_time)
+    directions = thruster_directions(model.spacecraft, model.branch)
+    impulse = on_time @ directions.T
+    along = impulse / np.linalg.norm(impulse, axis=-1, keepdims=True)
+    counted = software[0] * on_time + software[1] * pulses
+    size = ((counted @ directions.T) * along).sum(-1) * stack.thrust_predicted_n / stack.mass_kg
+    size = size + rng.normal(0.0, parameters["delta_v_noise_m_s"], len(size))
+    step = float(parameters["delta_v_resolution_m_s"])
+    return list(np.rint(size[:, None] * along / step) * step)
 
 
 def one_repetition(campaign: Campaign, index: int) -> tuple[Array, float, bool]:
@@ -207,14 +275,13 @@ def one_repetition(campaign: Campaign, index: int) -> tuple[Array, float, bool]:
         with_room(event) for event in read_totals(campaign.events_path, priors.spacecraft)
     )
     rng = np.random.default_rng(np.random.SeedSequence((campaign.seed, index)))
-    model = build_model(template, priors, delta_v="ignore")
+    model = build_model(template, priors)
     parameters, truth = prior_draws(model, 1, rng)
     simulated = simulate_totals(template, model, parameters, truth, rng)
     fitted = build_model(
         simulated,
         _controlled(priors, campaign.control),
         pulse_shape="rectangular" if campaign.control == "rectangular-pulses" else "first_order",
-        delta_v="ignore",
     )
     dimension = len(fitted.space.names)
     warm = warm_start(partial(log_posterior, fitted), dimension, rng, pilots=1, draws=2_000)
@@ -256,6 +323,8 @@ def _flatten(
     """Every inferred scalar as name → (n,)."""
     stack = model.stack
     flat = {name: np.asarray(parameters[name]) for name in model.space.names}
+    if model.computed is not None:
+        flat |= {name: draws.software[:, i] for i, name in enumerate(SOFTWARE)}
     flat["thrust_common_n"] = draws.common_n
     for k, thruster in enumerate(stack.thrusters):
         flat[f"thrust_level_n[{thruster}]"] = draws.level_n[:, k]
@@ -271,7 +340,7 @@ def parameter_names(campaign: Campaign) -> tuple[str, ...]:
     """Names of the ranked scalars, in the order of the ranks."""
     priors = read_priors(campaign.priors_path)
     template = tuple(with_room(e) for e in read_totals(campaign.events_path, priors.spacecraft))
-    model = build_model(template, priors, delta_v="ignore")
+    model = build_model(template, priors)
     return tuple(_flatten(*prior_draws(model, 1, np.random.default_rng(0)), model))
 
 

@@ -16,6 +16,7 @@ from cassini_bayes.calibration import (
     Ranks,
     Verdict,
     judge,
+    model_code_digest,
     read_ranks,
     run_campaign,
 )
@@ -87,7 +88,7 @@ def _page(
     rows = "\n".join(
         f"| {LABELS[control]} | {len(ranks.ranks)} | {verdicts[control].lowest:.3f} … "
         f"{verdicts[control].highest:.3f} | {len(verdicts[control].failing)} of "
-        f"{len(ranks.names)} | ± {verdicts[control].tolerance:.3f} | "
+        f"{len(ranks.of_fitted().names)} | ± {verdicts[control].tolerance:.3f} | "
         f"{verdicts[control].smallest_p_value:.2g} | "
         f"{'passes' if verdicts[control].passed else 'fails'} |"
         for control, ranks in collected.items()
@@ -112,6 +113,9 @@ Coverage of every parameter: [{stem}.csv]({stem}.csv). Draws are importance draw
 is below 0.5 (largest k̂ of the model's fits {main.pareto_k.max():.2f}), else a chain ({chains} of
 {len(main.ranks)} fits).
 
-Made by `{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__} and Python
-{platform.python_version()}.
+The velocity change is simulated and fitted as computed on board; taking it as measured is not part
+of this campaign. A control's own fixed parameter is left out of its row.
+
+Made by `{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__}, Python
+{platform.python_version()}; SHA-256 of the model's code `{model_code_digest()[:16]}…`.
 """

@@ -12,10 +12,17 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.checkpoint import CheckpointStore
+from cassini_bayes.errors import InputError
 from cassini_bayes.model import TotalsModel
 from cassini_bayes.posterior import log_posterior
 from cassini_bayes.result import Fit, build_fit, draws_of
-from cassini_bayes.sampling import Chains, ProgressReport, SamplerSettings, sample
+from cassini_bayes.sampling import (
+    Chains,
+    ProgressReport,
+    SamplerSettings,
+    sample,
+    stored_ess,
+)
 from cassini_bayes.warmstart import ImportanceDraws, Proposal, WarmStart, warm_start
 
 Array = NDArray[np.float64]
@@ -97,6 +104,14 @@ def fit_model(
     """
     settings = settings or SamplerSettings()
     settings.walkers_for(len(model.space.names))
+    if settings.ensembles * draws_per_ensemble < 2 * settings.target_ess:
+        raise InputError(
+            "output.draws_per_ensemble",
+            f"at least {-(-2 * settings.target_ess // settings.ensembles)}, so that the "
+            f"{settings.ensembles} ensembles can hold {settings.target_ess} effective draws",
+            str(draws_per_ensemble),
+            "keep more draws, or ask for a smaller target_ess",
+        )
     tell = say or (lambda _: None)
     tell(
         f"{len(model.stack.event_ids)} events, {len(model.space.names)} walked and "
@@ -110,7 +125,8 @@ def fit_model(
 
     def wants_more(chains: Chains) -> bool:
         z, _ = chains.thinned(draws_per_ensemble)
-        return _derived_ess(model, z, settings.seed) < settings.target_ess
+        walkers = chains.z.shape[2]
+        return _derived_ess(model, z, walkers, settings.seed) < settings.target_ess
 
     chains = sample(
         partial(log_posterior, model),
@@ -125,6 +141,7 @@ def fit_model(
     attributes: dict[str, str | float | int] = {
         "seed": settings.seed,
         "target_ess": settings.target_ess,
+        "walkers": chains.z.shape[2],
         "log_evidence": warm.draws.log_evidence,
         "log_evidence_se": warm.draws.log_evidence_se,
         "pareto_k": warm.draws.pareto_k,
@@ -205,18 +222,11 @@ def _warm_start(model: TotalsModel, seed: int, store: CheckpointStore | None) ->
     return warm
 
 
-def _derived_ess(model: TotalsModel, z: Array, seed: int) -> float:
+def _derived_ess(model: TotalsModel, z: Array, walkers: int, seed: int) -> float:
     """Smallest bulk or tail effective sample size over the thrusts drawn for these points."""
-    from arviz import ess  # two seconds to import: only where it is needed
-
     m, n, d = z.shape
-    rng = _stream(seed, _LINEAR)
-    _, draws = draws_of(model, z.reshape(-1, d), rng)
+    _, draws = draws_of(model, z.reshape(-1, d), _stream(seed, _LINEAR))
     thrust = draws.thrust_n.reshape(m, n, -1)
     varying = thrust[..., thrust.std((0, 1)) > 0]
-    sizes = [
-        float(ess(varying[:, :, j], method=method))
-        for j in range(varying.shape[-1])
-        for method in ("bulk", "tail")
-    ]
+    sizes = [min(stored_ess(varying[:, :, j], walkers)) for j in range(varying.shape[-1])]
     return min(sizes, default=np.inf)

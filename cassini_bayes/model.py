@@ -222,8 +222,43 @@ def build_model(
     names = list(dict.fromkeys(names))
     priors.require(names, "the totals model")
     model = replace(draft, space=priors.space(names))
+    _require_sense(model, priors.path)
     check_axis_pairs(spacecraft, priors.branch, prior_centre(model))
     return model
+
+
+def _require_sense(model: TotalsModel, where: str) -> None:
+    """Refuse priors under which the model has nothing to estimate or no noise to weigh it by."""
+    linear, centre = model.linear, prior_centre(model)
+    if not linear.common_mean_n > 0:
+        raise InputError(
+            f"{where}: parameters.{THRUST_COMMON}",
+            "a positive mean, in N",
+            f"{linear.common_mean_n:g}",
+            "thrust is counted along each thruster's direction; change loc",
+        )
+    if linear.shared.shape[1] + linear.own.shape[1] == 0 and not linear.common_is_walked:
+        raise InputError(
+            f"{where}: parameters.{THRUST_COMMON}",
+            "a distribution for at least one of the thrust parameters",
+            "all four fixed",
+            "give thrust_common_n a distribution",
+        )
+    if not any(centre[name] > 0 for name in _NOISE):
+        raise InputError(
+            f"{where}: parameters.{_NOISE[0]}",
+            f"at least one of {', '.join(_NOISE)} above zero",
+            "all of them 0",
+            "say how well the figures and the dead-band are known",
+        )
+    used = model.uses_measured_delta_v.any() or model.uses_computed_delta_v.any()
+    if used and not any(centre[name] > 0 for name in _DELTA_V_NOISE):
+        raise InputError(
+            f"{where}: parameters.{_DELTA_V_NOISE[0]}",
+            f"{' or '.join(_DELTA_V_NOISE)} above zero",
+            "both 0",
+            "a printed velocity change is good to its last digit at best",
+        )
 
 
 def prior_centre(model: TotalsModel) -> dict[str, float]:

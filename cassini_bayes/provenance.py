@@ -64,6 +64,7 @@ def provenance_of(
         "events": list(run.events),
         "model": run.model.model_dump(),
         "sampler": run.sampler.model_dump(),
+        "draws_per_ensemble": run.output.draws_per_ensemble,
         "code": code,
         "libraries": versions,
     }

@@ -36,7 +36,7 @@ from cassini_bayes.warmstart import warm_start
 
 VARIANTS: Final[Mapping[DeltaVUse, str]] = {
     "ignore": "ΔV left out",
-    "as-declared": "ΔV as declared (computed)",
+    "as-declared": "ΔV as declared",
     "as-measured": "ΔV as if measured",
 }
 VARIANT_STREAM: Final = 3

@@ -29,6 +29,7 @@ TAU_CHANGE: Final = 0.05
 MAX_RHAT: Final = 1.01
 GROWTH: Final = 1.25
 START_ATTEMPTS: Final = 100
+FEWEST_STEPS: Final = 8
 
 
 @dataclass(frozen=True)
@@ -176,6 +177,26 @@ def check_convergence(
     )
     left = max(int(np.ceil(wanted)), next_check(steps) - steps) if failed else 0
     return Convergence(steps, tau, change, between, sizes, tuple(failed), left)
+
+
+def stored_ess(draws: Array, walkers: int) -> tuple[float, float]:
+    """Bulk and tail effective sample size of stored draws (M, S·W), step by step as ``thinned``.
+
+    In that order neighbours are different walkers, and ArviZ's sum of autocorrelations would end
+    before the same walker comes round again; so each walker is also taken as a chain of its own,
+    and the smaller of the two counts (where there are steps enough to tell).
+    """
+    from arviz import ess  # two seconds to import: only where it is needed
+
+    m, n = draws.shape
+    if n < FEWEST_STEPS * walkers:
+        return float(ess(draws, method="bulk")), float(ess(draws, method="tail"))
+    per_walker = draws.reshape(m, n // walkers, walkers).transpose(0, 2, 1).reshape(m * walkers, -1)
+    bulk, tail = (
+        min(float(ess(draws, method=method)), float(ess(per_walker, method=method)))
+        for method in ("bulk", "tail")
+    )
+    return bulk, tail
 
 
 def next_check(step: int) -> int:

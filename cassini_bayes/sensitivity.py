@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 DERIVATIVE_STEP = 0.05
 CONFLICT_Z = 2.576
 LEAST_CONTRACTION = 0.05
+MOVED = 0.5
 
 
 def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
@@ -85,15 +86,21 @@ def prior_against_posterior(model: TotalsModel, z: Array) -> pd.DataFrame:
     the posterior mean is itself N(0, 1 − s²) with s the posterior standard deviation (exact for
     linear-Gaussian models), so ``surprise`` = mean / √(1 − s²) is a standard normal deviate. Above
     2.58 (1 % two-sided) the verdict is ``conflict``; where the data narrowed the parameter by less
-    than 5 % it is ``prior returned`` and the surprise is not evaluated (NaN), else ``informed``.
+    than 5 % it is ``prior returned`` and the surprise is not evaluated (NaN), unless they moved it
+    by more than half a prior width; else ``informed``.
     """
     mean, sd = z.mean(0), z.std(0, ddof=1)
     contraction = 1.0 - sd
     told = contraction > LEAST_CONTRACTION
     surprise = np.full(len(mean), np.nan)
     surprise[told] = mean[told] / np.sqrt(1.0 - sd[told] ** 2)
+    # a shift without narrowing is none that a linear model knows: judged in prior widths
+    moved = ~told & (np.abs(mean) > MOVED)
+    surprise[moved] = mean[moved]
     verdicts = np.where(
-        ~told, "prior returned", np.where(np.abs(surprise) > CONFLICT_Z, "conflict", "informed")
+        ~told & ~moved,
+        "prior returned",
+        np.where(np.abs(surprise) > CONFLICT_Z, "conflict", "informed"),
     )
     return pd.DataFrame(
         {

@@ -138,3 +138,11 @@ def test_campaign_resumes_and_refuses_foreign_files(
     assert (tmp_path / "ranks_00000.npz").stat().st_mtime_ns == kept
     with pytest.raises(InputError, match="another run"):
         read_ranks(replace(CAMPAIGN, seed=4), 2, tmp_path)
+
+
+def test_parameter_that_a_control_fixes_is_left_out_of_the_judgement() -> None:
+    """A column of NaN (not in the fitted model) beside uniform ranks passes; it is not a miss."""
+    good = uniform_ranks(2_000)
+    blank = replace(good, ranks=np.column_stack([good.ranks[:, :2], np.full(2_000, np.nan)]))
+    assert judge(blank).passed
+    assert blank.of_fitted().names == ("a", "b")

@@ -25,7 +25,8 @@ def coverage_figure(ranks: Mapping[str, Ranks], tolerances: Mapping[str, float])
     with matplotlib.rc_context(dict(STYLE)):
         figure = Figure(figsize=(10.0, 3.1 * len(ranks) + 0.4), layout="constrained")
         axes = figure.subplots(len(ranks), 2, squeeze=False)
-        for (left, right), (label, campaign) in zip(axes, ranks.items(), strict=True):
+        for (left, right), (label, every) in zip(axes, ranks.items(), strict=True):
+            campaign = every.of_fitted()
             n, p = campaign.ranks.shape
             coverage = np.sort(campaign.coverage())
             low, high = binom.ppf([0.005, 0.995], n, 0.9) / n
