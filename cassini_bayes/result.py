@@ -124,7 +124,11 @@ def build_fit(
     flat = z.reshape(-1, d)
     parameters, draws = draws_of(model, flat, rng)
     prior_parameters, prior_linear = prior_draws(model, prior_size, rng)
-    block_terms = model.space.log_prior_by_block(flat)
+    block_terms = {
+        block: terms.copy() for block, terms in model.space.log_prior_by_block(flat).items()
+    }
+    for block, terms in _collapsed_log_prior(model, parameters, draws).items():
+        block_terms[block] = block_terms.get(block, 0.0) + terms
     expansion = jacobian_expansion_error(model, parameters, draws.thrust_n)
     groups = {
         "posterior": _parameter_dataset(model, parameters, draws, (m, n)),
@@ -147,7 +151,12 @@ def build_fit(
         ),
         "log_prior": _dataset(
             {
-                block.replace(" ", "_"): ((), terms, "1", f"log prior density, block {block}")
+                block.replace(" ", "_").replace("-", "_"): (
+                    (),
+                    terms,
+                    "1",
+                    f"log prior density, block {block}",
+                )
                 for block, terms in block_terms.items()
             },
             model,
@@ -170,6 +179,42 @@ def build_fit(
         "constant_data": _constants(model),
     }
     return Fit(groups, dict(attributes))
+
+
+def _collapsed_log_prior(
+    model: TotalsModel, parameters: Parameters, draws: LinearDraws
+) -> dict[str, Array]:
+    """Log prior densities (n,) of what is integrated out, per block, at its draws.
+
+    Levels given the common one, departures given the levels, torques, software; a width of zero
+    adds nothing.
+    """
+    linear = model.linear
+    mean = np.asarray(parameters.get(_COMMON, linear.common_mean_n))
+    departure = draws.thrust_n - draws.level_n[:, None, :]
+    thrust = _normal_log_density(draws.common_n - mean, linear.common_sd_n)
+    individual = draws.level_n - draws.common_n[:, None]
+    thrust = thrust + _normal_log_density(individual, linear.individual_sd_n).sum(-1)
+    if linear.own.shape[1]:
+        white = departure @ np.linalg.pinv(linear.own).T
+        scale = 0.5 * np.linalg.slogdet(linear.own.T @ linear.own)[1]
+        thrust = thrust + (_normal_log_density(white, 1.0).sum(-1) - scale).sum(-1)
+    torque = draws.external_torque_n_m - linear.torque_mean_n_m
+    found = {
+        "thrust": thrust,
+        "torque": _normal_log_density(torque, linear.torque_sd_n_m).sum((-2, -1)),
+    }
+    if model.computed is not None:
+        shift = draws.software - model.computed.prior_mean
+        found["flight software"] = _normal_log_density(shift, model.computed.prior_sd).sum(-1)
+    return found
+
+
+def _normal_log_density(values: Array, sd: Array | float) -> Array:
+    """log N(values; 0, sd²), 0 where sd is 0 (a fixed parameter has no density)."""
+    scale = np.where(np.asarray(sd) > 0, sd, 1.0)
+    density = -0.5 * (values / scale) ** 2 - np.log(scale * np.sqrt(2.0 * np.pi))
+    return np.where(np.asarray(sd) > 0, density, 0.0)
 
 
 _Variable = tuple[tuple[str, ...], Array, str, str]
