@@ -6,6 +6,7 @@ import platform
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from cassini_bayes import __version__
@@ -69,7 +70,11 @@ def calibrate_totals(
     write_bytes(page.with_suffix(".png"), encode(figure, "png"))
     coverage = pd.DataFrame(
         {"parameter": collected["none"].names}
-        | {control: ranks.coverage().round(4) for control, ranks in collected.items()}
+        | {
+            # a parameter that the control fixes has no coverage
+            control: np.where(np.isfinite(ranks.ranks).all(0), ranks.coverage().round(4), np.nan)
+            for control, ranks in collected.items()
+        }
     )
     write_text(page.with_suffix(".csv"), coverage.to_csv(index=False))
     write_text(page, _page(page.stem, collected, verdicts, seed, command))
