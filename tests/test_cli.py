@@ -244,7 +244,7 @@ def test_system_errors_are_one_line(
     def broken(*_: object, **__: object) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO), "/dev/disk")
 
-    monkeypatch.setattr("cassini_bayes.cli.execute", broken)
+    monkeypatch.setattr("cassini_bayes.cli.fits.execute", broken)
     message = refused(capsys, "run", str(run_cases.write_run(tmp_path)))
     assert "/dev/disk" in message
     assert os.strerror(errno.EIO) in message
@@ -258,7 +258,7 @@ def test_other_errors_of_the_package_end_with_one(
     def broken(*_: object, **__: object) -> None:
         raise CassiniBayesError("log density is nan\nat z = [1]")
 
-    monkeypatch.setattr("cassini_bayes.cli.execute", broken)
+    monkeypatch.setattr("cassini_bayes.cli.fits.execute", broken)
     assert run_cases.command(["run", str(run_cases.write_run(tmp_path))]) == 1
     assert capsys.readouterr().err == "error: log density is nan at z = [1]\n"
 
@@ -334,7 +334,7 @@ def test_exit_status_tells_convergence(
     def done(*_: object, **__: object) -> Outcome:
         return Outcome(tmp_path, None, converged, 1.0)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("cassini_bayes.cli.execute", done)
+    monkeypatch.setattr("cassini_bayes.cli.fits.execute", done)
     run_file = str(run_cases.write_run(tmp_path))
     assert run_cases.command(["run", run_file, "--quiet"]) == status
     output = capsys.readouterr()

@@ -1,0 +1,63 @@
+"""The command line. Exit status: 0 done, 1 not converged or a check failed, 2 bad input."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from cassini_bayes import __version__
+from cassini_bayes.cli import calibrations, fits, simulations
+from cassini_bayes.errors import CassiniBayesError
+
+app = typer.Typer(
+    name="cassini-bayes",
+    help="Bayesian posteriors of a spacecraft's thruster forces from wheel-bias telemetry.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it; typer turns the interrupt into it."""
+
+app.command("run")(fits.run_command)
+app.command("fit")(fits.fit_command)
+app.command("simulate")(simulations.simulate_command)
+app.add_typer(calibrations.app, name="calibrate")
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"cassini_bayes {__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Entry point: errors become one line on standard error, never a traceback."""
+    try:
+        app()
+    except CassiniBayesError as error:
+        _say_error(str(error))
+        sys.exit(error.exit_code)
+    except OSError as error:
+        place = error.filename or "the system"
+        reason = error.strerror or str(error)
+        _say_error(f"{place}: {reason}; check the path, its permissions and the free space")
+        sys.exit(2)
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:
+            typer.echo(
+                "stopped; a run or fit goes on with the same command and --resume, a campaign with "
+                "the same command",
+                err=True,
+            )
+        raise
+
+
+def _say_error(text: str) -> None:
+    typer.echo(f"error: {' '.join(text.split())}", err=True)

@@ -1,0 +1,110 @@
+"""`run` and `fit`: posteriors of events."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Resume, Seed
+from cassini_bayes.configuration import RunFile, check_run, read_run_file
+from cassini_bayes.run import Outcome, execute
+
+
+def run_command(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the run.")] = None,
+    seed: Seed = None,
+    force: Force = False,
+    resume: Resume = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run the whole pipeline of one run file: posterior, tables, figures, report."""
+    run = read_run_file(run_file)
+    if seed is not None:
+        run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
+    folder = out or run_file.parent / (run.output.folder or run_file.stem)
+    _finish(
+        execute(
+            run,
+            run_file.parent,
+            folder,
+            name=run_file.stem,
+            command=["cassini-bayes", *sys.argv[1:]],
+            reporter=ConsoleReporter(quiet),
+            force=force,
+            resume=resume,
+        ),
+        as_json=as_json,
+        quiet=quiet,
+    )
+
+
+def fit_command(
+    events: Annotated[
+        list[str], typer.Argument(metavar="EVENT...", help="Totals CSV, or CSV:ID for one row.")
+    ],
+    priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
+    seed: Seed = None,
+    force: Force = False,
+    resume: Resume = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Posterior only: fit.nc and tables, no report."""
+    sampler: dict[str, Any] = {} if seed is None else {"seed": seed}
+    run: RunFile = check_run(
+        {
+            "events": list(events),
+            "priors": str(priors),
+            "source": source,
+            "sampler": sampler,
+            "output": {"report": False},
+        },
+        "command line",
+    )
+    _finish(
+        execute(
+            run,
+            Path(),
+            out,
+            name=out.name,
+            command=["cassini-bayes", *sys.argv[1:]],
+            reporter=ConsoleReporter(quiet),
+            force=force,
+            resume=resume,
+        ),
+        as_json=as_json,
+        quiet=quiet,
+    )
+
+
+def _finish(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
+    """Say what came of a run: the result on standard output, what is amiss on standard error."""
+    if as_json:
+        columns = ["name", "unit", "mean", "sd", "hdi_90_low", "hdi_90_high"]
+        result = {
+            "converged": outcome.converged,
+            "folder": str(outcome.folder),
+            "seconds": round(outcome.seconds, 1),
+            "interval": "90 % highest density",
+            "summary": outcome.review.summary[columns].to_dict(orient="records"),
+            "warnings": list(outcome.review.warnings),
+        }
+        typer.echo(json.dumps(result))
+    elif not quiet:
+        report = outcome.folder / "report.html"
+        typer.echo(str(report if report.exists() else outcome.folder / "summary.csv"))
+    if not outcome.converged:
+        typer.echo(
+            f"not converged: {outcome.folder / 'summary.csv'} lists R-hat and ESS of every scalar; "
+            "raise max_steps under [sampler] in a run file and run it with --force",
+            err=True,
+        )
+    raise typer.Exit(0 if outcome.converged else 1)

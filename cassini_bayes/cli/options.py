@@ -1,0 +1,55 @@
+"""Options that several commands share, and how progress is shown."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from cassini_bayes.sampling import ProgressReport
+
+Seed = Annotated[
+    int | None, typer.Option("--seed", min=0, help="Random seed (overrides the run file).")
+]
+Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")]
+
+
+class ConsoleReporter:
+    """Progress on standard error: a live line in a terminal, plain lines elsewhere."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._console = Console(stderr=True, quiet=quiet, highlight=False, soft_wrap=True)
+        self._began = time.monotonic()
+        self._first: dict[str, tuple[float, int]] = {}
+
+    def say(self, text: str) -> None:
+        """A line with the seconds since the start."""
+        self._console.print(f"[{time.monotonic() - self._began:6.1f} s] {text}", markup=False)
+
+    def progress(self, report: ProgressReport) -> None:
+        """Steps done, steps and time left, and what is still missing."""
+        if report.failed:
+            seconds = report.seconds_left
+            duration = "" if math.isnan(seconds) else f", {seconds:.0f} s"
+            self.say(
+                f"step {report.step}: about {report.steps_left} steps{duration} left; "
+                f"waiting for {', '.join(report.failed)}"
+            )
+        else:
+            self.say(f"step {report.step}: stop rule met")
+
+    def count(self, what: str, done: int, total: int) -> None:
+        """Repetitions done of a campaign, and the time left."""
+        now = time.monotonic()
+        if what not in self._first:
+            self._first[what] = (now, done)
+        since, already = self._first[what]
+        left = (total - done) * (now - since) / (done - already) if done > already else float("nan")
+        rest = f", {left:.0f} s left" if left == left else ""
+        self.say(f"{what}: {done} of {total}{rest}")

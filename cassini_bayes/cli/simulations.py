@@ -1,0 +1,34 @@
+"""`simulate`: scenarios to event folders."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet
+
+
+def simulate_command(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="The scenario file.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed.")],
+    plot: Annotated[bool, typer.Option("--plot", help="Draw every event.")] = False,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a scenario: event folders, totals.csv and truth.json."""
+    from cassini_bayes.scenario import simulate_scenario  # numba takes a moment to import
+
+    simulation = simulate_scenario(scenario, out, seed, ConsoleReporter(quiet), force)
+    if plot:
+        from cassini_bayes.plots import save_figures
+        from cassini_bayes.plots.simulation import motion_figure
+
+        figures = {event.plan.event.id: motion_figure(event) for event in simulation.events}
+        save_figures(figures, out / "figures")
+    folders = [str(out / event.plan.event.id) for event in simulation.events]
+    typer.echo(json.dumps({"seed": seed, "events": folders}) if as_json else "\n".join(folders))
