@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import TotalsEvent, write_totals
@@ -28,6 +28,7 @@ from cassini_bayes.simulation import (
     stream,
     telemetry_text,
     totals_row,
+    truth_fields,
     truth_text,
 )
 from cassini_bayes.storage import write_text
@@ -51,6 +52,11 @@ class Simulation:
     seed: int
     events: tuple[SimulatedEvent, ...]
 
+    def truth(self) -> dict[str, Any]:
+        """What ``truth.json`` says: parameters and thrusts with effects applied, the effects."""
+        plans = [event.plan for event in self.events]
+        return truth_fields(self.seed, plans, self.file.effects)
+
     def truth_text(self) -> str:
         """Content of ``truth.json``."""
         plans = [event.plan for event in self.events]
@@ -66,11 +72,20 @@ class Simulation:
         )
 
 
-def draw_truth(file: ScenarioFile, seed: int) -> Truth:
+def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> Truth:
     """The truth of a scenario: what it gives, and the rest drawn from its priors file.
 
     Every parameter has a random stream of its own, so that giving one does not change the others.
     Departures of thrust are drawn per thruster, per event, and per event and thruster.
+
+    Parameters
+    ----------
+    file
+        The scenario.
+    seed
+        Of all draws.
+    priors
+        Drawn from instead of the file's ``draw_from``: read once for many draws.
 
     Raises
     ------
@@ -81,7 +96,10 @@ def draw_truth(file: ScenarioFile, seed: int) -> Truth:
     scenario, spacecraft = file.scenario, file.spacecraft
     ids = [event.id for event in scenario.event]
     thrusters = spacecraft.thruster_names(scenario.spacecraft.branch)
-    priors = None if file.draw_from is None else _priors_of(file)
+    if priors is None and file.draw_from is not None:
+        priors = read_priors(file.draw_from)
+    if priors is not None:
+        _check_priors(file, priors)
     given = file.given()
     drawn: dict[str, float] = {}
     if priors is not None:
@@ -105,14 +123,17 @@ def draw_truth(file: ScenarioFile, seed: int) -> Truth:
                 for event in ids
             }
     truth = Truth({**drawn, **given}, events, individual, jitter)
-    needed = required_parameters(spacecraft, scenario.spacecraft.branch, scenario.spacecraft.wheels)
-    check_complete(truth, needed, ids, str(file.path))
+    _check_truth(file, truth)
     return truth
 
 
-def _priors_of(file: ScenarioFile) -> Priors:
-    assert file.draw_from is not None
-    priors = read_priors(file.draw_from)
+def _check_truth(file: ScenarioFile, truth: Truth) -> None:
+    table = file.scenario.spacecraft
+    needed = required_parameters(file.spacecraft, table.branch, table.wheels)
+    check_complete(truth, needed, [event.id for event in file.scenario.event], file.where)
+
+
+def _check_priors(file: ScenarioFile, priors: Priors) -> None:
     wanted = file.scenario.spacecraft
     for key, own, other in (
         ("spacecraft", file.spacecraft.digest, priors.spacecraft.digest),
@@ -120,12 +141,11 @@ def _priors_of(file: ScenarioFile) -> Priors:
     ):
         if own != other:
             raise InputError(
-                f"{file.path}: truth.draw_from",
+                f"{file.where}: truth.draw_from",
                 f"priors of the scenario's own {key}",
                 f"{priors.path}, for another {key}",
                 "draw from a priors file made for it",
             )
-    return priors
 
 
 def _draw(priors: Priors, name: str, seed: int, *labels: str) -> float:
@@ -137,9 +157,37 @@ def _draw(priors: Priors, name: str, seed: int, *labels: str) -> float:
     return float(prior.distribution.sample(rng, 1)[0])
 
 
-def simulate_file(file: ScenarioFile, seed: int, reporter: Reporter | None = None) -> Simulation:
-    """Simulate every event of a scenario, in order, without writing anything."""
-    truth = draw_truth(file, seed)
+def simulate_file(
+    file: ScenarioFile,
+    seed: int,
+    reporter: Reporter | None = None,
+    truth: Truth | None = None,
+    priors: Priors | None = None,
+) -> Simulation:
+    """Simulate every event of a scenario, in order, in memory: nothing is written.
+
+    Parameters
+    ----------
+    file
+        A checked scenario, from a file or a mapping.
+    seed
+        Of all draws: the same scenario, truth and seed give the same arrays in any process.
+    reporter
+        Told of every event.
+    truth
+        The parameters, instead of drawing them.
+    priors
+        Drawn from instead of the scenario's ``draw_from``, if there is no ``truth``.
+
+    Raises
+    ------
+    InputError
+        A parameter is missing, or one that no spacecraft can have.
+    """
+    if truth is None:
+        truth = draw_truth(file, seed, priors)
+    else:
+        _check_truth(file, truth)
     events = []
     for event in file.scenario.event:
         plan = make_plan(file.scenario, file.spacecraft, event, truth, file.effects)
@@ -155,7 +203,7 @@ def _check_physical(file: ScenarioFile, thrusts: Iterable[tuple[str, float]]) ->
     for name, thrust in thrusts:
         if thrust <= 0.0:
             raise InputError(
-                f"{file.path}: truth",
+                f"{file.where}: truth",
                 f"a thrust of {name} above 0",
                 f"{thrust:.3g} N",
                 "check thrust_common_n and the departures from it",
@@ -201,6 +249,13 @@ def simulate_scenario(
             "choose another, or --force",
         )
     simulation = simulate_file(file, seed, reporter)
+    write_simulation(simulation, folder)
+    return simulation
+
+
+def write_simulation(simulation: Simulation, folder: Path) -> None:
+    """Write event folders, ``totals.csv`` (if there are biases) and ``truth.json``."""
+    file = simulation.file
     for event in simulation.events:
         target = folder / event.plan.event.id
         if target.is_dir():
@@ -212,4 +267,3 @@ def simulate_scenario(
     if totals:
         write_totals(folder / TOTALS_FILE, totals, file.spacecraft)
     write_text(folder / TRUTH_FILE, simulation.truth_text())
-    return simulation

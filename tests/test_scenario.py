@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import json
+import tomllib
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import read_totals
+from cassini_bayes.priors import read_priors
 from cassini_bayes.scenario import draw_truth, simulate_file, simulate_scenario
-from cassini_bayes.simulation import read_scenario
+from cassini_bayes.simulation import read_scenario, scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
 
+Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "runs" / "scenarios"
 TEXT = """\
@@ -95,6 +103,50 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
         "truth.json",
     }
     assert first["one/telemetry.csv"] != third["one/telemetry.csv"]
+
+
+def columns_of(document: dict[str, Any], folder: str, seed: int) -> dict[str, Array]:
+    """Telemetry of the first event, simulated in memory; can run in a worker process."""
+    file = scenario_of(document, folder)
+    return dict(simulate_file(file, seed).events[0].telemetry.columns)
+
+
+def test_a_scenario_in_memory_is_the_one_of_the_file(tmp_path: Path) -> None:
+    """A mapping gives the file's arrays, here and in another process, and leaves no file behind."""
+    path = written(tmp_path)
+    document = tomllib.loads(path.read_text("utf-8"))
+    expected = dict(simulate_file(read_scenario(path), 5).events[0].telemetry.columns)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as workers:
+        away = workers.submit(columns_of, document, str(tmp_path), 5).result()
+    for found in (columns_of(document, str(tmp_path), 5), away):
+        assert set(found) == set(expected)
+        for name, values in expected.items():
+            np.testing.assert_array_equal(found[name], values)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scenario.toml"]
+
+
+def test_a_truth_at_hand_is_used_and_checked(tmp_path: Path) -> None:
+    """Given parameters are those simulated; a missing one, or a thrust below 0, is refused."""
+    file = read_scenario(written(tmp_path))
+    priors = read_priors(ROOT / "priors" / "cassini_b_branch_2010.toml")
+    truth = draw_truth(file, 1, priors)
+    assert truth == draw_truth(file, 1)
+    moved = replace(truth, parameters={**truth.parameters, "cm_x_m": 0.2})
+    simulation = simulate_file(file, 1, truth=moved)
+    assert simulation.truth()["parameters"]["cm_x_m"] == 0.2
+    without = {name: value for name, value in moved.parameters.items() if name != "cm_x_m"}
+    with pytest.raises(InputError, match="cm_x_m"):
+        simulate_file(file, 1, truth=replace(truth, parameters=without))
+    weak = replace(truth, individual_n=dict.fromkeys(truth.individual_n, -1.0))
+    with pytest.raises(InputError, match="above 0"):
+        simulate_file(file, 1, truth=weak)
+
+
+def test_priors_of_another_branch_are_refused(tmp_path: Path) -> None:
+    """Negative control of the ``priors`` argument."""
+    other = read_priors(ROOT / "priors" / "cassini_a_branch_2005.toml")
+    with pytest.raises(InputError, match="another branch"):
+        draw_truth(read_scenario(written(tmp_path)), 1, other)
 
 
 def test_the_truth_is_told_beside_the_events_and_not_in_them(tmp_path: Path) -> None:

@@ -10,11 +10,12 @@ from cassini_bayes.simulation.effects import EFFECTS, ChosenEffect, Effect, choo
 from cassini_bayes.simulation.events import SimulatedEvent, make_plan, simulate_plan
 from cassini_bayes.simulation.motion import Motion, PulseLog
 from cassini_bayes.simulation.plan import Plan
-from cassini_bayes.simulation.reader import ScenarioFile, read_scenario
+from cassini_bayes.simulation.reader import ScenarioFile, read_scenario, scenario_of
 from cassini_bayes.simulation.settings import EffectRequest, EventSettings, Scenario
 from cassini_bayes.simulation.streams import stream
 from cassini_bayes.simulation.telemetry import (
     Telemetry,
+    event_fields,
     event_text,
     hydrazine_g,
     observe,
@@ -25,6 +26,7 @@ from cassini_bayes.simulation.truth import (
     Truth,
     check_complete,
     required_parameters,
+    truth_fields,
     truth_text,
 )
 
@@ -44,15 +46,18 @@ __all__ = [
     "Truth",
     "check_complete",
     "choose_effect",
+    "event_fields",
     "event_text",
     "hydrazine_g",
     "make_plan",
     "observe",
     "read_scenario",
     "required_parameters",
+    "scenario_of",
     "simulate_plan",
     "stream",
     "telemetry_text",
     "totals_row",
+    "truth_fields",
     "truth_text",
 ]

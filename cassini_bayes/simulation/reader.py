@@ -24,18 +24,23 @@ DRAW_FROM: Final = "draw_from"
 
 @dataclass(frozen=True)
 class ScenarioFile:
-    """A scenario that was checked, with the spacecraft and the effects that it names."""
+    """A scenario that was checked, with the spacecraft and the effects that it names.
 
-    path: Path
+    ``where`` is what messages call it (the path of its file), ``folder`` where its relative paths
+    start.
+    """
+
+    where: str
+    folder: Path
     scenario: Scenario
     spacecraft: Spacecraft
     effects: tuple[ChosenEffect, ...]
 
     @property
     def draw_from(self) -> Path | None:
-        """The priors file that the truth is drawn from, if there is one; beside the scenario."""
+        """The priors file that the truth is drawn from, if there is one."""
         reference = self.scenario.truth.get(DRAW_FROM)
-        return None if reference is None else self.path.parent / str(reference)
+        return None if reference is None else self.folder / str(reference)
 
     def given(self) -> dict[str, float]:
         """Parameters that the scenario itself gives, common to all events."""
@@ -60,42 +65,70 @@ def read_scenario(path: str | Path) -> ScenarioFile:
         Names the file, the dotted key, what was expected, what was found and the nearest name.
     """
     path = Path(path)
-    document = _parse(path)
+    return scenario_of(_parse(path), path.parent, str(path))
+
+
+def scenario_of(
+    document: Mapping[str, Any], folder: str | Path = ".", where: str = "scenario"
+) -> ScenarioFile:
+    """Check a scenario that is at hand as a mapping, as TOML gives it; no file needed.
+
+    Parameters
+    ----------
+    document
+        The tables of a scenario file.
+    folder
+        Where its relative paths start (priors to draw from, spacecraft file).
+    where
+        What error messages call it.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_scenario`.
+    """
     try:
         scenario = Scenario.model_validate(document)
     except ValidationError as error:
-        raise _as_input_error(error, str(path)) from None
-    spacecraft = _spacecraft(path, scenario)
-    where = str(path)
+        raise _as_input_error(error, where) from None
+    folder = Path(folder)
+    spacecraft = _spacecraft(where, folder, scenario)
     _check_wheels(where, scenario, spacecraft)
-    seen: set[str] = set()
+    ids = _check_events(where, scenario)
+    _check_truth(where, scenario, spacecraft)
+    record_interval_s(scenario.telemetry)
+    effects = _effects(where, scenario, spacecraft, ids)
+    return ScenarioFile(where, folder, scenario, spacecraft, effects)
+
+
+def _check_events(where: str, scenario: Scenario) -> tuple[str, ...]:
+    """Check every event; their ids."""
+    seen: list[str] = []
     for index, event in enumerate(scenario.event):
         _check_event(f"{where}: event.{index}", event, scenario)
         if event.id in seen:
             raise InputError(
                 f"{where}: event.{index}.id", "each id once", f"{event.id!r} again", "rename it"
             )
-        seen.add(event.id)
-    _check_truth(where, scenario, spacecraft)
-    record_interval_s(scenario.telemetry)
+        seen.append(event.id)
+    return tuple(seen)
+
+
+def _effects(
+    where: str, scenario: Scenario, spacecraft: Spacecraft, ids: tuple[str, ...]
+) -> tuple[ChosenEffect, ...]:
+    """The requested effects, checked against the catalogue, the spacecraft and the events."""
     effects = []
     for index, request in enumerate(scenario.effect):
         place = f"{where}: effect.{index}"
         for name in request.events or ():
-            if name not in seen:
+            if name not in ids:
                 raise InputError(
-                    f"{place}.events", "ids of events", repr(name), nearest(name, sorted(seen))
+                    f"{place}.events", "ids of events", repr(name), nearest(name, sorted(ids))
                 )
-        effects.append(
-            choose_effect(
-                request,
-                spacecraft,
-                scenario.spacecraft.branch,
-                scenario.spacecraft.wheels,
-                place,
-            )
-        )
-    return ScenarioFile(path, scenario, spacecraft, tuple(effects))
+        table = scenario.spacecraft
+        effects.append(choose_effect(request, spacecraft, table.branch, table.wheels, place))
+    return tuple(effects)
 
 
 def _parse(path: Path) -> dict[str, Any]:
@@ -151,18 +184,18 @@ def _models_in(annotation: Any) -> type[BaseModel] | None:
     return next((found for a in get_args(annotation) if (found := _models_in(a))), None)
 
 
-def _spacecraft(path: Path, scenario: Scenario) -> Spacecraft:
+def _spacecraft(where: str, folder: Path, scenario: Scenario) -> Spacecraft:
     table = scenario.spacecraft
     if (table.name is None) == (table.file is None):
         raise InputError(
-            f"{path}: spacecraft",
+            f"{where}: spacecraft",
             "either name (a built-in) or file (a TOML file beside this one)",
             "both" if table.name is not None else "neither",
             'write e.g. name = "cassini"',
         )
     if table.name is not None:
         return load_spacecraft(table.name)
-    return load_spacecraft(path.parent / str(table.file))
+    return load_spacecraft(folder / str(table.file))
 
 
 def _check_wheels(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:

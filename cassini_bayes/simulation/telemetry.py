@@ -217,8 +217,8 @@ def hydrazine_g(plan: Plan, motion: Motion) -> float:
     return grams
 
 
-def event_text(plan: Plan, settings: TelemetrySettings) -> str:
-    """``event.toml`` of an event folder."""
+def event_fields(plan: Plan, settings: TelemetrySettings) -> dict[str, Any]:
+    """What ``event.toml`` of an event folder says, by key."""
     event = plan.event
     document: dict[str, Any] = {
         "id": event.id,
@@ -230,7 +230,12 @@ def event_text(plan: Plan, settings: TelemetrySettings) -> str:
     if has_delta_v(plan, settings):
         document["delta_v_source"] = settings.delta_v
     document["source"] = settings.source
-    return tomli_w.dumps(document)
+    return document
+
+
+def event_text(plan: Plan, settings: TelemetrySettings) -> str:
+    """``event.toml`` of an event folder."""
+    return tomli_w.dumps(event_fields(plan, settings))
 
 
 def telemetry_text(telemetry: Telemetry) -> str:

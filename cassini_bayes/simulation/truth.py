@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation.effects import ChosenEffect
@@ -107,12 +107,15 @@ def check_complete(truth: Truth, needed: Iterable[str], events: Iterable[str], w
                 )
 
 
-def truth_text(seed: int, plans: Iterable[Plan], effects: Iterable[ChosenEffect]) -> str:
-    """``truth.json``: format, seed, parameters that were simulated, effects; and, by event, what
-    differs from event to event (parameters, thrust of every thruster).
+def truth_fields(
+    seed: int, plans: Iterable[Plan], effects: Iterable[ChosenEffect]
+) -> dict[str, Any]:
+    """What ``truth.json`` says: format, seed, the parameters that were simulated, effects.
 
+    And, by event, what differs from event to event (parameters, thrust of every thruster).
     ``parameters`` holds the values with all effects applied, those that all events share.
     """
+    plans = tuple(plans)
     every = {plan.event.id: dict(plan.parameters) for plan in plans}
     thrusts = {plan.event.id: dict(plan.thrust_n) for plan in plans}
     first = next(iter(every.values()))
@@ -121,7 +124,7 @@ def truth_text(seed: int, plans: Iterable[Plan], effects: Iterable[ChosenEffect]
         for name, value in first.items()
         if all(values.get(name) == value for values in every.values())
     }
-    document = {
+    return {
         "format": FORMAT,
         "seed": seed,
         "parameters": shared,
@@ -141,4 +144,8 @@ def truth_text(seed: int, plans: Iterable[Plan], effects: Iterable[ChosenEffect]
             for event, values in every.items()
         },
     }
-    return json.dumps(document, indent=2, allow_nan=False) + "\n"
+
+
+def truth_text(seed: int, plans: Iterable[Plan], effects: Iterable[ChosenEffect]) -> str:
+    """``truth.json`` of a simulation."""
+    return json.dumps(truth_fields(seed, plans, effects), indent=2, allow_nan=False) + "\n"
