@@ -33,6 +33,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("distributions",),
     ("spacecraft", "pulses"),
     ("events",),
+    ("telemetry",),
     ("parameter_space",),
     ("priors",),
     ("simulation",),
