@@ -191,7 +191,7 @@ def build_model(
         stack=stack,
         space=priors.space(()),
         specs={name: prior.spec for name, prior in priors.parameters.items()},
-        linear=_linear_block(priors, len(stack.thrusters)),
+        linear=linear_block(priors, len(stack.thrusters)),
         pulse_shape=PULSE_SHAPES[pulse_shape],
         delta_v=delta_v,
         # a parameter that an idle wheel shares with a prime one keeps its prior
@@ -285,7 +285,7 @@ def _require_mass(model: TotalsModel) -> None:
             )
 
 
-def _linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
+def linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
     """Read the linear parameters' priors; they must be normal (or fixed) to be integrated out."""
     priors.require([THRUST_COMMON], "the totals model")
     levels = _normal_priors(priors, THRUST_LEVELS)[1]

@@ -84,6 +84,11 @@ _GENERIC: Final = (
         hold_rate_rad_s="body rate left in the dead-band at either end of a bias, 1 sigma per axis",
     ),
     *_specs(
+        "noise",
+        "N m s0.5",
+        torque_noise_n_m_s05="momentum gained from white torque noise in 1 s, 1 sigma per axis",
+    ),
+    *_specs(
         "mass",
         "kg",
         mass_kg="wet mass",

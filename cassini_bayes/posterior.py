@@ -10,7 +10,7 @@ events.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,20 @@ from cassini_bayes.delta_v import channel_log_likelihood, draw_software
 from cassini_bayes.model import LinearBlock, LinearSystem, TotalsModel, linear_system
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ThrustInformation:
+    """What events say of their thrusts, everything else of their own integrated out.
+
+    With d = F − common: log L_e(F) = constant + vectorᵀ d − ½ dᵀ matrix d. Totals and telemetry
+    events alike come down to this.
+    """
+
+    common_n: Array  # (n,)
+    matrix: Array  # (n, E, K, K)
+    vector: Array  # (n, E, K)
+    constant: Array  # (n, E)
 
 
 @dataclass(frozen=True)
@@ -48,17 +62,23 @@ class LinearDraws:
 
 
 def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
-    """Integrate the thrusts and torques out of the likelihood.
+    """Integrate the thrusts and torques out of the likelihood of totals events."""
+    collapsed = combine(model.linear, thrust_information(model, system))
+    if model.computed is None:
+        return collapsed
+    channel = channel_log_likelihood(model.computed, system.delta_v_variance)
+    return replace(collapsed, log_likelihood=collapsed.log_likelihood + channel)
+
+
+def thrust_information(model: TotalsModel, system: LinearSystem) -> ThrustInformation:
+    """What totals events say of their thrusts, the external torques integrated out.
 
     With A the whitened design, b the whitened misfit at the common level's mean, and g, H the
     gradient and Hessian of the response Jacobian there, an event's information on its thrusts is
     G = AᵀA − H with linear term ν = Aᵀb + g + H d0; d0 is the distance of a walked common level
-    from the reference. Thrust is S η + L ξ_e beyond the common level, so ξ_e is eliminated with
-    the Cholesky factor of 1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S
-    (Rasmussen & Williams 2006, eqs. A.9-A.12).
+    from the reference.
     """
     linear = model.linear
-    own, shared = linear.own, linear.shared
     misfit = system.target - system.common_n[..., None, None] * system.design.sum(-1)
     factor = _cholesky(system.covariance + system.torque_covariance)
     white = np.linalg.solve(factor, np.concatenate([system.design, misfit[..., None]], axis=-1))
@@ -74,31 +94,44 @@ def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
         + 0.5 * shift[..., 0] ** 2 * jacobian.hessian.sum((-2, -1))
     )
     gram = np.swapaxes(white, -1, -2) @ white
-    information = gram[..., :-1, :-1] - jacobian.hessian
-    linear_term = gram[..., :-1, -1] + tilt
-    constant = -0.5 * gram[..., -1, -1] - log_det - 0.5 * rows * np.log(2.0 * np.pi) + tilt_value
+    return ThrustInformation(
+        common_n=system.common_n,
+        matrix=gram[..., :-1, :-1] - jacobian.hessian,
+        vector=gram[..., :-1, -1] + tilt,
+        constant=(
+            -0.5 * gram[..., -1, -1] - log_det - 0.5 * rows * np.log(2.0 * np.pi) + tilt_value
+        ),
+    )
 
-    by_shared = _times(information, shared)
-    own_precision = _times(np.swapaxes(_times(information, own), -1, -2), own)
+
+def combine(linear: LinearBlock, information: ThrustInformation) -> Collapsed:
+    """Integrate the thrusts out of the information of all events.
+
+    Thrust is S η + L ξ_e beyond the common level, so ξ_e is eliminated with the Cholesky factor of
+    1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S (Rasmussen & Williams 2006,
+    eqs. A.9-A.12).
+    """
+    own, shared = linear.own, linear.shared
+    matrix, vector = information.matrix, information.vector
+    by_shared = _times(matrix, shared)
+    own_precision = _times(np.swapaxes(_times(matrix, own), -1, -2), own)
     own_factor = _cholesky(own_precision + np.eye(own.shape[1]))
     right = _times(
-        np.concatenate([np.swapaxes(by_shared, -1, -2), linear_term[..., None, :]], axis=-2), own
+        np.concatenate([np.swapaxes(by_shared, -1, -2), vector[..., None, :]], axis=-2), own
     )
     solved: Array = np.asarray(np.linalg.solve(own_factor, np.swapaxes(right, -1, -2)), dtype=float)
     schur = np.swapaxes(solved, -1, -2) @ solved
     shared_precision = shared.T @ by_shared.sum(-3) - schur[..., :-1, :-1].sum(-3)
-    shared_linear = linear_term.sum(-2) @ shared - schur[..., :-1, -1].sum(-2)
+    shared_linear = vector.sum(-2) @ shared - schur[..., :-1, -1].sum(-2)
     shared_factor = _cholesky(shared_precision + np.eye(shared.shape[1]))
     shared_shift = np.linalg.solve(shared_factor, shared_linear[..., None])[..., 0]
     own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
     shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
     log_likelihood = (
-        (constant + 0.5 * schur[..., -1, -1] - own_log_det).sum(-1)
+        (information.constant + 0.5 * schur[..., -1, -1] - own_log_det).sum(-1)
         + 0.5 * (shared_shift**2).sum(-1)
         - shared_log_det
     )
-    if model.computed is not None:
-        log_likelihood += channel_log_likelihood(model.computed, system.delta_v_variance)
     return Collapsed(
         log_likelihood=log_likelihood,
         own_factor=own_factor,
@@ -129,26 +162,45 @@ def log_posterior(model: TotalsModel, z: Array) -> Array:
     return np.asarray(log_likelihood(model, z) + model.space.log_prior_terms(z).sum(-1))
 
 
-def draw_linear(
-    model: TotalsModel, system: LinearSystem, collapsed: Collapsed, rng: np.random.Generator
-) -> LinearDraws:
-    """One draw of thrusts and torques from their conditional normal at every parameter point."""
+@dataclass(frozen=True)
+class ThrustDraws:
+    """One draw of the thrusts per parameter point."""
+
+    thrust_n: Array  # (n, E, K)
+    common_n: Array  # (n,)
+    level_n: Array  # (n, K)
+
+
+def draw_thrusts(
+    linear: LinearBlock, collapsed: Collapsed, common_n: Array, rng: np.random.Generator
+) -> ThrustDraws:
+    """One draw of all events' thrusts from their conditional normal at every parameter point."""
     n, n_events, n_own, n_shared = collapsed.own_coupling.shape
-    linear = model.linear
     shared = _solve_transposed(
         collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
     )
     pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
     own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
-    level = system.common_n[:, None] + shared @ linear.shared.T
-    thrust = level[:, None, :] + own @ linear.own.T
-    return LinearDraws(
-        thrust_n=thrust,
-        common_n=_draw_common(linear, system.common_n, level, rng),
+    level = common_n[:, None] + shared @ linear.shared.T
+    return ThrustDraws(
+        thrust_n=level[:, None, :] + own @ linear.own.T,
+        common_n=_draw_common(linear, common_n, level, rng),
         level_n=level,
-        external_torque_n_m=_draw_torque(model, system, thrust, rng),
+    )
+
+
+def draw_linear(
+    model: TotalsModel, system: LinearSystem, collapsed: Collapsed, rng: np.random.Generator
+) -> LinearDraws:
+    """One draw of thrusts and torques from their conditional normal at every parameter point."""
+    thrusts = draw_thrusts(model.linear, collapsed, system.common_n, rng)
+    return LinearDraws(
+        thrust_n=thrusts.thrust_n,
+        common_n=thrusts.common_n,
+        level_n=thrusts.level_n,
+        external_torque_n_m=_draw_torque(model, system, thrusts.thrust_n, rng),
         software=(
-            np.zeros((n, 2))
+            np.zeros((len(thrusts.common_n), 2))
             if model.computed is None
             else draw_software(model.computed, system.delta_v_variance, rng)
         ),

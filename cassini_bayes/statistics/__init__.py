@@ -1,0 +1,24 @@
+"""Telemetry reduced to sufficient statistics: rows that may be used, columns, Gram matrices."""
+
+from __future__ import annotations
+
+from cassini_bayes.statistics.columns import Carry, Layout, Sampling, settle
+from cassini_bayes.statistics.reduction import (
+    EventStatistics,
+    load_statistics,
+    reduce_chunks,
+    save_statistics,
+)
+from cassini_bayes.statistics.rows import Samples
+
+__all__ = [
+    "Carry",
+    "EventStatistics",
+    "Layout",
+    "Samples",
+    "Sampling",
+    "load_statistics",
+    "reduce_chunks",
+    "save_statistics",
+    "settle",
+]

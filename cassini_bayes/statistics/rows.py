@@ -1,0 +1,95 @@
+"""Telemetry rows as arrays, and which of them the momentum balance may use.
+
+A row enters when attitude, body rates and wheel rates were sampled together and no thrust was being
+delivered: counters show a pulse when it starts, its momentum arrives over the next tenths of a
+second. The row is kept if the last counters read at least ``guard_s`` before it and the first ones
+read at or after it are the same (``docs/telemetry-likelihood.md`` §4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """N rows of telemetry in order of time; NaN where a channel was not sampled.
+
+    ``attitude`` are Euler parameters, inertial to body, scalar last. Counters are cumulative and
+    have K columns, none for an event without thrusters.
+    """
+
+    time_s: Array  # (N,)
+    attitude: Array  # (N, 4)
+    rate_rad_s: Array  # (N, 3)
+    wheel_rad_s: Array  # (N, W)
+    on_time_s: Array  # (N, K)
+    pulses: Array  # (N, K)
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def part(self, start: int, stop: int | None = None) -> Samples:
+        """Rows ``start`` to ``stop``."""
+        return Samples(*(getattr(self, field.name)[start:stop] for field in fields(self)))
+
+    @staticmethod
+    def joined(parts: Sequence[Samples]) -> Samples:
+        """Several stretches of the same telemetry, one after the other."""
+        return Samples(
+            *(
+                np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(Samples)
+            )
+        )
+
+    @property
+    def has_counters(self) -> Flags:
+        """(N,) rows with thruster counters."""
+        if self.on_time_s.shape[1] == 0:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(np.isfinite(self.on_time_s[:, 0]))
+
+    @property
+    def has_state(self) -> Flags:
+        """(N,) rows with attitude, body rates and wheel rates."""
+        return np.asarray(
+            np.isfinite(self.attitude[:, 0])
+            & np.isfinite(self.rate_rad_s[:, 0])
+            & np.isfinite(self.wheel_rad_s[:, 0])
+        )
+
+
+def quiet_rows(time_s: Array, counter_time_s: Array, counters: Array, guard_s: float) -> Flags:
+    """Times at which no pulse is being delivered.
+
+    Parameters
+    ----------
+    time_s
+        (N,) times asked about.
+    counter_time_s, counters
+        (m,) increasing times of the counter readings, (m, C) their values.
+    guard_s
+        How long after its off command a pulse still delivers momentum.
+
+    Returns
+    -------
+    (N,) true where the readings that bracket [t − guard, t] are equal. Before ``guard_s`` after the
+    first reading, and after the last one, nothing is known: false.
+    """
+    if len(counter_time_s) == 0:
+        return np.zeros(len(time_s), dtype=bool)
+    tolerance = 1e-6
+    before = np.searchsorted(counter_time_s, time_s - guard_s + tolerance, side="right") - 1
+    after = np.searchsorted(counter_time_s, time_s - tolerance, side="left")
+    changes = np.concatenate([[0], np.cumsum(np.any(np.diff(counters, axis=0) != 0, axis=1))])
+    last = len(counter_time_s) - 1
+    same = changes[np.minimum(after, last)] == changes[np.maximum(before, 0)]
+    return np.asarray(same & (before >= 0) & (after <= last))
