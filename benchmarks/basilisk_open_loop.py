@@ -23,13 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.simulation import kernel
-from cassini_bayes.simulation.engine import (
-    Steps,
-    make_body,
-    make_thrusters,
-    rcs_law,
-    rwa_law,
-)
+from cassini_bayes.simulation.arrays import make_body, make_thrusters, rcs_law, rwa_law
+from cassini_bayes.simulation.engine import Steps
 from cassini_bayes.simulation.plan import Plan, frozen_mapping
 from cassini_bayes.simulation.settings import (
     EventSettings,

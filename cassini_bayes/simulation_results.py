@@ -49,7 +49,8 @@ from cassini_bayes.simulation import (
     simulate_plan,
     stream,
 )
-from cassini_bayes.simulation.engine import Steps, make_thrusters, simulate_motion
+from cassini_bayes.simulation.arrays import make_thrusters
+from cassini_bayes.simulation.engine import Steps, simulate_motion
 from cassini_bayes.simulation.kernel import thrust_step
 from cassini_bayes.simulation.telemetry import record_interval_s
 from cassini_bayes.storage import write_bytes, write_text

@@ -9,7 +9,8 @@ import pytest
 from simulation_cases import BIAS, SLEWS, make_plan, run
 
 from cassini_bayes.simulation import kernel
-from cassini_bayes.simulation.engine import event_duration_s, make_body, ramp_duration_s
+from cassini_bayes.simulation.arrays import make_body
+from cassini_bayes.simulation.engine import event_duration_s, ramp_duration_s
 from cassini_bayes.simulation.motion import RPM_PER_RAD_S, Motion
 from cassini_bayes.simulation.settings import (
     PropulsionSettings,

@@ -13,7 +13,8 @@ from simulation_cases import BIAS, PARAMETERS, SLEWS, make_plan, run
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.pulses import PULSE_SHAPES
-from cassini_bayes.simulation.engine import Steps, make_thrusters
+from cassini_bayes.simulation.arrays import make_thrusters
+from cassini_bayes.simulation.engine import Steps
 from cassini_bayes.simulation.motion import Motion, rotate_to_inertial
 from cassini_bayes.simulation.settings import (
     Appendage,

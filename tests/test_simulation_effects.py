@@ -12,7 +12,7 @@ from simulation_cases import BIAS, PARAMETERS, make_plan, run
 from cassini_bayes.errors import InputError
 from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.simulation import EFFECTS, EffectRequest, choose_effect, observe
-from cassini_bayes.simulation.engine import make_body, make_thrusters
+from cassini_bayes.simulation.arrays import make_body, make_thrusters
 from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.simulation.settings import StartSettings, TelemetrySettings
 from cassini_bayes.spacecraft import load_spacecraft

@@ -9,7 +9,7 @@ from simulation_cases import BIAS, PARAMETERS, make_plan, run
 from cassini_bayes.errors import InputError
 from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.simulation import kernel
-from cassini_bayes.simulation.engine import make_thrusters
+from cassini_bayes.simulation.arrays import make_thrusters
 from cassini_bayes.simulation.settings import PropulsionSettings, RcsSettings
 
 TAUS = tuple(PARAMETERS[f"tau_{which}_s"] for which in ("delay", "rise", "fall"))
