@@ -206,7 +206,7 @@ def build_model(
     if draft.uses_computed_delta_v.any():
         names += ["mass_factor", *_DELTA_V_NOISE]
         _require_mass(draft)
-        means, scales = _normal_priors(priors, SOFTWARE)
+        means, scales = normal_priors(priors, SOFTWARE)
         draft = replace(
             draft,
             computed=computed_channel(
@@ -288,8 +288,8 @@ def _require_mass(model: TotalsModel) -> None:
 def linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
     """Read the linear parameters' priors; they must be normal (or fixed) to be integrated out."""
     priors.require([THRUST_COMMON], "the totals model")
-    levels = _normal_priors(priors, THRUST_LEVELS)[1]
-    torque_means, torque_scales = _normal_priors(priors, TORQUES)
+    levels = normal_priors(priors, THRUST_LEVELS)[1]
+    torque_means, torque_scales = normal_priors(priors, TORQUES)
     common = priors.parameters[THRUST_COMMON]
     walked = common.distribution is not None and not common.distribution.is_normal
     common_sd = 0.0 if common.distribution is None or walked else common.distribution.sd()
@@ -308,7 +308,7 @@ def linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
     )
 
 
-def _normal_priors(priors: Priors, names: tuple[str, ...]) -> tuple[list[float], list[float]]:
+def normal_priors(priors: Priors, names: tuple[str, ...]) -> tuple[list[float], list[float]]:
     """Means and standard deviations of parameters that are integrated out: normal or fixed."""
     priors.require(names, "the totals model")
     means, scales = [], []

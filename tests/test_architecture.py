@@ -42,6 +42,8 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("statistics",),
     ("model",),
     ("posterior",),
+    ("telemetry_terms",),
+    ("joint",),
     ("predictive",),
     ("result", "warmstart"),
     ("sampling",),

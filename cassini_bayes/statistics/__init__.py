@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cassini_bayes.statistics.columns import Carry, Layout, Sampling, settle
+from cassini_bayes.statistics.contraction import contract, project
 from cassini_bayes.statistics.reduction import (
     EventStatistics,
     load_statistics,
@@ -17,7 +18,9 @@ __all__ = [
     "Layout",
     "Samples",
     "Sampling",
+    "contract",
     "load_statistics",
+    "project",
     "reduce_chunks",
     "save_statistics",
     "settle",

@@ -36,8 +36,8 @@ class Sampling:
     """How telemetry is turned into columns.
 
     ``pulse_reference_s`` are the τ_delay, τ_rise, τ_fall at which pulses are linearised;
-    ``guard_s`` is how long after its end a pulse may still deliver momentum, ``duration_s`` the time
-    of the last row.
+    ``guard_s`` is how long after its end a pulse may still deliver momentum, ``duration_s`` the
+    time of the last row.
     """
 
     pulse_shape: PulseShape
@@ -126,8 +126,8 @@ class Layout:
 class Carry:
     """What integrals have gathered up to a time; the state between two chunks.
 
-    Integrals are in inertial axes: ``torque`` (3, 3) = ∫ Pᵀ dt, ``fired`` (K, 3, 3, 3) = Σ Pᵀ Δs per
-    thruster and pulse column, last two axes (inertial, j), ``cuts`` the counts of pulses close
+    Integrals are in inertial axes: ``torque`` (3, 3) = ∫ Pᵀ dt, ``fired`` (K, 3, 3, 3) = Σ Pᵀ Δs
+    per thruster and pulse column, last two axes (inertial, j), ``cuts`` the counts of pulses close
     together. ``waiting`` are rows read already: those
     after ``done_until_s``, and before it as many as are needed to tell which of them are quiet.
     """

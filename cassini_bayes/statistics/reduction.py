@@ -31,8 +31,8 @@ class EventStatistics:
     """Sufficient statistics of one telemetry event.
 
     ``gram[c, d]`` (3, 3, A, A) holds Σ_t a_c(t) b_d(t) for all pairs of columns and axes;
-    ``projection`` (M, 3, A) = Σ_t φ_m(t) a_c(t) and ``mode_gram`` (M, M) = Σ_t φ_m φ_l belong to the
-    cosines φ_m(t) = cos(m π t / T), m = 1 … M, of the torque noise.
+    ``projection`` (M, 3, A) = Σ_t φ_m(t) a_c(t) and ``mode_gram`` (M, M) = Σ_t φ_m φ_l belong to
+    the cosines φ_m(t) = cos(m π t / T), m = 1 … M, of the torque noise.
     """
 
     event_id: str
@@ -113,6 +113,7 @@ def reduce_chunks(
     ----------
     chunks
         Rows in order of time, as :class:`Samples`.
+
     Raises
     ------
     InputError
@@ -135,8 +136,8 @@ def reduce_chunks(
     if total.rows < LEAST_ROWS:
         raise InputError(
             f"event {event_id}: telemetry",
-            f"at least {LEAST_ROWS} rows with attitude, body rates and wheel rates at one time, none "
-            f"within {sampling.guard_s:.2f} s of a firing",
+            f"at least {LEAST_ROWS} rows with attitude, body rates and wheel rates at one time, "
+            f"none within {sampling.guard_s:.2f} s of a firing",
             str(total.rows),
             "give more telemetry, or the counters at a faster rate",
         )
