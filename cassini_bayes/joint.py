@@ -26,6 +26,14 @@ from cassini_bayes.model import (
     normal_priors,
 )
 from cassini_bayes.parameters import ParameterSpec
+from cassini_bayes.physics import (
+    CENTRE_PARAMETERS,
+    INERTIA_PARAMETERS,
+    PULSE_PARAMETERS,
+    Modifier,
+    Physics,
+    physics_of,
+)
 from cassini_bayes.posterior import (
     Collapsed,
     ThrustDraws,
@@ -41,9 +49,6 @@ from cassini_bayes.statistics import EventStatistics, Sampling
 from cassini_bayes.telemetry_terms import EventSystem, TelemetryTerms, event_system, make_terms
 
 Array = NDArray[np.float64]
-_PULSE: Final = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
-_CENTRE: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
-_INERTIA: Final = tuple(f"inertia_{e}_kg_m2" for e in ("xx", "yy", "zz", "xy", "xz", "yz"))
 _CHANNELS: Final = (
     "rate_noise_rad_s",
     "wheel_noise_rpm",
@@ -71,6 +76,7 @@ class JointModel:
     absent_wheel_parameters: Mapping[str, float]
     torque_mean_n_m: Array
     torque_sd_n_m: Array
+    modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
 
     @property
     def event_ids(self) -> tuple[str, ...]:
@@ -121,8 +127,8 @@ def sampling_of(
     groups = couples(priors.spacecraft, priors.branch) if thrusters else ()
     reference, guard = (0.0, 0.0, 0.0), 0.0
     if thrusters:
-        priors.require(_PULSE, "telemetry with thrusters")
-        moments = [_moments(priors, name) for name in _PULSE]
+        priors.require(PULSE_PARAMETERS, "telemetry with thrusters")
+        moments = [_moments(priors, name) for name in PULSE_PARAMETERS]
         delay, rise, fall = (mean for mean, _ in moments)
         reference = (delay, rise, fall)
         guard = delay + _TAIL_SPAN * (fall + _PRIOR_SPAN * moments[2][1])
@@ -168,11 +174,11 @@ def build_joint_model(
     fired = totals is not None or any(event.layout.thrusters for event, _ in statistics)
     names = list(totals.space.names) + list(totals.space.fixed) if totals is not None else []
     if statistics:
-        names += [*_INERTIA, *_CHANNELS]
+        names += [*INERTIA_PARAMETERS, *_CHANNELS]
         names += _wheel_names(statistics, priors)
     if fired:
         position_names = spacecraft.geometry[priors.branch].parameters
-        names += [*_PULSE, *_CENTRE, *position_names]
+        names += [*PULSE_PARAMETERS, *CENTRE_PARAMETERS, *position_names]
     names = list(dict.fromkeys(names))
     priors.require(names, "the model of these events")
     space = priors.space(names)
@@ -266,11 +272,12 @@ def collapse_joint(model: JointModel, z: Array) -> JointCollapsed:
                 model.totals.computed, system.delta_v_variance
             )
     own = []
+    physics = _physics(model, full) if model.telemetry else None
     for terms in model.telemetry:
+        assert physics is not None  # there is telemetry
         event = event_system(
             terms,
-            model.spacecraft,
-            model.branch,
+            physics,
             full,
             model.linear.common_mean_n,
             model.torque_mean_n_m,
@@ -286,6 +293,12 @@ def collapse_joint(model: JointModel, z: Array) -> JointCollapsed:
         return JointCollapsed(log_likelihood, common, None, tuple(own))
     thrusts = combine(model.linear, _joined(parts))
     return JointCollapsed(log_likelihood + thrusts.log_likelihood, common, thrusts, tuple(own))
+
+
+def _physics(model: JointModel, parameters: Mapping[str, Array]) -> Physics:
+    """Physics of the telemetry events at all points."""
+    fires = bool(model.fired_ids)
+    return physics_of(model.spacecraft, model.branch, parameters, model.modifiers, fires=fires)
 
 
 def _joined(parts: Sequence[ThrustInformation]) -> ThrustInformation:

@@ -19,16 +19,21 @@ from cassini_bayes.delta_v import ComputedDeltaV, computed_channel
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import TotalsEvent
 from cassini_bayes.parameters import ParameterSpec
+from cassini_bayes.physics import (
+    CENTRE_PARAMETERS,
+    INERTIA_PARAMETERS,
+    PULSE_PARAMETERS,
+    Modifier,
+    Parameters,
+    Physics,
+    physics_of,
+)
 from cassini_bayes.priors import ParameterSpace, Priors
 from cassini_bayes.pulses import PULSE_SHAPES, PulseShape, effective_on_time
 from cassini_bayes.spacecraft import (
     Spacecraft,
     check_axis_pairs,
-    inertia_tensor,
-    lever_arms,
     thruster_directions,
-    wheel_axes,
-    wheel_inertias,
 )
 from cassini_bayes.terms import (
     ResponseJacobian,
@@ -44,15 +49,11 @@ from cassini_bayes.terms import (
 )
 
 Array = NDArray[np.float64]
-Parameters = Mapping[str, Array | float]
 DeltaVUse = Literal["as-declared", "ignore", "as-measured"]
 
 THRUST_COMMON: Final = "thrust_common_n"
 THRUST_LEVELS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
 TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
-_CENTRE: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
-_INERTIA: Final = tuple(f"inertia_{e}_kg_m2" for e in ("xx", "yy", "zz", "xy", "xz", "yz"))
-_PULSE: Final = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
 _NOISE: Final = (
     "hold_rate_rad_s",
     "hold_attitude_rad",
@@ -96,6 +97,7 @@ class TotalsModel:
     delta_v: DeltaVUse
     absent_wheel_parameters: Mapping[str, float]
     computed: ComputedDeltaV | None  # the channel of ΔV computed on board, where events have it
+    modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
 
     @property
     def uses_measured_delta_v(self) -> NDArray[np.bool_]:
@@ -199,7 +201,8 @@ def build_model(
         computed=None,
     )
     position_names = spacecraft.geometry[priors.branch].parameters
-    names = [*_PULSE, *_CENTRE, *position_names, *wheel_names, *_INERTIA, *_NOISE]
+    names = [*PULSE_PARAMETERS, *CENTRE_PARAMETERS, *position_names, *wheel_names]
+    names += [*INERTIA_PARAMETERS, *_NOISE]
     if draft.uses_measured_delta_v.any():
         names += ["mass_factor", *_DELTA_V_NOISE]
         _require_mass(draft)
@@ -352,19 +355,13 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
     """
     stack, spacecraft = model.stack, model.spacecraft
     full = _as_arrays({**parameters, **model.absent_wheel_parameters})
-    axes = wheel_axes(spacecraft, full)
-    inertias = wheel_inertias(spacecraft, full)
-    arms = lever_arms(spacecraft, model.branch, full)
-    effective = effective_on_time(
-        model.pulse_shape,
-        stack.on_time_s,
-        stack.pulses,
-        *(np.asarray(full[name])[..., None, None] for name in _PULSE),
-    )
+    physics = physics_of(spacecraft, model.branch, full, model.modifiers)
+    axes, inertias, arms = physics.wheel_axes, physics.wheel_inertia_kg_m2, physics.arms_m
+    effective = _effective_on_time(model, physics)
     start = wheel_momentum(axes, inertias, stack.wheel_start_rad_s)
     end = wheel_momentum(axes, inertias, stack.wheel_end_rad_s)
     covariance = (
-        hold_rate_covariance(inertia_tensor(full), full["hold_rate_rad_s"])[..., None, :, :]
+        hold_rate_covariance(physics.inertia_kg_m2, full["hold_rate_rad_s"])[..., None, :, :]
         + hold_attitude_covariance(start, end, full["hold_attitude_rad"])
         + wheel_rounding_covariance(
             axes, inertias, stack.wheel_is_prime, full["wheel_resolution_rpm"]
@@ -374,7 +371,7 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
         )
     )
     design = thruster_columns(arms, effective)
-    target = end - start
+    target = end - start - _steady_impulse(stack, physics)
     batch = np.broadcast_shapes(
         design.shape[:-3], target.shape[:-2], covariance.shape[:-3], _batch_shape(full)
     )
@@ -402,6 +399,29 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
         common_n=np.broadcast_to(np.asarray(common, dtype=np.float64), batch),
         effective_on_time_s=np.broadcast_to(effective, (*batch, n_events, n_thrusters)),
     )
+
+
+def _effective_on_time(model: TotalsModel, physics: Physics) -> Array:
+    """Effective on-time of every thruster and event, (..., E, K) s."""
+    stack = model.stack
+    effective = effective_on_time(
+        model.pulse_shape,
+        stack.on_time_s,
+        stack.pulses,
+        *(np.asarray(tau)[..., None, None] for tau in physics.tau_s),
+    )
+    if np.ndim(physics.thrust_factor):
+        effective = np.asarray(physics.thrust_factor)[..., None, :] * effective
+    if np.ndim(physics.impulse_offset_s):
+        effective = effective + np.asarray(physics.impulse_offset_s)[..., None, :] * stack.pulses
+    return effective
+
+
+def _steady_impulse(stack: TotalsStack, physics: Physics) -> Array | float:
+    """Angular impulse (..., E, 3) of a steady torque beyond the collapsed one, N m s."""
+    if not np.ndim(physics.steady_torque_n_m):
+        return 0.0
+    return np.asarray(physics.steady_torque_n_m)[..., None, :] * stack.duration_s[:, None]
 
 
 def _outer(columns: Array) -> Array:

@@ -17,13 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.spacecraft import (
-    Spacecraft,
-    inertia_tensor,
-    lever_arms,
-    wheel_axes,
-    wheel_inertias,
-)
+from cassini_bayes.physics import Physics, physics_of
+from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.statistics import EventStatistics, Sampling, contract, project
 from cassini_bayes.statistics.columns import CUT_PARTS
 from cassini_bayes.terms import RAD_S_PER_RPM
@@ -77,6 +72,11 @@ class TelemetryTerms:
         return self.statistics.event_id
 
     @property
+    def extra(self) -> tuple[str, ...]:
+        """Names of the columns that effects brought."""
+        return self.statistics.layout.extra
+
+    @property
     def fires(self) -> bool:
         """Whether the event has thrusters that fired."""
         return self.pattern.thrusters > 0
@@ -124,7 +124,10 @@ def make_terms(
     mean = gram[0, 0, layout.one, layout.rate] / rows
     second = gram[0, 0, layout.rate, layout.rate] / rows
     values, vectors = np.linalg.eigh(second - np.outer(mean, mean))
-    inertia, wheels = _momentum_weights(spacecraft, places, nominal)
+    physics = physics_of(
+        spacecraft, "", {name: np.asarray(value) for name, value in nominal.items()}, fires=False
+    )
+    inertia, wheels = physics.inertia_kg_m2, physics.wheel_weights[:, list(places)]
     scalars = np.concatenate([inertia, np.zeros((3, 1)), wheels], axis=1)
     span = slice(layout.rate.start, layout.wheel.stop)
     squares = scalars @ (gram[0, 0, span, span] / rows) @ scalars.T
@@ -145,16 +148,6 @@ def make_terms(
         mode_values=mode_values,
         mode_projection=mode_projection,
     )
-
-
-def _momentum_weights(
-    spacecraft: Spacecraft, places: tuple[int, ...], parameters: Mapping[str, Array | float]
-) -> tuple[Array, Array]:
-    """Inertia (…, 3, 3) and wheel weights T diag(I_w) (…, 3, W) of the event's wheels."""
-    axes = wheel_axes(spacecraft, parameters)
-    spins = wheel_inertias(spacecraft, parameters)
-    weights = (axes * spins[..., None, :])[..., list(places)]
-    return inertia_tensor(parameters), np.asarray(weights)
 
 
 def _initial_gram(statistics: EventStatistics) -> Array:
@@ -187,10 +180,14 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         first = layout.fired.start + 9 * k
         couple = next(g for g, members in enumerate(layout.couples) if k in members)
         own = [layout.cut.start + place for place in cuts if place // CUT_PARTS == couple]
-        entries.append([*range(first, first + 9), *own])
+        count = layout.pulse_count.start + k
+        entries.append([*range(first, first + 9), count, *own])
     entries += [[column] for column in range(layout.torque.stop)]
     entries += [[layout.cut.start + place] for place in cuts]
-    entries.append([*range(layout.rate.start, layout.wheel.stop)])
+    measured = [*range(layout.rate.start, layout.wheel.stop)]
+    torque = range(layout.torque.start, layout.torque.stop)
+    extra = range(layout.extra_place.start, layout.extra_place.stop)
+    entries.append([*measured, *torque, *extra])
     start = np.cumsum([0, *map(len, entries)])
     row = [column for own in entries for column in own]
     return Pattern(np.array(row), start.astype(np.int64), len(layout.thrusters), cuts)
@@ -198,8 +195,7 @@ def _pattern(statistics: EventStatistics) -> Pattern:
 
 def event_system(
     terms: TelemetryTerms,
-    spacecraft: Spacecraft,
-    branch: str,
+    physics: Physics,
     parameters: Mapping[str, Array],
     thrust_n: float,
     torque_mean: Array,
@@ -209,15 +205,18 @@ def event_system(
 
     Parameters
     ----------
+    physics
+        The physics at n points.
     parameters
-        name → (n,) array; all of them.
+        Noise levels, name → (n,) array.
     thrust_n
         Thrust that scales the cut tails (they are small).
     torque_mean, torque_sd
         (3,) prior of the event's steady torque, N m.
     """
     pattern, rows = terms.pattern, terms.statistics.rows
-    inertia, wheels = _momentum_weights(spacecraft, terms.wheel_places, parameters)
+    inertia = physics.inertia_kg_m2
+    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
     n = len(inertia)
     rate_variance = parameters["rate_noise_rad_s"] ** 2
     wheel_variance = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
@@ -229,16 +228,8 @@ def event_system(
         + wheel_variance[:, None, None] * wheel_square
         + parameters["attitude_noise_rad"][:, None, None] ** 2 * terms.spin
     )
-    weights, own_sd = _weights(terms, spacecraft, branch, parameters, thrust_n)
-    # the measured momentum comes last: rates, constant, wheels
-    weights[:, pattern.start[-2] :] = np.concatenate(
-        [
-            np.swapaxes(to_latent, -1, -2),
-            ((inertia - to_latent) @ terms.mean_rate)[:, None],
-            np.swapaxes(wheels, -1, -2),
-        ],
-        axis=1,
-    )
+    weights, own_sd = _weights(terms, physics, n, thrust_n)
+    weights[:, pattern.start[-2] :] = _measured_weights(terms, physics, to_latent, wheels)
     values, vectors = np.linalg.eigh(noise)
     precision = (vectors / values[:, None, :]) @ np.swapaxes(vectors, -1, -2)
     normal = contract(terms.statistics.gram, pattern.row, pattern.start, weights, precision)
@@ -280,31 +271,59 @@ def _latent_rate(terms: TelemetryTerms, rate_variance: Array) -> tuple[Array, Ar
     return kept, (np.log(variance) + terms.rate_values / variance).sum(-1)
 
 
+def _measured_weights(
+    terms: TelemetryTerms, physics: Physics, to_latent: Array, wheels: Array
+) -> Array:
+    """Weights of the measured momentum's entries: rates, constant, wheels, torque, extra columns.
+
+    The true rate is (measured − bias)/(1 + scale). What a steady torque or an effect's own column
+    puts in is taken off the measured momentum.
+    """
+    n, inertia = len(to_latent), physics.inertia_kg_m2
+    true = 1.0 / (1.0 + np.broadcast_to(physics.rate_scale, (n, 3)))
+    bias = np.broadcast_to(physics.rate_bias_rad_s, (n, 3))
+    by_rate = to_latent * true[:, None, :]
+    offset = (inertia - to_latent) * true[:, None, :] @ terms.mean_rate
+    shift = inertia * true[:, None, :] @ bias[..., None]
+    torque = -np.broadcast_to(physics.steady_torque_n_m, (n, 3))
+    extra = [-np.broadcast_to(physics.extra.get(name, 0.0), (n, 3)) for name in terms.extra]
+    return np.concatenate(
+        [
+            np.swapaxes(by_rate, -1, -2),
+            (offset - shift[..., 0])[:, None],
+            np.swapaxes(wheels, -1, -2),
+            np.repeat(torque[:, :, None], 3, axis=2),
+            *(weight[:, None] for weight in extra),
+        ],
+        axis=1,
+    )
+
+
 def _weights(
-    terms: TelemetryTerms,
-    spacecraft: Spacecraft,
-    branch: str,
-    parameters: Mapping[str, Array],
-    thrust_n: float,
+    terms: TelemetryTerms, physics: Physics, n: int, thrust_n: float
 ) -> tuple[Array, Array]:
     """Weights (n, B, 3) of the unknowns' entries, and the prior sd of the cut tails (n, S)."""
-    pattern, n = terms.pattern, len(parameters["rate_noise_rad_s"])
+    pattern = terms.pattern
     weights = np.zeros((n, len(pattern.row), 3))
     k = pattern.thrusters
     own = pattern.start[k]
     own_sd = np.ones((n, len(pattern.cuts)))
     weights[:, own : own + 6] = 1.0
     if k > 0:
-        arms = lever_arms(spacecraft, branch, parameters)
-        pulse = pulse_weights(terms.sampling, parameters)
-        lost = lost_per_cut_s(parameters)
+        arms = np.broadcast_to(physics.arms_m, (n, 3, k))
+        pulse = pulse_weights(terms.sampling, physics)
+        lost = lost_per_cut_s(physics)
+        factor = np.broadcast_to(physics.thrust_factor, (n, k))
+        offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
         probability = cut_probability(terms.statistics.counter_interval_s)
         for thruster in range(k):
             first, stop = pattern.start[thruster], pattern.start[thruster + 1]
             arm = arms[..., thruster]
-            fired = (arm[:, :, None] * pulse[:, None, :]).reshape(n, 9, 1)
+            strength = factor[:, thruster, None] * pulse
+            fired = (arm[:, :, None] * strength[:, None, :]).reshape(n, 9, 1)
             weights[:, first : first + 9] = fired
-            weights[:, first + 9 : stop] = (-probability * lost[:, None] * arm)[:, None, :]
+            weights[:, first + 9] = offset[:, thruster, None] * arm
+            weights[:, first + 10 : stop] = (-probability * lost[:, None] * arm)[:, None, :]
         couples = terms.statistics.layout.couples
         counts = terms.statistics.close_pairs
         spread = np.sqrt(probability * (1.0 - probability))
@@ -315,18 +334,19 @@ def _weights(
     return weights, own_sd
 
 
-def pulse_weights(sampling: Sampling, parameters: Mapping[str, Array]) -> Array:
+def pulse_weights(sampling: Sampling, physics: Physics) -> Array:
     """Weights (n, 3) of a thruster's pulse columns: 1 and the departures of τ_r and τ_f."""
     _, rise, fall = sampling.pulse_reference_s
-    by_rise = parameters["tau_rise_s"] - rise
-    return np.stack([np.ones_like(by_rise), by_rise, parameters["tau_fall_s"] - fall], axis=-1)
+    by_rise = np.asarray(physics.tau_s[1]) - rise
+    by_fall = np.asarray(physics.tau_s[2]) - fall
+    return np.stack([np.ones_like(by_rise), by_rise, by_fall], axis=-1)
 
 
-def lost_per_cut_s(parameters: Mapping[str, Array]) -> Array:
+def lost_per_cut_s(physics: Physics) -> Array:
     """On-time that a tail loses when the next pulse starts one control cycle later, (n,) s.
 
     A first-order valve that opens at thrust x0 F loses (τ_f − τ_r) x0 of impulse over F, with
     x0 = exp(−gap/τ_f).
     """
-    fall = np.maximum(parameters["tau_fall_s"], 1e-4)
-    return np.asarray((fall - parameters["tau_rise_s"]) * np.exp(-CONTROL_CYCLE_S / fall))
+    fall = np.maximum(physics.tau_s[2], 1e-4)
+    return np.asarray((fall - physics.tau_s[1]) * np.exp(-CONTROL_CYCLE_S / fall))

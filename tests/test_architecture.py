@@ -37,6 +37,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("parameter_space",),
     ("priors",),
     ("simulation",),
+    ("physics",),
     ("terms",),
     ("delta_v",),
     ("statistics",),

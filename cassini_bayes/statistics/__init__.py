@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from cassini_bayes.statistics.columns import Carry, Layout, Sampling, settle
+from cassini_bayes.statistics.columns import (
+    Carry,
+    ExtraColumn,
+    Layout,
+    RowContext,
+    Sampling,
+    settle,
+)
 from cassini_bayes.statistics.contraction import contract, project
 from cassini_bayes.statistics.reduction import (
     EventStatistics,
@@ -15,7 +22,9 @@ from cassini_bayes.statistics.rows import Samples
 __all__ = [
     "Carry",
     "EventStatistics",
+    "ExtraColumn",
     "Layout",
+    "RowContext",
     "Samples",
     "Sampling",
     "contract",

@@ -13,6 +13,7 @@ derivatives with respect to τ_r and τ_f there (exact in τ_f for ``first_order
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,6 +33,42 @@ _STEP_S = 1e-5  # of the derivatives of the effective on-time
 
 
 @dataclass(frozen=True)
+class RowContext:
+    """What a column that an effect brings may depend on, at the n rows that enter the balance.
+
+    ``counter_time_s``, ``on_time_s`` and ``pulses`` are the counter readings around these rows, to
+    be looked up at other times as well; the columns of both are the thrusters.
+    """
+
+    time_s: Array  # (n,)
+    rate_rad_s: Array  # (n, 3)
+    wheel_rad_s: Array  # (n, W)
+    counter_time_s: Array  # (m,)
+    on_time_s: Array  # (m, K)
+    pulses: Array  # (m, K)
+
+    def on_time_at(self, time_s: Array) -> Array:
+        """Commanded on-time (n, K) at the last reading before or at each time."""
+        return self.on_time_s[self._reading(time_s)]
+
+    def pulses_at(self, time_s: Array) -> Array:
+        """Pulses (n, K) at the last reading before or at each time."""
+        return self.pulses[self._reading(time_s)]
+
+    def _reading(self, time_s: Array) -> NDArray[np.intp]:
+        place = np.searchsorted(self.counter_time_s, time_s + _SAME_S, side="right") - 1
+        return np.maximum(place, 0)
+
+
+@dataclass(frozen=True)
+class ExtraColumn:
+    """A scalar column of an effect: its name and its values (n,) at the rows."""
+
+    name: str
+    values: Callable[[RowContext], Array]
+
+
+@dataclass(frozen=True)
 class Sampling:
     """How telemetry is turned into columns.
 
@@ -45,6 +82,7 @@ class Sampling:
     guard_s: float
     couples: tuple[tuple[int, ...], ...]  # thrusters (places) that only ever fire together
     duration_s: float
+    extra: tuple[ExtraColumn, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,6 +92,7 @@ class Layout:
     wheels: tuple[int, ...]
     thrusters: tuple[str, ...]
     couples: tuple[tuple[int, ...], ...]
+    extra: tuple[str, ...] = ()
 
     @cached_property
     def vector(self) -> tuple[str, ...]:
@@ -79,6 +118,8 @@ class Layout:
                 for couple in self.couples
                 for part in range(CUT_PARTS)
             ),
+            *(f"pulses:{name}" for name in self.thrusters),
+            *self.extra,
         )
 
     @property
@@ -119,7 +160,17 @@ class Layout:
     @property
     def cut(self) -> slice:
         """Counts of pulses close together, (couple, part of the event) in this order."""
-        return slice(self.wheel.stop, self.size)
+        return slice(self.wheel.stop, self.wheel.stop + CUT_PARTS * len(self.couples))
+
+    @property
+    def pulse_count(self) -> slice:
+        """Pulses of every thruster so far."""
+        return slice(self.cut.stop, self.cut.stop + len(self.thrusters))
+
+    @property
+    def extra_place(self) -> slice:
+        """Columns that effects brought."""
+        return slice(self.pulse_count.stop, self.size)
 
 
 @dataclass(frozen=True)
@@ -227,8 +278,24 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
         ],
         axis=2,
     )
+    context = RowContext(
+        time[keep],
+        now.rate_rad_s[rows],
+        now.wheel_rad_s[rows],
+        counted.time_s,
+        counted.total_on_time,
+        counted.total_pulses,
+    )
     scalar = np.concatenate(
-        [now.rate_rad_s[rows], np.ones((n, 1)), now.wheel_rad_s[rows], cuts[index]], axis=1
+        [
+            context.rate_rad_s,
+            np.ones((n, 1)),
+            context.wheel_rad_s,
+            cuts[index],
+            context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0)),
+            *(extra.values(context)[:, None] for extra in sampling.extra),
+        ],
+        axis=1,
     )
     after = replace(
         gathered,
@@ -246,8 +313,10 @@ class _Counted:
     def __init__(self, samples: Samples, after_s: float) -> None:
         counted = samples.has_counters
         self.time_s = samples.time_s[counted]
-        self.on_time = np.diff(samples.on_time_s[counted], axis=0)
-        self.pulses = np.diff(samples.pulses[counted], axis=0)
+        self.total_on_time = samples.on_time_s[counted]
+        self.total_pulses = samples.pulses[counted]
+        self.on_time = np.diff(self.total_on_time, axis=0)
+        self.pulses = np.diff(self.total_pulses, axis=0)
         changed = np.any((self.on_time != 0) | (self.pulses != 0), axis=1)
         self.active = np.flatnonzero(changed & (self.time_s[1:] > after_s))
 
