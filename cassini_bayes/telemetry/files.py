@@ -7,44 +7,44 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-import pandas as pd
-
+from cassini_bayes.errors import InputError
 from cassini_bayes.telemetry.block import Block
+from cassini_bayes.telemetry.csv_file import CsvTable
+from cassini_bayes.telemetry.mends import Mends
+from cassini_bayes.telemetry.parquet_file import open_parquet
 
 
 class Table(Protocol):
-    """An open telemetry file."""
+    """An open telemetry file: names of its columns, where they stand, and what a row is called."""
+
+    header: tuple[str, ...]
+    header_place: str
 
     @property
-    def header(self) -> tuple[str, ...]:
-        """Names of the columns."""
+    def unit(self) -> str:
+        """``line`` or ``row``, whatever rows are counted in."""
 
-    @property
-    def header_place(self) -> str:
-        """Where the names stand, for messages."""
-
-    def blocks(self, rows: int) -> Iterator[Block]:
-        """The rows in file order, at most ``rows`` at a time; lines count from the header's 1."""
-
-
-class _Plain:
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.header = tuple(pd.read_csv(path, nrows=0, encoding="utf-8-sig").columns)
-        self.header_place = f"{path}: line 1"
-
-    def blocks(self, rows: int) -> Iterator[Block]:
-        first = 2
-        with pd.read_csv(self._path, chunksize=rows, dtype=np.float64) as chunks:
-            for frame in chunks:
-                lines = np.arange(first, first + len(frame), dtype=np.int64)
-                first += len(frame)
-                cells = np.ascontiguousarray(frame.to_numpy().T)
-                yield Block(str(self._path), self.header, lines, cells)
+    def blocks(self, rows: int, mends: Mends) -> Iterator[Block]:
+        """Yield the rows in file order, at most ``rows`` at a time."""
 
 
 @contextmanager
 def open_table(path: Path) -> Iterator[Table]:
-    """Open a telemetry file."""
-    yield _Plain(path)
+    """Open a telemetry file by its suffix.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or its header is no header.
+    """
+    if path.suffix == ".parquet":
+        yield open_parquet(path)
+        return
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise InputError(
+            str(path), "a readable file", error.strerror or str(error), "check the file"
+        ) from None
+    with stream:
+        yield CsvTable(path, stream)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 MendKind = Literal[
-    "duplicate_row", "sign_flip", "norm", "counter_wrap", "foreign_zero", "late_start"
+    "nan", "duplicate_row", "sign_flip", "norm", "counter_wrap", "foreign_zero", "late_start"
 ]
 
 

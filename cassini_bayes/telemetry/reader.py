@@ -9,15 +9,20 @@ import numpy as np
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.telemetry.attitude import Attitudes
 from cassini_bayes.telemetry.block import Block
 from cassini_bayes.telemetry.chunk import Array, Chunk, join
-from cassini_bayes.telemetry.columns import Layout, make_layout
+from cassini_bayes.telemetry.columns import NEEDED, Layout, make_layout
+from cassini_bayes.telemetry.counters import Agreement, Counter
 from cassini_bayes.telemetry.event import TelemetryEvent
 from cassini_bayes.telemetry.files import open_table
 from cassini_bayes.telemetry.mends import Mends
+from cassini_bayes.telemetry.rows import Times, check_foreign, check_ranges, check_whole
 
 MOST_ROWS: Final = 2_000_000
 """Rows that :func:`load_event` takes: some 500 MB."""
+LEAST_SAMPLES: Final = 2
+"""A balance needs a beginning and an end."""
 
 
 def read_chunks(
@@ -27,6 +32,8 @@ def read_chunks(
     mends: Mends | None = None,
 ) -> Iterator[Chunk]:
     """Stream an event's telemetry, every row checked and mended, in constant memory.
+
+    What one row says about the next is carried across chunks, so that their size changes nothing.
 
     Parameters
     ----------
@@ -40,14 +47,22 @@ def read_chunks(
     Raises
     ------
     InputError
-        Names file, line and column, what was expected, what was found and the fix.
+        Names file, line and column, what was expected, what was found and the fix. Raised while
+        chunks are taken: what came before the bad row has been yielded already.
     """
+    if rows < 1:
+        raise InputError("rows", "at least one row per chunk", str(rows), "ask for more")
+    collected = Mends() if mends is None else mends
     with open_table(event.telemetry) as table:
         layout = make_layout(
             table.header_place, table.header, spacecraft, event.kind, event.wheels, event.branch
         )
-        for block in table.blocks(rows):
-            yield _chunk(block, layout)
+        checks = _Checks(event, layout, collected)
+        for block in table.blocks(rows, collected):
+            chunk = checks.chunk(block)
+            if chunk.rows:
+                yield chunk
+        checks.finish()
 
 
 def load_event(event: TelemetryEvent, spacecraft: Spacecraft, mends: Mends | None = None) -> Chunk:
@@ -73,20 +88,66 @@ def load_event(event: TelemetryEvent, spacecraft: Spacecraft, mends: Mends | Non
     return join(chunks)
 
 
-def _chunk(block: Block, layout: Layout) -> Chunk:
-    def channel(name: str) -> Array:
-        return np.ascontiguousarray(block.cells[list(layout.channels[name])].T)
+class _Checks:
+    """Everything that is known of the rows read so far."""
 
-    pressure = channel("pressure")
-    empty = np.full(block.lines.size, np.nan)
-    return Chunk(
-        first_row=int(block.lines[0]),
-        time_s=channel("time")[:, 0],
-        attitude=channel("attitude"),
-        rate_rad_s=channel("rate"),
-        wheel_rpm=channel("wheel"),
-        on_time_s=channel("on_time"),
-        pulses=channel("pulses"),
-        delta_v_m_s=channel("delta_v"),
-        tank_pressure_kpa=pressure[:, 0].copy() if pressure.shape[1] else empty,
-    )
+    def __init__(self, event: TelemetryEvent, layout: Layout, mends: Mends) -> None:
+        self._event = event
+        self._layout = layout
+        self._times = Times(layout, mends)
+        self._attitudes = Attitudes(layout, mends)
+        self._on_times = Counter("on_time", layout, mends)
+        self._pulses = Counter("pulses", layout, mends)
+        self._agreement = Agreement(layout)
+        self._samples = dict.fromkeys(layout.channels, 0)
+
+    def chunk(self, block: Block) -> Chunk:
+        """Check and mend a block."""
+        block = self._times.checked(block)
+        check_whole(block, self._layout)
+        check_foreign(block, self._layout)
+        check_ranges(block, self._layout)
+        for channel, columns in self._layout.channels.items():
+            if columns:
+                self._samples[channel] += int(np.count_nonzero(~np.isnan(block.cells[columns[0]])))
+        on_time = self._on_times.checked(block)
+        pulses = self._pulses.checked(block)
+        self._agreement.check(block, on_time, pulses)
+        return Chunk(
+            first_row=int(block.lines[0]) if block.rows else 0,
+            time_s=self._channel(block, "time")[:, 0].copy(),
+            attitude=self._attitudes.checked(block),
+            rate_rad_s=self._channel(block, "rate"),
+            wheel_rpm=self._channel(block, "wheel"),
+            on_time_s=on_time,
+            pulses=pulses,
+            delta_v_m_s=self._channel(block, "delta_v"),
+            tank_pressure_kpa=self._pressure(block),
+        )
+
+    def finish(self) -> None:
+        """Refuse a file without enough rows, or one that never samples a channel it needs."""
+        file = str(self._event.telemetry)
+        rows = self._samples["time"]
+        if rows < LEAST_SAMPLES:
+            raise InputError(
+                file,
+                f"at least {LEAST_SAMPLES} rows at different times",
+                "only the header row" if rows == 0 else "one row",
+                "an event needs its beginning and its end; add the rows",
+            )
+        for channel in NEEDED[self._event.kind]:
+            if self._samples[channel] < LEAST_SAMPLES:
+                raise InputError(
+                    f"{file}: column {self._layout.names(channel)[0]}",
+                    f"at least {LEAST_SAMPLES} samples, as the event is of kind {self._event.kind}",
+                    f"{self._samples[channel] or 'no'} sample in {rows} rows",
+                    "fill in the channel, or correct kind in event.toml",
+                )
+
+    def _channel(self, block: Block, name: str) -> Array:
+        return np.ascontiguousarray(block.cells[list(self._layout.channels[name])].T)
+
+    def _pressure(self, block: Block) -> Array:
+        values = self._channel(block, "pressure")
+        return values[:, 0].copy() if values.shape[1] else np.full(block.rows, np.nan)
