@@ -11,13 +11,18 @@ says so and ends. Not named ``bench_…`` so that ``make bench`` does without it
 
 from __future__ import annotations
 
+import argparse
 import datetime
 import importlib.util
 import math
+import platform
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +40,7 @@ from cassini_bayes.simulation.settings import (
     WheelSettings,
 )
 from cassini_bayes.spacecraft import load_spacecraft
+from cassini_bayes.storage import write_text
 
 Array = NDArray[np.float64]
 STEP_S = 0.005
@@ -174,32 +180,100 @@ def basilisk_run(plan: Plan) -> Callable[[], Array]:
     return run
 
 
-def main() -> None:
-    """Run both, print agreement and speed."""
+@dataclass(frozen=True)
+class Timing:
+    """Median, least and greatest processor time of some runs, s."""
+
+    median_s: float
+    least_s: float
+    most_s: float
+
+    @classmethod
+    def of(cls, seconds: list[float]) -> Timing:
+        """Summary of some runs."""
+        return cls(statistics.median(seconds), min(seconds), max(seconds))
+
+    @property
+    def speed(self) -> float:
+        """Simulated over processor time."""
+        return SPAN_S / self.median_s
+
+
+def measure() -> tuple[Timing, Timing, Array, Array]:
+    """Processor times and final states of both programs, run one after the other."""
     plan = make_plan()
     own = own_run(plan)
     result = own()  # compiles
-    seconds = []
+    own_s, other_s = [], []
+    reference = result
     for _ in range(REPEATS):
         began = time.process_time()
         result = own()
-        seconds.append(time.process_time() - began)
-    print(f"this package: {SPAN_S / statistics.median(seconds):,.0f} × real time")
-    print(f"              median of {REPEATS}, {min(seconds):.4f} to {max(seconds):.4f} s")
+        own_s.append(time.process_time() - began)
+        other = basilisk_run(plan)
+        reference = other()
+        other_s.append(other.seconds)  # type: ignore[attr-defined]
+    return Timing.of(own_s), Timing.of(other_s), result, reference
+
+
+PAGE = """# Open loop against Basilisk
+
+Written by `python benchmarks/basilisk_open_loop.py --out docs/results` with Python {python},
+numpy {numpy}, numba {numba}, Basilisk (`bsk`) {bsk}. A tumbling body with three wheels under
+constant motor torques, no controller, no thrusters: same rigid body and wheels, classical
+Runge-Kutta, steps of {step:g} ms, span {span:g} s, only the final state
+recorded; processor time of one core, median of {repeats} runs (least to most), taken by turns.
+
+| program | time of a run [s] | × real time |
+| --- | --- | --- |
+| this package | {own.median_s:.4f} ({own.least_s:.4f} to {own.most_s:.4f}) | {own.speed:,.0f} |
+| Basilisk | {other.median_s:.4f} ({other.least_s:.4f} to {other.most_s:.4f}) | {other.speed:,.0f} |
+
+Ratio of the medians: {ratio:.1f} (required: 20).
+
+| final state | this package | Basilisk | relative difference (required: 1e-6) |
+| --- | --- | --- | --- |
+{rows}
+"""
+
+
+def main() -> None:
+    """Run both, print agreement and speed; with ``--out`` write them to a page too."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, help="folder for simulation_basilisk.md")
+    options = parser.parse_args()
     if importlib.util.find_spec("Basilisk") is None:
         print("Basilisk is not installed (pip install bsk): no comparison", file=sys.stderr)
         return
-    times, reference = [], result
-    for _ in range(REPEATS):
-        other = basilisk_run(plan)
-        reference = other()
-        times.append(other.seconds)  # type: ignore[attr-defined]
-    print(f"Basilisk:     {SPAN_S / statistics.median(times):,.0f} × real time")
-    print(f"              median of {REPEATS}, {min(times):.4f} to {max(times):.4f} s")
-    print(f"ratio of medians: {statistics.median(times) / statistics.median(seconds):.1f}")
-    names = ("ω_x", "ω_y", "ω_z", "ρ_1", "ρ_2", "ρ_3")
-    for name, a, b in zip(names, result, reference, strict=True):
-        print(f"{name}: {a:+.12e}  {b:+.12e}  relative difference {abs(a / b - 1.0):.1e}")
+    own, other, result, reference = measure()
+    names = (
+        "ω_x [rad/s]",
+        "ω_y [rad/s]",
+        "ω_z [rad/s]",
+        "ρ_1 [rad/s]",
+        "ρ_2 [rad/s]",
+        "ρ_3 [rad/s]",
+    )
+    rows = [
+        f"| {name} | {a:+.12e} | {b:+.12e} | {abs(a / b - 1.0):.1e} |"
+        for name, a, b in zip(names, result, reference, strict=True)
+    ]
+    text = PAGE.format(
+        python=platform.python_version(),
+        numpy=np.__version__,
+        numba=version("numba"),
+        bsk=version("bsk"),
+        step=1e3 * STEP_S,
+        span=SPAN_S,
+        repeats=REPEATS,
+        own=own,
+        other=other,
+        ratio=other.median_s / own.median_s,
+        rows="\n".join(rows),
+    )
+    print(text)
+    if options.out is not None:
+        write_text(options.out / "simulation_basilisk.md", text)
 
 
 if __name__ == "__main__":

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from simulation_cases import EFFECT_CASES
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import read_totals
 from cassini_bayes.priors import read_priors
 from cassini_bayes.scenario import draw_truth, simulate_file, simulate_scenario
-from cassini_bayes.simulation import read_scenario, scenario_of
+from cassini_bayes.simulation import ScenarioFile, read_scenario, scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
 
 Array = NDArray[np.float64]
@@ -63,6 +64,7 @@ angle_rad = 0.05
 rate_rad_s = 1e-3
 acceleration_rad_s2 = 1e-5
 """
+NO_TILT = {"rwa4_tilt_u_rad": 0.0, "rwa4_tilt_v_rad": 0.0}
 EFFECT = """
 [[effect]]
 name = "thruster_leak:z3"
@@ -207,6 +209,102 @@ def test_totals_can_be_read_back(tmp_path: Path) -> None:
     assert event.on_time_s[0] == pytest.approx(float(log.width_s.sum()), abs=0.006)
 
 
+@pytest.mark.parametrize("name", list(EFFECT_CASES))
+def test_every_effect_can_be_named_in_a_scenario(name: str, tmp_path: Path) -> None:
+    """Telemetry differs; truth.json tells name, sizes, and the parameters as they were changed."""
+    document = tomllib.loads(written(tmp_path).read_text("utf-8"))
+    rates = {"from_rpm": [-1118.0, 1290.0, 330.0], "to_rpm": [626.0, 1300.0, -729.0]}
+    document["event"] = [{**document["event"][0], **rates, "duration_s": 150.0}]
+    plain = simulate_file(scenario_of(document), 3)
+    values = dict(EFFECT_CASES[name])
+    document["effect"] = [{"name": name, "parameters": values}]
+    changed = simulate_file(scenario_of(document), 3)
+    (told,) = changed.truth()["effects"]
+    assert told["name"] == name
+    assert {key: told["parameters"][key] for key in values} == values
+    parameters = changed.truth()["parameters"]
+    assert all(parameters[key] == value for key, value in values.items() if key in parameters)
+    before, after = (s.events[0].telemetry.columns for s in (plain, changed))
+    assert set(before) == set(after)
+    assert any(not np.array_equal(before[key], after[key], equal_nan=True) for key in before)
+
+
+def test_channels_each_at_its_own_rate(tmp_path: Path) -> None:
+    """Rates and wheels each 4 s with on-times each 10 s; and 4 s throughout."""
+    document = tomllib.loads(written(tmp_path).read_text("utf-8"))
+    names = ("attitude_every_s", "rate_every_s", "wheel_every_s", "counter_every_s")
+    for every in ((4.0, 4.0, 4.0, 10.0), (4.0, 4.0, 4.0, 4.0)):
+        document["telemetry"].update(dict(zip(names, every, strict=True)), delta_v="none")
+        seen = simulate_file(scenario_of(document), 1).events[0].telemetry
+        time = seen.time_s
+        for column, interval in zip(
+            ("q1", "rate_x_rad_s", "rwa4_rpm", "pulses_z1"), every, strict=True
+        ):
+            sampled = time[~np.isnan(seen.columns[column])]
+            np.testing.assert_allclose(np.diff(sampled), interval, atol=1e-9)
+        assert set(np.unique(np.round(np.diff(time), 6))) == (
+            {2.0, 4.0} if every[3] == 10.0 else {4.0}
+        )
+
+
+def wheel_scenario(folder: Path, wheels: tuple[int, ...], axis_of_wheel_4: int) -> ScenarioFile:
+    """A bias with those wheels; wheel 4 parallel to wheel 1 (before 2003-07-11) or to wheel 3."""
+    text = (ROOT / "cassini_bayes" / "spacecraft" / "cassini.toml").read_text("utf-8")
+    blocks = text.split("[[wheel]]")
+    axes = [next(x for x in block.splitlines() if x.startswith("axis")) for block in blocks[1:5]]
+    blocks[4] = blocks[4].replace(axes[3], axes[axis_of_wheel_4 - 1])
+    (folder / "craft.toml").write_text("[[wheel]]".join(blocks), encoding="utf-8")
+    document = tomllib.loads(written(folder).read_text("utf-8"))
+    document["spacecraft"] = {"branch": "B", "wheels": list(wheels), "file": "craft.toml"}
+    document["truth"].update(rwa4_tilt_u_rad=0.0, rwa4_tilt_v_rad=0.0)
+    document["event"] = [document["event"][0]]
+    return scenario_of(document, folder)
+
+
+@pytest.mark.parametrize("parallel", [1, 3])
+@pytest.mark.parametrize("wheels", [(1, 2, 3), (1, 2, 4), (2, 3, 4), (4, 1, 3)])
+def test_any_three_of_the_four_wheels(
+    wheels: tuple[int, ...], parallel: int, tmp_path: Path
+) -> None:
+    """Columns in the order of the wheels; axes 120° apart, 54.7° from Z, wheel 4 where it is told
+    to be; momentum kept.
+    """
+    truth = draw_truth(read_scenario(written(tmp_path)), 1)
+    truth = replace(truth, parameters={**truth.parameters, **NO_TILT})
+    file = wheel_scenario(tmp_path, wheels, parallel)
+    (event,) = simulate_file(file, 1, truth=truth).events
+    rpm = [name for name in event.telemetry.columns if name.startswith("rwa")]
+    assert rpm == [f"rwa{n}_rpm" for n in wheels]
+    azimuth = {1: 90.0, 2: 210.0, 3: 330.0}
+    angles = np.radians([{**azimuth, 4: azimuth[parallel]}[n] for n in wheels])
+    across = np.stack([np.cos(angles), np.sin(angles), np.full(3, np.sqrt(0.5))])
+    np.testing.assert_allclose(event.motion.body.axes, np.sqrt(2.0 / 3.0) * across, atol=1e-6)
+    momentum = event.motion.momentum_inertial_n_m_s()
+    gain = momentum - momentum[0] - event.motion.angular_impulse_n_m_s
+    assert np.abs(gain).max() < 1e-8
+    assert np.ptp(event.motion.wheels_rpm, axis=0).min() > 40.0
+
+
+def test_a_burn_is_seen_by_the_accelerometer(tmp_path: Path) -> None:
+    """delta_v: counters of the Z thrusters and measured ΔV, near the target, with its noise."""
+    simulation = simulate_scenario(FOLDER / "burn_2004.toml", tmp_path / "out", 2)
+    (event,) = simulation.events
+    toml = tomllib.loads((tmp_path / "out" / "burn" / "event.toml").read_text())
+    assert toml["kind"] == "delta_v"
+    assert toml["delta_v_source"] == "measured"
+    columns = event.telemetry.columns
+    seen = columns["delta_v_z_m_s"]
+    true = np.interp(
+        event.telemetry.time_s, event.motion.time_s, event.motion.delta_v_body_m_s[:, 2]
+    )
+    error = (seen - true)[~np.isnan(seen)]
+    assert 1.5e-5 < np.std(error) < 2.5e-5
+    assert seen[~np.isnan(seen)][-1] == pytest.approx(-0.15, rel=0.02)
+    assert columns["on_time_z1_s"][-1] > 100.0
+    assert np.nanmax(columns["tank_pressure_kpa"]) > np.nanmin(columns["tank_pressure_kpa"])
+    assert not (tmp_path / "out" / "totals.csv").exists()
+
+
 def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     """A folder with files in it is refused; --force replaces."""
     path = written(tmp_path)
@@ -247,6 +345,25 @@ BAD = (
     ("2010-05-01T00:00:00Z", "2010-05-01T00:00:00", "UTC"),
     ('draw_from = "PRIORS"', 'draw_from = "nowhere.toml"', "no such file"),
     ("step_s = 0.005", "step_s = = 3", "TOML"),
+    ("step_s = 0.005", "step_s = true", "number"),
+    ("step_s = 0.005", "step_s = 1e-300", "greater than"),
+    ("wheels = [1, 2, 4]", 'wheels = ["1", 2, 4]', "integer"),
+    ("wheel_noise_rpm = 0.2", 'wheel_noise_rpm = "0.2"', "number"),
+    ("wheel_noise_rpm = 0.2", "wheel_noise_rpm = 1e308", "less than"),
+    ("wheel_noise_rpm = 0.2", "counter_every_s = 0.0", "counter_every_s"),
+    ("mass_kg = 2380.0", "mass_kg = 0.0", "above 0"),
+    ("mass_kg = 2380.0", "inertia_xx_kg_m2 = -6500.0", "above 0"),
+    ("mass_kg = 2380.0", "mass_kg = 2380.0\ninertia_xx_kg_m2 = 1e-6", "positive definite"),
+    ("mass_kg = 2380.0", "thrust_individual_n = { z9 = 0.1 }", "z"),
+    ("tau_fall_s = 0.05", "thrust_individual_n = { z3 = -2.0 }", "above 0"),
+    ("settle_s = 50.0", "duration_s = 1e9", "control cycles"),
+    ("settle_s = 50.0", "duration_s = 1e-3", "control cycles"),
+    ("settle_s = 50.0", "attitude = [0.0, 0.0, 0.0, 0.5]", "unit norm"),
+    ('id = "two"', 'id = "../two"', "pattern"),
+    ('id = "two"', 'id = "truth.json"', "rename"),
+    ("wheels = [1, 2, 4]", "wheels = [2, 3, 4]", "parallel"),
+    ('kind = "slew"', 'kind = "quiescent"', "add duration_s"),
+    ('kind = "slew"', 'kind = "delta_v"', "add delta_v_m_s"),
 )
 
 
@@ -262,6 +379,16 @@ def test_a_bad_scenario_is_one_line_that_says_what_to_mend(
     assert "\n" not in str(caught.value)
     assert caught.value.exit_code == 2
     assert not (tmp_path / "out").exists()
+
+
+def test_a_motion_that_the_step_cannot_follow_is_refused(tmp_path: Path) -> None:
+    """A mode far faster than the step overflows: one line instead of NaN in the telemetry."""
+    mode = (
+        '\n[[appendage]]\nname = "stiff"\naxis = [1.0, 0.0, 0.0]\ninertia_kg_m2 = 10.0\n'
+        "frequency_hz = 1e5\ndamping = 0.01\ninitial_rate_rad_s = 1e-3\n"
+    )
+    with pytest.raises(InputError, match="shorten the step"):
+        simulate_scenario(written(tmp_path, TEXT + mode), tmp_path / "out", 1)
 
 
 def test_a_missing_file_names_its_neighbours(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from simulation_cases import BIAS, PARAMETERS, make_plan, run
+from simulation_cases import EFFECT_CASES as CASES
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.pulses import PULSE_SHAPES
@@ -19,35 +20,6 @@ from cassini_bayes.spacecraft import load_spacecraft
 
 SMALL = {**BIAS, "to_rpm": (-918.0, 1200.0, 250.0), "settle_s": 60.0}
 NOISE = {f"rate_bias_{axis}_rad_s": 0.0 for axis in "xyz"}
-CASES: Mapping[str, Mapping[str, Any]] = {
-    "thrust_scale": {"thrust_factor": 0.9},
-    "thruster_degraded:z4": {"thrust_factor": 0.77},
-    "thrust_warmup": {"warmup_deficit": 0.3, "warmup_time_s": 2.0},
-    "tail_off": {"tau_fall_s": 0.065},
-    "pulse_shape": {"impulse_time_offset_s": 0.012},
-    "center_of_mass:y": {"cm_y_m": 0.10},
-    "wheel_inertia:2": {"rwa2_inertia_kg_m2": 0.166},
-    "wheel_alignment:4": {"rwa4_tilt_u_rad": 0.05, "rwa4_tilt_v_rad": 0.02},
-    "thruster_misalignment:y2": {"cant_a_rad": 0.02, "cant_b_rad": -0.03},
-    "external_torque": {f"external_torque_{axis}_n_m": 2e-4 for axis in "xyz"},
-    "thruster_leak:z1": {"leak_n": 0.01},
-    "inertia:xx": {"inertia_xx_kg_m2": 7000.0},
-    "time_offset": {"time_offset_s": 2.0},
-    "rate_bias:z": {"rate_bias_z_rad_s": 1e-5},
-    "rate_scale:x": {"rate_scale": 0.02},
-    "flexible_mode": {"frequency_hz": 0.13, "damping": 0.002, "amplitude_rad_s": 1e-5},
-    "firing_logic": {"rate_gain_factor": 2.0},
-    "atmospheric_torque": {
-        "peak_x_n_m": 0.05,
-        "peak_y_n_m": 0.0,
-        "peak_z_n_m": 0.1,
-        "centre_s": 60.0,
-        "width_s": 20.0,
-    },
-    "pressure_surge": {"thrust_fraction": 0.2, "start_s": 50.0, "decay_s": 40.0},
-    "tachometer_scale": {"slope_per_rpm": 5e-6},
-    "plume_impingement:z4": {"lever_m": 0.1},
-}
 
 
 def chosen(name: str, values: Mapping[str, Any], plan: Plan) -> Plan:

@@ -105,6 +105,31 @@ def test_propellant_and_delta_v_follow_the_pulses_of_a_whole_event() -> None:
     assert motion.delta_v_body_m_s[-1, 2] == pytest.approx(expected, rel=1e-5)
 
 
+def test_hydrazine_follows_the_specific_impulse_of_the_duty_cycle() -> None:
+    """Σ F Δimpulse/(g I_sp(μ)), μ the thruster's own on-time so far over the time so far.
+
+    Written down from the pulse log on a fine grid; with the duty cycle left out it differs.
+    """
+    isp = (174.1, 22.8, 33.3, 30.0, 400.0)
+    event = {**BIAS, "from_rpm": (0.0, 0.0, 0.0), "to_rpm": (100.0, -80.0, 60.0)}
+    settings = PropulsionSettings(ullage_m3=1e9, isp_s=isp)
+    motion = run(make_plan(event, propulsion=settings, rcs=RcsSettings(rate_gain_s=20.0)))
+    shape = PULSE_SHAPES["first_order"]
+    fine = 5e-4
+    grams = {"duty": 0.0, "plateau": 0.0}
+    for log in motion.pulses.values():
+        for start, width in zip(log.start_s, log.width_s, strict=True):
+            time = start + fine * (np.arange(2000) + 0.5)
+            thrust = 0.75 * shape.thrust_fraction(time - start, width, *TAUS)
+            duty = log.on_time_s(time) / time
+            curve = isp[0] - isp[1] * np.exp(-isp[2] * duty) - isp[3] * np.exp(-isp[4] * duty)
+            grams["duty"] += 1e3 * fine * float(np.sum(thrust / (9.80665 * curve)))
+            grams["plateau"] += 1e3 * fine * float(np.sum(thrust / (9.80665 * isp[0])))
+    used = 1e3 * motion.propellant_kg[-1]
+    assert used == pytest.approx(grams["duty"], rel=2e-3)
+    assert used > 1.05 * grams["plateau"]
+
+
 def test_a_shape_without_a_response_is_refused() -> None:
     """The shape whose rise outlasts the command cannot be simulated, and neither can a typo."""
     for name in ("published_2012", "first_oder"):

@@ -8,17 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cassini_bayes import simulation_results
 from cassini_bayes.plots.simulation import motion_figure
 from cassini_bayes.simulation import read_scenario
-from cassini_bayes.simulation_results import (
-    fsds_section,
+from cassini_bayes.simulation.settings import PropulsionSettings
+from cassini_bayes.simulation_results import biases, main
+from cassini_bayes.simulation_results.cases import simulated
+from cassini_bayes.simulation_results.fsds import fsds_section, naive_thrust_n
+from cassini_bayes.simulation_results.mechanics import (
+    SHAPES,
     impulse_error,
-    main,
-    markdown,
-    naive_thrust_n,
-    simulated,
+    in_memory_s,
+    integrator_orders,
 )
+from cassini_bayes.simulation_results.propellant import (
+    PrintedHydrazine,
+    fit_specific_impulse,
+    hydrazine_g,
+    propellant_section,
+)
+from cassini_bayes.simulation_results.tables import markdown
 
 ROOT = Path(__file__).parents[1]
 
@@ -52,13 +60,58 @@ def test_the_y_bias_hardly_uses_the_z_thrusters() -> None:
     assert max(on_time[f"z{i}"] for i in range(1, 5)) < 0.2 * on_time["y2"]
 
 
+@pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("width_s", [0.007, 0.125, 0.75])
 def test_the_impulse_error_is_far_below_what_is_asked(
-    width_s: float, monkeypatch: pytest.MonkeyPatch
+    width_s: float, shape: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """1e-6 is asked for; the integral over a step is exact."""
     monkeypatch.chdir(ROOT)
-    assert impulse_error(width_s) < 1e-12
+    assert impulse_error(width_s, shape) < 1e-12
+
+
+def test_the_order_on_the_page_is_the_fourth() -> None:
+    """Two halvings, each about sixteen-fold."""
+    orders = integrator_orders(read_scenario(ROOT / "runs" / "scenarios" / "biases_2009_2010.toml"))
+    assert len(orders) == 2
+    assert all(3.7 < order < 4.4 for order in orders)
+
+
+def test_an_event_in_memory_takes_less_than_a_second() -> None:
+    """A wheel bias of some 20 minutes, to its telemetry."""
+    file = read_scenario(ROOT / "runs" / "scenarios" / "biases_2009_2010.toml")
+    assert in_memory_s(file, 0) < 1.0
+
+
+def test_the_specific_impulse_is_found_again_from_its_own_hydrazine() -> None:
+    """Made-up masses of known coefficients give the coefficients back; a constant does not fit."""
+    true = np.array([180.0, 25.0, 60.0])
+    rng = np.random.default_rng(1)
+    made = []
+    for _ in range(16):
+        bare = PrintedHydrazine(rng.uniform(0.0, 25.0, 6), 0.75, rng.uniform(200.0, 1400.0), 0.0)
+        made.append(
+            PrintedHydrazine(bare.on_time_s, 0.75, bare.duration_s, hydrazine_g(bare, true))
+        )
+    found = fit_specific_impulse(made, (170.0, 10.0, 100.0))
+    assert found.coefficients == pytest.approx(true, rel=1e-4)
+    assert fit_specific_impulse(made, (170.0,)).rms_g > 100.0 * found.rms_g
+
+
+def test_the_hydrazine_of_one_column_by_hand() -> None:
+    """Two thrusters of a pair for 10 s and one for 4 s at 1 N and 200 s: 24/(9.80665 · 200) kg."""
+    printed = PrintedHydrazine(np.array([10.0, 0.0, 4.0, 0.0, 0.0, 0.0]), 1.0, 1000.0, 0.0)
+    assert hydrazine_g(printed, np.array([200.0])) == pytest.approx(24e3 / (9.80665 * 200.0))
+
+
+def test_the_ground_software_uses_a_duty_cycle_and_the_default_is_its_curve() -> None:
+    """With the duty cycle its hydrazine is met to the rounding of print, without it not."""
+    _, rows = propellant_section()
+    header, ground = rows[0], rows[1]
+    constant, full = (float(ground[i]) for i, name in enumerate(header) if name == "rms [g]")
+    assert full < 0.06 < 0.1 < constant
+    fitted = [float(ground[header.index(name)]) for name in ("P0 [s]", "P1 [s]", "P2")]
+    assert PropulsionSettings().isp_s[:3] == pytest.approx(fitted, abs=0.051)
 
 
 @pytest.mark.slow
@@ -67,8 +120,8 @@ def test_the_page_is_written_with_its_tables_and_pictures(
 ) -> None:
     """One seed, one setting: page, CSV files and PNG files, each referred to by the page."""
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(simulation_results, "SCAN", {"as in the scenario": {}})
-    monkeypatch.setattr(simulation_results, "TAIL_OFFS_S", ())
+    monkeypatch.setattr(biases, "SCAN", {"as in the scenario": {}})
+    monkeypatch.setattr(biases, "TAIL_OFFS_S", ())
     main(["--out", str(tmp_path), "--seeds", "1", "--scan-seeds", "1"])
     text = (tmp_path / "simulation.md").read_text("utf-8")
     for name in ("simulation_biases.png", "simulation_event.png"):

@@ -15,7 +15,7 @@ from typing import Final
 from cassini_bayes.checks import finite_number, nearest
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation.plan import Plan, Surge, TorquePulse, Vector, frozen_mapping
-from cassini_bayes.simulation.settings import Appendage, EffectRequest
+from cassini_bayes.simulation.settings import LARGEST, SMALLEST, Appendage, EffectRequest
 from cassini_bayes.spacecraft import Spacecraft
 
 Values = Mapping[str, float]
@@ -300,12 +300,14 @@ def choose_effect(
 
 def _checked(where: str, key: str, value: object) -> float:
     number = finite_number(where, value)
-    if key in _POSITIVE and number <= 0.0:
+    if abs(number) > LARGEST:
+        raise InputError(where, f"a number within ±{LARGEST:g}", repr(value), "check the unit")
+    if key in _POSITIVE and number < SMALLEST:
         raise InputError(where, "a number above 0", repr(value), "give a size that is physical")
     inertia = key.endswith("_inertia_kg_m2") or key in (
         f"inertia_{element}_kg_m2" for element in ELEMENTS[:3]
     )
-    if inertia and number <= 0.0:
+    if inertia and number < SMALLEST:
         raise InputError(where, "a number above 0", repr(value), "an inertia is positive")
     if key in _NOT_NEGATIVE and number < 0.0:
         raise InputError(where, "0 or more", repr(value), "give a size that is physical")

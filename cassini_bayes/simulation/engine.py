@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.random import Generator
@@ -32,6 +33,11 @@ from cassini_bayes.spacecraft import wheel_inertias
 Array = NDArray[np.float64]
 RAMP_TIME_CONSTANTS = 6.0
 """Paper 001 section IV: a wheel has arrived n = 6 time constants after its linear ramp."""
+MOST_CYCLES: Final = 2_000_000
+MOST_RECORDS: Final = 2_000_000
+MOST_STEPS_PER_CYCLE: Final = 1_000_000
+STEPS_PER_RECORD: Final = 100
+"""What fits into memory and an hour: three days of control cycles."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +59,11 @@ class Steps:
         """
         counts = []
         for name, span in (("cycle_s", cycle_s), ("the record interval", record_s)):
-            count = round(span / step_s)
-            if count < 1 or abs(count * step_s - span) > 1e-9:
+            count = round(min(span / step_s, 2.0 * MOST_STEPS_PER_CYCLE))
+            if not 1 <= count <= MOST_STEPS_PER_CYCLE or abs(count * step_s - span) > 1e-9:
                 raise InputError(
                     "scenario: step_s",
-                    f"a step that divides {name} = {span:g} s",
+                    f"a step that divides {name} = {span:g} s, not too finely",
                     f"{step_s:g} s",
                     "choose e.g. 0.005",
                 )
@@ -98,6 +104,13 @@ def event_duration_s(plan: Plan, cycle_s: float) -> float:
                 "nothing",
                 "add duration_s = …",
             )
+    if not cycle_s * (1.0 - 1e-9) <= duration <= MOST_CYCLES * cycle_s:
+        raise InputError(
+            f"event {event.id}: duration_s",
+            f"1 to {MOST_CYCLES:,} control cycles of {cycle_s:g} s",
+            f"{duration:g} s",
+            "simulate it in parts; or check rates, limits and inertias if it was not given",
+        )
     return math.ceil(duration / cycle_s - 1e-9) * cycle_s
 
 
@@ -126,6 +139,13 @@ def simulate_motion(
     n_cycles = round(duration / cycle)
     n_steps = n_cycles * steps.per_cycle
     n_records = n_steps // steps.per_record + 1
+    if max(n_records, n_steps // STEPS_PER_RECORD) > MOST_RECORDS:
+        raise InputError(
+            f"event {plan.event.id}: duration_s",
+            f"at most {MOST_RECORDS:,} records and {MOST_RECORDS * STEPS_PER_RECORD:,} steps",
+            f"{n_records:,} and {n_steps:,}",
+            "sample less often, take longer steps, or simulate it in parts",
+        )
     body = make_body(plan)
     n_wheels = body.axes.shape[1]
     n_thrusters = len(plan.thrusters)
@@ -155,6 +175,13 @@ def simulate_motion(
         pulses,
         record,
     )
+    if not all(np.isfinite(field).all() for field in record):
+        raise InputError(
+            f"event {plan.event.id}: motion",
+            "a motion that steps of this length can follow",
+            f"no finite numbers with step_s = {steps.step_s:g}",
+            "shorten the step; check frequencies, inertias, torques and their units",
+        )
     logs = {
         name: PulseLog(pulses.start_s[k, : pulses.number[k]], pulses.width_s[k, : pulses.number[k]])
         for k, name in enumerate(plan.thrusters)

@@ -15,11 +15,23 @@ from cassini_bayes.checks import finite_number, nearest
 from cassini_bayes.errors import InputError
 from cassini_bayes.parameters import generic_parameters
 from cassini_bayes.simulation.effects import ChosenEffect, choose_effect
-from cassini_bayes.simulation.settings import EventSettings, Scenario
+from cassini_bayes.simulation.settings import (
+    LARGEST,
+    SMALLEST,
+    EventSettings,
+    Scenario,
+    Vector,
+)
 from cassini_bayes.simulation.telemetry import record_interval_s
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 
 DRAW_FROM: Final = "draw_from"
+_ABOVE_ZERO: Final = (
+    "thrust_common_n",
+    "mass_kg",
+    "mass_factor",
+    *(f"inertia_{axis}_kg_m2" for axis in ("xx", "yy", "zz")),
+)
 
 
 @dataclass(frozen=True)
@@ -95,6 +107,8 @@ def scenario_of(
     spacecraft = _spacecraft(where, folder, scenario)
     _check_wheels(where, scenario, spacecraft)
     ids = _check_events(where, scenario)
+    for index, appendage in enumerate(scenario.appendage):
+        _check_direction(f"{where}: appendage.{index}.axis", appendage.axis)
     _check_truth(where, scenario, spacecraft)
     record_interval_s(scenario.telemetry)
     effects = _effects(where, scenario, spacecraft, ids)
@@ -104,8 +118,16 @@ def scenario_of(
 def _check_events(where: str, scenario: Scenario) -> tuple[str, ...]:
     """Check every event; their ids."""
     seen: list[str] = []
+    taken = ("totals.csv", "truth.json", "figures")
     for index, event in enumerate(scenario.event):
         _check_event(f"{where}: event.{index}", event, scenario)
+        if event.id in taken:
+            raise InputError(
+                f"{where}: event.{index}.id",
+                f"a name other than {', '.join(taken)}",
+                repr(event.id),
+                "rename it: these stand beside the event folders",
+            )
         if event.id in seen:
             raise InputError(
                 f"{where}: event.{index}.id", "each id once", f"{event.id!r} again", "rename it"
@@ -244,8 +266,7 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
             "add duration_s = …",
         )
     for i, slew in enumerate(event.slew):
-        if math.hypot(*slew.axis) == 0.0:
-            raise InputError(f"{where}.slew.{i}.axis", "a direction", "zero", "give an axis")
+        _check_direction(f"{where}.slew.{i}.axis", slew.axis)
     if abs(math.hypot(*event.attitude) - 1.0) > 1e-6:
         raise InputError(
             f"{where}.attitude",
@@ -253,6 +274,11 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
             str(event.attitude),
             "divide it by its norm",
         )
+
+
+def _check_direction(where: str, axis: Vector) -> None:
+    if math.hypot(*axis) < SMALLEST:
+        raise InputError(where, "a direction", str(axis), "give an axis, of any length but zero")
 
 
 def _check_truth(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:
@@ -284,8 +310,21 @@ def _check_value(place: str, key: str, value: object, names: list[str]) -> None:
     if key not in names:
         raise InputError(place, "the name of a parameter", repr(key), nearest(key, names))
     number = finite_number(place, value)
-    positive = key.startswith(("tau_", "thrust_common", "mass_")) or key.endswith(
-        ("_inertia_kg_m2", "_noise_rad_s", "_resolution_s")
+    if abs(number) > LARGEST:
+        raise InputError(place, f"a number within ±{LARGEST:g}", repr(value), "check the unit")
+    if key in _ABOVE_ZERO or key.endswith("_inertia_kg_m2"):
+        if number < SMALLEST:
+            raise InputError(place, "a number above 0", repr(value), "check sign and unit")
+        return
+    not_negative = key.startswith("tau_") or key.endswith(
+        (
+            "_noise_rad_s",
+            "_noise_rpm",
+            "_noise_rad",
+            "_noise_m_s",
+            "_resolution_s",
+            "_resolution_rpm",
+        )
     )
-    if positive and number < 0.0:
+    if not_negative and number < 0.0:
         raise InputError(place, "0 or more", repr(value), "check the sign")

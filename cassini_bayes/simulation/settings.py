@@ -7,14 +7,19 @@ wheel rates in rpm (as telemetry has them), everything else SI.
 from __future__ import annotations
 
 import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+# Limits that no spacecraft comes near: beyond them a slip of the pen would overflow somewhere.
+LARGEST: Final = 1e12
+SMALLEST: Final = 1e-9
+Positive = Annotated[float, Field(ge=SMALLEST, le=LARGEST, allow_inf_nan=False, strict=True)]
+NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST, allow_inf_nan=False, strict=True)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0, strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
+Whole = Annotated[int, Field(strict=True)]
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False, strict=True)]
 Vector = tuple[Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
 TruthTable = dict[str, Any]
@@ -32,7 +37,7 @@ class SpacecraftSettings(Table):
     name: str | None = None
     file: str | None = None
     branch: str
-    wheels: tuple[int, ...] = Field(min_length=1)
+    wheels: tuple[Whole, ...] = Field(min_length=1)
 
 
 class RcsSettings(Table):
@@ -62,7 +67,7 @@ class RwaSettings(Table):
     bandwidth_rad_s: Positive = 0.19
     damping: Positive = 0.9
     torque_limit_n_m: Positive = 0.13
-    feed_forward: bool = True
+    feed_forward: Flag = True
     attitude_knowledge_rad: NotNegative = 0.0
     rate_knowledge_rad_s: NotNegative = 0.0
 
@@ -81,10 +86,14 @@ class WheelSettings(Table):
 
 
 class PropulsionSettings(Table):
-    """Pulse shape, specific impulse (paper 001 eq. 19: P0 … P4) and the blow-down tank."""
+    """Pulse shape, specific impulse (paper 001 eq. 19: P0 … P4) and the blow-down tank.
+
+    The coefficients of eq. (19) are printed nowhere; the default is the fit to the hydrazine that
+    paper 001's ground software computed (``docs/results/simulation.md``).
+    """
 
     pulse_shape: str = "first_order"
-    isp_s: tuple[Positive, Number, Number, Number, Number] = (180.0, 0.0, 0.0, 0.0, 0.0)
+    isp_s: tuple[Positive, Number, Number, Number, Number] = (174.1, 22.8, 33.3, 0.0, 0.0)
     tank_pressure_kpa: Positive = 2000.0
     ullage_m3: Positive = 0.1
 
@@ -136,7 +145,7 @@ class EventSettings(Table):
     attitude: Quaternion = (0.0, 0.0, 0.0, 1.0)
     slew: tuple[Slew, ...] = ()
     delta_v_m_s: NotNegative = 0.0
-    thrusters_on: bool = True
+    thrusters_on: Flag = True
     truth: TruthTable = Field(default_factory=dict)
     start: StartSettings | None = None
     rcs: RcsSettings | None = None
@@ -164,7 +173,7 @@ class TelemetrySettings(Table):
     delta_v: Literal["measured", "computed", "none"] = "none"
     delta_v_noise_m_s: NotNegative | None = None
     delta_v_resolution_m_s: NotNegative | None = None
-    pressure: bool = False
+    pressure: Flag = False
     pressure_noise_kpa: NotNegative = 0.0
     drop_out: Fraction = 0.0
     source: str = "simulation"
