@@ -27,7 +27,8 @@ class Attitudes:
         self._columns = list(layout.channels["attitude"])
         self._time = layout.channels["time"][0]
         self._mends = mends
-        self._last: tuple[float, Array] | None = None
+        self._last: tuple[float, Array] | None = None  # as the file has it
+        self._sign = 1.0
 
     def checked(self, block: Block) -> Array:
         """Unit quaternions (n, 4), NaN where not sampled; (n, 0) without the channel."""
@@ -70,6 +71,7 @@ class Attitudes:
         before = np.concatenate([first[None], quaternions[:-1]])
         dot = np.einsum("ij,ij->i", quaternions, before)
         self._check_jumps(block, rows, np.abs(dot), np.diff(time, prepend=start))
+        self._last = (float(time[-1]), quaternions[-1].copy())
         flipped = np.flatnonzero(dot < 0.0)
         if flipped.size:
             lines = block.lines[rows[flipped]]
@@ -77,9 +79,11 @@ class Attitudes:
                 *("sign_flip", "q1", int(lines[0]), int(lines[-1]), int(lines.size)),
                 "the quaternion changed its sign, which is the same attitude; undone",
             )
-            quaternions = quaternions * np.cumprod(np.where(dot < 0.0, -1.0, 1.0))[:, None]
-        self._last = (float(time[-1]), quaternions[-1].copy())
-        return quaternions
+        elif self._sign > 0.0:
+            return quaternions
+        signs = self._sign * np.cumprod(np.where(dot < 0.0, -1.0, 1.0))
+        self._sign = float(signs[-1])
+        return quaternions * signs[:, None]
 
     def _check_jumps(
         self, block: Block, rows: NDArray[np.int64], cosine: Array, step_s: Array

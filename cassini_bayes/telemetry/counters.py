@@ -63,12 +63,12 @@ class Counter:
         growth = np.diff(values, axis=1, prepend=first[:, None])
         step_s = np.diff(time, prepend=start)
         self._last = (float(time[-1]), values[:, -1].copy())
+        if self._channel == "on_time":
+            self._check_pace(block, rows, growth, step_s)
         if growth.min() < -ROUNDING:
             values = values + np.cumsum(self._unwrap(block, rows, growth, step_s), axis=1)
         counts = values + self._wrapped[:, None]
         self._wrapped = counts[:, -1] - self._last[1]
-        if self._channel == "on_time":
-            self._check_pace(block, rows, growth, step_s)
         self._highest = np.maximum(self._highest, raw[:, rows].max(axis=1))
         self._check_highest(block, int(rows[-1]))
         self._steepest = np.maximum(self._steepest, growth.max(axis=1))

@@ -61,9 +61,9 @@ class CsvTable:
                 buffer[end] = 10  # the last line may lack its newline
                 end += 1
             stop = store.rfind(b"\n", 0, end) + 1
+            yield from filling.take(buffer, stop, last)
             if end - stop >= LONGEST_LINE:
                 raise filling.too_long()
-            yield from filling.take(buffer, stop, last)
             kept = end - stop
             buffer[:kept] = buffer[stop:end].copy()
         yield from filling.rest()
@@ -98,7 +98,10 @@ class _Filling:
                 *(text, place, stop, self._line, self._row),
                 *(self._cells, self._lines, nans, self._odd, self._powers),
             )
-            for entry in self._odd[:found].tolist():
+            entries = self._odd[:found]
+            if found and entries[-1, 1] == BAD_LENGTH:  # says more than the cells of that line
+                entries = entries[(entries[:, 4] != entries[-1, 4]) | (entries[:, 1] == BAD_LENGTH)]
+            for entry in entries.tolist():
                 self._settle(text, entry, last and place >= stop)
             if self._row == self._rows:
                 yield self._block()

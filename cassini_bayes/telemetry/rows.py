@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,11 +15,11 @@ from cassini_bayes.telemetry.mends import Mends
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-HIGHEST_RATE_RAD_S = 0.05
+HIGHEST_RATE_RAD_S: Final = 0.05
 """Ten times the fastest slew of Cassini on thrusters; a slew in deg/s exceeds it."""
-HIGHEST_RPM = 4000.0
+HIGHEST_RPM: Final = 4000.0
 """Twice what Cassini's wheels are kept below."""
-HIGHEST_DELTA_V_M_S = 2000.0
+HIGHEST_DELTA_V_M_S: Final = 2000.0
 
 
 class Times:
