@@ -1,0 +1,221 @@
+"""What past events say of everything but thrust and firing: counts, grams, seconds, trends.
+
+Each is a small regression (:mod:`.regressions`) on figures of the given events alone: pulses on
+on-times, hydrazine on impulse, the duration on wheel changes, and the drift of what the ground
+software printed (thrust, thrust over mass, mass) with time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.events import TotalsEvent
+from cassini_bayes.model import TotalsModel
+from cassini_bayes.prediction.beliefs import Beliefs
+from cassini_bayes.prediction.demand import PairLayout
+from cassini_bayes.prediction.physics import Physics
+from cassini_bayes.prediction.regressions import Regression, ScalePrior, regress
+from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
+from cassini_bayes.pulses import effective_on_time
+from cassini_bayes.spacecraft import thruster_directions
+
+Array = NDArray[np.float64]
+
+GRAVITY_M_S2: Final = 9.80665
+SECONDS_PER_YEAR: Final = 365.25 * 86400.0
+PRINTED_THRUST_SD_N: Final = 0.005
+TREND_SD_PER_YEAR: Final = 0.05  # of the value itself: what is printed falls by 4 % a year
+HYDRAZINE_STEP_G: Final = 1.0
+HYDRAZINE_RELATIVE: Final = 0.03
+DURATION_SD_S: Final = 1.5
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A value that drifts with time: centre and slope per year about a reference epoch, (n,)."""
+
+    reference: datetime
+    centre: Array
+    slope_per_year: Array
+    scatter: Array
+
+    def at(self, epoch: datetime) -> Array:
+        """Values (n,) at an epoch, without scatter."""
+        years = (epoch - self.reference).total_seconds() / SECONDS_PER_YEAR
+        return np.asarray(self.centre + self.slope_per_year * years)
+
+
+def mean_pulse_rate(events: tuple[TotalsEvent, ...], layout: PairLayout) -> float:
+    """Pulses per commanded second over all events and units, 1/s."""
+    on_time, pulses = _unit_totals(events, layout)
+    return float(pulses.sum() / on_time.sum())
+
+
+def _unit_totals(events: tuple[TotalsEvent, ...], layout: PairLayout) -> tuple[Array, Array]:
+    first = [unit[0] for unit in layout.units]
+    on_time = np.concatenate([event.on_time_s[first] for event in events])
+    pulses = np.concatenate([np.asarray(event.pulses)[first] for event in events])
+    fired = on_time > 0
+    return on_time[fired], pulses[fired]
+
+
+def pulse_regression(
+    events: tuple[TotalsEvent, ...],
+    layout: PairLayout,
+    beliefs: Beliefs,
+    rng: np.random.Generator,
+    size: int,
+) -> Regression:
+    """N = r u + noise of variance φ r u: coefficient r, scale φ (1 for Poisson counts)."""
+    on_time, pulses = _unit_totals(events, layout)
+    mean, sd = beliefs.moments("pulses_per_second")
+    return regress(
+        on_time[:, None],
+        pulses,
+        mean * on_time,
+        np.array([mean]),
+        np.array([sd]),
+        rng,
+        size=size,
+        scale=ScalePrior(0.25, 4.0),
+    )
+
+
+def group_impulse(layout: PairLayout, thrust_n: Array, effective_s: Array) -> tuple[Array, Array]:
+    """Impulse (n, …) of all thrusters and of those of the couple axis, N s."""
+    couple = sorted({k for unit in layout.units[:2] for k in unit})
+    impulse = thrust_n * effective_s
+    return np.asarray(impulse.sum(-1)), np.asarray(impulse[..., couple].sum(-1))
+
+
+def hydrazine_regression(
+    model: TotalsModel,
+    events: tuple[TotalsEvent, ...],
+    physics: Physics,
+    layout: PairLayout,
+    beliefs: Beliefs,
+    rng: np.random.Generator,
+) -> Regression | None:
+    """Grams = 1000/g (impulse/I_sp + couple impulse · departure) + offset."""
+    rows = [row for row, event in enumerate(events) if event.hydrazine_g is not None]
+    if not rows:
+        return None
+    times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
+    effective = effective_on_time(
+        model.pulse_shape,
+        model.stack.on_time_s,
+        model.stack.pulses,
+        *(np.asarray(value)[..., None, None] for value in times),
+    )
+    total, couple = group_impulse(layout, physics.thrust_n[:, rows], effective[..., rows, :])
+    grams = np.array([events[row].hydrazine_g for row in rows], dtype=np.float64)
+    design = np.stack([total, couple, np.ones_like(total)], axis=-1)
+    design[..., :2] *= 1e3 / GRAVITY_M_S2
+    isp, isp_sd = beliefs.moments("specific_impulse_s")
+    group = beliefs.moments("specific_impulse_group_s")[1]
+    offset, offset_sd = beliefs.moments("hydrazine_offset_g")
+    return regress(
+        design,
+        grams,
+        hydrazine_variance(grams),
+        np.array([1.0 / isp, 0.0, offset]),
+        np.array([isp_sd / isp**2, group / isp**2, offset_sd]),
+        rng,
+        size=physics.size,
+        scale=ScalePrior(1.0, 4.0),
+    )
+
+
+def hydrazine_variance(grams: Array) -> Array:
+    """Variance of a printed mass before scaling: its step of one gram, and 3 % of it."""
+    return np.asarray(HYDRAZINE_STEP_G**2 / 12.0 + (HYDRAZINE_RELATIVE * grams) ** 2)
+
+
+def manager_regression(
+    events: tuple[TotalsEvent, ...],
+    wheels: tuple[int, ...],
+    beliefs: Beliefs,
+    rng: np.random.Generator,
+    size: int,
+) -> Regression:
+    """Ramps of the wheels and loop time from the durations: D = p_j |Δ_j| + (n − 1) τ."""
+    ramp, ramp_sd = beliefs.moments("wheel_ramp_s_per_rpm")
+    loop, loop_sd = beliefs.moments("wheel_loop_s")
+    design = np.zeros((len(events), len(wheels) + 1))
+    for row, event in enumerate(events):
+        change = np.abs(event.rwa_end_rpm - event.rwa_start_rpm)
+        slowest = int(np.argmax(change))
+        design[row, wheels.index(event.wheels[slowest])] = change[slowest]
+    design[:, -1] = SETTLING_TIMES - 1.0
+    return regress(
+        design,
+        np.array([event.duration_s for event in events]),
+        np.full(len(events), DURATION_SD_S**2),
+        np.array([*(ramp for _ in wheels), loop]),
+        np.array([*(ramp_sd for _ in wheels), loop_sd]),
+        rng,
+        size=size,
+        scale=ScalePrior(1.0, 4.0),
+    )
+
+
+def trend_of(
+    epochs: list[datetime],
+    values: list[float | None],
+    sd: float,
+    rng: np.random.Generator,
+    size: int,
+) -> Trend | None:
+    """Centre and slope of what the ground software printed; None where a value is missing."""
+    given = [value for value in values if value is not None]
+    if len(given) < len(values) or not given:
+        return None
+    reference = min(epochs) + sum((e - min(epochs) for e in epochs), epochs[0] - epochs[0]) / len(
+        epochs
+    )
+    years = np.array([(e - reference).total_seconds() / SECONDS_PER_YEAR for e in epochs])
+    target = np.array(given)
+    level = float(target.mean())
+    found = regress(
+        np.stack([np.ones_like(years), years], axis=-1),
+        target,
+        np.full(len(years), sd**2),
+        np.array([level, 0.0]),
+        np.array([0.02 * level, TREND_SD_PER_YEAR * level]),
+        rng,
+        size=size,
+        scale=ScalePrior(1.0, 4.0),
+    )
+    return Trend(
+        reference,
+        found.coefficients[:, 0],
+        found.coefficients[:, 1],
+        sd * np.sqrt(found.scale_square),
+    )
+
+
+def no_trend(epochs: list[datetime], size: int) -> Trend:
+    """No trend, where no thrust was printed."""
+    return Trend(min(epochs), np.zeros(size), np.zeros(size), np.zeros(size))
+
+
+def lateral_variance(
+    model: TotalsModel, events: tuple[TotalsEvent, ...], rng: np.random.Generator, size: int
+) -> Array:
+    """Variance (n,) of a printed ΔV component across the net thrust, (m/s)²."""
+    directions = thruster_directions(model.spacecraft, model.branch)
+    square, count = 0.0, 0
+    for event in events:
+        if event.delta_v_m_s is None:
+            continue
+        net = directions @ event.on_time_s
+        unit = net / max(float(np.linalg.norm(net)), 1e-12)
+        across = event.delta_v_m_s - unit * (unit @ event.delta_v_m_s)
+        square, count = square + float(across @ across), count + 2
+    weight = 2.0
+    return np.asarray((weight * 1e-10 + square) / rng.chisquare(weight + count, size))

@@ -1,0 +1,229 @@
+"""What past events teach a prediction: physics and firing logic jointly, and small regressions.
+
+The likelihood of a fit leaves a constant factor for the on-times that do not answer momentum
+(docs/totals-likelihood.md §3). The firing model gives that factor a form, p(M, N | physics, β), so
+the joint posterior is the fit's times it. Draws: every draw of the physics is paired with a draw of
+β from a Student-t about the mode, weighted by p(M, N | physics, β) p(β) / t(β), and resampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events import TotalsEvent
+from cassini_bayes.model import TotalsModel
+from cassini_bayes.prediction.beliefs import Beliefs
+from cassini_bayes.prediction.demand import PairLayout, pair_layout
+from cassini_bayes.prediction.firing import (
+    Features,
+    Observation,
+    firing_space,
+    log_likelihood,
+    observe,
+)
+from cassini_bayes.prediction.ground_knowledge import (
+    PRINTED_THRUST_SD_N,
+    Trend,
+    hydrazine_regression,
+    lateral_variance,
+    manager_regression,
+    mean_pulse_rate,
+    no_trend,
+    pulse_regression,
+    trend_of,
+)
+from cassini_bayes.prediction.physics import (
+    Physics,
+    Wheels,
+    features_of,
+    solver_of,
+    wheels_of,
+)
+from cassini_bayes.prediction.regressions import Regression
+from cassini_bayes.prediction.wheel_profile import WheelManager, segments_rpm
+from cassini_bayes.warmstart import (
+    ImportanceDraws,
+    LogDensity,
+    Proposal,
+    find_mode,
+    hessian,
+    refined,
+)
+
+Array = NDArray[np.float64]
+
+PROPOSAL_DOF: Final = 8.0
+PILOT_DRAWS: Final = 2_000
+PAIRINGS: Final = 4  # firing draws per draw of the physics: features cost more than densities
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Everything a prediction needs, as joint draws.
+
+    ``firing`` are the firing parameters by name (n,), ``pulses`` the regression of pulse counts
+    (pulses per second; variance over the mean), ``hydrazine`` that of grams on impulse (1/I_sp,
+    its departure for the couple axis, offset), ``manager`` and ``manager_draws`` the wheel profile
+    at its mean and the draws (ramps of ``ramp_wheels``, loop time) behind the duration.
+    """
+
+    model: TotalsModel
+    layout: PairLayout
+    physics: Physics
+    firing: Mapping[str, Array | float]
+    pulses: Regression
+    hydrazine: Regression | None
+    manager: WheelManager
+    manager_draws: Regression
+    ramp_wheels: tuple[int, ...]
+    thrust_trend: Trend
+    acceleration: Trend | None
+    mass: Trend | None
+    lateral_square: Array
+    first_epoch: datetime
+    last_epoch: datetime
+    effective_draws: float
+
+    @property
+    def size(self) -> int:
+        """Number of joint draws."""
+        return self.physics.size
+
+
+def learn(
+    model: TotalsModel,
+    events: tuple[TotalsEvent, ...],
+    physics: Physics,
+    beliefs: Beliefs,
+    rng: np.random.Generator,
+    size: int = 2_000,
+) -> Learned:
+    """Condition everything on the given events (those of the model) and nothing else.
+
+    Raises
+    ------
+    InputError
+        The events are not those of the model, or the layout of the thrusters is another.
+    """
+    if tuple(event.id for event in events) != model.stack.event_ids:
+        raise InputError("events", "the events of the fit", "others", "name the fit's own events")
+    layout = pair_layout(model.spacecraft, model.branch)
+    ramp_wheels = tuple(sorted({n for event in events for n in event.wheels}))
+    manager_draws = manager_regression(events, ramp_wheels, beliefs, rng, size)
+    means = manager_draws.coefficients.mean(0)
+    manager = WheelManager(dict(zip(ramp_wheels, means[:-1], strict=True)), float(means[-1]))
+    rate = mean_pulse_rate(events, layout)
+    features = training_features(model, events, physics, manager, rate)
+    seen = [observe(event.on_time_s, layout) for event in events]
+    firing, index, effective = _joint_draws(features, seen, beliefs, rng, physics.size, size)
+    chosen = physics.at(index)
+    pulses = pulse_regression(events, layout, beliefs, rng, size)
+    epochs = [event.epoch for event in events]
+    return Learned(
+        model=model,
+        layout=layout,
+        physics=chosen,
+        firing=firing,
+        pulses=pulses,
+        hydrazine=hydrazine_regression(model, events, chosen, layout, beliefs, rng),
+        manager=manager,
+        manager_draws=manager_draws,
+        ramp_wheels=ramp_wheels,
+        thrust_trend=trend_of(
+            epochs, [e.thrust_predicted_n for e in events], PRINTED_THRUST_SD_N, rng, size
+        )
+        or no_trend(epochs, size),
+        acceleration=trend_of(
+            epochs,
+            [
+                e.thrust_predicted_n / e.mass_kg if e.thrust_predicted_n and e.mass_kg else None
+                for e in events
+            ],
+            1.5e-6,
+            rng,
+            size,
+        ),
+        mass=trend_of(epochs, [e.mass_kg for e in events], 5.0, rng, size),
+        lateral_square=lateral_variance(model, events, rng, size),
+        first_epoch=min(epochs),
+        last_epoch=max(epochs),
+        effective_draws=effective,
+    )
+
+
+def training_features(
+    model: TotalsModel,
+    events: tuple[TotalsEvent, ...],
+    physics: Physics,
+    manager: WheelManager,
+    pulses_per_second: float,
+) -> list[Features]:
+    """Features of the fitted events at their own thrusts."""
+    wheels: Wheels = wheels_of(model, physics)
+    found = []
+    for row, event in enumerate(events):
+        solver = solver_of(model, physics, physics.thrust_n[:, row], pulses_per_second)
+        pieces = segments_rpm(manager, event.wheels, event.rwa_start_rpm, event.rwa_end_rpm)
+        changes = wheels.of(model, event.wheels, pieces)
+        found.append(features_of(model, solver, changes, event.duration_s))
+    return found
+
+
+def _joint_draws(
+    features: list[Features],
+    seen: list[Observation],
+    beliefs: Beliefs,
+    rng: np.random.Generator,
+    given: int,
+    size: int,
+) -> tuple[dict[str, Array | float], NDArray[np.int64], float]:
+    """Firing parameters, the physics draws they go with, and how many effective draws there are."""
+    space = firing_space(beliefs)
+
+    def density(z: Array, which: list[Features]) -> Array:
+        terms = space.log_prior_terms(z).sum(-1)
+        return np.asarray(log_likelihood(space.to_parameters(z), which, seen) + terms)
+
+    typical = [
+        Features(**{name: np.full(1, np.mean(value)) for name, value in vars(f).items()})
+        for f in features
+    ]
+    proposal = _firing_proposal(lambda z: density(z, typical), space.dimension, rng)
+    owner = np.tile(np.arange(given), PAIRINGS)
+    z = proposal.sample(rng, len(owner))
+    repeated = [
+        Features(**{name: np.tile(value, PAIRINGS) for name, value in vars(f).items()})
+        for f in features
+    ]
+    log_weight = density(z, repeated) - proposal.log_density(z)
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    edges = np.cumsum(weight)
+    points = (np.arange(size) + rng.uniform()) / size * edges[-1]
+    index = rng.permutation(np.minimum(np.searchsorted(edges, points), len(owner) - 1))
+    return space.to_parameters(z[index]), owner[index], float(1.0 / (weight**2).sum())
+
+
+def _firing_proposal(density: LogDensity, d: int, rng: np.random.Generator) -> Proposal:
+    """Student-t about the mode of the firing parameters at typical physics, refined twice."""
+    mode = find_mode(density, np.zeros(d))
+    values, vectors = np.linalg.eigh(-hessian(density, mode))
+    covariance = (vectors / np.maximum(values, 0.25)) @ vectors.T
+    proposal = Proposal(mode, np.linalg.cholesky(covariance), PROPOSAL_DOF)
+    for _ in range(2):
+        z = proposal.sample(rng, PILOT_DRAWS)
+        log_ratio = density(z) - proposal.log_density(z)
+        log_weights = log_ratio - log_ratio.max()
+        log_weights -= np.log(np.exp(log_weights).sum())
+        efficiency = 1.0 / (PILOT_DRAWS * float(np.exp(2.0 * log_weights).sum()))
+        nothing = float("nan")  # evidence and Pareto k̂ are not asked of a pilot
+        draws = ImportanceDraws(z, log_weights, nothing, nothing, nothing, efficiency)
+        proposal = refined(proposal, draws)
+    return proposal

@@ -1,0 +1,236 @@
+"""Draws of the physics that a prediction starts from, and what they make of wheels and thrusters.
+
+They come from a fit (``fit.nc``), or straight from the posterior of a model by importance
+sampling (leave-one-event-out needs eight posteriors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.model import SOFTWARE, TotalsModel
+from cassini_bayes.posterior import log_posterior
+from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
+from cassini_bayes.prediction.firing import Features
+from cassini_bayes.result import draws_of
+from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
+from cassini_bayes.terms import RAD_S_PER_RPM
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Joint draws of everything a fit of totals events infers; leading axis n.
+
+    ``parameters`` are the walked and fixed ones by name; ``thrust_n`` (n, E, K) of the fitted
+    events, ``level_n`` (n, K) of every thruster over all events, ``software`` (n, 2) factor and
+    on-time per pulse of the on-board ΔV.
+    """
+
+    parameters: Mapping[str, Array | float]
+    thrust_n: Array
+    level_n: Array
+    software: Array
+
+    @property
+    def size(self) -> int:
+        """Number of draws."""
+        return len(self.level_n)
+
+    def at(self, index: NDArray[np.int64]) -> Physics:
+        """The draws of the given indices."""
+        return Physics(
+            {
+                name: value[index] if np.ndim(value) else value
+                for name, value in ((k, np.asarray(v)) for k, v in self.parameters.items())
+            },
+            self.thrust_n[index],
+            self.level_n[index],
+            self.software[index],
+        )
+
+    def at_mean(self) -> Physics:
+        """Every draw replaced by the mean of all: the physics as if it were known."""
+        return Physics(
+            {
+                name: np.full_like(value, np.mean(value)) if np.ndim(value) else value
+                for name, value in ((k, np.asarray(v)) for k, v in self.parameters.items())
+            },
+            np.broadcast_to(self.thrust_n.mean(0), self.thrust_n.shape),
+            np.broadcast_to(self.level_n.mean(0), self.level_n.shape),
+            np.broadcast_to(self.software.mean(0), self.software.shape),
+        )
+
+
+def importance_physics(
+    model: TotalsModel, rng: np.random.Generator, size: int
+) -> tuple[Physics, float, float]:
+    """Draws from the posterior of a model: mode, Laplace, importance sampling, resampling.
+
+    Returns the draws, the efficiency of the importance draws and their Pareto k̂.
+    """
+    from cassini_bayes.warmstart import warm_start
+
+    warm = warm_start(partial(log_posterior, model), len(model.space.names), rng, draws=8_000)
+    z = warm.draws.resample(rng, size)
+    parameters, linear = draws_of(model, z, rng)
+    physics = Physics(
+        {**parameters, **model.absent_wheel_parameters},
+        linear.thrust_n,
+        linear.level_n,
+        linear.software,
+    )
+    return physics, warm.draws.efficiency, warm.draws.pareto_k
+
+
+def physics_of_fit(model: TotalsModel, path: Path, rng: np.random.Generator, size: int) -> Physics:
+    """Read ``size`` random draws of a fit, checked against the events of the model.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is no fit, or was made of other events.
+    """
+    import h5netcdf
+
+    if not path.is_file():
+        raise InputError(str(path), "a fit.nc of this package", "no such file", "check the path")
+    try:
+        with h5netcdf.File(path, "r") as file:
+            posterior, observed = file["posterior"], file["observed_data"]
+            _check_events(model, path, observed)
+            shape = posterior["thrust_common_n"].shape
+            chosen = np.sort(rng.choice(shape[0] * shape[1], min(size, shape[0] * shape[1]), False))
+            values = {
+                name: np.asarray(variable[...], dtype=float).reshape(
+                    shape[0] * shape[1], *variable.shape[2:]
+                )[chosen]
+                for name, variable in posterior.variables.items()
+                if variable.dimensions[:2] == ("chain", "draw")
+            }
+            wheels = (
+                [_word(name) for name in posterior["wheel"][...]] if "wheel" in posterior else []
+            )
+    except (OSError, KeyError) as error:
+        raise InputError(
+            str(path), "a fit.nc of this package", type(error).__name__, "run the fit again"
+        ) from error
+    return _from_values(model, values, wheels, path)
+
+
+def _word(value: object) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def _check_events(model: TotalsModel, path: Path, observed: Mapping[str, object]) -> None:
+    ids = tuple(_word(name) for name in observed["event"][...])  # type: ignore[index]
+    on_time = np.asarray(observed["on_time_s"][...])  # type: ignore[index]
+    stack = model.stack
+    if ids != stack.event_ids or not np.allclose(on_time, stack.on_time_s, atol=1e-9):
+        raise InputError(
+            str(path),
+            f"a fit of the events {', '.join(stack.event_ids)}",
+            f"one of {', '.join(ids)}" if ids != stack.event_ids else "other on-times",
+            "name the totals file that the fit was made of (--events)",
+        )
+
+
+def _from_values(
+    model: TotalsModel, values: dict[str, Array], wheels: list[str], path: Path
+) -> Physics:
+    parameters: dict[str, Array | float] = {
+        **model.space.fixed,
+        **model.absent_wheel_parameters,
+    }
+    inertia = {
+        wheel.inertia_parameter: wheels.index(wheel.name)
+        for wheel in model.spacecraft.wheels
+        if wheel.name in wheels
+    }
+    for name in model.space.names:
+        if name in values:
+            parameters[name] = values[name]
+        elif name in inertia and "rwa_inertia_kg_m2" in values:
+            parameters[name] = values["rwa_inertia_kg_m2"][:, inertia[name]]
+        else:
+            raise InputError(
+                str(path), f"draws of {name}", "none", "name the priors file of the fit (--priors)"
+            )
+    size = len(values["thrust_level_n"])
+    software = np.zeros((size, 2))
+    if model.computed is not None:
+        software = np.stack([values[name] for name in SOFTWARE], axis=-1)
+    return Physics(parameters, values["thrust_n"], values["thrust_level_n"], software)
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Momentum per rev/min of every wheel in file order (n, 3, W), N m s per rev/min."""
+
+    momentum_per_rpm: Array
+
+    def of(self, model: TotalsModel, wheels: tuple[int, ...], rates_rpm: Array) -> Array:
+        """Momentum (n, S, 3) of wheel rates or changes (S, len(wheels)), N m s."""
+        numbers = [wheel.number for wheel in model.spacecraft.wheels]
+        columns = [numbers.index(n) for n in wheels]
+        own = self.momentum_per_rpm[:, :, columns]
+        return np.asarray(np.swapaxes(own @ rates_rpm.T, -1, -2))
+
+
+def wheels_of(model: TotalsModel, physics: Physics) -> Wheels:
+    """Wheel momentum at every draw."""
+    axes = wheel_axes(model.spacecraft, physics.parameters)
+    inertia = wheel_inertias(model.spacecraft, physics.parameters)
+    weights = axes * inertia[..., None, :] * RAD_S_PER_RPM
+    return Wheels(np.broadcast_to(weights, (physics.size, *weights.shape[-2:])))
+
+
+def stretch(model: TotalsModel, physics: Physics, pulses_per_second: Array | float) -> Array:
+    """Effective over commanded on-time (n, 1) at a mean width of 1/pulses_per_second."""
+    width = 1.0 / np.asarray(pulses_per_second, dtype=np.float64)
+    times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
+    effective = model.pulse_shape.effective_time(width, *times)
+    return np.asarray(np.broadcast_to(effective / width, (physics.size,)))[:, None]
+
+
+def arms_of(model: TotalsModel, physics: Physics) -> Array:
+    """Lever arms (n, 3, K), m."""
+    arms = lever_arms(model.spacecraft, model.branch, physics.parameters)
+    return np.broadcast_to(arms, (physics.size, *arms.shape[-2:]))
+
+
+def solver_of(
+    model: TotalsModel, physics: Physics, thrust_n: Array, pulses_per_second: Array | float
+) -> PairSolver:
+    """Pair solver at thrusts (n, K)."""
+    layout = pair_layout(model.spacecraft, model.branch)
+    force = thrust_n * stretch(model, physics, pulses_per_second)
+    return pair_solver(arms_of(model, physics), force, layout.pairs)
+
+
+def features_of(
+    model: TotalsModel, solver: PairSolver, changes_n_m_s: Array, duration_s: Array | float
+) -> Features:
+    """Features of the firing model from the momentum changes (n, S, 3) of the wheels."""
+    layout = pair_layout(model.spacecraft, model.branch)
+    pairs = solver.on_times(changes_n_m_s).sum(1)
+    plus, minus = pairs[:, 0::2], pairs[:, 1::2]
+    lesser, demand = np.minimum(plus, minus), plus + minus
+    a, b = layout.ring_axes
+    c = layout.couple_axis
+    return Features(
+        duration_s=np.broadcast_to(np.asarray(duration_s, dtype=np.float64), (len(pairs),)),
+        reversal_ring_s=lesser[:, a] + lesser[:, b],
+        reversal_couple_s=lesser[:, c],
+        demand_ring_s=demand[:, a] + demand[:, b],
+        demand_couple_s=demand[:, c],
+        common_s=np.minimum(demand[:, a], demand[:, b]),
+    )

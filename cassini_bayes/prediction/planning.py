@@ -1,0 +1,360 @@
+"""Which wheel bias would teach most about a named quantity, and what it costs.
+
+A bias flown with on-times u and wheel changes Δρ gives three equations
+r = Σ q_k F_k κ u_k − Σ T I Δρ + noise = 0. r is linear in (u, Δρ) with coefficients that depend on
+the draws of the physics, so its covariance with a quantity Q over the posterior follows for every
+candidate from one covariance matrix of the coefficients. With new departures of thrust and the
+dead-band's noise added, and all taken as jointly normal, the expected information gain on Q is
+
+    EIG = −½ log(1 − ρ²),   ρ² = cᵀ (C_rr + Σ)⁻¹ c / Var Q,
+
+with c = Cov(r, Q). docs/prediction.md derives it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.checks import nearest
+from cassini_bayes.errors import InputError
+from cassini_bayes.prediction.firing import mean_firing
+from cassini_bayes.prediction.ground_knowledge import GRAVITY_M_S2, group_impulse
+from cassini_bayes.prediction.learning import Learned
+from cassini_bayes.prediction.physics import (
+    Physics,
+    arms_of,
+    features_of,
+    solver_of,
+    stretch,
+    wheels_of,
+)
+from cassini_bayes.prediction.predict import on_times_of
+from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
+from cassini_bayes.prediction.wheel_profile import duration_s, segments_rpm
+from cassini_bayes.spacecraft import inertia_tensor
+from cassini_bayes.terms import hold_attitude_covariance, hold_rate_covariance
+
+Array = NDArray[np.float64]
+
+LEVEL: Final = "thrust_level_"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One bias with what it teaches and costs.
+
+    ``information_nats`` is the expected gain on the quantity, ``sd_after`` its expected standard
+    deviation after the bias, in its own unit.
+    """
+
+    end_rpm: tuple[float, ...]
+    information_nats: float
+    sd_after: float
+    hydrazine_g: float
+    duration_s: float
+    on_time_s: Array
+
+    @property
+    def information_per_gram(self) -> float:
+        """Nats per gram of hydrazine."""
+        return self.information_nats / max(self.hydrazine_g, 1e-9)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Candidates, most informative first, and what is known of the quantity before."""
+
+    quantity: str
+    mean: float
+    sd_before: float
+    start_rpm: tuple[float, ...]
+    wheels: tuple[int, ...]
+    candidates: tuple[Candidate, ...]
+
+    def front(self) -> tuple[Candidate, ...]:
+        """Candidates that no other beats in both information and hydrazine, cheapest first."""
+        found: list[Candidate] = []
+        for candidate in sorted(
+            self.candidates, key=lambda c: (c.hydrazine_g, -c.information_nats)
+        ):
+            if not found or candidate.information_nats > found[-1].information_nats:
+                found.append(candidate)
+        return tuple(found)
+
+
+def quantities(learned: Learned) -> dict[str, Array]:
+    """Scalars that a plan can ask about, name → draws (n,).
+
+    ``thrust_level_z1_n`` …, ``thrust_mean_n``, ``impulse_per_on_time_z1_n`` … (thrust with the
+    tail-off in it, per commanded second), and every walked parameter by its name.
+    """
+    physics = learned.physics
+    found = {
+        f"{LEVEL}{name}_n": physics.level_n[:, k]
+        for k, name in enumerate(learned.model.stack.thrusters)
+    }
+    found["thrust_mean_n"] = physics.level_n.mean(1)
+    kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
+    for k, name in enumerate(learned.model.stack.thrusters):
+        found[f"impulse_per_on_time_{name}_n"] = physics.level_n[:, k] * kappa[:, 0]
+    for name in learned.model.space.names:
+        found[name] = np.asarray(physics.parameters[name])
+    return found
+
+
+def quantity_draws(learned: Learned, name: str) -> Array:
+    """Draws of a named quantity; InputError with the nearest name."""
+    known = quantities(learned)
+    if name not in known:
+        raise InputError("--quantity", "a quantity of the fit", repr(name), nearest(name, known))
+    return known[name]
+
+
+def end_rates(levels: int) -> Array:
+    """End rates of one wheel: ``levels`` steps from 300 to 2000 rev/min, both signs."""
+    if levels < 1:
+        raise InputError("--levels", "at least 1", str(levels), "ask for more levels")
+    steps = np.linspace(LOW_RPM, WHEEL_LIMIT_RPM, levels) if levels > 1 else np.array([LOW_RPM])
+    return np.concatenate([-steps[::-1], steps])
+
+
+def plan(
+    learned: Learned,
+    quantity: str,
+    wheels: tuple[int, ...],
+    start_rpm: Sequence[float],
+    *,
+    levels: int = 5,
+    budget_g: float | None = None,
+) -> Plan:
+    """Rank every combination of end rates within the limits and outside the low-rpm zone.
+
+    Raises
+    ------
+    InputError
+        Unknown quantity, a start beyond the limits, or a budget that no candidate keeps.
+    """
+    draws = quantity_draws(learned, quantity)
+    start = np.asarray(start_rpm, dtype=np.float64)
+    if np.abs(start).max() > WHEEL_LIMIT_RPM:
+        worst = float(start[np.abs(start).argmax()])
+        raise InputError(
+            "--from", f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min", f"{worst:g}", "check them"
+        )
+    judge = _Judge.of(learned, draws, wheels)
+    typical = _typical(learned)
+    found = []
+    for ends in product(end_rates(levels), repeat=len(wheels)):
+        end = np.array(ends)
+        if np.all(end == start):
+            continue
+        request = BiasRequest("candidate", wheels, start, end)
+        candidate = judge.candidate(typical, request)
+        if budget_g is None or candidate.hydrazine_g <= budget_g:
+            found.append(candidate)
+    if not found:
+        raise InputError(
+            "--budget", "enough hydrazine for one candidate", f"{budget_g:g} g", "raise it"
+        )
+    found.sort(key=lambda c: -c.information_nats)
+    return Plan(
+        quantity,
+        float(draws.mean()),
+        float(draws.std()),
+        tuple(float(rate) for rate in start),
+        wheels,
+        tuple(found),
+    )
+
+
+def _typical(learned: Learned) -> Learned:
+    """The same knowledge as a single draw at its mean: for expected on-times."""
+    one = np.zeros(1, dtype=np.int64)
+    physics = learned.physics.at_mean().at(one)
+    firing = {name: np.full(1, np.mean(value)) for name, value in learned.firing.items()}
+    pulses = replace(
+        learned.pulses,
+        coefficients=learned.pulses.coefficients.mean(0, keepdims=True),
+        scale_square=learned.pulses.scale_square.mean(keepdims=True),
+    )
+    return replace(learned, physics=physics, firing=firing, pulses=pulses)
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Moments of the balance's coefficients over the posterior, ready for any candidate."""
+
+    thruster_moment: Array  # (3, K, 3, K) covariance of q F κ
+    cross_moment: Array  # (3, K, 3, W) covariance of q F κ and T I
+    wheel_moment: Array  # (3, W, 3, W)
+    thruster_cross: Array  # (3, K) covariance with Q
+    wheel_cross: Array  # (3, W)
+    force: Array  # (3, K) mean of q κ
+    departure: Array  # (K, K) covariance of a new event's thrust departures
+    inertia_noise: Array  # (3, 3) of the hold rates
+    attitude: Array
+    momentum_per_rpm: Array  # (3, W) mean
+    variance: float
+
+    @staticmethod
+    def of(learned: Learned, draws: Array, wheels: tuple[int, ...]) -> _Judge:
+        model, physics = learned.model, learned.physics
+        numbers = [wheel.number for wheel in model.spacecraft.wheels]
+        columns = [numbers.index(number) for number in wheels]
+        kappa = stretch(model, physics, learned.pulses.coefficients[:, 0])
+        arms = arms_of(model, physics) * kappa[:, None, :]
+        torque = arms * physics.level_n[:, None, :]
+        momentum = wheels_of(model, physics).momentum_per_rpm[:, :, columns]
+        t, w, q = torque - torque.mean(0), momentum - momentum.mean(0), draws - draws.mean()
+        n, p = len(draws), physics.parameters
+        hold = hold_rate_covariance(inertia_tensor(p), np.asarray(p["hold_rate_rad_s"]))
+        own = model.linear.own
+        return _Judge(
+            thruster_moment=np.einsum("nik,njl->ikjl", t, t) / n,
+            cross_moment=np.einsum("nik,njl->ikjl", t, w) / n,
+            wheel_moment=np.einsum("nik,njl->ikjl", w, w) / n,
+            thruster_cross=np.einsum("nik,n->ik", t, q) / n,
+            wheel_cross=np.einsum("nik,n->ik", w, q) / n,
+            force=arms.mean(0),
+            departure=own @ own.T,
+            inertia_noise=np.asarray(hold.reshape(-1, 3, 3).mean(0)),
+            attitude=np.sqrt(np.mean(np.asarray(p["hold_attitude_rad"]) ** 2)),
+            momentum_per_rpm=momentum.mean(0),
+            variance=float(draws.var()),
+        )
+
+    def candidate(self, typical: Learned, request: BiasRequest) -> Candidate:
+        """Expected on-times of a request, what they teach and cost."""
+        on_time, lasts, grams = expected_on_times(typical, request)
+        change = request.end_rpm - request.start_rpm
+        rho = self.correlation_square(on_time, change, request.start_rpm, request.end_rpm)
+        return Candidate(
+            end_rpm=tuple(float(rate) for rate in request.end_rpm),
+            information_nats=float(-0.5 * np.log1p(-rho)),
+            sd_after=float(np.sqrt(self.variance * (1.0 - rho))),
+            hydrazine_g=grams,
+            duration_s=lasts,
+            on_time_s=on_time,
+        )
+
+    def correlation_square(
+        self, on_time_s: Array, change_rpm: Array, start_rpm: Array, end_rpm: Array
+    ) -> float:
+        """ρ² of the quantity with the balance of a bias."""
+        u, d = on_time_s, change_rpm
+        cross = np.einsum("ikjl,k,l->ij", self.cross_moment, u, d)
+        clean = (
+            np.einsum("ikjl,k,l->ij", self.thruster_moment, u, u)
+            + np.einsum("ikjl,k,l->ij", self.wheel_moment, d, d)
+            - cross
+            - cross.T
+        )
+        departures = self.force * u
+        ends = [(self.momentum_per_rpm @ rate)[None, None] for rate in (start_rpm, end_rpm)]
+        noise = (
+            self.inertia_noise
+            + departures @ self.departure @ departures.T
+            + hold_attitude_covariance(ends[0], ends[1], self.attitude)[0, 0]
+        )
+        c = self.thruster_cross @ u - self.wheel_cross @ d
+        square = float(c @ np.linalg.solve(clean + noise, c)) / self.variance
+        return min(square, 1.0 - 1e-12)
+
+
+def expected_on_times(typical: Learned, request: BiasRequest) -> tuple[Array, float, float]:
+    """Expected on-times (K,), duration and hydrazine of a bias at the mean of all knowledge."""
+    model, physics = typical.model, typical.physics
+    rate = typical.pulses.coefficients[:, 0]
+    solver = solver_of(model, physics, physics.level_n, rate)
+    wheels = wheels_of(model, physics)
+    pieces = segments_rpm(typical.manager, request.wheels, request.start_rpm, request.end_rpm)
+    changes = wheels.of(model, request.wheels, pieces)
+    lasts = duration_s(typical.manager, request.wheels, request.end_rpm - request.start_rpm)
+    features = features_of(model, solver, changes, lasts)
+    force = arms_of(model, physics) * physics.level_n[:, None, :]
+    on_time = on_times_of(
+        typical, solver, force, changes.sum(1), mean_firing(typical.firing, features)
+    )
+    grams = _grams(typical, physics, on_time, rate)
+    return on_time[0], lasts, grams
+
+
+def _grams(typical: Learned, physics: Physics, on_time: Array, rate: Array) -> float:
+    if typical.hydrazine is None:
+        return float("nan")
+    effective = on_time * stretch(typical.model, physics, rate)
+    total, couple = group_impulse(typical.layout, physics.level_n, effective)
+    beta = typical.hydrazine.coefficients.mean(0)
+    return float(1e3 / GRAVITY_M_S2 * (total[0] * beta[0] + couple[0] * beta[1]) + beta[2])
+
+
+def plan_dictionary(found: Plan, top: int) -> dict[str, Any]:
+    """JSON-ready: what is known before, the most informative, those per gram, and the front."""
+    return {
+        "quantity": found.quantity,
+        "mean": found.mean,
+        "sd_before": found.sd_before,
+        "wheels": list(found.wheels),
+        "from_rpm": list(found.start_rpm),
+        "candidates": len(found.candidates),
+        "most_informative": [_entry(c) for c in found.candidates[:top]],
+        "most_per_gram": [_entry(c) for c in _per_gram(found)[:top]],
+        "front": [_entry(c) for c in found.front()],
+    }
+
+
+def _per_gram(found: Plan) -> list[Candidate]:
+    return sorted(found.candidates, key=lambda c: -c.information_per_gram)
+
+
+def _entry(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "to_rpm": list(candidate.end_rpm),
+        "information_nats": candidate.information_nats,
+        "sd_after": candidate.sd_after,
+        "hydrazine_g": candidate.hydrazine_g,
+        "duration_s": candidate.duration_s,
+    }
+
+
+def plan_csv(found: Plan) -> str:
+    """Every candidate, most informative first."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    ends = [f"wheel{number}_rpm_end" for number in found.wheels]
+    writer.writerow([*ends, "information_nats", "sd_after", "hydrazine_g", "duration_s"])
+    for c in found.candidates:
+        values = (c.information_nats, c.sd_after, c.hydrazine_g, c.duration_s)
+        writer.writerow([*(f"{rate:g}" for rate in c.end_rpm), *(f"{v:.6g}" for v in values)])
+    return stream.getvalue()
+
+
+def plan_text(found: Plan, top: int) -> str:
+    """Tables for a terminal: the most informative, and the most per gram of hydrazine."""
+    start = ", ".join(f"{rate:g}" for rate in found.start_rpm)
+    lines = [
+        f"{found.quantity}: {found.mean:.4g} ± {found.sd_before:.2g} (1 sigma) before;"
+        f" {len(found.candidates)} candidates from [{start}] rev/min",
+    ]
+    for title, chosen in (
+        ("most informative", found.candidates[:top]),
+        ("most per gram", _per_gram(found)[:top]),
+    ):
+        lines += [
+            "",
+            f"{title}: ends [rev/min], gain [nats], 1 sigma after, hydrazine [g], time [s]",
+        ]
+        lines += [
+            f"{'  '.join(f'{rate:7.0f}' for rate in c.end_rpm)}  {c.information_nats:8.4f}"
+            f"  {c.sd_after:10.4g}  {c.hydrazine_g:7.1f}  {c.duration_s:6.0f}"
+            for c in chosen
+        ]
+    return "\n".join(lines)

@@ -1,0 +1,226 @@
+"""What a prediction is asked for: planned wheel biases from a line of text or a CSV, checked."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.cells import read_text, rows_of
+from cassini_bayes.checks import nearest
+from cassini_bayes.errors import InputError
+from cassini_bayes.events import TotalsEvent
+from cassini_bayes.spacecraft import Spacecraft
+
+Array = NDArray[np.float64]
+
+WHEEL_LIMIT_RPM: Final = 2000.0
+LOW_RPM: Final = 300.0
+_NUMBER: Final = r"[+-]?\d+(?:\.\d*)?"
+_PART: Final = re.compile(rf"^\s*(\w+)\s*:\s*({_NUMBER})\s*(?:->|→|to)\s*({_NUMBER})\s*$")
+_FORM: Final = 'write e.g. "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"'
+
+
+@dataclass(frozen=True, eq=False)
+class BiasRequest:
+    """One planned wheel bias: nothing that only the flight could tell.
+
+    ``wheels`` are wheel numbers, ``start_rpm`` and ``end_rpm`` are aligned with them. ``epoch``
+    None means: at the last event of the fit. ``quaternion`` is inertial to body, scalar last.
+    """
+
+    id: str
+    wheels: tuple[int, ...]
+    start_rpm: Array
+    end_rpm: Array
+    epoch: datetime | None = None
+    branch: str | None = None
+    quaternion: tuple[float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("start_rpm", "end_rpm"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+
+def request_of(event: TotalsEvent) -> BiasRequest:
+    """The wheel rates, branch and date of an event, and nothing else of it."""
+    return BiasRequest(
+        id=event.id,
+        wheels=event.wheels,
+        start_rpm=event.rwa_start_rpm,
+        end_rpm=event.rwa_end_rpm,
+        epoch=event.epoch,
+        branch=event.branch,
+    )
+
+
+def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> BiasRequest:
+    """Read ``rwa1: -1118 -> 626, rwa2: …`` (rev/min); InputError says what to change."""
+    names = {wheel.name: wheel.number for wheel in spacecraft.wheels}
+    rates: dict[int, tuple[float, float]] = {}
+    for part in text.split(","):
+        found = _PART.match(part)
+        if found is None:
+            raise InputError(where, "wheel: start -> end in rev/min", repr(part.strip()), _FORM)
+        name, start, end = found[1], float(found[2]), float(found[3])
+        if name not in names:
+            known = ", ".join(names)
+            raise InputError(where, f"a wheel out of {known}", repr(name), nearest(name, names))
+        if names[name] in rates:
+            raise InputError(where, "every wheel once", f"{name} twice", "drop one of the two")
+        rates[names[name]] = (start, end)
+    wheels = tuple(sorted(rates))
+    return BiasRequest(
+        id="bias",
+        wheels=wheels,
+        start_rpm=np.array([rates[n][0] for n in wheels]),
+        end_rpm=np.array([rates[n][1] for n in wheels]),
+    )
+
+
+def parse_rates(text: str, spacecraft: Spacecraft, where: str) -> dict[int, float]:
+    """Read ``rwa1: -1118, rwa2: 1290`` as wheel number → rev/min."""
+    names = {wheel.name: wheel.number for wheel in spacecraft.wheels}
+    found: dict[int, float] = {}
+    for part in text.split(","):
+        match = re.match(rf"^\s*(\w+)\s*:\s*({_NUMBER})\s*$", part)
+        if match is None or match[1] not in names:
+            raise InputError(
+                where,
+                f"wheel: rate in rev/min, wheels out of {', '.join(names)}",
+                repr(part.strip()),
+                'write e.g. "rwa1: -1118, rwa2: 1290, rwa4: 330"',
+            )
+        found[names[match[1]]] = float(match[2])
+    return found
+
+
+def parse_epoch(text: str, where: str = "--epoch") -> datetime:
+    """Read an ISO 8601 time; UTC where it names no zone."""
+    try:
+        epoch = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(
+            where, "an ISO 8601 time, UTC", repr(text), "write e.g. 2010-04-15"
+        ) from None
+    return epoch.replace(tzinfo=UTC) if epoch.tzinfo is None else epoch.astimezone(UTC)
+
+
+def parse_quaternion(text: str, where: str = "--quaternion") -> tuple[float, float, float, float]:
+    """Read ``q1 q2 q3 q4`` (J2000 to body, scalar last) of unit norm."""
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        values = []
+    norm = math.sqrt(sum(v * v for v in values))
+    if len(values) != 4 or not abs(norm - 1.0) < 1e-3:
+        raise InputError(
+            where,
+            "four numbers q1 q2 q3 q4 of unit norm, scalar last",
+            repr(text),
+            'write e.g. "0 0 0 1"',
+        )
+    a, b, c, d = (value / norm for value in values)
+    return a, b, c, d
+
+
+def read_requests(path: Path, spacecraft: Spacecraft) -> tuple[BiasRequest, ...]:
+    """Planned biases from a CSV: id, rates of the wheels; epoch, branch and quaternion optional.
+
+    Columns ``id``, ``rwa<n>_rpm_start`` and ``rwa<n>_rpm_end`` (empty where a wheel is not prime),
+    ``epoch``, ``branch``, ``q1`` … ``q4``.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column.
+    """
+    rates = [f"{w.name}_rpm_{end}" for w in spacecraft.wheels for end in ("start", "end")]
+    columns = ("id", *rates, "epoch", "branch", "q1", "q2", "q3", "q4")
+    found = []
+    for row in rows_of(str(path), read_text(path), columns, {"id"}):
+        start, end = {}, {}
+        for wheel in spacecraft.wheels:
+            given = [f"{wheel.name}_rpm_{side}" for side in ("start", "end")]
+            if any(row.cells.get(column) for column in given):
+                start[wheel.number] = row.number(given[0], "rev/min")
+                end[wheel.number] = row.number(given[1], "rev/min")
+        if not start:
+            raise row.refuse(rates[0], "rates of at least one wheel", "fill in start and end")
+        turned = any(row.cells.get(f"q{i}") for i in range(1, 5))
+        request = BiasRequest(
+            id=row.text("id", "a name of the bias"),
+            wheels=tuple(start),
+            start_rpm=np.array(list(start.values())),
+            end_rpm=np.array(list(end.values())),
+            branch=row.cells.get("branch") or None,
+        )
+        if row.cells.get("epoch"):
+            request = replace(request, epoch=parse_epoch(row.cells["epoch"], row.where("epoch")))
+        if turned:
+            text = " ".join(row.cells.get(f"q{i}", "") for i in range(1, 5))
+            request = replace(request, quaternion=parse_quaternion(text, row.where("q1")))
+        found.append(request)
+    return tuple(found)
+
+
+def check_request(
+    request: BiasRequest,
+    spacecraft: Spacecraft,
+    branch: str,
+    prime: tuple[int, ...],
+    first_epoch: datetime,
+) -> None:
+    """Refuse what cannot be flown or predicted with this fit.
+
+    ``prime`` are the wheels that the fit knows. Rates beyond ±2000 rev/min, an unknown or another
+    branch, a wheel that is not prime, and an epoch before the fit's first event are refused; ends
+    inside the low-rpm zone are allowed here (``plan`` avoids them).
+    """
+    where = f"bias {request.id}"
+    names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
+    if request.branch is not None and request.branch not in spacecraft.branches:
+        known = ", ".join(spacecraft.branches)
+        raise InputError(
+            f"{where}: branch", f"one of {known}", repr(request.branch), f"write {branch}"
+        )
+    if request.branch is not None and request.branch != branch:
+        raise InputError(
+            f"{where}: branch",
+            f"branch {branch}, which the fit knows",
+            request.branch,
+            f"predict with a fit of branch {request.branch}, or write {branch}",
+        )
+    for number, start, end in zip(request.wheels, request.start_rpm, request.end_rpm, strict=True):
+        if number not in prime:
+            raise InputError(
+                f"{where}: {names[number]}",
+                f"prime wheels {', '.join(names[n] for n in prime)}",
+                f"{names[number]}, which is not prime in the fit",
+                "drop the wheel, or predict with a fit in which it is prime",
+            )
+        for rate in (start, end):
+            if abs(rate) > WHEEL_LIMIT_RPM:
+                raise InputError(
+                    f"{where}: {names[number]}",
+                    f"a rate within ±{WHEEL_LIMIT_RPM:.0f} rev/min",
+                    f"{rate:g}",
+                    "plan a slower wheel",
+                )
+    if not np.any(request.start_rpm != request.end_rpm):
+        raise InputError(where, "a wheel that changes its rate", "none", "check start and end")
+    if request.epoch is not None and request.epoch < first_epoch:
+        raise InputError(
+            f"{where}: epoch",
+            f"a time from {first_epoch.date()} on, the fit's first event",
+            str(request.epoch.date()),
+            "predict with a fit of events from that time",
+        )

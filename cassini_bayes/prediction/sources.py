@@ -1,0 +1,131 @@
+"""Where a fit came from: the events, priors and model settings behind a ``fit.nc``."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cassini_bayes.cells import read_text
+from cassini_bayes.errors import InputError
+from cassini_bayes.events import TotalsEvent, read_totals
+from cassini_bayes.model import TotalsModel, build_model
+from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
+from cassini_bayes.prediction.learning import Learned, learn
+from cassini_bayes.prediction.physics import physics_of_fit
+from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.storage import digest
+
+FIT_DRAWS = 2_000
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Events, priors and model of a fit."""
+
+    events: tuple[TotalsEvent, ...]
+    priors: Priors
+    model: TotalsModel
+
+
+def read_sources(
+    fit: Path, events: str | None = None, priors: Path | None = None, source: str | None = None
+) -> Sources:
+    """Read what a fit was made of.
+
+    A run folder says it itself (``resolved.toml``, with digests in ``provenance.json``); for a
+    ``fit.nc`` that stands alone, or whose files have moved, name them.
+
+    Raises
+    ------
+    InputError
+        The fit is missing, or its events or priors cannot be found unchanged.
+    """
+    if not fit.is_file():
+        raise InputError(
+            str(fit),
+            "a fit.nc of this package",
+            "no such file",
+            "make one: cassini-bayes run RUN.toml",
+        )
+    resolved = _resolved(fit.parent)
+    model_table = resolved.get("model", {})
+    priors_path = priors or _locate(fit, resolved.get("priors"), "--priors")
+    read = read_priors(priors_path)
+    references = (
+        [events]
+        if events
+        else [str(_locate(fit, name, "--events")) for name in resolved.get("events", [])]
+    )
+    if not references:
+        raise InputError(
+            str(fit), "the events it was made of", "no resolved.toml beside it", "name --events"
+        )
+    rows = source or str(resolved.get("source", "flight"))
+    found = tuple(
+        event for name in references for event in read_totals(name, read.spacecraft, rows)
+    )
+    model = build_model(
+        found,
+        read,
+        pulse_shape=str(model_table.get("pulse_shape", "first_order")),
+        delta_v=model_table.get("delta_v", "as-declared"),
+    )
+    return Sources(found, read, model)
+
+
+def learn_from_fit(
+    fit: Path, sources: Sources, seed: int, beliefs: Beliefs | None = None, size: int = FIT_DRAWS
+) -> Learned:
+    """Condition prediction on a fit and the events behind it."""
+    rng = np.random.default_rng(np.random.SeedSequence((seed, 0)))
+    physics = physics_of_fit(sources.model, fit, rng, size)
+    return learn(sources.model, sources.events, physics, beliefs or read_beliefs(), rng, size)
+
+
+def _resolved(folder: Path) -> dict[str, Any]:
+    path = folder / "resolved.toml"
+    if not path.is_file():
+        return {}
+    try:
+        return tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(str(path), "TOML", str(error), "run the fit again") from error
+
+
+def _locate(fit: Path, name: object, option: str) -> Path:
+    """The file that a run names, looked for from the run file's folder on, with its digest."""
+    if not isinstance(name, str):
+        raise InputError(
+            str(fit), f"{option}, as no resolved.toml lies beside it", "none", f"name {option}"
+        )
+    wanted = _digests(fit.parent).get(_file_of(name))
+    for base in (fit.parent.parent, Path(), fit.parent):
+        path = base / name
+        file = base / _file_of(name)
+        if file.is_file() and (wanted is None or digest(file) == wanted):
+            return path
+    raise InputError(
+        str(fit),
+        f"{name} as it was when the fit was made",
+        "no such file, or a changed one",
+        f"name it with {option}, or run the fit again",
+    )
+
+
+def _file_of(name: str) -> str:
+    """``file.csv`` of ``file.csv:ID``."""
+    head, found, tail = name.rpartition(":")
+    return head if found and head.endswith(".csv") and "/" not in tail else name
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    path = folder / "provenance.json"
+    if not path.is_file():
+        return {}
+    found = json.loads(read_text(path)).get("sha256", {})
+    return {str(key): str(value) for key, value in found.items()}

@@ -1,0 +1,131 @@
+"""A prediction as numbers for a reader or a program: JSON-ready dictionaries and CSV text."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.prediction.predict import Prediction
+
+Array = NDArray[np.float64]
+
+INTERVAL: Final = "90 % central"
+_QUANTILES: Final = (0.05, 0.5, 0.95)
+_HEADER: Final = ("bias", "quantity", "unit", "mean", "sd", "median", "low_90", "high_90")
+
+
+def body_to_inertial(quaternion: Sequence[float]) -> Array:
+    """Rotation (3, 3) from body to inertial axes; quaternion inertial to body, scalar last.
+
+    The transpose of C = (q4² − q·q) 1 + 2 q qᵀ − 2 q4 [q×].
+    """
+    x, y, z, w = (float(value) for value in quaternion)
+    q = np.array([x, y, z])
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    to_body = (w * w - q @ q) * np.eye(3) + 2.0 * np.outer(q, q) - 2.0 * w * cross
+    return np.asarray(to_body.T)
+
+
+@dataclass(frozen=True)
+class Line:
+    """One predicted scalar: moments, median and central 90 % interval in its unit."""
+
+    quantity: str
+    unit: str
+    mean: float
+    sd: float
+    median: float
+    low_90: float
+    high_90: float
+
+
+def lines(prediction: Prediction) -> tuple[Line, ...]:
+    """Every predicted scalar: on-time and pulses per thruster or pair, ΔV, hydrazine, duration."""
+    found: list[Line] = []
+    names = prediction.unit_names()
+    for kind, unit, draws in (
+        ("on_time", "s", prediction.unit_on_time_s()),
+        ("pulses", "count", prediction.unit_pulses()),
+    ):
+        found += [_line(f"{kind}_{name}", unit, draws[:, i]) for i, name in enumerate(names)]
+    vectors = (
+        ("delta_v_computed", prediction.delta_v_computed_m_s),
+        ("delta_v_delivered", prediction.delta_v_delivered_m_s),
+    )
+    for kind, vector in vectors:
+        if vector is None:
+            continue
+        found += _vector(f"{kind}_body", vector)
+        if prediction.request.quaternion is not None:
+            turned = vector @ body_to_inertial(prediction.request.quaternion).T
+            found += _vector(f"{kind}_inertial", turned)
+    if prediction.hydrazine_g is not None:
+        found.append(_line("hydrazine", "g", prediction.hydrazine_g))
+    found.append(_line("duration", "s", prediction.duration_s))
+    return tuple(found)
+
+
+def _vector(name: str, draws_m_s: Array) -> list[Line]:
+    return [_line(f"{name}_{axis}", "mm/s", 1e3 * draws_m_s[:, i]) for i, axis in enumerate("xyz")]
+
+
+def _line(quantity: str, unit: str, draws: Array) -> Line:
+    low, median, high = (float(value) for value in np.quantile(draws, _QUANTILES))
+    return Line(quantity, unit, float(draws.mean()), float(draws.std()), median, low, high)
+
+
+def as_dictionary(prediction: Prediction) -> dict[str, Any]:
+    """A JSON-ready dictionary of one prediction."""
+    request = prediction.request
+    return {
+        "id": request.id,
+        "epoch": prediction.epoch.isoformat(),
+        "wheels": list(request.wheels),
+        "from_rpm": request.start_rpm.tolist(),
+        "to_rpm": request.end_rpm.tolist(),
+        "interval": INTERVAL,
+        "draws": len(prediction.duration_s),
+        "predicted": {
+            line.quantity: {
+                key: getattr(line, key)
+                for key in ("unit", "mean", "sd", "median", "low_90", "high_90")
+            }
+            for line in lines(prediction)
+        },
+    }
+
+
+def as_csv(predictions: Sequence[Prediction]) -> str:
+    """CSV text, one row per bias and scalar; the interval is the central 90 % one."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_HEADER)
+    for prediction in predictions:
+        for line in lines(prediction):
+            values = (line.mean, line.sd, line.median, line.low_90, line.high_90)
+            writer.writerow(
+                [prediction.request.id, line.quantity, line.unit, *(f"{v:.6g}" for v in values)]
+            )
+    return stream.getvalue()
+
+
+def as_text(prediction: Prediction) -> str:
+    """A table for a terminal: median and central 90 % interval of every scalar."""
+    request = prediction.request
+    changes = ", ".join(
+        f"wheel {n}: {a:g} -> {b:g}"
+        for n, a, b in zip(request.wheels, request.start_rpm, request.end_rpm, strict=True)
+    )
+    rows = [
+        f"{line.quantity:<28} {line.median:>9.2f}  [{line.low_90:.2f}, {line.high_90:.2f}]"
+        f" {line.unit}"
+        for line in lines(prediction)
+    ]
+    head = f"{request.id} at {prediction.epoch.date()}: {changes} rev/min"
+    return "\n".join([head, f"{'quantity':<28} {'median':>9}  central 90 % interval", *rows])
