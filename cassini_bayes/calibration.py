@@ -10,8 +10,7 @@ Modrák et al. 2023).
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,15 +19,14 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import kstest, norm
-from threadpoolctl import threadpool_limits
 
-from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.model import SOFTWARE, TotalsModel, build_model
 from cassini_bayes.posterior import LinearDraws, log_posterior
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.pulses import effective_on_time
+from cassini_bayes.ranks import Ranks, rank
 from cassini_bayes.result import draws_of, prior_draws
 from cassini_bayes.sampling import SamplerSettings, sample
 from cassini_bayes.spacecraft import (
@@ -56,11 +54,13 @@ MODEL_CODE: Final = (
     "delta_v",
     "distributions",
     "model",
+    "physics",
     "parameter_space",
     "posterior",
     "priors",
     "pulses",
     "quantiles",
+    "ranks",
     "terms",
     "warmstart",
 )
@@ -94,26 +94,50 @@ class Campaign:
         events, priors = digest(Path(self.events_path)), digest(Path(self.priors_path))
         return f"totals-sbc/{self.control}/{self.seed}/{events}/{priors}/{model_code_digest()}"
 
+    @property
+    def per_file(self) -> int:
+        """Repetitions that one checkpoint file holds."""
+        return REPETITIONS_PER_FILE
 
-@dataclass(frozen=True)
-class Ranks:
-    """Ranks of the true values: (repetitions, parameters) as fractions in [0, 1]."""
+    def names(self) -> tuple[str, ...]:
+        """Names of the ranked scalars, in the order of the ranks."""
+        model = build_model(self._template(), read_priors(self.priors_path))
+        return tuple(_flatten(*prior_draws(model, 1, np.random.default_rng(0)), model))
 
-    names: tuple[str, ...]
-    ranks: Array
-    pareto_k: Array
-    by_chain: NDArray[np.bool_]
+    def _template(self) -> tuple[TotalsEvent, ...]:
+        spacecraft = read_priors(self.priors_path).spacecraft
+        return tuple(with_room(event) for event in read_totals(self.events_path, spacecraft))
 
-    def of_fitted(self) -> Ranks:
-        """Only the parameters that the fitted model has: a control may fix one of the true ones."""
-        kept = np.flatnonzero(np.isfinite(self.ranks).sum(0) == len(self.ranks))
-        names = tuple(self.names[column] for column in kept)
-        return replace(self, names=names, ranks=self.ranks[:, kept])
-
-    def coverage(self, probability: float = 0.9) -> Array:
-        """Share of repetitions whose central interval holds the truth, per parameter."""
-        tail = (1.0 - probability) / 2.0
-        return np.asarray(((self.ranks > tail) & (self.ranks < 1.0 - tail)).mean(0))
+    def repetition(self, index: int) -> tuple[Array, float, bool]:
+        """Draw, simulate, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in for it."""
+        priors, template = read_priors(self.priors_path), self._template()
+        rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
+        model = build_model(template, priors)
+        parameters, truth = prior_draws(model, 1, rng)
+        simulated = simulate_totals(template, model, parameters, truth, rng)
+        fitted = build_model(
+            simulated,
+            _controlled(priors, self.control),
+            pulse_shape="rectangular" if self.control == "rectangular-pulses" else "first_order",
+        )
+        dimension = len(fitted.space.names)
+        warm = warm_start(partial(log_posterior, fitted), dimension, rng, pilots=1, draws=2_000)
+        by_chain = not warm.draws.pareto_k < TRUSTED_K
+        if by_chain:
+            settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
+            chains = sample(partial(log_posterior, fitted), warm.proposal, settings)
+            z, _ = chains.thinned(4 * RANK_DRAWS)
+            z = rng.permutation(z.reshape(-1, dimension))[:RANK_DRAWS]
+        else:
+            z = warm.draws.resample(rng, RANK_DRAWS)
+        found, draws = draws_of(fitted, z, rng)
+        true_values = _flatten(parameters, truth, model)
+        drawn = _flatten(found, draws, fitted)
+        ranks = [
+            rank(drawn[name], true_values[name][0], rng) if name in drawn else np.nan
+            for name in true_values
+        ]
+        return np.array(ranks), warm.draws.pareto_k, by_chain
 
 
 @dataclass(frozen=True)
@@ -268,48 +292,6 @@ def _on_board_delta_v(
     return list(np.rint(size[:, None] * along / step) * step)
 
 
-def one_repetition(campaign: Campaign, index: int) -> tuple[Array, float, bool]:
-    """Draw, simulate, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in for k̂."""
-    priors = read_priors(campaign.priors_path)
-    template = tuple(
-        with_room(event) for event in read_totals(campaign.events_path, priors.spacecraft)
-    )
-    rng = np.random.default_rng(np.random.SeedSequence((campaign.seed, index)))
-    model = build_model(template, priors)
-    parameters, truth = prior_draws(model, 1, rng)
-    simulated = simulate_totals(template, model, parameters, truth, rng)
-    fitted = build_model(
-        simulated,
-        _controlled(priors, campaign.control),
-        pulse_shape="rectangular" if campaign.control == "rectangular-pulses" else "first_order",
-    )
-    dimension = len(fitted.space.names)
-    warm = warm_start(partial(log_posterior, fitted), dimension, rng, pilots=1, draws=2_000)
-    by_chain = not warm.draws.pareto_k < TRUSTED_K
-    if by_chain:
-        settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
-        chains = sample(partial(log_posterior, fitted), warm.proposal, settings)
-        z, _ = chains.thinned(4 * RANK_DRAWS)
-        z = rng.permutation(z.reshape(-1, dimension))[:RANK_DRAWS]
-    else:
-        z = warm.draws.resample(rng, RANK_DRAWS)
-    found, draws = draws_of(fitted, z, rng)
-    true_values = _flatten(parameters, truth, model)
-    drawn = _flatten(found, draws, fitted)
-    ranks = [
-        _rank(drawn[name], true_values[name][0], rng) if name in drawn else np.nan
-        for name in true_values
-    ]
-    return np.array(ranks), warm.draws.pareto_k, by_chain
-
-
-def _rank(draws: Array, truth: float, rng: np.random.Generator) -> float:
-    """Fraction of draws below the truth; ties (a fixed parameter) are broken at random."""
-    below = float((draws < truth).sum())
-    ties = float((draws == truth).sum())
-    return (below + rng.uniform() * (ties + 1.0)) / (len(draws) + 1.0)
-
-
 def _controlled(priors: Priors, control: Control) -> Priors:
     """Priors of a negative control: the hold rates taken as (almost) zero."""
     if control == "hold-rates-ignored":
@@ -334,70 +316,3 @@ def _flatten(
         for c, axis in enumerate("xyz"):
             flat[f"external_torque_n_m[{event},{axis}]"] = draws.external_torque_n_m[:, e, c]
     return flat
-
-
-def parameter_names(campaign: Campaign) -> tuple[str, ...]:
-    """Names of the ranked scalars, in the order of the ranks."""
-    priors = read_priors(campaign.priors_path)
-    template = tuple(with_room(e) for e in read_totals(campaign.events_path, priors.spacecraft))
-    model = build_model(template, priors)
-    return tuple(_flatten(*prior_draws(model, 1, np.random.default_rng(0)), model))
-
-
-def run_campaign(
-    campaign: Campaign, repetitions: int, folder: Path, jobs: int
-) -> Iterator[tuple[int, int]]:
-    """Run the repetitions that are not yet in ``folder``; yields (done, total) as files finish.
-
-    Each file holds a fixed set of repetitions with seeds of their own, so a killed campaign loses
-    the unfinished files only and the result does not depend on ``jobs``.
-    """
-    store = CheckpointStore(folder, campaign.identity())
-    files = range(-(-repetitions // REPETITIONS_PER_FILE))
-    missing = [index for index in files if store.load(_file(index)) is None]
-    done = len(files) - len(missing)
-    yield done * REPETITIONS_PER_FILE, repetitions
-    with ProcessPoolExecutor(max_workers=jobs) as pool:
-        pending = {pool.submit(_one_file, campaign, index): index for index in missing}
-        for future, index in pending.items():
-            store.save(_file(index), future.result())
-            done += 1
-            yield min(done * REPETITIONS_PER_FILE, repetitions), repetitions
-
-
-def _file(index: int) -> str:
-    return f"ranks_{index:05d}"
-
-
-def _one_file(campaign: Campaign, index: int) -> dict[str, NDArray[np.generic]]:
-    first = index * REPETITIONS_PER_FILE
-    with threadpool_limits(1):  # the work is spread over processes; more threads would compete
-        results = [one_repetition(campaign, i) for i in range(first, first + REPETITIONS_PER_FILE)]
-    return {
-        "ranks": np.stack([result[0] for result in results]),
-        "pareto_k": np.array([result[1] for result in results]),
-        "by_chain": np.array([result[2] for result in results]),
-    }
-
-
-def read_ranks(campaign: Campaign, repetitions: int, folder: Path) -> Ranks:
-    """Collect the finished repetitions of a campaign.
-
-    Raises
-    ------
-    CassiniBayesError
-        Some are missing.
-    """
-    store = CheckpointStore(folder, campaign.identity())
-    blocks = []
-    for index in range(-(-repetitions // REPETITIONS_PER_FILE)):
-        block = store.load(_file(index))
-        if block is None:
-            raise CassiniBayesError(f"{folder}: {_file(index)} is missing: run the campaign again")
-        blocks.append(block)
-    return Ranks(
-        names=parameter_names(campaign),
-        ranks=np.concatenate([np.asarray(b["ranks"], dtype=np.float64) for b in blocks]),
-        pareto_k=np.concatenate([np.asarray(b["pareto_k"], dtype=np.float64) for b in blocks]),
-        by_chain=np.concatenate([np.asarray(b["by_chain"], dtype=np.bool_) for b in blocks]),
-    )

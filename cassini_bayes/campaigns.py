@@ -14,15 +14,13 @@ from cassini_bayes.calibration import (
     CONTROLS,
     Campaign,
     Control,
-    Ranks,
     Verdict,
     judge,
     model_code_digest,
-    read_ranks,
-    run_campaign,
 )
 from cassini_bayes.plots import encode
 from cassini_bayes.plots.calibration import coverage_figure
+from cassini_bayes.ranks import Ranks, read_ranks, run_repetitions
 from cassini_bayes.storage import write_bytes, write_text
 
 HEADER = (
@@ -59,7 +57,7 @@ def calibrate_totals(
     for control in CONTROLS:
         campaign = Campaign(events, priors, seed, control)
         number = repetitions if control == "none" else control_repetitions
-        for done, total in run_campaign(campaign, number, folder / control, jobs):
+        for done, total in run_repetitions(campaign, number, folder / control, jobs):
             progress(LABELS[control], done, total)
         collected[control] = read_ranks(campaign, number, folder / control)
     verdicts = {control: judge(ranks) for control, ranks in collected.items()}

@@ -12,17 +12,13 @@ from totals_cases import B_BRANCH, FLIGHT, flight, plain_log_likelihood, point
 from cassini_bayes import calibration
 from cassini_bayes.calibration import (
     Campaign,
-    Ranks,
     judge,
-    one_repetition,
-    parameter_names,
-    read_ranks,
-    run_campaign,
     simulate_totals,
     with_room,
 )
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.model import build_model
+from cassini_bayes.ranks import Ranks, read_ranks, run_repetitions
 from cassini_bayes.result import prior_draws
 
 CAMPAIGN = Campaign(str(FLIGHT), str(B_BRANCH), seed=3)
@@ -84,12 +80,12 @@ def test_simulated_on_times_respond_and_stay_positive() -> None:
 
 def test_repetition_is_reproducible_and_complete() -> None:
     """The same campaign and index give the same ranks, all of them fractions, one per parameter."""
-    first, k, _ = one_repetition(CAMPAIGN, 7)
-    again, _, _ = one_repetition(CAMPAIGN, 7)
-    other, _, _ = one_repetition(CAMPAIGN, 8)
+    first, k, _ = CAMPAIGN.repetition(7)
+    again, _, _ = CAMPAIGN.repetition(7)
+    other, _, _ = CAMPAIGN.repetition(8)
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
-    assert len(first) == len(parameter_names(CAMPAIGN))
+    assert len(first) == len(CAMPAIGN.names())
     assert ((first >= 0) & (first <= 1)).all()
     assert np.isfinite(k)
 
@@ -111,11 +107,11 @@ def test_few_repetitions_get_a_wider_tolerance() -> None:
 
 def test_controls_fail_where_the_model_passes() -> None:
     """Six repetitions suffice: ignoring hold rates or pulse shapes misses most true thrusts."""
-    thrusts = [name.startswith("thrust_n") for name in parameter_names(CAMPAIGN)]
+    thrusts = [name.startswith("thrust_n") for name in CAMPAIGN.names()]
     average = {}
     for control in calibration.CONTROLS:
         campaign = replace(CAMPAIGN, control=control)
-        ranks = np.stack([one_repetition(campaign, index)[0][thrusts] for index in range(6)])
+        ranks = np.stack([campaign.repetition(index)[0][thrusts] for index in range(6)])
         average[control] = ((ranks > 0.05) & (ranks < 0.95)).mean()
     assert average["none"] > 0.8
     assert average["hold-rates-ignored"] < average["none"] - 0.05
@@ -127,13 +123,13 @@ def test_campaign_resumes_and_refuses_foreign_files(
 ) -> None:
     """Finished repetitions are kept; only missing ones run again; another seed's are refused."""
     monkeypatch.setattr(calibration, "REPETITIONS_PER_FILE", 1)
-    assert list(run_campaign(CAMPAIGN, 2, tmp_path, 1))[-1] == (2, 2)
+    assert list(run_repetitions(CAMPAIGN, 2, tmp_path, 1))[-1] == (2, 2)
     whole = read_ranks(CAMPAIGN, 2, tmp_path)
     kept = (tmp_path / "ranks_00000.npz").stat().st_mtime_ns
     (tmp_path / "ranks_00001.npz").unlink()
     with pytest.raises(CassiniBayesError, match="missing"):
         read_ranks(CAMPAIGN, 2, tmp_path)
-    assert list(run_campaign(CAMPAIGN, 2, tmp_path, 1)) == [(1, 2), (2, 2)]
+    assert list(run_repetitions(CAMPAIGN, 2, tmp_path, 1)) == [(1, 2), (2, 2)]
     assert np.array_equal(read_ranks(CAMPAIGN, 2, tmp_path).ranks, whole.ranks)
     assert (tmp_path / "ranks_00000.npz").stat().st_mtime_ns == kept
     with pytest.raises(InputError, match="another run"):

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binom
 
-from cassini_bayes.calibration import Ranks
 from cassini_bayes.plots.style import POSTERIOR, STYLE, VERDICT_COLOURS
+from cassini_bayes.ranks import Ranks
 
 
 def coverage_figure(ranks: Mapping[str, Ranks], tolerances: Mapping[str, float]) -> Figure:
