@@ -321,6 +321,15 @@ def test_the_shipped_scenarios_can_be_read(path: Path) -> None:
     draw_truth(read_scenario(path), 1)
 
 
+OTHER_SLEW = """\
+[[event.slew]]
+start_s = 0.0
+axis = [0.0, 1.0, 0.0]
+angle_rad = 0.05
+rate_rad_s = 1e-3
+acceleration_rad_s2 = 1e-5
+
+"""
 BAD = (
     ("[truth]", "[truht]", "truth"),
     ('kind = "bias"', 'kind = "bais"', "bias"),
@@ -356,6 +365,9 @@ BAD = (
     ("mass_kg = 2380.0", "mass_kg = 2380.0\ninertia_xx_kg_m2 = 1e-6", "positive definite"),
     ("mass_kg = 2380.0", "thrust_individual_n = { z9 = 0.1 }", "z"),
     ("tau_fall_s = 0.05", "thrust_individual_n = { z3 = -2.0 }", "above 0"),
+    ("mass_kg = 2380.0", "thrust_individual_n = 0.1", "by thruster"),
+    ("mass_kg = 2380.0", "thrust_jitter_n = 0.1", "by thruster"),
+    ("[[event.slew]]", OTHER_SLEW + "[[event.slew]]", "after the end of the slew before"),
     ("settle_s = 50.0", "duration_s = 1e9", "control cycles"),
     ("settle_s = 50.0", "duration_s = 1e-3", "control cycles"),
     ("settle_s = 50.0", "attitude = [0.0, 0.0, 0.0, 0.5]", "unit norm"),

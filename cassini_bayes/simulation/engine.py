@@ -27,7 +27,6 @@ from cassini_bayes.simulation.arrays import (
 )
 from cassini_bayes.simulation.motion import RPM_PER_RAD_S, Motion, PulseLog
 from cassini_bayes.simulation.plan import Plan
-from cassini_bayes.simulation.settings import Slew
 from cassini_bayes.spacecraft import wheel_inertias
 
 Array = NDArray[np.float64]
@@ -96,7 +95,7 @@ def event_duration_s(plan: Plan, cycle_s: float) -> float:
         if event.kind == "bias":
             duration = event.start_s + ramp_duration_s(plan) + event.settle_s
         elif event.kind == "slew":
-            duration = max(s.start_s + _slew_time(s) for s in event.slew) + event.settle_s
+            duration = max(s.start_s + s.duration_s for s in event.slew) + event.settle_s
         else:
             raise InputError(
                 f"event {event.id}: duration_s",
@@ -112,12 +111,6 @@ def event_duration_s(plan: Plan, cycle_s: float) -> float:
             "simulate it in parts; or check rates, limits and inertias if it was not given",
         )
     return math.ceil(duration / cycle_s - 1e-9) * cycle_s
-
-
-def _slew_time(slew: Slew) -> float:
-    size = abs(slew.angle_rad)
-    peak = min(slew.rate_rad_s, math.sqrt(size * slew.acceleration_rad_s2))
-    return size / peak + peak / slew.acceleration_rad_s2 if peak > 0.0 else 0.0
 
 
 def simulate_motion(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import tomllib
 from collections.abc import Mapping
@@ -26,6 +27,7 @@ from cassini_bayes.simulation.telemetry import record_interval_s
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 
 DRAW_FROM: Final = "draw_from"
+_BY_THRUSTER: Final = ("thrust_individual_n", "thrust_jitter_n")
 _ABOVE_ZERO: Final = (
     "thrust_common_n",
     "mass_kg",
@@ -267,6 +269,16 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
         )
     for i, slew in enumerate(event.slew):
         _check_direction(f"{where}.slew.{i}.axis", slew.axis)
+    in_time = sorted(event.slew, key=lambda slew: slew.start_s)
+    for first, second in itertools.pairwise(in_time):
+        end = first.start_s + first.duration_s
+        if second.start_s < end:
+            raise InputError(
+                f"{where}.slew.{event.slew.index(second)}.start_s",
+                f"a start after the end of the slew before, at {end:.1f} s",
+                f"{second.start_s:g} s",
+                "start it later, or make that slew shorter or faster",
+            )
     if abs(math.hypot(*event.attitude) - 1.0) > 1e-6:
         raise InputError(
             f"{where}.attitude",
@@ -307,6 +319,13 @@ def _check_truth(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None
 
 
 def _check_value(place: str, key: str, value: object, names: list[str]) -> None:
+    if key in _BY_THRUSTER:
+        raise InputError(
+            place,
+            "departures by thruster, which only thrust_individual_n of [truth] gives",
+            repr(value),
+            "write e.g. thrust_individual_n = { z3 = -0.05 } under [truth]",
+        )
     if key not in names:
         raise InputError(place, "the name of a parameter", repr(key), nearest(key, names))
     number = finite_number(place, value)

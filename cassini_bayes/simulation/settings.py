@@ -7,6 +7,7 @@ wheel rates in rpm (as telemetry has them), everything else SI.
 from __future__ import annotations
 
 import datetime
+import math
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -117,6 +118,13 @@ class Slew(Table):
     angle_rad: Number
     rate_rad_s: Positive
     acceleration_rad_s2: Positive
+
+    @property
+    def duration_s(self) -> float:
+        """Time from rest to rest: a trapezoid in rate, or a triangle below the rate limit."""
+        size = abs(self.angle_rad)
+        peak = min(self.rate_rad_s, math.sqrt(size * self.acceleration_rad_s2))
+        return size / peak + peak / self.acceleration_rad_s2 if peak > 0.0 else 0.0
 
 
 class StartSettings(Table):
