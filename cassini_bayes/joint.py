@@ -9,7 +9,7 @@ events.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -46,7 +46,13 @@ from cassini_bayes.priors import ParameterSpace, Priors
 from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft import Spacecraft, couples
 from cassini_bayes.statistics import EventStatistics, Sampling
-from cassini_bayes.telemetry_terms import EventSystem, TelemetryTerms, event_system, make_terms
+from cassini_bayes.telemetry_terms import (
+    EventSystem,
+    TelemetryTerms,
+    event_system,
+    make_terms,
+    without_idle_columns,
+)
 
 Array = NDArray[np.float64]
 _CHANNELS: Final = (
@@ -57,6 +63,7 @@ _CHANNELS: Final = (
 )
 _TAIL_SPAN: Final = 5.0
 _PRIOR_SPAN: Final = 2.0
+_POINTS: Final = 4
 
 
 @dataclass(frozen=True)
@@ -191,7 +198,7 @@ def build_joint_model(
         for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
     ]
     nominal = {**dict.fromkeys(own_names, 0.0), **_centre(space)}
-    return JointModel(
+    model = JointModel(
         spacecraft=spacecraft,
         branch=priors.branch,
         space=space,
@@ -207,6 +214,29 @@ def build_joint_model(
         torque_mean_n_m=np.array(means),
         torque_sd_n_m=np.array(scales),
     )
+    return without_idle(model)
+
+
+def without_idle(model: JointModel) -> JointModel:
+    """The model without columns that no parameter point gives weight: call it after a change."""
+    if not model.telemetry:
+        return model
+    points = model.space.sample(np.random.default_rng(0), _POINTS)
+    physics = _physics(model, _full(model, points))
+    thrust = model.linear.common_mean_n
+    return replace(
+        model,
+        telemetry=tuple(without_idle_columns(t, physics, thrust) for t in model.telemetry),
+    )
+
+
+def _full(model: JointModel, z: Array) -> dict[str, Array]:
+    """Every parameter as an array (n,), at walked coordinates z (n, d)."""
+    values = {**model.space.to_parameters(z), **model.absent_wheel_parameters}
+    return {
+        name: np.broadcast_to(np.asarray(value, dtype=np.float64), (len(z),))
+        for name, value in values.items()
+    }
 
 
 def _centre(space: ParameterSpace) -> dict[str, float]:
@@ -252,13 +282,7 @@ def _refuse_free_delay(space: ParameterSpace, fired: bool, where: str) -> None:
 def collapse_joint(model: JointModel, z: Array) -> JointCollapsed:
     """Everything linear integrated out at walked coordinates z (n, d)."""
     n = len(z)
-    full = {
-        name: np.broadcast_to(np.asarray(value, dtype=np.float64), (n,))
-        for name, value in {
-            **model.space.to_parameters(z),
-            **model.absent_wheel_parameters,
-        }.items()
-    }
+    full = _full(model, z)
     log_likelihood = np.zeros(n)
     common = np.full(n, model.linear.common_mean_n)
     if model.linear.common_is_walked:

@@ -11,7 +11,7 @@ channels with the true body rate as a latent variable: docs/telemetry-likelihood
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -45,13 +45,28 @@ class Pattern:
 
 
 @dataclass(frozen=True)
+class Reduced:
+    """The part of the Gram matrices that can have weight: a lever arm may be zero by design.
+
+    ``entries`` are the places of the pattern's entries that are ever used; ``row`` and ``start`` are
+    the pattern for them, on the columns of ``gram`` and ``projection`` that are left.
+    """
+
+    entries: Places
+    row: Places
+    start: Places
+    gram: Array  # (3, 3, A', A')
+    projection: Array  # (M, 3, A') of the turned cosines
+
+
+@dataclass(frozen=True)
 class TelemetryTerms:
     """One telemetry event, ready for likelihood calls.
 
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
-    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters; ``mode_values`` and
-    ``mode_projection`` are the cosines of the torque noise turned so that their Gram matrix, scaled
-    by the spectrum of a random walk, is diagonal.
+    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. The cosines of the
+    torque noise are turned so that their Gram matrix, scaled by the spectrum of a random walk, is
+    diagonal with ``mode_values``.
     """
 
     statistics: EventStatistics
@@ -64,7 +79,7 @@ class TelemetryTerms:
     initial_mean_n_m_s: Array
     spin: Array
     mode_values: Array  # (M,)
-    mode_projection: Array  # (M, 3, A)
+    reduced: Reduced
 
     @property
     def id(self) -> str:
@@ -135,10 +150,12 @@ def make_terms(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
     mode_values, mode_projection = _turned_modes(statistics)
+    pattern = _pattern(statistics)
+    everything = np.arange(len(pattern.row))
     return TelemetryTerms(
         statistics=statistics,
         sampling=sampling,
-        pattern=_pattern(statistics),
+        pattern=pattern,
         wheel_places=places,
         mean_rate=mean,
         rate_values=np.maximum(values, 0.0),
@@ -146,8 +163,38 @@ def make_terms(
         initial_mean_n_m_s=start,
         spin=np.trace(squares) * np.eye(3) - squares,
         mode_values=mode_values,
-        mode_projection=mode_projection,
+        reduced=Reduced(everything, pattern.row, pattern.start, gram, mode_projection),
     )
+
+
+def without_idle_columns(
+    terms: TelemetryTerms, physics: Physics, thrust_n: float
+) -> TelemetryTerms:
+    """The same event without the columns whose weights vanish at every one of a few points.
+
+    ``physics`` holds parameter points in general position, (n, …). Likelihood calls cost half as
+    much without them.
+    """
+    n, pattern = len(physics.inertia_kg_m2), terms.pattern
+    weights, _ = _weights(terms, physics, n, thrust_n)
+    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    weights[:, pattern.start[-2] :] = _measured_weights(
+        terms, physics, 0.5 * physics.inertia_kg_m2, wheels
+    )
+    used = np.any(weights != 0.0, axis=(0, 2))
+    entries = np.flatnonzero(used)
+    columns = np.unique(pattern.row[entries])
+    owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
+    counts = np.bincount(owner[entries], minlength=len(pattern.start) - 1)
+    full = terms.reduced
+    reduced = Reduced(
+        entries=entries,
+        row=np.searchsorted(columns, pattern.row[entries]),
+        start=np.concatenate([[0], np.cumsum(counts)]),
+        gram=np.ascontiguousarray(full.gram[:, :, columns[:, None], columns]),
+        projection=np.ascontiguousarray(full.projection[:, :, columns]),
+    )
+    return replace(terms, reduced=reduced)
 
 
 def _initial_gram(statistics: EventStatistics) -> Array:
@@ -232,7 +279,9 @@ def event_system(
     weights[:, pattern.start[-2] :] = _measured_weights(terms, physics, to_latent, wheels)
     values, vectors = np.linalg.eigh(noise)
     precision = (vectors / values[:, None, :]) @ np.swapaxes(vectors, -1, -2)
-    normal = contract(terms.statistics.gram, pattern.row, pattern.start, weights, precision)
+    reduced = terms.reduced
+    weights = weights[:, reduced.entries]
+    normal = contract(reduced.gram, reduced.row, reduced.start, weights, precision)
     log_scale = rows * (
         -0.5 * np.log(values).sum(-1)
         + 0.5 * np.linalg.slogdet(wheel_square)[1]
@@ -242,7 +291,7 @@ def event_system(
     walk = parameters["torque_noise_n_m_s05"] ** 2
     if np.any(walk > 0):
         ratio = walk[:, None, None] * terms.mode_values[:, None] / values[:, None, :]
-        seen = project(terms.mode_projection, pattern.row, pattern.start, weights)
+        seen = project(reduced.projection, reduced.row, reduced.start, weights)
         turned = np.einsum("nce,nmck->nmek", vectors, seen)
         gain = walk[:, None, None] / (values[:, None, :] ** 2 * (1.0 + ratio))
         flat = (np.sqrt(gain)[..., None] * turned).reshape(n, -1, turned.shape[-1])

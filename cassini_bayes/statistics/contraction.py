@@ -1,0 +1,89 @@
+"""Gram matrices contracted with the weights of a batch of parameter points, compiled.
+
+Columns combine into P new ones per axis, y_c,k(t) = Σ_a w[a, k, c] C_c,a(t); what the likelihood
+needs are the inner products of these under a noise precision W, and their projections on the
+cosines. The weights are sparse: entry b says that column ``row[b]`` enters new column ``owner[b]``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _compiled(function: Function) -> Function:
+    try:
+        return cast(Function, njit(cache=True, error_model="numpy")(function))
+    except RuntimeError:  # the package's folder cannot be written: compile in every process
+        return cast(Function, njit(error_model="numpy")(function))
+
+
+@_compiled
+def contract(
+    gram: Array, row: Places, start: Places, weights: Array, precision: Array
+) -> Array:  # pragma: no cover - compiled
+    """Inner products of the new columns, M_kl = Σ_t y_k(t)ᵀ W y_l(t), (n, P, P).
+
+    Parameters
+    ----------
+    gram
+        (3, 3, A, A) from :class:`EventStatistics`.
+    row, start
+        (B,) column of every entry, in order of its owner; entries of new column k are
+        ``start[k]`` to ``start[k + 1]``.
+    weights
+        (n, B, 3) weight of every entry per axis.
+    precision
+        (n, 3, 3) symmetric W.
+    """
+    n, size, width = weights.shape[0], gram.shape[2], start.size - 1
+    result = np.empty((n, width, width))
+    gathered = np.empty((3, size))
+    for i in range(n):
+        for k in range(width):
+            gathered[:] = 0.0
+            for b in range(start[k], start[k + 1]):
+                for d in range(3):
+                    weight = weights[i, b, d]
+                    if weight == 0.0:
+                        continue
+                    for c in range(3):
+                        factor = precision[i, c, d] * weight
+                        line = gram[d, c, row[b]]
+                        for a in range(size):
+                            gathered[c, a] += factor * line[a]
+            for other in range(k + 1):
+                value = 0.0
+                for b in range(start[other], start[other + 1]):
+                    for c in range(3):
+                        value += weights[i, b, c] * gathered[c, row[b]]
+                result[i, k, other] = value
+                result[i, other, k] = value
+    return result
+
+
+@_compiled
+def project(
+    projection: Array, row: Places, start: Places, weights: Array
+) -> Array:  # pragma: no cover - compiled
+    """Projections of the new columns on the cosines, Σ_t φ_m(t) y_c,k(t), (n, M, 3, P)."""
+    n, modes, width = weights.shape[0], projection.shape[0], start.size - 1
+    result = np.zeros((n, modes, 3, width))
+    for i in range(n):
+        for k in range(width):
+            for b in range(start[k], start[k + 1]):
+                for c in range(3):
+                    weight = weights[i, b, c]
+                    if weight == 0.0:
+                        continue
+                    for m in range(modes):
+                        result[i, m, c, k] += weight * projection[m, c, row[b]]
+    return result
