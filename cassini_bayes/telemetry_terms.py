@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.physics import Physics, physics_of
 from cassini_bayes.spacecraft import Spacecraft
-from cassini_bayes.statistics import EventStatistics, Sampling, contract, project
+from cassini_bayes.statistics import EventStatistics, Sampling, contract, explained_by_modes
 from cassini_bayes.statistics.columns import CUT_PARTS
 from cassini_bayes.terms import RAD_S_PER_RPM
 
@@ -48,15 +48,15 @@ class Pattern:
 class Reduced:
     """The part of the Gram matrices that can have weight: a lever arm may be zero by design.
 
-    ``entries`` are the places of the pattern's entries that are ever used; ``row`` and ``start`` are
-    the pattern for them, on the columns of ``gram`` and ``projection`` that are left.
+    ``entries`` are the places of the pattern's entries that are ever used; ``row`` and ``start``
+    are the pattern for them, on the columns of ``gram`` and ``projection`` that are left.
     """
 
     entries: Places
     row: Places
     start: Places
     gram: Array  # (3, 3, A', A')
-    projection: Array  # (M, 3, A') of the turned cosines
+    projection: Array  # (3, A', M) on the turned cosines
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def without_idle_columns(
         row=np.searchsorted(columns, pattern.row[entries]),
         start=np.concatenate([[0], np.cumsum(counts)]),
         gram=np.ascontiguousarray(full.gram[:, :, columns[:, None], columns]),
-        projection=np.ascontiguousarray(full.projection[:, :, columns]),
+        projection=np.ascontiguousarray(full.projection[:, columns]),
     )
     return replace(terms, reduced=reduced)
 
@@ -216,7 +216,7 @@ def _turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
     order = np.arange(1, len(statistics.mode_gram) + 1)
     scale = np.sqrt(2.0 * statistics.duration_s) / (order * np.pi)
     values, turn = np.linalg.eigh(scale[:, None] * statistics.mode_gram * scale)
-    return np.maximum(values, 0.0), np.einsum("lm,l,lca->mca", turn, scale, statistics.projection)
+    return np.maximum(values, 0.0), np.einsum("lm,l,lca->cam", turn, scale, statistics.projection)
 
 
 def _pattern(statistics: EventStatistics) -> Pattern:
@@ -290,12 +290,11 @@ def event_system(
     )
     walk = parameters["torque_noise_n_m_s05"] ** 2
     if np.any(walk > 0):
-        ratio = walk[:, None, None] * terms.mode_values[:, None] / values[:, None, :]
-        seen = project(reduced.projection, reduced.row, reduced.start, weights)
-        turned = np.einsum("nce,nmck->nmek", vectors, seen)
-        gain = walk[:, None, None] / (values[:, None, :] ** 2 * (1.0 + ratio))
-        flat = (np.sqrt(gain)[..., None] * turned).reshape(n, -1, turned.shape[-1])
-        normal = normal - np.swapaxes(flat, -1, -2) @ flat
+        ratio = walk[:, None, None] * terms.mode_values / values[:, :, None]
+        gain = walk[:, None, None] / (values[:, :, None] ** 2 * (1.0 + ratio))
+        normal = normal - explained_by_modes(
+            reduced.projection, reduced.row, reduced.start, weights, vectors, gain
+        )
         log_scale = log_scale - 0.5 * np.log1p(ratio).sum((-2, -1))
     return EventSystem(
         normal=normal,

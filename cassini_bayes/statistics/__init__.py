@@ -10,7 +10,7 @@ from cassini_bayes.statistics.columns import (
     Sampling,
     settle,
 )
-from cassini_bayes.statistics.contraction import contract, project
+from cassini_bayes.statistics.contraction import contract, explained_by_modes
 from cassini_bayes.statistics.reduction import (
     EventStatistics,
     load_statistics,
@@ -28,8 +28,8 @@ __all__ = [
     "Samples",
     "Sampling",
     "contract",
+    "explained_by_modes",
     "load_statistics",
-    "project",
     "reduce_chunks",
     "save_statistics",
     "settle",

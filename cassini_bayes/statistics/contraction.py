@@ -21,9 +21,12 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def _compiled(function: Function) -> Function:
     try:
-        return cast(Function, njit(cache=True, error_model="numpy")(function))
+        return cast(
+            Function,
+            njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})(function),
+        )
     except RuntimeError:  # the package's folder cannot be written: compile in every process
-        return cast(Function, njit(error_model="numpy")(function))
+        return cast(Function, njit(error_model="numpy", fastmath={"reassoc", "contract"})(function))
 
 
 @_compiled
@@ -71,19 +74,54 @@ def contract(
 
 
 @_compiled
-def project(
-    projection: Array, row: Places, start: Places, weights: Array
+def explained_by_modes(
+    projection: Array, row: Places, start: Places, weights: Array, axes: Array, gain: Array
 ) -> Array:  # pragma: no cover - compiled
-    """Projections of the new columns on the cosines, Σ_t φ_m(t) y_c,k(t), (n, M, 3, P)."""
-    n, modes, width = weights.shape[0], projection.shape[0], start.size - 1
-    result = np.zeros((n, modes, 3, width))
+    """What the cosines of the torque noise take off the inner products, (n, P, P).
+
+    Σ_m,e gain_m,e Y_m,e,k Y_m,e,l with Y_m,e,k = Σ_c axes_c,e Σ_t φ_m(t) y_c,k(t).
+
+    Parameters
+    ----------
+    projection
+        (3, A, M) of the columns on the cosines.
+    row, start, weights
+        As in :func:`contract`.
+    axes
+        (n, 3, 3) principal axes of the noise as columns.
+    gain
+        (n, 3, M) weight of every cosine per principal axis.
+    """
+    n, modes, width = weights.shape[0], projection.shape[2], start.size - 1
+    result = np.zeros((n, width, width))
+    body = np.empty((3, modes))
+    seen = np.empty((width, 3 * modes))
+    scaled = np.empty(3 * modes)
     for i in range(n):
         for k in range(width):
+            body[:] = 0.0
             for b in range(start[k], start[k + 1]):
                 for c in range(3):
                     weight = weights[i, b, c]
                     if weight == 0.0:
                         continue
+                    line = projection[c, row[b]]
                     for m in range(modes):
-                        result[i, m, c, k] += weight * projection[m, c, row[b]]
+                        body[c, m] += weight * line[m]
+            for e in range(3):
+                for m in range(modes):
+                    seen[k, e * modes + m] = (
+                        axes[i, 0, e] * body[0, m]
+                        + axes[i, 1, e] * body[1, m]
+                        + axes[i, 2, e] * body[2, m]
+                    )
+            for e in range(3):
+                for m in range(modes):
+                    scaled[e * modes + m] = gain[i, e, m] * seen[k, e * modes + m]
+            for other in range(k + 1):
+                value = 0.0
+                for j in range(3 * modes):
+                    value += scaled[j] * seen[other, j]
+                result[i, k, other] = value
+                result[i, other, k] = value
     return result
