@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -125,6 +127,21 @@ def test_a_scenario_in_memory_is_the_one_of_the_file(tmp_path: Path) -> None:
         for name, values in expected.items():
             np.testing.assert_array_equal(found[name], values)
     assert [entry.name for entry in tmp_path.iterdir()] == ["scenario.toml"]
+
+
+def test_the_example_of_the_documentation_runs() -> None:
+    """The first Python block of docs/simulation.md, as it stands there."""
+    text = (ROOT / "docs" / "simulation.md").read_text("utf-8")
+    example = text.split("```python\n")[1].split("```")[0]
+    check = "\nassert event.telemetry.columns['rwa4_rpm'].shape == event.telemetry.time_s.shape\n"
+    done = subprocess.run(
+        [sys.executable, "-c", example + check],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_truth_at_hand_is_used_and_checked(tmp_path: Path) -> None:

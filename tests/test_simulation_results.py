@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
 
 from cassini_bayes.plots.simulation import motion_figure
 from cassini_bayes.simulation import read_scenario
@@ -139,7 +140,9 @@ def test_a_picture_of_a_slew_has_no_firings() -> None:
     for event in events:
         figure = motion_figure(event)
         assert len(figure.axes) == 5
-        assert not figure.axes[4].collections[0].get_segments()
+        marks = [c for c in figure.axes[4].collections if isinstance(c, LineCollection)]
+        assert marks
+        assert not any(c.get_segments() for c in marks)
 
 
 def test_a_markdown_table_is_one() -> None:

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 LEAST_MOMENTUM_N_M_S = 1e-3
 """Below it a gain of momentum is rounding: the axis is not stretched over that."""
 AXIS_COLOURS = ("#332288", "#117733", "#CC6677")
+_LABELS = {"fsds": "FSDS"}
 _COLUMN_STYLE = {
     "ideal": ("#BBBBBB", "x"),
     "calibrated": ("#999933", "s"),
@@ -100,7 +101,7 @@ def _wheels(axes: Axes, event: SimulatedEvent) -> None:
 
 def _firings(axes: Axes, event: SimulatedEvent) -> None:
     """Every pulse as a mark at its start (shorter below 125 ms), and a bar as long as it lasts."""
-    names = list(event.motion.pulses)
+    names = [name.upper() for name in event.motion.pulses]
     for row, log in enumerate(event.motion.pulses.values()):
         axes.vlines(
             log.start_s,
@@ -137,7 +138,12 @@ def comparison_figure(comparison: Comparison) -> Figure:
                 colour, marker = _COLUMN_STYLE[column]
                 difference = printed_rows(table, column)[rows] - flight
                 axes.plot(
-                    place + 0.15 * (i - 1.5), difference, marker, color=colour, ms=4, label=column
+                    place + 0.15 * (i - 1.5),
+                    difference,
+                    marker,
+                    color=colour,
+                    ms=4,
+                    label=_LABELS.get(column, column),
                 )
             axes.errorbar(
                 place + 0.25,
@@ -150,7 +156,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
                 label="this simulation",
             )
             axes.set_title(table.event)
-            axes.set_xticks(place, [unit.replace("_", "–") for unit in UNITS])
+            axes.set_xticks(place, [unit.replace("_", "–").upper() for unit in UNITS])
             axes.set_ylim(-6.5, 4.5)
             axes.set_ylabel("on-time − flight [s]")
         panels[0].legend(ncols=2, loc="lower left", fontsize=7)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -81,6 +81,7 @@ def bias_sections(seeds: int, scan_seeds: int) -> tuple[list[str], dict[str, byt
     return [
         markdown(header, skill),
         _on_time_table(full),
+        _pulse_table(full),
         markdown(scan_header, scan_rows),
     ], files
 
@@ -149,15 +150,30 @@ def _event_rows(comparison: Comparison) -> list[list[str]]:
     return rows
 
 
-def _on_time_table(comparison: Comparison) -> str:
-    names = [unit.replace("_", "–").upper() for unit in UNITS]
-    header = ["event", "", *names, "ΔVz [mm/s]", "hydrazine [g]"]
-    chosen = [*range(6), len(ROWS) - 2, len(ROWS) - 1]
-    rows = []
+def _event_table(comparison: Comparison, header: Sequence[str], rows: Sequence[int]) -> str:
+    """Some of the rows of :data:`ROWS`, all columns of every event beside the simulation."""
+    lines = []
     for table in comparison.tables:
         mean, spread = comparison.mean(table.event), comparison.spread(table.event)
-        flight, fsds = printed_rows(table, "flight"), printed_rows(table, "fsds")
-        rows.append([table.event, "flight", *(f"{flight[i]:.2f}" for i in chosen)])
-        rows.append(["", "FSDS", *(f"{fsds[i]:.2f}" for i in chosen)])
-        rows.append(["", "simulated", *(f"{mean[i]:.2f} ± {spread[i]:.2f}" for i in chosen)])
-    return markdown(header, rows)
+        for i, column in enumerate(PRINTED):
+            values = printed_rows(table, column)
+            cells = ["–" if np.isnan(values[row]) else _plain(values[row], row) for row in rows]
+            lines.append([table.event if i == 0 else "", _COLUMN_NAMES[column], *cells])
+        simulated_cells = [f"{_plain(mean[row], row)} ± {spread[row]:.2f}" for row in rows]
+        lines.append(["", "simulated", *simulated_cells])
+    return markdown(["event", "", *header], lines)
+
+
+def _plain(value: float, row: int) -> str:
+    return f"{value:.1f}" if ROWS[row].startswith(("pulses", "hydrazine")) else f"{value:.2f}"
+
+
+def _on_time_table(comparison: Comparison) -> str:
+    names = [f"{unit.replace('_', '–').upper()} [s]" for unit in UNITS]
+    header = [*names, "ΔVz [mm/s]", "hydrazine [g]"]
+    return _event_table(comparison, header, [*range(6), len(ROWS) - 2, len(ROWS) - 1])
+
+
+def _pulse_table(comparison: Comparison) -> str:
+    names = [unit.replace("_", "–").upper() for unit in UNITS]
+    return _event_table(comparison, names, range(len(UNITS), 2 * len(UNITS)))

@@ -61,9 +61,14 @@ at zero.
 
 {skill}
 
-On-times in s, simulated mean ± standard deviation over seeds (all rows in `simulation_biases.csv`):
+On-times (of each thruster of a pair), computed ΔV along Z and hydrazine; simulated: mean ± standard
+deviation over seeds. The same figures are in `simulation_biases.csv`.
 
 {on_times}
+
+Number of pulses, likewise:
+
+{pulses}
 
 ![On-times of the eight events as differences to flight.](simulation_biases.png)
 
@@ -91,7 +96,7 @@ def make_report(seeds: int = SEEDS, scan_seeds: int = SCAN_SEEDS) -> Report:
     """Measure everything and put the page together."""
     fsds, fsds_rows = fsds_section()
     propellant, propellant_rows = propellant_section()
-    (skill, on_times, scan), files = bias_sections(seeds, scan_seeds)
+    (skill, on_times, pulses, scan), files = bias_sections(seeds, scan_seeds)
     text = PAGE.format(
         seeds=seeds,
         scan_seeds=scan_seeds,
@@ -102,6 +107,7 @@ def make_report(seeds: int = SEEDS, scan_seeds: int = SCAN_SEEDS) -> Report:
         fsds=fsds,
         skill=skill,
         on_times=on_times,
+        pulses=pulses,
         propellant=propellant,
         scan=scan,
     )
