@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 
 from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.errors import InputError
+from cassini_bayes.event_reduction import ReducedEvent
+from cassini_bayes.joint import JointModel, joint_log_posterior
+from cassini_bayes.joint_draws import draw_all
+from cassini_bayes.joint_result import build_joint_fit
 from cassini_bayes.model import TotalsModel
 from cassini_bayes.posterior import log_posterior
 from cassini_bayes.result import Fit, build_fit, draws_of
@@ -23,12 +27,21 @@ from cassini_bayes.sampling import (
     sample,
     stored_ess,
 )
-from cassini_bayes.warmstart import ImportanceDraws, Proposal, WarmStart, warm_start
+from cassini_bayes.warmstart import (
+    ImportanceDraws,
+    LogDensity,
+    Proposal,
+    WarmStart,
+    warm_start,
+)
 
 Array = NDArray[np.float64]
+Model = TotalsModel | JointModel
 
 _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
 SERIOUS_EXPANSION_ERROR: Final = 0.1
+WORST_PARETO_K: Final = 0.7
+FALLBACK_INDEPENDENCE: Final = 0.2
 
 
 @dataclass(frozen=True)
@@ -38,7 +51,7 @@ class Sampled:
     ``z`` (M, n, d) are the stored draws in walked coordinates, in the order of ``fit.posterior``.
     """
 
-    model: TotalsModel
+    model: Model
     settings: SamplerSettings
     fit: Fit
     z: Array
@@ -60,12 +73,16 @@ class Sampled:
                 "Sampling stopped at its limit before the stop rule held: "
                 + "; ".join(convergence.failed)
             )
-        if draws.pareto_k > 0.7:
+        if draws.pareto_k > WORST_PARETO_K:
             found.append(
                 "The importance draws behind the evidence are not reliable (Pareto k̂ = "
-                f"{draws.pareto_k:.2f} > 0.7)."
+                f"{draws.pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
+                "sampling instead of the independence move."
             )
-        error = self.fit.groups["sample_stats"]["jacobian_expansion_error"].values.std()
+        stats = self.fit.groups["sample_stats"]
+        if "jacobian_expansion_error" not in stats:
+            return found
+        error = stats["jacobian_expansion_error"].values.std()
         if error > SERIOUS_EXPANSION_ERROR:
             found.append(
                 f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
@@ -75,9 +92,10 @@ class Sampled:
 
 
 def fit_model(
-    model: TotalsModel,
+    model: Model,
     settings: SamplerSettings | None = None,
     *,
+    events: Sequence[ReducedEvent] = (),
     draws_per_ensemble: int = 4_000,
     prior_draws: int = 4_000,
     store: CheckpointStore | None = None,
@@ -88,8 +106,12 @@ def fit_model(
 
     Parameters
     ----------
+    model
+        Of totals rows, or of telemetry with totals rows or without.
     settings
         Sampler settings with the seed; the same seed gives the same draws.
+    events
+        The telemetry events of a joint model, in its order.
     draws_per_ensemble, prior_draws
         How many draws the fit keeps.
     store
@@ -113,8 +135,9 @@ def fit_model(
             "keep more draws, or ask for a smaller target_ess",
         )
     tell = say or (lambda _: None)
+    log_density_of = log_density(model)
     tell(
-        f"{len(model.stack.event_ids)} events, {len(model.space.names)} walked and "
+        f"{_count(event_ids(model))}, {len(model.space.names)} walked and "
         f"{collapsed_size(model)} collapsed parameters"
     )
     warm = _warm_start(model, settings.seed, store)
@@ -122,6 +145,13 @@ def fit_model(
         f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
         f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
     )
+    moves = settings
+    if warm.draws.pareto_k > WORST_PARETO_K and settings.independence_share > FALLBACK_INDEPENDENCE:
+        moves = replace(settings, independence_share=FALLBACK_INDEPENDENCE)
+        tell(
+            f"the proposal is poor (Pareto k̂ > {WORST_PARETO_K}): falling back on differential "
+            f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
+        )
 
     def wants_more(chains: Chains) -> bool:
         z, _ = chains.thinned(draws_per_ensemble)
@@ -129,14 +159,14 @@ def fit_model(
         return _derived_ess(model, z, walkers, settings.seed) < settings.target_ess
 
     chains = sample(
-        partial(log_posterior, model),
+        log_density_of,
         warm.proposal,
-        settings,
+        moves,
         store=store,
         progress=progress,
         more=wants_more,
     )
-    z, log_density = chains.thinned(draws_per_ensemble)
+    z, density = chains.thinned(draws_per_ensemble)
     tell(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
     attributes: dict[str, str | float | int] = {
         "seed": settings.seed,
@@ -152,8 +182,27 @@ def fit_model(
         "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
     }
     rng = _stream(settings.seed, _LINEAR)
-    fit = build_fit(model, z, log_density, rng, attributes, prior_draws)
+    if isinstance(model, JointModel):
+        fit, _ = build_joint_fit(model, events, z, density, rng, attributes, prior_draws)
+    else:
+        fit = build_fit(model, z, density, rng, attributes, prior_draws)
     return Sampled(model, settings, fit, z, warm, chains)
+
+
+def log_density(model: Model) -> LogDensity:
+    """The collapsed log posterior of either kind of model, as the sampler calls it."""
+    if isinstance(model, JointModel):
+        return partial(joint_log_posterior, model)
+    return partial(log_posterior, model)
+
+
+def event_ids(model: Model) -> tuple[str, ...]:
+    """Ids of all events of either kind of model."""
+    return model.event_ids if isinstance(model, JointModel) else model.stack.event_ids
+
+
+def _count(events: Sequence[str]) -> str:
+    return f"{len(events)} event{'s' if len(events) != 1 else ''}"
 
 
 def convergence_table(sampled: Sampled) -> pd.DataFrame:
@@ -173,14 +222,19 @@ def _stream(seed: int, which: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence((seed, which)))
 
 
-def collapsed_size(model: TotalsModel) -> int:
-    """Numbers of thrusts and torques integrated out: shared levels, and those of each event."""
-    torques = int(np.count_nonzero(model.linear.torque_sd_n_m))
-    own = int(model.linear.own.shape[1]) + torques
-    return int(model.linear.shared.shape[1]) + own * len(model.stack.event_ids)
+def collapsed_size(model: Model) -> int:
+    """Numbers integrated out: shared thrust levels, and each event's thrusts, torques and so on."""
+    if not isinstance(model, JointModel):
+        torques = int(np.count_nonzero(model.linear.torque_sd_n_m))
+        own = int(model.linear.own.shape[1]) + torques
+        return int(model.linear.shared.shape[1]) + own * len(model.stack.event_ids)
+    torques = int(np.count_nonzero(model.torque_sd_n_m)) * len(model.event_ids)
+    starts_and_tails = sum(3 + len(terms.pattern.cuts) for terms in model.telemetry)
+    thrusts = int(model.linear.own.shape[1]) * len(model.fired_ids)
+    return int(model.linear.shared.shape[1]) + thrusts + torques + starts_and_tails
 
 
-def _warm_start(model: TotalsModel, seed: int, store: CheckpointStore | None) -> WarmStart:
+def _warm_start(model: Model, seed: int, store: CheckpointStore | None) -> WarmStart:
     """The warm start: from its checkpoint, or computed and stored."""
     stored = store.load("warmstart") if store else None
     if stored is not None:
@@ -199,7 +253,7 @@ def _warm_start(model: TotalsModel, seed: int, store: CheckpointStore | None) ->
             ),
         )
     rng = _stream(seed, _WARM_START)
-    warm = warm_start(partial(log_posterior, model), len(model.space.names), rng)
+    warm = warm_start(log_density(model), len(model.space.names), rng)
     if store is None:
         return warm
     draws = warm.draws
@@ -222,11 +276,21 @@ def _warm_start(model: TotalsModel, seed: int, store: CheckpointStore | None) ->
     return warm
 
 
-def _derived_ess(model: TotalsModel, z: Array, walkers: int, seed: int) -> float:
-    """Smallest bulk or tail effective sample size over the thrusts drawn for these points."""
+def _derived_ess(model: Model, z: Array, walkers: int, seed: int) -> float:
+    """Smallest bulk or tail effective sample size over what is drawn back for these points."""
     m, n, d = z.shape
-    _, draws = draws_of(model, z.reshape(-1, d), _stream(seed, _LINEAR))
-    thrust = draws.thrust_n.reshape(m, n, -1)
-    varying = thrust[..., thrust.std((0, 1)) > 0]
+    drawn = _derived(model, z.reshape(-1, d), _stream(seed, _LINEAR)).reshape(m, n, -1)
+    varying = drawn[..., drawn.std((0, 1)) > 0]
     sizes = [min(stored_ess(varying[:, :, j], walkers)) for j in range(varying.shape[-1])]
     return min(sizes, default=np.inf)
+
+
+def _derived(model: Model, z: Array, rng: np.random.Generator) -> Array:
+    """Draws (n, q) of the quantities beside the walked ones that the stop rule watches."""
+    if not isinstance(model, JointModel):
+        return draws_of(model, z, rng)[1].thrust_n.reshape(len(z), -1)
+    sample = draw_all(model, z, rng)
+    parts = [sample.torque_n_m.reshape(len(z), -1), *(own[:, :3] for own in sample.own)]
+    if sample.thrusts is not None:
+        parts += [sample.thrusts.thrust_n.reshape(len(z), -1), sample.thrusts.level_n]
+    return np.concatenate(parts, axis=1)

@@ -198,7 +198,7 @@ def draw_linear(
         thrust_n=thrusts.thrust_n,
         common_n=thrusts.common_n,
         level_n=thrusts.level_n,
-        external_torque_n_m=_draw_torque(model, system, thrusts.thrust_n, rng),
+        external_torque_n_m=draw_torque(model, system, thrusts.thrust_n, rng),
         software=(
             np.zeros((len(thrusts.common_n), 2))
             if model.computed is None
@@ -226,7 +226,7 @@ def _draw_common(
     return np.asarray(mean + normals / np.sqrt(weight))
 
 
-def _draw_torque(
+def draw_torque(
     model: TotalsModel, system: LinearSystem, thrust_n: Array, rng: np.random.Generator
 ) -> Array:
     """External torques given the thrusts: a prior draw corrected by the residual it leaves."""
@@ -253,8 +253,12 @@ def thrust_moments(model: TotalsModel, z: Array) -> tuple[Array, Array]:
     report; its change with z is the consider-style contribution of each nuisance.
     """
     system = linear_system(model, model.space.to_parameters(z))
-    collapsed = collapse(model, system)
-    own, shared = model.linear.own, model.linear.shared
+    return moments_of(model.linear, collapse(model, system), system.common_n)
+
+
+def moments_of(linear: LinearBlock, collapsed: Collapsed, common_n: Array) -> tuple[Array, Array]:
+    """Mean and variance (n, E, K) of the thrusts that :func:`draw_thrusts` draws."""
+    own, shared = linear.own, linear.shared
     shared_inverse = np.linalg.inv(collapsed.shared_factor)
     shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
     own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.own_factor), -1, -2)
@@ -264,5 +268,5 @@ def thrust_moments(model: TotalsModel, z: Array) -> tuple[Array, Array]:
     gain = own_inverse_t @ collapsed.own_coupling
     response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
     spread = own @ own_inverse_t
-    mean = system.common_n[:, None, None] + own_mean @ own.T + (shared_mean @ shared.T)[:, None, :]
+    mean = common_n[:, None, None] + own_mean @ own.T + (shared_mean @ shared.T)[:, None, :]
     return mean, (spread**2).sum(-1) + (response**2).sum(-1)

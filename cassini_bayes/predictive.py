@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.delta_v import event_channel_log_likelihood
-from cassini_bayes.model import LinearSystem, Parameters, TotalsModel, linear_system
+from cassini_bayes.model import LinearSystem, TotalsModel, linear_system
+from cassini_bayes.physics import Parameters
 from cassini_bayes.posterior import LinearDraws
 from cassini_bayes.spacecraft import lever_arms
 from cassini_bayes.terms import response_jacobian

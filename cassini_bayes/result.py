@@ -12,8 +12,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.model import SOFTWARE, TORQUES, Parameters, TotalsModel, linear_system
-from cassini_bayes.posterior import LinearDraws, collapse, draw_linear
+from cassini_bayes.model import (
+    SOFTWARE,
+    TORQUES,
+    LinearBlock,
+    TotalsModel,
+    linear_system,
+)
+from cassini_bayes.physics import Parameters
+from cassini_bayes.posterior import LinearDraws, ThrustDraws, collapse, draw_linear
 from cassini_bayes.predictive import (
     balance_residual,
     event_log_likelihood,
@@ -75,28 +82,38 @@ def prior_draws(
     """Parameters, thrusts and torques drawn from their priors, before any data."""
     linear = model.linear
     parameters = model.space.to_parameters(model.space.sample(rng, n))
+    n_events = len(model.stack.event_ids)
+    thrusts = prior_thrusts(linear, parameters, (n, n_events), rng)
+    torque = rng.standard_normal((n, n_events, 3))
+    return parameters, LinearDraws(
+        thrust_n=thrusts.thrust_n,
+        common_n=thrusts.common_n,
+        level_n=thrusts.level_n,
+        external_torque_n_m=linear.torque_mean_n_m + linear.torque_sd_n_m * torque,
+        software=prior_software(model, n, rng),
+    )
+
+
+def prior_thrusts(
+    linear: LinearBlock, parameters: Parameters, shape: tuple[int, int], rng: np.random.Generator
+) -> ThrustDraws:
+    """Thrusts drawn from their prior, for ``shape`` = (draws n, events E)."""
+    n = shape[0]
     common = np.broadcast_to(
         np.asarray(
             parameters[_COMMON] if linear.common_is_walked else linear.common_mean_n, dtype=float
         ),
         (n,),
     )
-    n_events = len(model.stack.event_ids)
     individual = linear.individual_sd_n * rng.standard_normal((n, linear.shared.shape[0]))
     common = common + linear.common_sd_n * rng.standard_normal(n)
-    own = rng.standard_normal((n, n_events, linear.own.shape[1]))
-    torque = rng.standard_normal((n, n_events, 3))
+    own = rng.standard_normal((*shape, linear.own.shape[1]))
     level = common[:, None] + individual
-    return parameters, LinearDraws(
-        thrust_n=level[:, None, :] + own @ linear.own.T,
-        common_n=common,
-        level_n=level,
-        external_torque_n_m=linear.torque_mean_n_m + linear.torque_sd_n_m * torque,
-        software=_prior_software(model, n, rng),
-    )
+    return ThrustDraws(level[:, None, :] + own @ linear.own.T, common, level)
 
 
-def _prior_software(model: TotalsModel, n: int, rng: np.random.Generator) -> Array:
+def prior_software(model: TotalsModel, n: int, rng: np.random.Generator) -> Array:
+    """Constants of the on-board ΔV computation drawn from their prior, (n, 2)."""
     if model.computed is None:
         return np.zeros((n, 2))
     return np.asarray(
@@ -190,34 +207,49 @@ def _collapsed_log_prior(
     adds nothing.
     """
     linear = model.linear
-    mean = np.asarray(parameters.get(_COMMON, linear.common_mean_n))
-    departure = draws.thrust_n - draws.level_n[:, None, :]
-    thrust = _normal_log_density(draws.common_n - mean, linear.common_sd_n)
-    individual = draws.level_n - draws.common_n[:, None]
-    thrust = thrust + _normal_log_density(individual, linear.individual_sd_n).sum(-1)
-    if linear.own.shape[1]:
-        white = departure @ np.linalg.pinv(linear.own).T
-        scale = 0.5 * np.linalg.slogdet(linear.own.T @ linear.own)[1]
-        thrust = thrust + (_normal_log_density(white, 1.0).sum(-1) - scale).sum(-1)
+    thrust = thrust_log_prior(
+        linear, parameters, ThrustDraws(draws.thrust_n, draws.common_n, draws.level_n)
+    )
     torque = draws.external_torque_n_m - linear.torque_mean_n_m
     found = {
         "thrust": thrust,
-        "torque": _normal_log_density(torque, linear.torque_sd_n_m).sum((-2, -1)),
+        "torque": normal_log_density(torque, linear.torque_sd_n_m).sum((-2, -1)),
     }
     if model.computed is not None:
         shift = draws.software - model.computed.prior_mean
-        found["flight software"] = _normal_log_density(shift, model.computed.prior_sd).sum(-1)
+        found["flight software"] = normal_log_density(shift, model.computed.prior_sd).sum(-1)
     return found
 
 
-def _normal_log_density(values: Array, sd: Array | float) -> Array:
+def thrust_log_prior(linear: LinearBlock, parameters: Parameters, draws: ThrustDraws) -> Array:
+    """Log prior density (n,) of drawn thrusts: common level, thrusters' levels, departures."""
+    mean = np.asarray(parameters.get(_COMMON, linear.common_mean_n))
+    departure = draws.thrust_n - draws.level_n[:, None, :]
+    thrust = normal_log_density(draws.common_n - mean, linear.common_sd_n)
+    individual = draws.level_n - draws.common_n[:, None]
+    thrust = thrust + normal_log_density(individual, linear.individual_sd_n).sum(-1)
+    if linear.own.shape[1]:
+        white = departure @ np.linalg.pinv(linear.own).T
+        scale = 0.5 * np.linalg.slogdet(linear.own.T @ linear.own)[1]
+        thrust = thrust + (normal_log_density(white, 1.0).sum(-1) - scale).sum(-1)
+    return np.asarray(thrust)
+
+
+def normal_log_density(values: Array, sd: Array | float) -> Array:
     """log N(values; 0, sd²), 0 where sd is 0 (a fixed parameter has no density)."""
     scale = np.where(np.asarray(sd) > 0, sd, 1.0)
     density = -0.5 * (values / scale) ** 2 - np.log(scale * np.sqrt(2.0 * np.pi))
     return np.where(np.asarray(sd) > 0, density, 0.0)
 
 
-_Variable = tuple[tuple[str, ...], Array, str, str]
+Variable = tuple[tuple[str, ...], Array, str, str]
+Coordinates = Mapping[str, list[str] | list[int]]
+
+
+def _dataset(
+    variables: Mapping[str, Variable], model: TotalsModel, shape: tuple[int, int]
+) -> xr.Dataset:
+    return dataset_of(variables, _coordinates(model), shape)
 
 
 def _coordinates(model: TotalsModel) -> dict[str, list[str] | list[int]]:
@@ -230,10 +262,10 @@ def _coordinates(model: TotalsModel) -> dict[str, list[str] | list[int]]:
     }
 
 
-def _dataset(
-    variables: Mapping[str, _Variable], model: TotalsModel, shape: tuple[int, int]
+def dataset_of(
+    variables: Mapping[str, Variable], coordinates: Coordinates, shape: tuple[int, int]
 ) -> xr.Dataset:
-    coordinates = _coordinates(model)
+    """Draws as a dataset: name → (dims, (chains · draws, ...), unit, long name); shape (M, n)."""
     data = {}
     for name, (dims, values, unit, long_name) in variables.items():
         sizes = tuple(len(coordinates[dim]) for dim in dims)
@@ -250,7 +282,7 @@ def _dataset(
 def _parameter_dataset(
     model: TotalsModel, parameters: Parameters, draws: LinearDraws, shape: tuple[int, int]
 ) -> xr.Dataset:
-    variables: dict[str, _Variable] = {
+    variables: dict[str, Variable] = {
         "thrust_n": (("event", "thruster"), draws.thrust_n, "N", "steady thrust in the event"),
         "thrust_level_n": (
             ("thruster",),

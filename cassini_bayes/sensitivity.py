@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from cassini_bayes.joint import JointModel
+from cassini_bayes.joint_draws import joint_thrust_moments
 from cassini_bayes.model import TotalsModel
 from cassini_bayes.posterior import thrust_moments
 
@@ -17,7 +19,7 @@ LEAST_CONTRACTION = 0.05
 MOVED = 0.5
 
 
-def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
+def error_budget(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
     """Split every thrust's variance over the nuisances, in two ways.
 
     z (n, d) are posterior draws. With m(z) the conditional mean of a thrust given the nuisances:
@@ -36,7 +38,7 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
     consider_sd_n, ``<block>|consider_n``, ``<block>|share``, ``noise-only|share`` and
     ``nonlinear|share``.
     """
-    mean, variance = thrust_moments(model, z)
+    mean, variance = _moments(model, z)
     n, n_events, n_thrusters = mean.shape
     conditional = variance.mean(0)
     total = conditional + mean.var(0, ddof=1)
@@ -46,8 +48,8 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
     per_coordinate = slopes * (centred_z.T @ centred_m) / (n - 1)
     centre = z.mean(0)
     steps = DERIVATIVE_STEP * np.eye(len(centre))
-    plus, _ = thrust_moments(model, centre + steps)
-    minus, _ = thrust_moments(model, centre - steps)
+    plus, _ = _moments(model, centre + steps)
+    minus, _ = _moments(model, centre - steps)
     derivative = ((plus - minus) / (2.0 * DERIVATIVE_STEP)).reshape(len(centre), -1)
 
     blocks = [model.specs[name].block for name in model.space.names]
@@ -64,11 +66,11 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
         columns[f"{block}|share"] = share
         explained += share
     noise_share = conditional.reshape(-1) / flat_total
-    stack = model.stack
+    events, thrusters = _labels(model)
     return pd.DataFrame(
         {
-            "event": np.repeat(stack.event_ids, n_thrusters),
-            "thruster": np.tile(stack.thrusters, n_events),
+            "event": np.repeat(events, n_thrusters),
+            "thruster": np.tile(thrusters, n_events),
             "full_sd_n": np.sqrt(flat_total),
             "noise_only_sd_n": np.sqrt(conditional.reshape(-1)),
             "consider_sd_n": np.sqrt(conditional.reshape(-1) + (derivative**2).sum(0)),
@@ -79,7 +81,21 @@ def error_budget(model: TotalsModel, z: Array) -> pd.DataFrame:
     )
 
 
-def prior_against_posterior(model: TotalsModel, z: Array) -> pd.DataFrame:
+def _moments(model: TotalsModel | JointModel, z: Array) -> tuple[Array, Array]:
+    """Conditional mean and variance (n, E, K) of the thrusts, for either kind of model."""
+    if isinstance(model, JointModel):
+        return joint_thrust_moments(model, z)
+    return thrust_moments(model, z)
+
+
+def _labels(model: TotalsModel | JointModel) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Events with thrusts, and the thrusters."""
+    if isinstance(model, JointModel):
+        return model.fired_ids, model.spacecraft.thruster_names(model.branch)
+    return model.stack.event_ids, model.stack.thrusters
+
+
+def prior_against_posterior(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
     """Prior and posterior of every walked parameter, with a conflict flag.
 
     In standard-normal coordinates the prior is N(0, 1). If prior and likelihood agree, the shift of
