@@ -95,3 +95,13 @@ def _rate_bias(parameters: Mapping[str, Array]) -> Array | float:
     if not all(name in parameters for name in names):
         return 0.0
     return np.stack(np.broadcast_arrays(*(parameters[name] for name in names)), axis=-1)
+
+
+def physical_inertia(inertia: Array) -> NDArray[np.bool_]:
+    """Whether inertia tensors (..., 3, 3) can be those of a body, (...).
+
+    Principal moments are positive and none exceeds the sum of the other two.
+    """
+    moments = np.linalg.eigvalsh(inertia)
+    positive = moments[..., 0] > 0.0
+    return np.asarray(positive & (moments[..., 2] <= moments[..., 0] + moments[..., 1]))

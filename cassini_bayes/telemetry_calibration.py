@@ -267,11 +267,11 @@ def samples_of(event: SimulatedEvent) -> tuple[Samples, tuple[str, ...]]:
 def log_density_of(model: JointModel, variant: Variant) -> LogDensity:
     """The log posterior; for the balance-residual control without its Jacobian."""
     if variant.control == "balance-residual":
-        return partial(_without_jacobian, model)
+        return partial(without_jacobian, model)
     return partial(joint_log_posterior, model)
 
 
-def _without_jacobian(model: JointModel, z: Array) -> Array:
+def without_jacobian(model: JointModel, z: Array) -> Array:
     """The naive likelihood: a density of the balance residual, which shrinks with everything.
 
     Takes N ½ log det(T I_w² Tᵀ) off again (docs/telemetry-likelihood.md §2).

@@ -1,80 +1,306 @@
-"""Made-up telemetry for the reader's tests: rows as text, so that any cell can be spoilt."""
+"""Made-up telemetry, and a slow, obvious likelihood of it: one row at a time, nothing collapsed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
-from cassini_bayes.spacecraft import load_spacecraft
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import multivariate_normal
 
-CASSINI = load_spacecraft("cassini")
-THRUSTERS = ("z1", "z2", "z3", "z4", "y1", "y2", "y3", "y4")
-BIAS = {
-    "id": '"b"',
-    "kind": '"bias"',
-    "epoch": '"2010-02-13T12:00:00Z"',
-    "branch": '"B"',
-    "wheels": "[1, 2, 4]",
-    "source": '"made up"',
-}
-SLEW = {**BIAS, "kind": '"slew"'}
-MOTION = (
-    "time_s",
-    *("q1", "q2", "q3", "q4"),
-    *(f"rate_{axis}_rad_s" for axis in "xyz"),
-    *("rwa1_rpm", "rwa2_rpm", "rwa4_rpm"),
-)
-COUNTERS = tuple(f"on_time_{k}_s" for k in THRUSTERS) + tuple(f"pulses_{k}" for k in THRUSTERS)
+from cassini_bayes.joint import JointModel, build_joint_model, sampling_of
+from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
+from cassini_bayes.statistics import EventStatistics, Layout, Samples, Sampling, reduce_chunks
+from cassini_bayes.telemetry_terms import cut_probability
 
-Rows = list[dict[str, str]]
-Change = Callable[[Rows], object]
+Array = NDArray[np.float64]
+PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
+RPM = 2.0 * np.pi / 60.0
+MODES = 32
+PARTS = 4
 
 
-def motion_rows(count: int = 40) -> Rows:
-    """A slow turn about X with changing wheel rates, 1 Hz."""
-    return [
-        {
-            "time_s": str(i),
-            "q1": "0.6",
-            "q2": "0",
-            "q3": "0",
-            "q4": "0.8",
-            "rate_x_rad_s": f"{1e-5 * i:.7g}",
-            "rate_y_rad_s": "-2e-06",
-            "rate_z_rad_s": "0",
-            "rwa1_rpm": f"{-1100.5 + i}",
-            "rwa2_rpm": "1290",
-            "rwa4_rpm": f"{330 - i}",
-        }
-        for i in range(count)
-    ]
+@cache
+def telemetry_priors() -> Priors:
+    """The shipped priors of telemetry."""
+    return read_priors(PRIORS)
 
 
-def bias_rows(count: int = 40) -> Rows:
-    """The same with counters: every thruster fires one 125 ms pulse every second second."""
-    rows = motion_rows(count)
-    for i, row in enumerate(rows):
-        for name in THRUSTERS:
-            row[f"on_time_{name}_s"] = f"{0.125 * (i // 2):.10g}"
-            row[f"pulses_{name}"] = str(i // 2)
+def made_up_samples(
+    rng: np.random.Generator, rows: int = 70, *, fires: bool = True, every_s: float = 1.0
+) -> Samples:
+    """Telemetry that no spacecraft flew: a wandering attitude, random rates, bursts of firing.
+
+    The wheels are such that the momentum balance holds at the prior means, up to some noise.
+    """
+    time = every_s * np.arange(rows)
+    angle = np.cumsum(0.03 * rng.standard_normal((rows, 3)), axis=0)
+    size = np.linalg.norm(angle, axis=1, keepdims=True) + 1e-12
+    attitude = np.concatenate([angle / size * np.sin(size / 2), np.cos(size / 2)], axis=1)
+    rate = 1e-3 * rng.standard_normal((rows, 3))
+    counters = 8 if fires else 0
+    on_time, pulses = np.zeros((rows, counters)), np.zeros((rows, counters))
+    for k in range(counters):
+        starts = rng.random(rows) < 0.06
+        starts[0] = False
+        number = np.where(starts, rng.integers(1, 4, rows), 0)
+        width = rng.choice([0.03, 0.125, 0.25], rows)
+        pulses[:, k] = np.cumsum(number)
+        on_time[:, k] = np.cumsum(number * width)
+    values = dict.fromkeys(("rwa3_inertia_kg_m2",), 0.16) | nominal_values()
+    axes = wheel_axes(telemetry_priors().spacecraft, values)
+    weights = (axes * wheel_inertias(telemetry_priors().spacecraft, values))[:, [0, 1, 3]]
+    arms = lever_arms(telemetry_priors().spacecraft, "B", values)[:, :counters]
+    inertial = rotation(attitude[0]).T @ np.array([5.0, -3.0, 8.0])
+    wheels = np.zeros((rows, 3))
+    for i in range(rows):
+        body = rotation(attitude[i])
+        if i > 0:
+            gained = on_time[i] - on_time[i - 1] + 0.03 * (pulses[i] - pulses[i - 1])
+            inertial = inertial + 0.76 * body.T @ arms @ gained
+        momentum = body @ inertial - inertia_tensor(values) @ rate[i]
+        wheels[i] = np.linalg.solve(weights, momentum) + 0.03 * rng.standard_normal(3)
+    return Samples(time, attitude, rate, wheels, on_time, pulses)
+
+
+def nominal_values() -> dict[str, float]:
+    """Prior means of all parameters."""
+    return {
+        name: prior.fixed if prior.distribution is None else prior.distribution.mean()
+        for name, prior in telemetry_priors().parameters.items()
+    }
+
+
+def reduced(
+    samples: Samples, priors: Priors, event_id: str = "made-up", chunks: int = 1
+) -> tuple[EventStatistics, Sampling]:
+    """Statistics of samples cut into chunks."""
+    fires = samples.on_time_s.shape[1] > 0
+    names = priors.spacecraft.thruster_names(priors.branch) if fires else ()
+    sampling = sampling_of(priors, names, float(samples.time_s[-1]), "first_order")
+    layout = Layout((1, 2, 4), names, sampling.couples)
+    edges = np.linspace(0, len(samples), chunks + 1).astype(int)
+    parts = [samples.part(a, b) for a, b in pairwise(edges)]
+    return reduce_chunks(event_id, "bias", parts, layout, sampling), sampling
+
+
+def model_of(events: list[Samples]) -> JointModel:
+    """A joint model of made-up events."""
+    priors = telemetry_priors()
+    statistics = [reduced(samples, priors, f"e{i}") for i, samples in enumerate(events)]
+    return build_joint_model(statistics, priors)
+
+
+def rotation(q: Array) -> Array:
+    """Inertial-to-body matrix of one attitude, written out."""
+    x, y, z, w = q
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class PlainRows:
+    """What the balance needs, row by row."""
+
+    times: list[float]
+    bodies: list[Array]  # inertial to body
+    rates: list[Array]
+    wheels: list[Array]
+    impulses: list[Array]  # (3 inertial, K) effective impulse per newton, body arms folded in
+    torques: list[Array]  # (3, 3) integral of inertial torque directions
+    cuts: list[Array]  # (G, PARTS)
+    totals: Array  # (G, PARTS)
+
+
+def plain_rows(
+    samples: Samples, sampling: Sampling, arms: Array, tau: tuple[float, ...]
+) -> PlainRows:
+    """Every usable row by loops over readings, thrusters and firings, at given lever arms."""
+    rows = PlainRows([], [], [], [], [], [], [], np.zeros((len(sampling.couples), PARTS)))
+    thrusters = samples.on_time_s.shape[1]
+    bodies = [rotation(q) for q in samples.attitude]
+    impulse = np.zeros((3, thrusters))
+    torque = np.zeros((3, 3))
+    cuts = np.zeros((len(sampling.couples), PARTS))
+    effective = effective_steps(samples, sampling, tau)
+    for i, time in enumerate(samples.time_s):
+        if i > 0:
+            mean = 0.5 * (bodies[i] + bodies[i - 1])
+            torque = torque + (time - samples.time_s[i - 1]) * mean.T
+            for k in range(thrusters):
+                impulse[:, k] += mean.T @ arms[:, k] * effective[i, k]
+            part = min(int(PARTS * time / sampling.duration_s), PARTS - 1)
+            for g, couple in enumerate(sampling.couples):
+                started = max(samples.pulses[i, k] - samples.pulses[i - 1, k] for k in couple)
+                cuts[g, part] += max(started - 1, 0)
+        if thrusters and not is_quiet(samples, i, sampling.guard_s):
+            continue
+        rows.times.append(float(time))
+        rows.bodies.append(bodies[i])
+        rows.rates.append(samples.rate_rad_s[i])
+        rows.wheels.append(samples.wheel_rad_s[i])
+        rows.impulses.append(bodies[i] @ impulse.copy())
+        rows.torques.append(bodies[i] @ torque.copy())
+        rows.cuts.append(cuts.copy())
+    rows.totals[:] = cuts
     return rows
 
 
-def csv_text(rows: Rows, separator: str = ",") -> str:
-    """The rows as a CSV with a header row."""
-    lines = [separator.join(rows[0])]
-    lines += [separator.join(row.values()) for row in rows]
-    return "\n".join(lines) + "\n"
+def is_quiet(samples: Samples, row: int, guard_s: float) -> bool:
+    """Whether the counters read before the guard time equal those of the row."""
+    earlier = [j for j in range(row + 1) if samples.time_s[j] <= samples.time_s[row] - guard_s]
+    if not earlier:
+        return False
+    j = earlier[-1]
+    return bool(
+        np.array_equal(samples.on_time_s[j], samples.on_time_s[row])
+        and np.array_equal(samples.pulses[j], samples.pulses[row])
+    )
 
 
-def write_event(
-    folder: Path, rows: Rows | str | bytes, description: Mapping[str, str] = BIAS
-) -> Path:
-    """An event folder; text and bytes stand as they are."""
-    folder.mkdir(parents=True, exist_ok=True)
-    text = "".join(f"{key} = {value}\n" for key, value in description.items())
-    (folder / "event.toml").write_text(text, encoding="utf-8")
-    content = rows if isinstance(rows, str | bytes) else csv_text(rows)
-    data = content.encode() if isinstance(content, str) else content
-    (folder / "telemetry.csv").write_bytes(data)
-    return folder
+def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]) -> Array:
+    """Effective on-time gained in the interval that ends at each row, linear in τ_r and τ_f."""
+    _, rise, fall = sampling.pulse_reference_s
+    result = np.zeros(samples.on_time_s.shape)
+
+    def linearised(width: float) -> float:
+        # first_order: s = width + (τ_f − τ_r)(1 − e), e = exp(−width/τ_r)
+        e = np.exp(-width / rise)
+        by_rise = -(1.0 - e) - (fall - rise) * e * width / rise**2
+        value = width + (fall - rise) * (1.0 - e)
+        return float(value + by_rise * (tau[1] - rise) + (1.0 - e) * (tau[2] - fall))
+
+    for k in range(samples.on_time_s.shape[1]):
+        burst: list[int] = []
+        for i in range(1, len(samples) + 1):
+            gained = i < len(samples) and samples.on_time_s[i, k] > samples.on_time_s[i - 1, k]
+            if gained:
+                burst.append(i)
+            elif burst:
+                seconds = samples.on_time_s[burst[-1], k] - samples.on_time_s[burst[0] - 1, k]
+                count = samples.pulses[burst[-1], k] - samples.pulses[burst[0] - 1, k]
+                for j in burst:
+                    own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
+                    result[j, k] = own / seconds * count * linearised(seconds / count)
+                burst = []
+    return result
+
+
+def plain_log_likelihood(
+    model: JointModel, events: list[Samples], parameters: Mapping[str, float]
+) -> float:
+    """Log density of all channels of all rows, the unknowns integrated out as one dense normal.
+
+    Every linear unknown (thrust levels and departures, initial momenta, torques, cut tails,
+    cosines) becomes covariance between rows.
+    """
+    linear = model.linear
+    thrusters = linear.shared.shape[0]
+    means, blocks, shared, constant = [], [], [], 0.0
+    values = dict.fromkeys(model.absent_wheel_parameters, 0.0) | dict(parameters)
+    inertia = inertia_tensor(values)
+    weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
+        :, [0, 1, 3]
+    ]
+    arms = lever_arms(model.spacecraft, model.branch, values)
+    tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
+    for terms, samples in zip(model.telemetry, events, strict=True):
+        fires = samples.on_time_s.shape[1] > 0
+        sampling = terms.sampling
+        rows = plain_rows(samples, sampling, arms if fires else np.zeros((3, 0)), tau)
+        n = len(rows.times)
+        rates = np.array(rows.rates)
+        mean_rate = rates.mean(0)
+        covariance = (rates - mean_rate).T @ (rates - mean_rate) / n
+        noise = values["rate_noise_rad_s"] ** 2 * np.eye(3)
+        gain = inertia @ noise @ np.linalg.inv(covariance)  # K = I Σ (S + Σ)^-1
+        wheel_noise = (values["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
+        momenta = np.array(
+            [inertia @ w + weights @ r for w, r in zip(rates, rows.wheels, strict=True)]
+        )
+        spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
+        row_noise = (
+            inertia @ noise @ inertia
+            - gain @ noise @ inertia
+            + wheel_noise
+            + values["attitude_noise_rad"] ** 2 * spin
+        )
+        constant += -0.5 * n * (np.linalg.slogdet(2 * np.pi * covariance)[1] + 3.0)
+        constant += 0.5 * n * np.linalg.slogdet(weights @ weights.T)[1]
+        y = momenta - (rates - mean_rate) @ gain.T
+        total = np.kron(np.eye(n), row_noise)
+        starts = (np.array(rows.bodies) @ _first_body(samples).T).transpose(2, 0, 1)
+        own = [10.0 * start.reshape(-1) for start in starts]
+        own += [
+            sd * np.array(rows.torques)[:, :, axis].reshape(-1)
+            for axis, sd in enumerate(model.torque_sd_n_m)
+        ]
+        for m in range(1, MODES + 1):
+            wave = np.cos(m * np.pi * np.array(rows.times) / sampling.duration_s)
+            size = values["torque_noise_n_m_s05"] * np.sqrt(2 * sampling.duration_s) / (m * np.pi)
+            own += [size * np.kron(wave, axis) for axis in np.eye(3)]
+        mean = (np.array(rows.bodies) @ _first_body(samples).T) @ terms.initial_mean_n_m_s
+        mean = mean + np.array(rows.torques) @ model.torque_mean_n_m
+        columns = np.zeros((3 * n, thrusters))
+        if fires:
+            chance = cut_probability(float(np.median(np.diff(samples.time_s))))
+            lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
+            counts = np.array(rows.cuts)  # (n, G, PARTS)
+            for k in range(thrusters):
+                couple = next(g for g, c in enumerate(sampling.couples) if k in c)
+                cut = chance * lost * counts[:, couple].sum(1)[:, None] * arms[:, k]
+                columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
+            for g, couple in enumerate(sampling.couples):
+                arm = arms[:, list(couple)].sum(1)
+                for part in range(PARTS):
+                    if rows.totals[g, part] > 0:
+                        sd = np.sqrt(chance * (1 - chance) / rows.totals[g, part])
+                        step = linear.common_mean_n * lost * sd
+                        own.append(step * (counts[:, g, part][:, None] * arm).reshape(-1))
+            mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
+            total = total + columns @ linear.own @ linear.own.T @ columns.T
+        total = total + np.array(own).T @ np.array(own)
+        means.append((y - mean).reshape(-1))
+        blocks.append(total)
+        shared.append(columns @ linear.shared)
+    size = sum(map(len, means))
+    dense = np.zeros((size, size))
+    place = 0
+    for block in blocks:
+        dense[place : place + len(block), place : place + len(block)] = block
+        place += len(block)
+    between = np.concatenate(shared)
+    dense += between @ between.T
+    log_density = multivariate_normal.logpdf(np.concatenate(means), np.zeros(size), dense)
+    return float(log_density) + constant
+
+
+def _first_body(samples: Samples) -> Array:
+    return rotation(samples.attitude[0])
+
+
+def _spin(momentum: Array) -> Array:
+    return np.eye(3) * (momentum @ momentum) - np.outer(momentum, momentum)
+
+
+def _nominal_momenta(model: JointModel, rows: PlainRows) -> list[Array]:
+    means = {
+        name: distribution.mean()
+        for name, distribution in zip(model.space.names, model.space.distributions, strict=True)
+    }
+    values = dict.fromkeys(model.absent_wheel_parameters, 0.0) | dict(model.space.fixed) | means
+    inertia = inertia_tensor(values)
+    weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
+        :, [0, 1, 3]
+    ]
+    return [inertia @ w + weights @ r for w, r in zip(rows.rates, rows.wheels, strict=True)]

@@ -29,7 +29,7 @@ PULSE_COLUMNS = ("reference", "rise", "fall")
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
 _SAME_S = 1e-6  # times closer than this are the same
-_STEP_S = 1e-5  # of the derivatives of the effective on-time
+_STEP_S = 1e-6  # of the derivatives of the effective on-time
 
 
 @dataclass(frozen=True)
@@ -268,13 +268,14 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
     keep = _usable(now, time, sampling) & new
     rows, body, n = state[keep], attitude[keep], int(keep.sum())
     index = counted.events_before(time[keep])
-    thrust = (body[:, None] @ fired[index].reshape(n, -1, 3, 3)).reshape(n, -1, 3, 3, 3)
+    k, p = fired.shape[1:3]
+    thrust = (body[:, None] @ fired[index].reshape(n, k * p, 3, 3)).reshape(n, k, p, 3, 3)
     vector = np.concatenate(
         [
             body @ first.T,
             body @ torque[keep[new]],
             # (n, K, pulse column, component, j) -> component, (K, j, pulse column)
-            thrust.transpose(0, 3, 1, 4, 2).reshape(n, 3, 9 * thrust.shape[1]),
+            thrust.transpose(0, 3, 1, 4, 2).reshape(n, 3, 3 * k * p),
         ],
         axis=2,
     )

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,7 +197,8 @@ def load_statistics(path: Path) -> EventStatistics | None:
     A cache: what cannot be read is computed again.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        # opened here: numpy leaves the file open when it is no archive
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             if int(stored["format"]) != _FORMAT:
                 return None
             layout = Layout(
@@ -216,5 +218,5 @@ def load_statistics(path: Path) -> EventStatistics | None:
                 stored["close_pairs"],
                 float(stored["counter_interval_s"]),
             )
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
