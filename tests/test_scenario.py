@@ -197,6 +197,24 @@ def test_an_effect_does_not_change_what_is_drawn(tmp_path: Path) -> None:
         assert np.std(noise[0]) > 5e-7
 
 
+def test_an_effect_on_the_slowest_wheel_keeps_duration_and_knowledge(tmp_path: Path) -> None:
+    """A heavier wheel takes longer to arrive, but rows stay; draws do not shift in time."""
+    document = tomllib.loads(written(tmp_path).read_text("utf-8"))
+    plain = simulate_file(scenario_of(document), 3)
+    heavier = {"rwa1_inertia_kg_m2": 1.1 * plain.events[0].plan.parameters["rwa1_inertia_kg_m2"]}
+    document["effect"] = [{"name": "wheel_inertia:1", "parameters": heavier}]
+    changed = simulate_file(scenario_of(document), 3)
+    for a, b in zip(plain.events, changed.events, strict=True):
+        np.testing.assert_array_equal(a.telemetry.time_s, b.telemetry.time_s)
+        noise = [e.telemetry.columns["rate_x_rad_s"] - e.motion.rate_rad_s[:, 0] for e in (a, b)]
+        np.testing.assert_allclose(noise[0], noise[1], atol=1e-15)
+    document["effect"] = []
+    document["event"] = [{**document["event"][0], "duration_s": 100.0}]
+    short = simulate_file(scenario_of(document), 3).events[0].motion
+    whole = plain.events[0].motion
+    np.testing.assert_array_equal(short.rate_rad_s, whole.rate_rad_s[: short.time_s.size])
+
+
 def test_a_given_value_is_not_drawn_and_changes_no_other(tmp_path: Path) -> None:
     """Every parameter has its own stream; departures of thrust differ by thruster and event."""
     drawn = draw_truth(read_scenario(written(tmp_path)), 11)

@@ -204,5 +204,7 @@ def _start_state(plan: Plan, body: kernel.Body, rng: Generator) -> Array:
 
 def _knowledge(plan: Plan, n_cycles: int, rng: Generator) -> tuple[Array, Array]:
     law = plan.rwa if uses_wheels(plan) else plan.rcs
-    noise = rng.standard_normal((2, n_cycles, 3))
-    return noise[0] * law.attitude_knowledge_rad, noise[1] * law.rate_knowledge_rad_s
+    # time comes first, so that a longer event begins with the draws of a shorter one
+    noise = rng.standard_normal((n_cycles, 2, 3))
+    attitude = np.ascontiguousarray(noise[:, 0] * law.attitude_knowledge_rad)
+    return attitude, np.ascontiguousarray(noise[:, 1] * law.rate_knowledge_rad_s)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cassini_bayes.simulation.effects import ChosenEffect
-from cassini_bayes.simulation.engine import Steps, simulate_motion
+from cassini_bayes.simulation.engine import Steps, event_duration_s, simulate_motion
 from cassini_bayes.simulation.motion import Motion
 from cassini_bayes.simulation.plan import Plan, frozen_mapping
 from cassini_bayes.simulation.settings import EventSettings, Scenario
@@ -32,7 +32,11 @@ def make_plan(
     truth: Truth,
     effects: Iterable[ChosenEffect] = (),
 ) -> Plan:
-    """The plan of one event: the truth and, one after the other, the effects."""
+    """The plan of one event: the truth and, one after the other, the effects.
+
+    The duration is settled before the effects: commands do not know of them, and events with and
+    without an effect can be subtracted row by row.
+    """
     branch = scenario.spacecraft.branch
     plan = Plan(
         spacecraft=spacecraft,
@@ -48,6 +52,8 @@ def make_plan(
         start=event.start or scenario.start,
         appendages=scenario.appendage,
     )
+    duration = event_duration_s(plan, scenario.cycle_s)
+    plan = replace(plan, event=event.model_copy(update={"duration_s": duration}))
     for effect in effects:
         plan = effect.applied(plan)
     return plan
