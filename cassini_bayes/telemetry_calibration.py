@@ -45,8 +45,8 @@ Control = Literal["none", "balance-residual", "pulse-blind"]
 
 TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
-# Pilots and importance draws, cheap first; a chain stands in when both fail.
-EFFORTS: Final = ((2, 3_000), (4, 15_000))
+# Pilots and importance draws, cheap first; a chain stands in when all fail.
+EFFORTS: Final = ((2, 3_000), (4, 15_000), (6, 60_000))
 MOST_RPM: Final = 1_000.0
 MODEL_CODE: Final = (
     "distributions",
