@@ -32,6 +32,11 @@ from cassini_bayes.simulation_results.tables import markdown
 ROOT = Path(__file__).parents[1]
 
 
+def mean(cell: str) -> float:
+    """The mean of a cell that reads mean ± standard deviation."""
+    return float(cell.split(" ± ")[0])
+
+
 def test_the_fsds_case_gives_the_naive_thrust_of_paper_000(monkeypatch: pytest.MonkeyPatch) -> None:
     """0.98 N for a truth of 0.75 N, and the truth once divided by effective over commanded time."""
     monkeypatch.chdir(ROOT)
@@ -39,9 +44,9 @@ def test_the_fsds_case_gives_the_naive_thrust_of_paper_000(monkeypatch: pytest.M
     header, paper, first = rows[0], rows[1], rows[2]
     naive, corrected = header.index("naive thrust [N]"), header.index("corrected [N]")
     assert paper[naive] == "0.98"
-    assert float(first[naive]) == pytest.approx(0.98, abs=0.02)
-    assert float(first[corrected]) == pytest.approx(0.75, abs=0.005)
-    assert float(first[1]) == pytest.approx(float(paper[1]), rel=0.03)
+    assert mean(first[naive]) == pytest.approx(0.98, abs=0.02)
+    assert mean(first[corrected]) == pytest.approx(0.75, abs=0.005)
+    assert mean(first[1]) == pytest.approx(float(paper[1]), rel=0.03)
 
 
 def test_only_the_y2_y4_pair_works_in_the_fsds_case() -> None:

@@ -48,7 +48,8 @@ Basilisk](simulation_basilisk.md).
 ## The FSDS case of paper 000
 
 Wheels from rest to 1800 rpm, 0.75 N on all thrusters, τ_fall 65 ms; on-times as they are given to
-the naive regression of the Z balance, sampled once per second.
+the naive regression of the Z balance, sampled once per second. Simulated: mean ± standard deviation
+over 8 seeds (start in the dead-band, controller's knowledge).
 
 {fsds}
 
