@@ -58,7 +58,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("review",),
     ("plots",),
     ("report",),
-    ("configuration", "simulation_results", "prediction_results", "campaigns"),
+    ("configuration", "simulation_results", "prediction_results", "campaigns", "telemetry_campaign"),
     ("provenance",),
     ("run",),
     ("cli",),

@@ -56,3 +56,43 @@ def calibrate_totals_command(
     )
     typer.echo(str(page))
     raise typer.Exit(0 if passed else 1)
+
+
+@app.command("sbc")
+def calibrate_sbc_command(
+    page: Annotated[Path, typer.Option("--page", help="Results page to write (.md).")] = Path(
+        "docs/results/telemetry-sbc.md"
+    ),
+    work: Annotated[Path, typer.Option("--work", help="Folder of finished repetitions.")] = Path(
+        "runs/calibrate-sbc"
+    ),
+    scenario: Annotated[str, typer.Option("--scenario", help="Scenario that is flown.")] = (
+        "runs/scenarios/calibration.toml"
+    ),
+    priors: Annotated[str, typer.Option("--priors", help="Priors file.")] = (
+        "priors/cassini_b_branch_telemetry.toml"
+    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="15 repetitions of every variant, 40 joint ones.")
+    ] = False,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_261_121,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
+    quiet: Quiet = False,
+) -> None:
+    """Simulation-based calibration of the joint model on closed-loop telemetry."""
+    from cassini_bayes.telemetry_campaign import QUICK, REPETITIONS, calibrate_telemetry
+
+    reporter = ConsoleReporter(quiet)
+    passed = calibrate_telemetry(
+        scenario,
+        priors,
+        seed=seed,
+        repetitions=QUICK if quick else REPETITIONS,
+        folder=work,
+        page=page,
+        jobs=jobs,
+        command=["cassini-bayes", *sys.argv[1:]],
+        progress=reporter.count,
+    )
+    typer.echo(str(page))
+    raise typer.Exit(0 if passed else 1)
