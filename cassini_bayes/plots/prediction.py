@@ -45,7 +45,8 @@ def prediction_figure(prediction: Prediction) -> Figure:
             },
         )
         if prediction.hydrazine_g is not None:
-            grid[1, 1].hist(prediction.hydrazine_g, bins=40, density=True, color=POSTERIOR)
+            grams = prediction.hydrazine_g
+            grid[1, 1].hist(grams, bins=40, range=_shown(grams), density=True, color=POSTERIOR)
         grid[1, 1].set_xlabel("hydrazine [g]")
         grid[1, 1].set_ylabel("density [1/g]")
         request = prediction.request
@@ -57,7 +58,9 @@ def prediction_figure(prediction: Prediction) -> Figure:
             f"{request.id}, {prediction.epoch.date()} — {changes} rev/min", fontsize=9.5
         )
         figure.supxlabel(
-            "dots: medians; thick and thin bars: central 50 and 90 % intervals", fontsize=8
+            "dots: medians; thick and thin bars: central 50 and 90 % intervals; "
+            "densities: central 99 % of the draws",
+            fontsize=8,
         )
     return figure
 
@@ -73,12 +76,19 @@ def _intervals(axes: Axes, draws: Array, names: Sequence[str], label: str) -> No
     axes.set_ylim(bottom=0.0)
 
 
+def _shown(draws: Array) -> tuple[float, float]:
+    """Ends of the central 99 %: the tails are long and would flatten the rest."""
+    low, high = np.quantile(draws, [0.005, 0.995])
+    return float(low), float(high)
+
+
 def _density(axes: Axes, vectors: Mapping[str, Array | None]) -> None:
     for (label, vector), colour in zip(vectors.items(), (POSTERIOR, "#BB8800"), strict=True):
         if vector is not None:
             axes.hist(
                 1e3 * vector[:, 2],
                 bins=40,
+                range=_shown(1e3 * vector[:, 2]),
                 density=True,
                 histtype="step",
                 color=colour,
@@ -207,7 +217,7 @@ def requirement_figure(judged: Mapping[str, Requirement]) -> Figure:
                 label="all sources" if source == "all" else f"without: {source}",
             )
         axes.axhline(100.0 * TOLERANCE / 3.0, color="#b2182b", lw=1.2, label="required: 1 %")
-        axes.set_ylabel("spread of ΔVz (half the central 68 % interval)\n[% of nominal]")
+        axes.set_ylabel("spread of ΔVz [% of nominal]")
         figure.legend(loc="outside lower center", ncols=4)
     return figure
 

@@ -41,7 +41,7 @@ NAMES: Final = (
 )
 CYCLE_S: Final = 0.125
 LEAST_MINOR_S: Final = 0.005
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 _LOG_WEIGHTS: Final = np.log(_WEIGHTS / _WEIGHTS.sum())
 
 

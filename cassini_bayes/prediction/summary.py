@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cassini_bayes.prediction.predict import Prediction
 
@@ -20,12 +20,12 @@ _QUANTILES: Final = (0.05, 0.5, 0.95)
 _HEADER: Final = ("bias", "quantity", "unit", "mean", "sd", "median", "low_90", "high_90")
 
 
-def body_to_inertial(quaternion: Sequence[float]) -> Array:
+def body_to_inertial(quaternion: ArrayLike) -> Array:
     """Rotation (3, 3) from body to inertial axes; quaternion inertial to body, scalar last.
 
     The transpose of C = (q4² − q·q) 1 + 2 q qᵀ − 2 q4 [q×].
     """
-    x, y, z, w = (float(value) for value in quaternion)
+    x, y, z, w = np.asarray(quaternion, dtype=np.float64).tolist()
     q = np.array([x, y, z])
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     to_body = (w * w - q @ q) * np.eye(3) + 2.0 * np.outer(q, q) - 2.0 * w * cross

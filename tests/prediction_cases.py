@@ -1,0 +1,82 @@
+"""What the tests of prediction share: flight events, a small fit, what it teaches (made once)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+from totals_cases import B_BRANCH, FLIGHT, flight
+
+from cassini_bayes.events import TotalsEvent
+from cassini_bayes.model import TotalsModel, build_model
+from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
+from cassini_bayes.prediction.learning import Learned, learn
+from cassini_bayes.prediction.leave_one_out import HeldOut, fold
+from cassini_bayes.prediction.physics import Physics
+from cassini_bayes.priors import Priors
+from cassini_bayes.result import build_fit, draws_of, save_fit
+from cassini_bayes.storage import digest
+
+Array = NDArray[np.float64]
+SIZE = 400
+
+
+@cache
+def beliefs() -> Beliefs:
+    """The package's own priors of prediction."""
+    return read_beliefs()
+
+
+@cache
+def flights(first: int = 8) -> tuple[tuple[TotalsEvent, ...], Priors]:
+    """Flight events and priors."""
+    return flight(first)
+
+
+@cache
+def model() -> TotalsModel:
+    """The totals model of the eight events."""
+    events, priors = flights()
+    return build_model(events, priors)
+
+
+def physics(n: int = SIZE, seed: int = 3) -> Physics:
+    """Draws near the prior's centre with thrusts drawn from their exact conditional."""
+    rng = np.random.default_rng(seed)
+    z = 0.3 * rng.standard_normal((n, len(model().space.names)))
+    parameters, linear = draws_of(model(), z, rng)
+    full: Mapping[str, Array | float] = {**parameters, **model().absent_wheel_parameters}
+    return Physics(full, linear.thrust_n, linear.level_n, linear.software)
+
+
+@cache
+def learned() -> Learned:
+    """What the eight events teach with those draws."""
+    events, _ = flights()
+    return learn(model(), events, physics(), beliefs(), np.random.default_rng(4), SIZE)
+
+
+@cache
+def folds() -> tuple[HeldOut, ...]:
+    """Three folds over the first three events."""
+    events, priors = flights(3)
+    return tuple(fold(events, row, priors, beliefs(), 5, SIZE) for row in range(3))
+
+
+def write_run_folder(folder: Path) -> Path:
+    """A run folder with a small fit of the eight events; returns the path of ``fit.nc``."""
+    rng = np.random.default_rng(6)
+    z = 0.3 * rng.standard_normal((1, SIZE, len(model().space.names)))
+    fit = build_fit(model(), z, np.zeros((1, SIZE)), rng, {"seed": 6}, 50)
+    run = folder / "small"
+    run.mkdir(parents=True)
+    save_fit(fit, run / "fit.nc")
+    table = {"events": [str(FLIGHT)], "source": "flight", "priors": str(B_BRANCH), "model": {}}
+    (run / "resolved.toml").write_text(tomli_w.dumps(table))
+    digests = ", ".join(f'"{path}": "{digest(path)}"' for path in (FLIGHT, B_BRANCH))
+    (run / "provenance.json").write_text('{"sha256": {' + digests + "}}")
+    return run / "fit.nc"

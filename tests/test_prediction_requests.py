@@ -1,0 +1,150 @@
+"""What can be asked of a prediction: every refusal says what to change."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from prediction_cases import flights
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.prediction.beliefs import read_beliefs
+from cassini_bayes.prediction.requests import (
+    BiasRequest,
+    check_request,
+    parse_bias,
+    parse_epoch,
+    parse_quaternion,
+    parse_rates,
+    read_requests,
+    request_of,
+)
+
+CRAFT = flights()[1].spacecraft
+START = datetime(2009, 8, 22, tzinfo=UTC)
+LINE = "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"
+
+
+def test_a_line_of_text_is_read() -> None:
+    """Wheels in order of number, signs and decimals kept; arrows of three kinds."""
+    request = parse_bias("rwa4: 330.5 to -729, rwa1: -1118 → 626", CRAFT)
+    assert request.wheels == (1, 4)
+    np.testing.assert_allclose(request.start_rpm, [-1118, 330.5])
+    np.testing.assert_allclose(request.end_rpm, [626, -729])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("rwa1: 0", "start -> end"),
+        ("rwa9: 0 -> 5", "rwa1"),
+        ("rwa1: 0 -> 5, rwa1: 0 -> 6", "twice"),
+        ("rwa1: 0 -> nan", "rev/min"),
+        ("", "start -> end"),
+    ],
+)
+def test_bad_lines_are_refused(text: str, said: str) -> None:
+    """What is not a wheel with two rates is named, with an example."""
+    with pytest.raises(InputError, match=said):
+        parse_bias(text, CRAFT)
+
+
+@pytest.mark.parametrize(
+    ("text", "branch", "epoch", "said"),
+    [
+        ("rwa3: 0 -> 500", None, None, "not prime"),
+        ("rwa1: 0 -> 2001", None, None, "within ±2000"),
+        ("rwa1: -2000.5 -> 0", None, None, "within ±2000"),
+        ("rwa1: 0 -> 500", "C", None, "one of A, B"),
+        ("rwa1: 0 -> 500", "A", None, "branch B"),
+        ("rwa1: 0 -> 500", None, "2009-08-21", "from 2009-08-22 on"),
+        ("rwa1: 500 -> 500", None, None, "changes its rate"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused(
+    text: str, branch: str | None, epoch: str | None, said: str
+) -> None:
+    """Wheel not prime, speed beyond the limit, unknown branch, epoch before the data."""
+    asked = parse_bias(text, CRAFT)
+    when = None if epoch is None else parse_epoch(epoch)
+    request = BiasRequest(asked.id, asked.wheels, asked.start_rpm, asked.end_rpm, when, branch)
+    with pytest.raises(InputError, match=said):
+        check_request(request, CRAFT, "B", (1, 2, 4), START)
+
+
+def test_the_limits_themselves_are_allowed() -> None:
+    """±2000 rev/min, the first day and the fit's own branch pass."""
+    asked = parse_bias("rwa1: -2000 -> 2000", CRAFT)
+    request = BiasRequest("x", asked.wheels, asked.start_rpm, asked.end_rpm, START, "B")
+    check_request(request, CRAFT, "B", (1, 2, 4), START)
+
+
+def test_a_request_of_an_event_has_nothing_that_was_flown() -> None:
+    """Only id, wheels, rates, epoch and branch of an event come over."""
+    event = flights()[0][0]
+    request = request_of(event)
+    assert set(vars(request)) == {
+        *("id", "wheels", "start_rpm", "end_rpm", "epoch", "branch", "quaternion")
+    }
+    assert request.epoch == event.epoch
+
+
+@pytest.mark.parametrize("text", ["1 0 0", "0 0 0 2", "a b c d"])
+def test_bad_quaternions_are_refused(text: str) -> None:
+    """Four numbers of unit norm."""
+    with pytest.raises(InputError, match="unit norm"):
+        parse_quaternion(text)
+
+
+def test_bad_epochs_and_rates_are_refused() -> None:
+    """With an example each."""
+    with pytest.raises(InputError, match="2010-04-15"):
+        parse_epoch("next week")
+    with pytest.raises(InputError, match="rwa1: -1118"):
+        parse_rates("rwa1 = 5", CRAFT, "--from")
+    assert parse_rates("rwa1: 5, rwa4: -7", CRAFT, "--from") == {1: 5.0, 4: -7.0}
+
+
+def test_a_file_of_biases_is_read(tmp_path: Path) -> None:
+    """Empty cells are wheels that are not prime; epoch and quaternion are optional."""
+    path = tmp_path / "biases.csv"
+    path.write_text(
+        "id,rwa1_rpm_start,rwa1_rpm_end,rwa2_rpm_start,rwa2_rpm_end,epoch,q1,q2,q3,q4\n"
+        "first,-100,400,,,2010-05-01,0,0,0,1\nsecond,5,6,7,8,,,,,\n"
+    )
+    first, second = read_requests(path, CRAFT)
+    assert (first.wheels, second.wheels) == ((1,), (1, 2))
+    assert first.epoch == datetime(2010, 5, 1, tzinfo=UTC)
+    assert first.quaternion == (0.0, 0.0, 0.0, 1.0)
+    assert second.epoch is None
+    assert second.quaternion is None
+    path.write_text("id,rwa1_rpm_start,rwa1_rpm_end\nx,5,\n")
+    with pytest.raises(InputError, match="rwa1_rpm_end"):
+        read_requests(path, CRAFT)
+    path.write_text("id,rwa1_rpm_start,rwa1_rpm_end\nx,,\n")
+    with pytest.raises(InputError, match="at least one wheel"):
+        read_requests(path, CRAFT)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[event_spread]", "[event_spred]", "event_spread"),
+        ('unit = "s/rpm"', 'unit = "s"', "s/rpm"),
+        ('dist = "halfnorm"\nscale = 0.25', 'dist = "norm"\nscale = 0.25', "positive"),
+        ('dist = "norm"\nloc = 16.0', 'dist = "gumbel_r"\nloc = 16.0', "integrated out"),
+        ('source = "firings', 'low = 0.0\nsauce = "firings', "with dist, unit and source"),
+    ],
+)
+def test_a_bad_file_of_priors_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    """Unknown names, wrong units and unusable distributions are named."""
+    import cassini_bayes.prediction as package
+
+    text = (Path(package.__file__).parent / "prediction.toml").read_text()
+    assert old in text
+    path = tmp_path / "prediction.toml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=said):
+        read_beliefs(path)
