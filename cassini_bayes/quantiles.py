@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 _HALF_LOG_2PI: Final = 0.5 * math.log(2.0 * math.pi)
 _SQRT_2: Final = math.sqrt(2.0)
+NORMAL_90: Final = 1.6448536269514722
+"""Half-width of a normal's 90 % interval, in its standard deviations."""
 
 
 def standard_normal_log_density(z: ArrayLike) -> Array:

@@ -8,15 +8,19 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from numpy.typing import NDArray
 
 from cassini_bayes.baselines import perturbation_bars
 from cassini_bayes.delta_v import predicted_delta_v
+from cassini_bayes.joint import JointModel
 from cassini_bayes.model import SOFTWARE, TotalsModel, linear_system, prior_centre
+from cassini_bayes.observability import Observability
 from cassini_bayes.priors import Priors
 from cassini_bayes.result import Fit
 from cassini_bayes.sampling import stored_ess
 from cassini_bayes.sensitivity import error_budget, prior_against_posterior
+from cassini_bayes.time_series import EventSeries
 
 Array = NDArray[np.float64]
 
@@ -53,6 +57,33 @@ class Review:
     convergence: pd.DataFrame
     facts: Mapping[str, str]
     warnings: tuple[str, ...]
+    telemetry: TelemetryReview | None = None  # of runs with telemetry only
+
+
+@dataclass(frozen=True)
+class TelemetryReview:
+    """What a review of telemetry has beyond one of totals rows.
+
+    ``events`` lists rows read and used, ``inertia`` the tensor both ways, ``inertia_methods`` the
+    papers' least squares beside the posterior; ``series`` are the balances row by row.
+    """
+
+    events: pd.DataFrame
+    inertia: pd.DataFrame
+    physicality: str
+    inertia_methods: pd.DataFrame
+    observability: Observability
+    series: tuple[EventSeries, ...]
+    mends: tuple[str, ...]
+
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """The tables by the name of their file."""
+        return {
+            "telemetry": self.events,
+            "inertia": self.inertia,
+            "inertia_methods": self.inertia_methods,
+            "observability": self.observability.table,
+        }
 
 
 def hdi(draws: Array, probability: float = HDI_PROBABILITY) -> tuple[Array, Array]:
@@ -82,11 +113,13 @@ def summarise(fit: Fit) -> pd.DataFrame:
 
     posterior, prior = fit.posterior, fit.prior
     walkers = int(fit.attributes["walkers"])
-    rhat, error = arviz.rhat(posterior), arviz.mcse(posterior, method="mean")
     rows = []
-    for quantity, variable in posterior.data_vars.items():
+    for quantity, everywhere in posterior.data_vars.items():
+        variable = _where_it_is(everywhere)
         dims = [str(dim) for dim in variable.dims[2:]]
-        before = prior[quantity]
+        before = prior[quantity].sel({dim: variable.coords[dim] for dim in dims})
+        alone = variable.to_dataset(name=str(quantity))
+        rhat, error = arviz.rhat(alone)[quantity], arviz.mcse(alone, method="mean")[quantity]
         for place in np.ndindex(variable.shape[2:]):
             labels = {
                 dim: str(variable.coords[dim].values[i]) for dim, i in zip(dims, place, strict=True)
@@ -113,14 +146,19 @@ def summarise(fit: Fit) -> pd.DataFrame:
                     "prior_sd": prior_values.std(ddof=1),
                     "ess_bulk": bulk,
                     "ess_tail": tail,
-                    "rhat": float(rhat[quantity].values[place]),
-                    "mcse_mean": float(error[quantity].values[place]),
+                    "rhat": float(rhat.values[place]),
+                    "mcse_mean": float(error.values[place]),
                 }
             )
     return pd.DataFrame(rows)
 
 
-def nuisance_table(model: TotalsModel, priors: Priors, z: Array) -> pd.DataFrame:
+def _where_it_is(variable: xr.DataArray) -> xr.DataArray:
+    """The events that have the quantity: of others it is NaN throughout."""
+    return variable.dropna("event", how="all") if "event" in variable.dims else variable
+
+
+def nuisance_table(model: TotalsModel | JointModel, priors: Priors, z: Array) -> pd.DataFrame:
     """Prior against posterior of every walked parameter in its own units, with the verdict."""
     table = prior_against_posterior(model, z)
     physical = model.space.to_parameters(z)
@@ -272,11 +310,11 @@ def assemble_review(
         ),
         convergence=convergence,
         facts=facts,
-        warnings=(*warnings, *_observations(nuisances)),
+        warnings=(*warnings, *conflict_sentences(nuisances)),
     )
 
 
-def _observations(nuisances: pd.DataFrame) -> list[str]:
+def conflict_sentences(nuisances: pd.DataFrame) -> list[str]:
     """Conflicts between priors and data, said in a sentence each."""
     return [
         f"{row['name']}: the data pull it {row['surprise']:+.1f} standard deviations from its "

@@ -22,16 +22,18 @@ from cassini_bayes import __version__
 from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.configuration import RunFile
 from cassini_bayes.errors import InputError
-from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.fitting import Sampled, convergence_table, fit_model
-from cassini_bayes.model import DeltaVUse, TotalsModel, build_model
+from cassini_bayes.inputs import Inputs, read_inputs
+from cassini_bayes.joint import JointModel
+from cassini_bayes.joint_review import assemble_joint_review
+from cassini_bayes.model import DeltaVUse, build_model
+from cassini_bayes.observability import observability
 from cassini_bayes.posterior import log_posterior
-from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.result import Fit, draws_of, save_fit
 from cassini_bayes.review import Review, assemble_review, thrust_variant, worst_convergence
 from cassini_bayes.sampling import MAX_RHAT, ProgressReport
-from cassini_bayes.storage import digest, is_leftover, remove_leftovers, write_text
+from cassini_bayes.storage import is_leftover, remove_leftovers, write_text
 from cassini_bayes.warmstart import warm_start
 
 VARIANTS: Final[Mapping[DeltaVUse, str]] = {
@@ -40,6 +42,7 @@ VARIANTS: Final[Mapping[DeltaVUse, str]] = {
     "as-measured": "ΔV as if measured",
 }
 VARIANT_STREAM: Final = 3
+SERIES_STREAM: Final = 4
 
 
 class Reporter(Protocol):
@@ -60,51 +63,6 @@ class Outcome:
     review: Review
     converged: bool
     seconds: float
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """Data and priors of a run, read and checked."""
-
-    events: tuple[TotalsEvent, ...]
-    priors: Priors
-    model: TotalsModel
-    digests: Mapping[str, str]
-
-
-def read_inputs(run: RunFile, base: Path) -> Inputs:
-    """Read the events and priors a run file names, relative to ``base``, and build the model."""
-    priors_path = base / run.priors
-    priors = read_priors(priors_path)
-    events: list[TotalsEvent] = []
-    digests = {run.priors: digest(priors_path)}
-    given: dict[str, str] = {}
-    for reference in run.events:
-        found = read_totals(str(base / reference), priors.spacecraft, run.source)
-        for event in found:
-            if event.id in given:
-                raise InputError(
-                    f"{base / reference}: event {event.id}",
-                    "each event once in a fit",
-                    f"the id that {base / given[event.id]} has given",
-                    "leave one of the two out, or rename one of them",
-                )
-        given |= {event.id: reference for event in found}
-        events.extend(found)
-        file = _file_of(base, reference)
-        digests[file] = digest(base / file)
-    model = build_model(
-        tuple(events), priors, pulse_shape=run.model.pulse_shape, delta_v=run.model.delta_v
-    )
-    return Inputs(tuple(events), priors, model, digests)
-
-
-def _file_of(base: Path, reference: str) -> str:
-    """The file that ``file.csv`` or ``file.csv:ID`` names; names and ids may hold colons."""
-    file = reference
-    while not (base / file).is_file() and ":" in file:
-        file = file.rpartition(":")[0]
-    return file
 
 
 def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
@@ -185,7 +143,7 @@ def execute(
         Anything wrong with the inputs or the folder; nothing is sampled then.
     """
     began = time.monotonic()
-    inputs = read_inputs(run, base)
+    inputs = read_inputs(run, base, folder, reporter.say)
     settings = run.sampler.settings()
     settings.walkers_for(len(inputs.model.space.names))
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
@@ -195,9 +153,15 @@ def execute(
     write_text(folder / "resolved.toml", tomli_w.dumps(run.model_dump()))
     if not (folder / "provenance.json").exists():
         write_text(folder / "provenance.json", provenance.as_json() + "\n")
+    inputs.store(folder)
+    if isinstance(inputs.model, JointModel):
+        seen = observability(inputs.model)
+        for sentence in seen.sentences:
+            reporter.say(sentence)
     sampled = fit_model(
         inputs.model,
         settings,
+        events=inputs.telemetry,
         draws_per_ensemble=run.output.draws_per_ensemble,
         prior_draws=run.output.prior_draws,
         store=CheckpointStore(folder / "checkpoint", provenance.identity),
@@ -206,17 +170,7 @@ def execute(
     )
     save_fit(sampled.fit, folder / "fit.nc")
     reporter.say("tables")
-    review = assemble_review(
-        name,
-        inputs.model,
-        inputs.priors,
-        sampled.fit,
-        sampled.flat_z,
-        variants=_variants(run, inputs, sampled.fit) if run.output.report else [],
-        convergence=convergence_table(sampled),
-        facts=_facts(run, sampled, provenance),
-        warnings=sampled.warnings,
-    )
+    review = _review(name, run, inputs, sampled, provenance)
     converged = _converged(review, sampled)
     _write_tables(review, folder)
     if run.output.report:
@@ -232,13 +186,44 @@ def execute(
     return Outcome(folder, review, converged, seconds)
 
 
+def _review(
+    name: str, run: RunFile, inputs: Inputs, sampled: Sampled, provenance: Provenance
+) -> Review:
+    """Every table of the run, for either kind of model."""
+    if isinstance(inputs.model, JointModel):
+        return assemble_joint_review(
+            name,
+            inputs.model,
+            inputs.telemetry,
+            inputs.priors,
+            sampled.fit,
+            sampled.flat_z,
+            convergence=convergence_table(sampled),
+            facts=_facts(run, sampled, provenance),
+            warnings=sampled.warnings,
+            rng=np.random.default_rng(np.random.SeedSequence((run.sampler.seed, SERIES_STREAM))),
+        )
+    return assemble_review(
+        name,
+        inputs.model,
+        inputs.priors,
+        sampled.fit,
+        sampled.flat_z,
+        variants=_variants(run, inputs, sampled.fit) if run.output.report else [],
+        convergence=convergence_table(sampled),
+        facts=_facts(run, sampled, provenance),
+        warnings=sampled.warnings,
+    )
+
+
 def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
     """Thrust posteriors with ΔV left out, as declared, and as if measured.
 
     The declared use is the fit itself; the others are importance draws, with k̂ in the name of the
     variant where it is too large to trust.
     """
-    if not inputs.model.stack.has_delta_v.any():
+    assert inputs.totals is not None  # asked for with totals rows only
+    if not inputs.totals.stack.has_delta_v.any():
         return []
     tables = []
     rng = np.random.default_rng(np.random.SeedSequence((run.sampler.seed, VARIANT_STREAM)))
@@ -246,7 +231,7 @@ def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
         if use == run.model.delta_v:
             values = fit.posterior["thrust_n"].values
             tables.append(
-                thrust_variant(label, inputs.model, values.reshape(-1, *values.shape[2:]))
+                thrust_variant(label, inputs.totals, values.reshape(-1, *values.shape[2:]))
             )
             continue
         model = build_model(
@@ -273,7 +258,13 @@ def _converged(review: Review, sampled: Sampled) -> bool:
 def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, str]:
     fit, warm, chains = sampled.fit, sampled.warm, sampled.chains
     convergence = chains.convergence
-    error = fit.groups["sample_stats"]["jacobian_expansion_error"].values
+    stats = fit.groups["sample_stats"]
+    expansion = {}
+    if "jacobian_expansion_error" in stats:
+        error = stats["jacobian_expansion_error"].values
+        expansion["Jacobian expansion"] = (
+            f"error {error.mean():+.4f} ± {error.std():.4f} nats (mean ± sd)"
+        )
     return {
         "Stop rule": (
             f"{'met' if convergence.done else 'NOT met'} at step {convergence.step}: steps after "
@@ -295,7 +286,7 @@ def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, 
             f"Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}; Laplace "
             f"{warm.laplace_log_evidence:.3f})"
         ),
-        "Jacobian expansion": f"error {error.mean():+.4f} ± {error.std():.4f} nats (mean ± sd)",
+        **expansion,
         "Pulse shape": run.model.pulse_shape,
         "ΔV": run.model.delta_v,
         "Data rows": f"source “{run.source}” of {', '.join(run.events)}",
@@ -312,6 +303,10 @@ def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, 
 
 def _write_tables(review: Review, folder: Path) -> None:
     write_text(folder / "summary.csv", review.summary.to_csv(index=False))
-    for name in ("nuisances", "budget", "baseline", "predictive", "balance", "delta_v", "variants"):
-        table: pd.DataFrame = getattr(review, name)
+    names = ["nuisances", "budget", "baseline", "predictive", "balance", "delta_v", "variants"]
+    if review.telemetry is not None:
+        for name, table in review.telemetry.tables().items():
+            write_text(folder / "tables" / f"{name}.csv", table.to_csv(index=False))
+    for name in names:
+        table = getattr(review, name)
         write_text(folder / "tables" / f"{name}.csv", table.to_csv(index=False))

@@ -266,15 +266,10 @@ def event_system(
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
     n = len(inertia)
     rate_variance = parameters["rate_noise_rad_s"] ** 2
-    wheel_variance = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
     kept, spread = _latent_rate(terms, rate_variance)
     to_latent = inertia @ kept
     wheel_square = wheels @ np.swapaxes(wheels, -1, -2)
-    noise = (
-        rate_variance[:, None, None] * to_latent @ np.swapaxes(inertia, -1, -2)
-        + wheel_variance[:, None, None] * wheel_square
-        + parameters["attitude_noise_rad"][:, None, None] ** 2 * terms.spin
-    )
+    noise = noise_covariance(terms, physics, parameters, to_latent)
     weights, own_sd = _weights(terms, physics, n, thrust_n)
     weights[:, pattern.start[-2] :] = _measured_weights(terms, physics, to_latent, wheels)
     values, vectors = np.linalg.eigh(noise)
@@ -303,6 +298,54 @@ def event_system(
             [np.broadcast_to([INITIAL_SD_N_M_S] * 3 + list(torque_sd), (n, 6)), own_sd], axis=1
         ),
         own_mean=np.concatenate([terms.initial_mean_n_m_s, torque_mean, np.zeros(own_sd.shape[1])]),
+    )
+
+
+def balance_weights(
+    terms: TelemetryTerms,
+    physics: Physics,
+    thrust_n: float,
+    rate_variance: Array | None = None,
+) -> Array:
+    """Weights (n, B, 3) of all entries of the pattern, in its order, at a batch of n points.
+
+    The measured momentum is that of the measured rates, or with their noise variance (n,) given
+    that of the estimate of the true rates. For residuals and their derivatives: the same columns
+    and weights that the likelihood has.
+    """
+    inertia = physics.inertia_kg_m2
+    n = len(inertia)
+    kept = np.broadcast_to(np.eye(3), (n, 3, 3))
+    if rate_variance is not None:
+        kept, _ = _latent_rate(terms, rate_variance)
+    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    weights, _ = _weights(terms, physics, n, thrust_n)
+    weights[:, terms.pattern.start[-2] :] = _measured_weights(
+        terms, physics, inertia @ kept, wheels
+    )
+    return weights
+
+
+def noise_covariance(
+    terms: TelemetryTerms,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    to_latent: Array | None = None,
+) -> Array:
+    """Covariance (n, 3, 3) of the white noise of a row's balance, (N m s)².
+
+    ``to_latent`` replaces the inertia on one side where the true rate is estimated.
+    """
+    inertia = physics.inertia_kg_m2
+    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
+    wheel = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
+    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
+    left = inertia if to_latent is None else to_latent
+    return np.asarray(
+        rate * left @ np.swapaxes(inertia, -1, -2)
+        + wheel * wheels @ np.swapaxes(wheels, -1, -2)
+        + attitude * terms.spin
     )
 
 

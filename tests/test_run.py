@@ -16,8 +16,9 @@ from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
 from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.configuration import RunFile, check_run
 from cassini_bayes.errors import InputError
+from cassini_bayes.inputs import read_inputs
 from cassini_bayes.result import read_fit
-from cassini_bayes.run import Outcome, execute, prepare_folder, read_inputs
+from cassini_bayes.run import Outcome, execute, prepare_folder
 from cassini_bayes.sampling import ProgressReport
 from cassini_bayes.storage import digest
 

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from cassini_bayes import quantiles
+
 INTERVAL: Final = "90 % highest-density interval"
 INTERVAL_SHORT: Final = "90 % HDI"
 MISSING: Final = "–"
-NORMAL_90: Final = 1.6448536269514722  # half-width of a normal's 90 % interval, in its sd
+NORMAL_90: Final = quantiles.NORMAL_90
 NORMAL_INTERVAL: Final = "90 % interval (mean ± 1.645 standard deviations)"
 
 _SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -1,0 +1,192 @@
+"""The momentum balance of telemetry row by row: measured, predicted, noise, and what is left.
+
+The columns and weights are those of the likelihood (:mod:`cassini_bayes.telemetry_terms`), at
+posterior draws. An event with thrusters shows the momentum gained, ``I ω + H_w − R h0``, against
+what thrusters and torque delivered; one without shows the body's own momentum ``I ω`` against what
+is left of the conserved total, ``R h0 + ∫ torque − H_w``. The residual is the same in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.event_reduction import ReducedEvent, samples_of
+from cassini_bayes.joint import JointModel
+from cassini_bayes.joint_draws import JointSample, draw_all, full_parameters, joint_physics
+from cassini_bayes.quantiles import NORMAL_90
+from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.statistics import Carry, Samples, settle
+from cassini_bayes.statistics.columns import Rows
+from cassini_bayes.telemetry import read_chunks
+from cassini_bayes.telemetry_terms import TelemetryTerms, balance_weights, noise_covariance
+
+Array = NDArray[np.float64]
+MOST_ROWS: Final = 2_000
+DRAWS: Final = 100
+
+
+@dataclass(frozen=True)
+class EventSeries:
+    """One event's balance at up to ``MOST_ROWS`` rows, body axes, N m s; arrays are (n, 3).
+
+    ``measured`` and ``predicted`` are means over posterior draws, ``predicted_sd`` the spread of
+    the prediction over them, ``residual`` the mean of measured minus predicted, ``noise_sd`` what
+    white channel noise and torque noise let it be.
+    """
+
+    event: str
+    kind: str
+    quantity: str
+    time_s: Array  # (n,)
+    measured: Array
+    predicted: Array
+    predicted_sd: Array
+    residual: Array
+    noise_sd: Array
+    every: int  # one row in this many is kept
+
+    @property
+    def inside(self) -> Array:
+        """Share of rows per axis (3,) whose residual lies within the 90 % band of the noise."""
+        return np.asarray((np.abs(self.residual) <= NORMAL_90 * self.noise_sd).mean(0))
+
+
+def event_series(
+    model: JointModel,
+    events: tuple[ReducedEvent, ...],
+    z: Array,
+    rng: np.random.Generator,
+) -> tuple[EventSeries, ...]:
+    """Series of every telemetry event from posterior points z (n, d), of which some are used."""
+    chosen = z[rng.choice(len(z), size=min(DRAWS, len(z)), replace=False)]
+    sample = draw_all(model, chosen, rng)
+    full = full_parameters(model, chosen)
+    physics = joint_physics(model, full)
+    found = []
+    place = len(model.event_ids) - len(model.telemetry)
+    for terms, event, own in zip(model.telemetry, events, sample.own, strict=True):
+        weights = balance_weights(terms, physics, model.linear.common_mean_n)
+        unknowns = own
+        if terms.fires:
+            unknowns = np.concatenate([_thrusts(sample, place), own], axis=1)
+            place += 1
+        variance = np.diagonal(noise_covariance(terms, physics, full), axis1=-2, axis2=-1)
+        walk = full["torque_noise_n_m_s05"] ** 2
+        rows, every = _rows(terms, event, model.spacecraft)
+        found.append(
+            _series(terms, rows, every, weights, unknowns, variance.mean(0), float(walk.mean()))
+        )
+    return tuple(found)
+
+
+def _thrusts(sample: JointSample, place: int) -> Array:
+    assert sample.thrusts is not None  # the event fires
+    return sample.thrusts.thrust_n[:, place]
+
+
+def _rows(terms: TelemetryTerms, event: ReducedEvent, spacecraft: Spacecraft) -> tuple[Rows, int]:
+    """The columns at evenly thinned rows of the balance, streamed in constant memory."""
+    statistics = terms.statistics
+    every = max(1, -(-statistics.rows // MOST_ROWS))
+    times, vectors, scalars = [], [], []
+    carry, seen = Carry.start(statistics.layout), 0
+    for samples, final in _with_end(samples_of(c) for c in read_chunks(event.event, spacecraft)):
+        rows, carry = settle(samples, carry, statistics.layout, terms.sampling, final)
+        kept = slice((-seen) % every, None, every)
+        seen += len(rows.time_s)
+        times.append(rows.time_s[kept])
+        vectors.append(rows.vector[kept])
+        scalars.append(rows.scalar[kept])
+    joined = Rows(np.concatenate(times), np.concatenate(vectors), np.concatenate(scalars))
+    return joined, every
+
+
+def _with_end(samples: Iterator[Samples]) -> Iterator[tuple[Samples, bool]]:
+    """Every item with whether it is the last."""
+    previous: Samples | None = None
+    for item in samples:
+        if previous is not None:
+            yield previous, False
+        previous = item
+    if previous is not None:
+        yield previous, True
+
+
+def _series(
+    terms: TelemetryTerms,
+    rows: Rows,
+    every: int,
+    weights: Array,
+    unknowns: Array,
+    variance: Array,
+    walk: float,
+) -> EventSeries:
+    """Assemble one event: weights (n, B, 3) and unknowns (n, P − 1) at posterior draws."""
+    layout, pattern = terms.statistics.layout, terms.pattern
+    owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
+    last = len(pattern.start) - 2
+    factor = np.concatenate([unknowns, np.ones((len(unknowns), 1))], axis=1)
+    is_measured = owner == last
+    in_wheels = (
+        is_measured & (pattern.row >= layout.wheel.start) & (pattern.row < layout.wheel.stop)
+    )
+    first = pattern.thrusters
+    initial = (owner >= first) & (owner < first + 3)
+    masks = {
+        "measured": is_measured,
+        "wheels": in_wheels,
+        "initial": initial,
+        "delivered": ~is_measured & ~initial,
+    }
+    sums = {
+        name: _applied(rows, layout.size, pattern.row, weights, factor[:, owner], mask)
+        for name, mask in masks.items()
+    }
+    if terms.fires:
+        measured = sums["measured"] - sums["initial"]
+        predicted = sums["delivered"]
+        quantity = "momentum gained"
+    else:
+        measured = sums["measured"] - sums["wheels"]
+        predicted = sums["initial"] + sums["delivered"] - sums["wheels"]
+        quantity = "momentum of the body, I ω"
+    scale = walk * 2.0 * terms.statistics.duration_s
+    order = np.arange(1, len(terms.statistics.mode_gram) + 1) * np.pi
+    phase = rows.time_s[:, None] / terms.statistics.duration_s * order
+    drift = scale * (np.cos(phase) ** 2 / order**2).sum(-1)
+    return EventSeries(
+        event=terms.id,
+        kind=terms.statistics.kind,
+        quantity=quantity,
+        time_s=rows.time_s,
+        measured=measured.mean(0),
+        predicted=predicted.mean(0),
+        predicted_sd=predicted.std(0),
+        residual=(measured - predicted).mean(0),
+        noise_sd=np.sqrt(variance + drift[:, None]),
+        every=every,
+    )
+
+
+def _applied(
+    rows: Rows,
+    size: int,
+    column: NDArray[np.int64],
+    weights: Array,
+    factor: Array,
+    mask: NDArray[np.bool_],
+) -> Array:
+    """Σ_b factor_b weight_b column_b over the masked entries, (draws, rows, 3)."""
+    coefficients = np.zeros((len(weights), 3, size))
+    for b in np.flatnonzero(mask):
+        coefficients[:, :, column[b]] += factor[:, b, None] * weights[:, b]
+    vectors = rows.vector.shape[2]
+    by_vector = np.einsum("tcv,ncv->ntc", rows.vector, coefficients[..., :vectors], optimize=True)
+    return np.asarray(
+        by_vector + np.einsum("ts,ncs->ntc", rows.scalar, coefficients[..., vectors:])
+    )
