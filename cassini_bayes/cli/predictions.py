@@ -69,6 +69,7 @@ def predict_command(
     sources = read_sources(fit, events, priors)
     requests = _requests(sources, bias, epoch, branch, quaternion)
     learned = learn_from_fit(fit, sources, seed)
+    _warn(learned)
     predictions = [
         predict(learned, request, _stream(seed, i)) for i, request in enumerate(requests)
     ]
@@ -114,6 +115,7 @@ def plan_command(
     sources = read_sources(fit, events, priors)
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(fit, sources, seed)
+    _warn(learned)
     found = plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
     if out is not None:
         from cassini_bayes.storage import write_text
@@ -152,6 +154,18 @@ def calibrate_prediction_command(
         progress=reporter.count,
     )
     typer.echo(str(page))
+
+
+def _warn(learned: Learned) -> None:
+    """Say so when the weights that join physics and firing logic leave few effective draws."""
+    from cassini_bayes.prediction.learning import FEW_DRAWS
+
+    if learned.effective_draws < FEW_DRAWS:
+        typer.echo(
+            f"warning: physics and firing logic share only {learned.effective_draws:.0f} effective "
+            "draws: intervals are rough; check that the events are like one another",
+            err=True,
+        )
 
 
 def _stream(seed: int, row: int) -> Any:

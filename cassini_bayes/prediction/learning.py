@@ -59,8 +59,11 @@ from cassini_bayes.warmstart import (
 
 Array = NDArray[np.float64]
 
-PROPOSAL_DOF: Final = 8.0
+PROPOSAL_DOF: Final = 5.0
 PILOT_DRAWS: Final = 2_000
+MOST_PILOTS: Final = 12
+GOOD_EFFICIENCY: Final = 0.3
+FEW_DRAWS: Final = 200
 PAIRINGS: Final = 4  # firing draws per draw of the physics: features cost more than densities
 
 
@@ -122,7 +125,7 @@ def learn(
     rate = mean_pulse_rate(events, layout)
     features = training_features(model, events, physics, manager, rate)
     seen = [observe(event.on_time_s, layout) for event in events]
-    firing, index, effective = _joint_draws(features, seen, beliefs, rng, physics.size, size)
+    firing, index, effective = joint_draws(features, seen, beliefs, rng, physics.size, size)
     chosen = physics.at(index)
     pulses = pulse_regression(events, layout, beliefs, rng, size)
     epochs = [event.epoch for event in events]
@@ -176,15 +179,30 @@ def training_features(
     return found
 
 
-def _joint_draws(
+def joint_draws(
     features: list[Features],
     seen: list[Observation],
     beliefs: Beliefs,
     rng: np.random.Generator,
     given: int,
     size: int,
+    pairings: int = PAIRINGS,
 ) -> tuple[dict[str, Array | float], NDArray[np.int64], float]:
-    """Firing parameters, the physics draws they go with, and how many effective draws there are."""
+    """Firing parameters and the draws of the physics that they go with, weighted and resampled.
+
+    Parameters
+    ----------
+    features
+        Per event, over the ``given`` draws of the physics.
+    seen
+        What the events' totals say of the firing logic.
+    given, size, pairings
+        Draws of the physics, draws wanted, firing draws per draw of the physics.
+
+    Returns
+    -------
+    Parameters by name (size,), indices of the physics (size,), and the effective number of draws.
+    """
     space = firing_space(beliefs)
 
     def density(z: Array, which: list[Features]) -> Array:
@@ -196,10 +214,10 @@ def _joint_draws(
         for f in features
     ]
     proposal = _firing_proposal(lambda z: density(z, typical), space.dimension, rng)
-    owner = np.tile(np.arange(given), PAIRINGS)
+    owner = np.tile(np.arange(given), pairings)
     z = proposal.sample(rng, len(owner))
     repeated = [
-        Features(**{name: np.tile(value, PAIRINGS) for name, value in vars(f).items()})
+        Features(**{name: np.tile(value, pairings) for name, value in vars(f).items()})
         for f in features
     ]
     log_weight = density(z, repeated) - proposal.log_density(z)
@@ -212,12 +230,12 @@ def _joint_draws(
 
 
 def _firing_proposal(density: LogDensity, d: int, rng: np.random.Generator) -> Proposal:
-    """Student-t about the mode of the firing parameters at typical physics, refined twice."""
+    """Student-t about the mode of the firing parameters at typical physics, refined until good."""
     mode = find_mode(density, np.zeros(d))
     values, vectors = np.linalg.eigh(-hessian(density, mode))
     covariance = (vectors / np.maximum(values, 0.25)) @ vectors.T
     proposal = Proposal(mode, np.linalg.cholesky(covariance), PROPOSAL_DOF)
-    for _ in range(2):
+    for _ in range(MOST_PILOTS):
         z = proposal.sample(rng, PILOT_DRAWS)
         log_ratio = density(z) - proposal.log_density(z)
         log_weights = log_ratio - log_ratio.max()
@@ -226,4 +244,6 @@ def _firing_proposal(density: LogDensity, d: int, rng: np.random.Generator) -> P
         nothing = float("nan")  # evidence and Pareto k̂ are not asked of a pilot
         draws = ImportanceDraws(z, log_weights, nothing, nothing, nothing, efficiency)
         proposal = refined(proposal, draws)
+        if efficiency > GOOD_EFFICIENCY:
+            break
     return proposal

@@ -126,6 +126,12 @@ def end_rates(levels: int) -> Array:
     return np.concatenate([-steps[::-1], steps])
 
 
+def _ends_of_wheel(start_rpm: float, levels: int) -> Array:
+    """End rates of a wheel; it may also stay where it is, outside the low-rpm zone."""
+    ends = end_rates(levels)
+    return np.union1d(ends, start_rpm) if abs(start_rpm) >= LOW_RPM else ends
+
+
 def plan(
     learned: Learned,
     quantity: str,
@@ -152,7 +158,7 @@ def plan(
     judge = _Judge.of(learned, draws, wheels)
     typical = _typical(learned)
     found = []
-    for ends in product(end_rates(levels), repeat=len(wheels)):
+    for ends in product(*(_ends_of_wheel(rate, levels) for rate in start)):
         end = np.array(ends)
         if np.all(end == start):
             continue

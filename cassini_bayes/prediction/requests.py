@@ -79,7 +79,7 @@ def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> Bias
         rates[names[name]] = (start, end)
     wheels = tuple(sorted(rates))
     return BiasRequest(
-        id="bias",
+        id="planned",
         wheels=wheels,
         start_rpm=np.array([rates[n][0] for n in wheels]),
         end_rpm=np.array([rates[n][1] for n in wheels]),
