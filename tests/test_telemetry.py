@@ -11,11 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from simulation_cases import BIAS as BIAS_EVENT
-from simulation_cases import EPOCH, PARAMETERS
-from telemetry_cases import (
+from event_folder_cases import (
     BIAS,
     CASSINI,
     SLEW,
@@ -27,6 +23,10 @@ from telemetry_cases import (
     motion_rows,
     write_event,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulation_cases import BIAS as BIAS_EVENT
+from simulation_cases import EPOCH, PARAMETERS
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.scenario import simulate_file, write_simulation
