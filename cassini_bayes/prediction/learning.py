@@ -64,6 +64,7 @@ PILOT_DRAWS: Final = 2_000
 MOST_PILOTS: Final = 12
 GOOD_EFFICIENCY: Final = 0.3
 FEW_DRAWS: Final = 200
+FAR: Final = 8.0
 PAIRINGS: Final = 4  # firing draws per draw of the physics: features cost more than densities
 
 
@@ -207,7 +208,10 @@ def joint_draws(
 
     def density(z: Array, which: list[Features]) -> Array:
         terms = space.log_prior_terms(z).sum(-1)
-        return np.asarray(log_likelihood(space.to_parameters(z), which, seen) + terms)
+        # far out in a proposal's tails quantiles overflow; the prior has 1e-15 there
+        inside = np.clip(z, -FAR, FAR)
+        value = log_likelihood(space.to_parameters(inside), which, seen) + terms
+        return np.where((inside == z).all(-1), value, -np.inf)
 
     typical = [
         Features(**{name: np.full(1, np.mean(value)) for name, value in vars(f).items()})
