@@ -45,8 +45,9 @@ Control = Literal["none", "balance-residual", "pulse-blind"]
 
 TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
-# Pilots and importance draws, cheap first; a chain stands in when all fail.
-EFFORTS: Final = ((2, 3_000), (4, 15_000), (6, 60_000))
+# Degrees of freedom, pilots and number of importance draws, cheap first: the noise levels have long
+# tails that a heavier proposal covers. A chain stands in when all fail.
+EFFORTS: Final = ((15.0, 2, 3_000), (6.0, 4, 8_000), (5.0, 5, 16_000))
 MOST_RPM: Final = 1_000.0
 MODEL_CODE: Final = (
     "distributions",
@@ -297,8 +298,8 @@ def _posterior_draws(
 ) -> tuple[Array, float, bool]:
     """Importance draws where k̂ allows, else draws of a chain."""
     dimension = len(model.space.names)
-    for pilots, draws in EFFORTS:
-        warm = warm_start(log_density, dimension, rng, pilots=pilots, draws=draws)
+    for dof, pilots, draws in EFFORTS:
+        warm = warm_start(log_density, dimension, rng, dof=dof, pilots=pilots, draws=draws)
         if warm.draws.pareto_k < TRUSTED_K:
             return warm.draws.resample(rng, RANK_DRAWS), warm.draws.pareto_k, False
     settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
