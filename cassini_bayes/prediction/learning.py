@@ -29,6 +29,8 @@ from cassini_bayes.prediction.firing import (
     observe,
 )
 from cassini_bayes.prediction.ground_knowledge import (
+    PRINTED_ACCELERATION_SD_M_S2,
+    PRINTED_MASS_SD_KG,
     PRINTED_THRUST_SD_N,
     Trend,
     hydrazine_regression,
@@ -53,7 +55,6 @@ from cassini_bayes.warmstart import (
     LogDensity,
     Proposal,
     find_mode,
-    hessian,
     refined,
 )
 
@@ -129,37 +130,45 @@ def learn(
     firing, index, effective = joint_draws(features, seen, beliefs, rng, physics.size, size)
     chosen = physics.at(index)
     pulses = pulse_regression(events, layout, beliefs, rng, size)
-    epochs = [event.epoch for event in events]
+    hydrazine = hydrazine_regression(model, events, chosen, layout, beliefs, rng)
+    thrust_trend, acceleration, mass = _trends(events, rng, size)
     return Learned(
         model=model,
         layout=layout,
         physics=chosen,
         firing=firing,
         pulses=pulses,
-        hydrazine=hydrazine_regression(model, events, chosen, layout, beliefs, rng),
+        hydrazine=hydrazine,
         manager=manager,
         manager_draws=manager_draws,
         ramp_wheels=ramp_wheels,
-        thrust_trend=trend_of(
-            epochs, [e.thrust_predicted_n for e in events], PRINTED_THRUST_SD_N, rng, size
-        )
-        or no_trend(epochs, size),
-        acceleration=trend_of(
-            epochs,
-            [
-                e.thrust_predicted_n / e.mass_kg if e.thrust_predicted_n and e.mass_kg else None
-                for e in events
-            ],
-            1.5e-6,
-            rng,
-            size,
-        ),
-        mass=trend_of(epochs, [e.mass_kg for e in events], 5.0, rng, size),
+        thrust_trend=thrust_trend,
+        acceleration=acceleration,
+        mass=mass,
         lateral_square=lateral_variance(model, events, rng, size),
-        first_epoch=min(epochs),
-        last_epoch=max(epochs),
+        first_epoch=min(event.epoch for event in events),
+        last_epoch=max(event.epoch for event in events),
         effective_draws=effective,
     )
+
+
+def _trends(
+    events: tuple[TotalsEvent, ...], rng: np.random.Generator, size: int
+) -> tuple[Trend, Trend | None, Trend | None]:
+    """Drift of the printed thrust, of thrust over mass, and of mass."""
+    epochs = [event.epoch for event in events]
+    thrust = trend_of(
+        epochs, [event.thrust_predicted_n for event in events], PRINTED_THRUST_SD_N, rng, size
+    )
+    ratios = [
+        event.thrust_predicted_n / event.mass_kg
+        if event.thrust_predicted_n and event.mass_kg
+        else None
+        for event in events
+    ]
+    acceleration = trend_of(epochs, ratios, PRINTED_ACCELERATION_SD_M_S2, rng, size)
+    mass = trend_of(epochs, [event.mass_kg for event in events], PRINTED_MASS_SD_KG, rng, size)
+    return thrust or no_trend(epochs, size), acceleration, mass
 
 
 def training_features(
@@ -227,18 +236,23 @@ def joint_draws(
     log_weight = density(z, repeated) - proposal.log_density(z)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    edges = np.cumsum(weight)
-    points = (np.arange(size) + rng.uniform()) / size * edges[-1]
-    index = rng.permutation(np.minimum(np.searchsorted(edges, points), len(owner) - 1))
+    index = _resample(weight, size, rng)
     return space.to_parameters(z[index]), owner[index], float(1.0 / (weight**2).sum())
 
 
+def _resample(weight: Array, size: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Systematic resampling: ``size`` indices in random order."""
+    edges = np.cumsum(weight)
+    points = (np.arange(size) + rng.uniform()) / size * edges[-1]
+    return rng.permutation(np.minimum(np.searchsorted(edges, points), len(weight) - 1))
+
+
 def _firing_proposal(density: LogDensity, d: int, rng: np.random.Generator) -> Proposal:
-    """Student-t about the mode of the firing parameters at typical physics, refined until good."""
-    mode = find_mode(density, np.zeros(d))
-    values, vectors = np.linalg.eigh(-hessian(density, mode))
-    covariance = (vectors / np.maximum(values, 0.25)) @ vectors.T
-    proposal = Proposal(mode, np.linalg.cholesky(covariance), PROPOSAL_DOF)
+    """Student-t for the firing parameters at typical physics: from the mode, refined until good.
+
+    It begins as wide as the prior: eight events narrow seven parameters little.
+    """
+    proposal = Proposal(find_mode(density, np.zeros(d)), np.eye(d), PROPOSAL_DOF)
     for _ in range(MOST_PILOTS):
         z = proposal.sample(rng, PILOT_DRAWS)
         log_ratio = density(z) - proposal.log_density(z)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.prediction.demand import PairSolver
-from cassini_bayes.prediction.firing import FiringDraws, draw_firing, mean_firing
+from cassini_bayes.prediction.firing import Features, FiringDraws, draw_firing, mean_firing
 from cassini_bayes.prediction.ground_knowledge import (
     DURATION_SD_S,
     GRAVITY_M_S2,
@@ -99,29 +99,12 @@ def predict(
     """
     if "thrust and geometry" in hold:
         learned = replace(learned, physics=learned.physics.at_mean())
-    model, physics, n = learned.model, learned.physics, learned.size
+    model, physics = learned.model, learned.physics
     epoch = request.epoch or learned.last_epoch
-    rate = learned.pulses.coefficients[:, 0]
     streams = rng.spawn(7)  # a source that is held leaves the draws of the others alone
     thrust = _thrust(learned, epoch, streams[0], still="thrust of the event" in hold)
-    solver = solver_of(model, physics, thrust, rate)
-    wheels = wheels_of(model, physics)
-    pieces = segments_rpm(learned.manager, request.wheels, request.start_rpm, request.end_rpm)
-    changes = wheels.of(model, request.wheels, pieces)
     duration = _durations(learned, request, streams[1])
-    features = features_of(model, solver, changes, duration)
-    ends = wheels.of(model, request.wheels, np.stack([request.start_rpm, request.end_rpm]))
-    impulse = ends[:, 1] - ends[:, 0]
-    noise = _momentum_noise(learned, request, ends, duration, streams[2])
-    if "rates at the ends" not in hold:
-        impulse = impulse + noise
-    drawn = draw_firing(learned.firing, features, streams[3])
-    if "limit cycle" in hold:
-        mean = {k: np.full(n, np.mean(v)) for k, v in learned.firing.items()}
-        drawn = mean_firing(mean, features)
-    on_time = on_times_of(
-        learned, solver, arms_of(model, physics) * thrust[:, None, :], impulse, drawn
-    )
+    on_time, features = _firings(learned, request, thrust, duration, streams[2:4], hold)
     pulses = _pulses(learned, on_time, streams[4])
     times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
     effective = effective_on_time(
@@ -142,6 +125,33 @@ def predict(
         hydrazine_g=_hydrazine(learned, thrust, effective, streams[6]),
         demand_s={name: float(np.mean(value)) for name, value in vars(features).items()},
     )
+
+
+def _firings(
+    learned: Learned,
+    request: BiasRequest,
+    thrust: Array,
+    duration: Array,
+    streams: list[np.random.Generator],
+    hold: frozenset[Source],
+) -> tuple[Array, Features]:
+    """On-times (n, K) and the features of the firing logic behind them."""
+    model, physics, n = learned.model, learned.physics, learned.size
+    solver = solver_of(model, physics, thrust, learned.pulses.coefficients[:, 0])
+    wheels = wheels_of(model, physics)
+    pieces = segments_rpm(learned.manager, request.wheels, request.start_rpm, request.end_rpm)
+    features = features_of(model, solver, wheels.of(model, request.wheels, pieces), duration)
+    ends = wheels.of(model, request.wheels, np.stack([request.start_rpm, request.end_rpm]))
+    impulse = ends[:, 1] - ends[:, 0]
+    noise = _momentum_noise(learned, request, ends, duration, streams[0])
+    if "rates at the ends" not in hold:
+        impulse = impulse + noise
+    drawn = draw_firing(learned.firing, features, streams[1])
+    if "limit cycle" in hold:
+        mean = {k: np.full(n, np.mean(v)) for k, v in learned.firing.items()}
+        drawn = mean_firing(mean, features)
+    force = arms_of(model, physics) * thrust[:, None, :]
+    return on_times_of(learned, solver, force, impulse, drawn), features
 
 
 def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:

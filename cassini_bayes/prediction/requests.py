@@ -187,18 +187,7 @@ def check_request(
     """
     where = f"bias {request.id}"
     names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
-    if request.branch is not None and request.branch not in spacecraft.branches:
-        known = ", ".join(spacecraft.branches)
-        raise InputError(
-            f"{where}: branch", f"one of {known}", repr(request.branch), f"write {branch}"
-        )
-    if request.branch is not None and request.branch != branch:
-        raise InputError(
-            f"{where}: branch",
-            f"branch {branch}, which the fit knows",
-            request.branch,
-            f"predict with a fit of branch {request.branch}, or write {branch}",
-        )
+    _check_branch(where, request.branch, spacecraft, branch)
     for number, start, end in zip(request.wheels, request.start_rpm, request.end_rpm, strict=True):
         if number not in prime:
             raise InputError(
@@ -223,4 +212,19 @@ def check_request(
             f"a time from {first_epoch.date()} on, the fit's first event",
             str(request.epoch.date()),
             "predict with a fit of events from that time",
+        )
+
+
+def _check_branch(where: str, asked: str | None, spacecraft: Spacecraft, branch: str) -> None:
+    if asked is None:
+        return
+    if asked not in spacecraft.branches:
+        known = ", ".join(spacecraft.branches)
+        raise InputError(f"{where}: branch", f"one of {known}", repr(asked), f"write {branch}")
+    if asked != branch:
+        raise InputError(
+            f"{where}: branch",
+            f"branch {branch}, which the fit knows",
+            asked,
+            f"predict with a fit of branch {asked}, or write {branch}",
         )
