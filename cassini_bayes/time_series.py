@@ -47,6 +47,7 @@ class EventSeries:
     predicted: Array
     predicted_sd: Array
     residual: Array
+    residual_sd: Array  # over posterior draws
     noise_sd: Array
     every: int  # one row in this many is kept
 
@@ -168,6 +169,7 @@ def _series(
         predicted=predicted.mean(0),
         predicted_sd=predicted.std(0),
         residual=(measured - predicted).mean(0),
+        residual_sd=(measured - predicted).std(0),
         noise_sd=np.sqrt(variance + drift[:, None]),
         every=every,
     )

@@ -19,9 +19,11 @@ from cassini_bayes.plots.checks import (
 )
 from cassini_bayes.plots.corners import nuisance_corners, thrust_corner
 from cassini_bayes.plots.delta_v import delta_v_figure, delta_v_thrust_figure
+from cassini_bayes.plots.inertia import inertia_figure, observability_figure
 from cassini_bayes.plots.nuisances import nuisance_figure, torque_figure
 from cassini_bayes.plots.style import STYLE
 from cassini_bayes.plots.thrusts import thrust_figure
+from cassini_bayes.plots.time_series import series_figures
 from cassini_bayes.review import Review
 from cassini_bayes.storage import write_bytes
 
@@ -40,13 +42,16 @@ def make_figures(review: Review) -> dict[str, Figure]:
     """Every figure of a review by name, in the order of the report.
 
     Names: ``thrusts``, ``corner_thrusts``, ``nuisances``, ``torques``, ``corner_nuisances_1`` …,
-    ``budget``, ``predictive``, ``balance``, ``delta_v``, ``delta_v_thrusts``, ``convergence``. A
-    figure that has nothing to show (no ΔV, fewer than two free parameters) is absent.
+    ``budget``, ``predictive``, ``balance``, ``delta_v``, ``delta_v_thrusts``, ``convergence``; with
+    telemetry also ``inertia``, ``observability`` and ``series_1`` …. A figure that has nothing to
+    show (no ΔV, fewer than two free parameters) is absent.
     """
     with matplotlib.rc_context(dict(STYLE)):
         found: dict[str, Figure | None] = {
             "thrusts": thrust_figure(review),
             "corner_thrusts": thrust_corner(review),
+            "inertia": inertia_figure(review),
+            "observability": observability_figure(review),
             "nuisances": nuisance_figure(review),
             "torques": torque_figure(review),
         }
@@ -59,6 +64,7 @@ def make_figures(review: Review) -> dict[str, Figure]:
             "delta_v": delta_v_figure(review),
             "delta_v_thrusts": delta_v_thrust_figure(review),
             "convergence": convergence_figure(review),
+            **series_figures(review),
         }
         figures = {name: figure for name, figure in found.items() if figure is not None}
         for figure in figures.values():

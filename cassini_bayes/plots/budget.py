@@ -43,8 +43,13 @@ def block_label(block: str) -> str:
     }.get(block, block)
 
 
-def budget_figure(review: Review) -> Figure:
-    """Shares of each thrust's variance by block, and the three standard deviations, in mN."""
+def budget_figure(review: Review) -> Figure | None:
+    """Shares of each thrust's variance by block, and the three standard deviations, in mN.
+
+    None without thrusts.
+    """
+    if review.budget.empty:
+        return None
     thrusters, budget = thrusters_of(review), review.budget
     events = int(budget["event"].nunique())
     figure = new_figure(11.4, 0.40 * len(thrusters) + 2.6)

@@ -28,7 +28,7 @@ from cassini_bayes.plots.style import (
     new_figure,
     thruster_styles,
 )
-from cassini_bayes.plots.tables import events_of, grid, thrusters_of
+from cassini_bayes.plots.tables import all_events_of, grid, thrusters_of
 from cassini_bayes.review import Review
 
 BAND: Final = "#e6e6e6"
@@ -36,13 +36,19 @@ LEGEND_COLUMN_IN: Final = 2.3
 NOT_REPLICATED_S: Final = 1e-9  # a replicate that never varies: set by the limit cycle
 
 
-def predictive_figure(review: Review) -> Figure:
-    """Measured on-times on the replicates' interval; below, measured minus predicted."""
-    events, styles = events_of(review), thruster_styles(thrusters_of(review))
+def predictive_figure(review: Review) -> Figure | None:
+    """Measured on-times on the replicates' interval; below, measured minus predicted.
+
+    None without totals rows: telemetry has its time series.
+    """
+    if review.predictive.empty:
+        return None
+    events = list(dict.fromkeys(review.predictive["event"].astype(str)))
+    styles = thruster_styles(thrusters_of(review))
     figure = new_figure(float(np.clip(1.5 * len(events) + 1.5, 9.6, 16.0)), 7.4)
     totals, residuals = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.15))
     measured, mean, low, high, sd = (
-        grid(review.predictive, column, review)
+        grid(review.predictive, column, review, events=events)
         for column in ("measured_s", "mean_s", "hdi_90_low_s", "hdi_90_high_s", "sd_s")
     )
     spread = np.linspace(-0.38, 0.38, len(styles)) if len(styles) > 1 else np.zeros(1)
@@ -126,7 +132,7 @@ def _predictive_legend(styles: Mapping[str, ThrusterStyle]) -> list[Line2D | Pat
 
 def balance_figure(review: Review) -> Figure:
     """Momentum left over per event and axis, on the band of noise the model allows for."""
-    events, table = events_of(review), review.balance
+    events, table = all_events_of(review), review.balance
     axis_names = list(dict.fromkeys(table["axis"]))
     figure = new_figure(11.0, 3.9)
     panels = figure.subplots(1, len(axis_names), sharey=True, squeeze=False).ravel()

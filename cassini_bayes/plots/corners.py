@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from cassini_bayes.plots.quantities import MISSING, plus_minus, wrapped_name
 from cassini_bayes.plots.style import INK, POSTERIOR, PRIOR_LINE
-from cassini_bayes.plots.tables import Column, level_columns, nuisance_column
+from cassini_bayes.plots.tables import Column, events_of, level_columns, nuisance_column
 from cassini_bayes.review import Review
 
 Array = NDArray[np.float64]
@@ -36,6 +36,8 @@ WIDEST_VIEW: Final = 5.0  # posterior standard deviations shown on either side f
 
 def thrust_corner(review: Review) -> Figure | None:
     """Levels of all thrusters with tail-off time: the thrust–tail-off degeneracy."""
+    if not events_of(review):
+        return None
     columns = level_columns(review)
     tail = nuisance_column(review, "tau_fall_s")
     title = "Thrust levels of the thrusters"

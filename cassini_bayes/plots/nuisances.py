@@ -25,7 +25,7 @@ from cassini_bayes.plots.quantities import (
 )
 from cassini_bayes.plots.style import INK, PRIOR, VERDICT_COLOURS, new_figure
 from cassini_bayes.plots.tables import (
-    events_of,
+    all_events_of,
     nuisance_column,
     parameter_scale,
 )
@@ -69,7 +69,7 @@ def torque_figure(review: Review) -> Figure | None:
     torques = table[(table["quantity"] == "external_torque_n_m") & (table["prior_sd"] > 0)]
     if torques.empty:
         return None
-    shown = dict(zip(events_of(review), short_events(events_of(review)), strict=True))
+    shown = dict(zip(all_events_of(review), short_events(all_events_of(review)), strict=True))
     magnitudes = torques[["mean", "prior_mean", "prior_sd"]].abs().max()
     scale = display_scale(str(torques["unit"].iloc[0]), *(float(m) for m in magnitudes))
     rows = [_torque_row(row, shown, scale) for _, row in torques.iterrows()]

@@ -25,9 +25,18 @@ class Column:
     prior: Array  # (m,)
 
 
-def events_of(review: Review) -> list[str]:
-    """Event ids in the order of the fit."""
+def all_events_of(review: Review) -> list[str]:
+    """Ids of all events in the order of the fit."""
     return [str(event) for event in review.fit.posterior.coords["event"].values]
+
+
+def events_of(review: Review) -> list[str]:
+    """Ids of the events that have thrusts, in the order of the fit: a slew has none."""
+    if "thrust_n" not in review.fit.posterior:
+        return []
+    first = review.fit.posterior["thrust_n"].values[0, 0]
+    has = np.isfinite(first).any(axis=-1)
+    return [event for event, own in zip(all_events_of(review), has, strict=True) if own]
 
 
 def thrusters_of(review: Review) -> list[str]:
@@ -35,10 +44,20 @@ def thrusters_of(review: Review) -> list[str]:
     return [str(name) for name in review.fit.posterior.coords["thruster"].values]
 
 
-def grid(table: pd.DataFrame, column: str, review: Review, item: str = "thruster") -> Array:
-    """``column`` of an event × thruster table as (E, K), in the fit's order; NaN where absent."""
+def grid(
+    table: pd.DataFrame,
+    column: str,
+    review: Review,
+    item: str = "thruster",
+    events: list[str] | None = None,
+) -> Array:
+    """``column`` of an event × thruster table as (E, K), in the fit's order; NaN where absent.
+
+    ``events`` are the rows wanted, those with thrusts if it is left out.
+    """
+    rows = events_of(review) if events is None else events
     wide = table.set_index(["event", item])[column].unstack(item)
-    wide = wide.reindex(index=events_of(review), columns=thrusters_of(review))
+    wide = wide.reindex(index=rows, columns=thrusters_of(review))
     return np.asarray(wide, dtype=float)
 
 

@@ -57,15 +57,17 @@ BASELINES: Final = (
 )
 
 
-def thrust_figure(review: Review) -> Figure:
+def thrust_figure(review: Review) -> Figure | None:
     """Credible interval of every thruster in every event, one panel per thruster.
 
     Grey band: prior. Thick bar and marker: posterior. Black symbols: the least-squares methods of
     the papers with their perturbation bars, hollow where the papers call the estimate not valid.
     Dashed: the thrust printed with the event. Estimates outside the axes are carets at the edge
-    with their value. The last column is the thruster's level over all events.
+    with their value. The last column is the thruster's level over all events. None without thrusts.
     """
     events, thrusters = events_of(review), thrusters_of(review)
+    if not events:
+        return None
     styles = thruster_styles(thrusters)
     labels = [*short_events(events), ALL_EVENTS]
     mean = _with_level(review, "mean")
@@ -113,7 +115,8 @@ def _printed(review: Review) -> Array:
     constants = review.fit.groups["constant_data"]
     if "thrust_predicted_n" not in constants:
         return np.full(len(events_of(review)), np.nan)
-    return np.asarray(constants["thrust_predicted_n"].values, dtype=float)
+    printed = constants["thrust_predicted_n"].sel(event=events_of(review))
+    return np.asarray(printed.values, dtype=float)
 
 
 def _prior_bounds(review: Review) -> tuple[Array, Array]:
@@ -121,7 +124,8 @@ def _prior_bounds(review: Review) -> tuple[Array, Array]:
 
     Events are alike before the data: their draws are put together for a smooth bound.
     """
-    thrust = flat_draws(review.fit.prior, "thrust_n")
+    prior = review.fit.prior.sel(event=events_of(review))
+    thrust = flat_draws(prior, "thrust_n")
     low, high = hdi(thrust.reshape(-1, thrust.shape[-1]))
     level_low, level_high = hdi(flat_draws(review.fit.prior, "thrust_level_n"))
     repeat = (thrust.shape[1], 1)

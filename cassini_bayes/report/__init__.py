@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes.plots import Figure, encode, is_corner
 from cassini_bayes.plots.quantities import INTERVAL, INTERVAL_SHORT
-from cassini_bayes.plots.tables import events_of
+from cassini_bayes.plots.tables import all_events_of, events_of
 from cassini_bayes.report.checks import (
     balance_table,
     budget_event_table,
@@ -25,6 +25,14 @@ from cassini_bayes.report.checks import (
     prior_table,
     scalar_table,
     variant_table,
+)
+from cassini_bayes.report.telemetry import (
+    event_table,
+    inertia_numbers,
+    inertia_sentence,
+    inertia_table,
+    method_table,
+    observability_table,
 )
 from cassini_bayes.report.thrusts import (
     key_numbers,
@@ -70,15 +78,22 @@ def render_report(review: Review, figures: Mapping[str, Figure]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    has_budget = not review.budget.empty
     return environment.get_template("report.html.jinja").render(
         name=review.name,
         warnings=review.warnings,
         facts=review.facts,
         interval=INTERVAL,
         interval_short=INTERVAL_SHORT,
-        n_events=len(events_of(review)),
-        summary=summary_sentences(review),
-        key_numbers=key_numbers(review),
+        n_events=len(all_events_of(review)),
+        has_thrusts=bool(events_of(review)),
+        telemetry=review.telemetry,
+        telemetry_events=event_table(review),
+        inertia=inertia_table(review),
+        inertia_methods=method_table(review),
+        observability=observability_table(review),
+        summary=[*inertia_sentence(review), *summary_sentences(review)],
+        key_numbers=[*inertia_numbers(review), *key_numbers(review)],
         pictures={name: Picture(name, _address(name, figure)) for name, figure in figures.items()},
         thrust_matrix=thrust_matrix(review),
         thrust_events=thrust_tables(review),
@@ -87,8 +102,8 @@ def render_report(review: Review, figures: Mapping[str, Figure]) -> str:
         priors=prior_table(review),
         conflicts=list(review.nuisances[review.nuisances["verdict"] == "conflict"]["name"]),
         budget=budget_table(review),
-        budget_events=budget_event_table(review),
-        predictive=predictive_table(review),
+        budget_events=budget_event_table(review) if has_budget else None,
+        predictive=predictive_table(review) if not review.predictive.empty else None,
         coverage=coverage(review),
         balance=balance_table(review),
         delta_v=delta_v_table(review),

@@ -78,8 +78,10 @@ def prior_table(review: Review) -> Table:
     )
 
 
-def budget_table(review: Review) -> Table:
-    """Means over events, one row per thruster."""
+def budget_table(review: Review) -> Table | None:
+    """Means over events, one row per thruster; None without thrusts."""
+    if review.budget.empty:
+        return None
     numeric = review.budget.drop(columns=["event"]).groupby("thruster").mean()
     rows = [_budget_row((name,), numeric.loc[name], review) for name in thrusters_of(review)]
     return Table(("thruster", *_budget_columns(review)), tuple(rows))
@@ -111,8 +113,10 @@ def _budget_row(heads: Iterable[str], row: pd.Series, review: Review) -> tuple[C
 
 
 def coverage(review: Review) -> tuple[int, int]:
-    """(on-times inside their interval, on-times that the model predicts)."""
+    """(on-times inside their interval, on-times that the model predicts); (0, 0) without any."""
     table = review.predictive
+    if table.empty:
+        return 0, 0
     told = table[(table["sd_s"] > FIXED_REPLICATE_S) & table["mean_s"].notna()]
     inside = (told["measured_s"] >= told["hdi_90_low_s"]) & (
         told["measured_s"] <= told["hdi_90_high_s"]

@@ -33,7 +33,12 @@ def _common(review: Review) -> pd.Series:
 
 
 def summary_sentences(review: Review) -> list[str]:
-    """The main result in plain words: level, spread, what limits it, and the printed thrust."""
+    """The main result in plain words: level, spread, what limits it, and the printed thrust.
+
+    Nothing without thrusts.
+    """
+    if not events_of(review):
+        return []
     common, thrusters = _common(review), thrusters_of(review)
     level, sd = level_row(review, "mean"), thrust_grid(review, "sd") * MN
     lowest, highest = int(np.nanargmin(level)), int(np.nanargmax(level))
@@ -102,20 +107,30 @@ def _printed_sentence(review: Review, common: pd.Series) -> list[str]:
 
 def key_numbers(review: Review) -> list[tuple[str, str]]:
     """The few numbers that everyone asks for, with their names."""
-    common = _common(review)
     varying = review.summary[review.summary["sd"] > 0]
     smallest = np.nanmin(varying[["ess_bulk", "ess_tail"]].to_numpy(dtype=float))
     return [
-        ("common thrust level", f"{plus_minus(common['mean'], common['sd'])} N"),
-        (f"its {INTERVAL_SHORT}", f"{interval(common['hdi_90_low'], common['hdi_90_high'])} N"),
-        ("one thruster, one bias: sd", _span(thrust_grid(review, "sd") * MN, " mN")),
+        *_thrust_numbers(review),
         ("largest R-hat", f"{np.nanmax(varying['rhat'].to_numpy(dtype=float)):.4f}"),
         ("smallest effective sample", f"{smallest:.0f}"),
     ]
 
 
-def thrust_matrix(review: Review) -> Table:
-    """Events × thrusters, mean ± sd; last row the level over all events."""
+def _thrust_numbers(review: Review) -> list[tuple[str, str]]:
+    if not events_of(review):
+        return []
+    common = _common(review)
+    return [
+        ("common thrust level", f"{plus_minus(common['mean'], common['sd'])} N"),
+        (f"its {INTERVAL_SHORT}", f"{interval(common['hdi_90_low'], common['hdi_90_high'])} N"),
+        ("one thruster, one bias: sd", _span(thrust_grid(review, "sd") * MN, " mN")),
+    ]
+
+
+def thrust_matrix(review: Review) -> Table | None:
+    """Events × thrusters, mean ± sd; last row the level over all events; None without thrusts."""
+    if not events_of(review):
+        return None
     mean, sd = thrust_grid(review, "mean"), thrust_grid(review, "sd")
     rows = [
         (Cell(event), *(Cell(plus_minus(m, s)) for m, s in zip(mean[e], sd[e], strict=True)))
@@ -128,11 +143,13 @@ def thrust_matrix(review: Review) -> Table:
 
 def thrust_tables(review: Review) -> list[Table]:
     """One table per event, posterior beside baseline; last the level over all events."""
+    if not events_of(review):
+        return []
     baseline = {
         (row["method"], row["event"], row["thruster"]): row for _, row in review.baseline.iterrows()
     }
     events, thrusters = events_of(review), thrusters_of(review)
-    observed = review.fit.groups["observed_data"]
+    observed = review.fit.groups["observed_data"].sel(event=events)
     on_time, pulses = observed["on_time_s"].values, observed["pulses"].values
     mean, sd, low, high = (
         thrust_grid(review, c) for c in ("mean", "sd", "hdi_90_low", "hdi_90_high")
