@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 LEVEL: Final = 0.01
 REPETITIONS: Final[Mapping[str, int]] = {
     **{variant.name: 100 for variant in VARIANTS},
-    **{control.name: 60 for control in CONTROLS},
+    **{control.name: 30 for control in CONTROLS},
     "joint": 300,
 }
 QUICK: Final[Mapping[str, int]] = dict.fromkeys(REPETITIONS, 15) | {"joint": 40}

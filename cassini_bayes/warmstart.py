@@ -23,6 +23,9 @@ LogDensity = Callable[[Array], Array]
 GRADIENT_STEP = 1e-4
 HESSIAN_STEP = 2e-2
 LEAST_CURVATURE = 0.25
+WHITENED_STEP = 0.25  # standard deviations
+WHITENED_LOOKS = 2
+LONGEST_STEP = 3.0  # standard deviations, of one Newton step
 
 
 @dataclass(frozen=True)
@@ -108,11 +111,16 @@ def find_mode(log_density: LogDensity, start: Array) -> Array:
     return np.asarray(found.x, dtype=np.float64)
 
 
-def hessian(log_density: LogDensity, point: Array) -> Array:
-    """Matrix of second derivatives (d, d) at a point by central differences in one batch."""
+def hessian(
+    log_density: LogDensity, point: Array, axes: Array | None = None, step: float = HESSIAN_STEP
+) -> tuple[Array, Array]:
+    """Gradient (d,) and second derivatives (d, d) at a point by central differences in one batch.
+
+    Both are in the coordinates u of z = point + axes u; ``axes`` (d, d) is the identity by default.
+    """
     d = len(point)
-    h = HESSIAN_STEP
-    unit = h * np.eye(d)
+    h = step
+    unit = h * (np.eye(d) if axes is None else axes.T)
     rows, columns = np.triu_indices(d, 1)
     pairs_plus = unit[rows] + unit[columns]
     pairs_minus = unit[rows] - unit[columns]
@@ -124,7 +132,38 @@ def hessian(log_density: LogDensity, point: Array) -> Array:
     same, opposite = values[2 * d + 1 :].reshape(2, 2, -1).sum(1)
     result = np.diag((plus - 2.0 * centre + minus) / h**2)
     result[rows, columns] = result[columns, rows] = (same - opposite) / (4.0 * h**2)
-    return result
+    return (plus - minus) / (2.0 * h), result
+
+
+def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
+    """Mode and lower factor of the Laplace covariance, from a point near the mode.
+
+    Stiff and soft directions may differ by a thousand in scale, where no one step of finite
+    differences is right for all. The curvature found with a common step whitens the second look,
+    whose steps are a fraction of a standard deviation along every axis; Newton steps with it finish
+    the search for the mode.
+    """
+    mode = start
+    _, curvature = hessian(log_density, mode)
+    factor = _covariance_factor(-curvature)
+    for _ in range(WHITENED_LOOKS):
+        gradient, curvature = hessian(log_density, mode, factor, WHITENED_STEP)
+        inner = _covariance_factor(-curvature)
+        shift = inner @ (inner.T @ gradient)
+        size = float(np.sqrt(shift @ shift))
+        moved = mode + factor @ (shift * min(1.0, LONGEST_STEP / max(size, LONGEST_STEP)))
+        if log_density(moved[None])[0] > log_density(mode[None])[0]:
+            mode = moved
+        factor = np.asarray(np.linalg.cholesky(factor @ inner @ inner.T @ factor.T))
+    return mode, factor
+
+
+def _covariance_factor(curvature: Array) -> Array:
+    """Lower factor of the inverse of a curvature, whose eigenvalues are kept away from zero."""
+    values, vectors = np.linalg.eigh(curvature)
+    # the prior alone has curvature one; far less is finite-difference noise or a saddle
+    covariance = (vectors / np.maximum(values, LEAST_CURVATURE)) @ vectors.T
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
 def importance(
@@ -164,16 +203,12 @@ def warm_start(
     draws: int = 4_000,
 ) -> WarmStart:
     """Mode → Laplace → refinement of the proposal by its own importance draws → evidence."""
-    mode = find_mode(log_density, np.zeros(d))
-    curvature = -hessian(log_density, mode)
-    values, vectors = np.linalg.eigh(curvature)
-    # the prior alone has curvature one; far less is finite-difference noise or a saddle
-    covariance = (vectors / np.maximum(values, LEAST_CURVATURE)) @ vectors.T
-    _, log_det = np.linalg.slogdet(covariance)
+    mode, factor = laplace(log_density, find_mode(log_density, np.zeros(d)))
+    log_det = 2.0 * np.log(np.diagonal(factor)).sum()
     laplace_log_evidence = float(
         log_density(mode[None])[0] + 0.5 * d * np.log(2.0 * np.pi) + 0.5 * log_det
     )
-    proposal = Proposal(mode, np.linalg.cholesky(covariance), dof)
+    proposal = Proposal(mode, factor, dof)
     for _ in range(pilots):
         proposal = refined(proposal, importance(log_density, proposal, rng, draws))
     final = importance(log_density, proposal, rng, draws)

@@ -14,6 +14,7 @@ from cassini_bayes.warmstart import (
     find_mode,
     hessian,
     importance,
+    laplace,
     warm_start,
 )
 
@@ -51,8 +52,27 @@ def test_log_evidence_is_exact_on_a_linear_gaussian_case(d: int) -> None:
 def test_hessian_is_that_of_a_quadratic() -> None:
     """Central differences return a known Hessian to eight digits."""
     mean, covariance, evidence = linear_gaussian(3, 6, 12)
-    found = hessian(target(mean, covariance, evidence), mean + 0.3)
-    assert found == pytest.approx(-np.linalg.inv(covariance), rel=1e-7, abs=1e-7)
+    precision = np.linalg.inv(covariance)
+    gradient, found = hessian(target(mean, covariance, evidence), mean + 0.3)
+    assert found == pytest.approx(-precision, rel=1e-7, abs=1e-7)
+    assert gradient == pytest.approx(-precision @ np.full(6, 0.3), rel=1e-7, abs=1e-7)
+
+
+def test_laplace_of_a_stiff_density() -> None:
+    """Directions a thousand times stiffer than others, and curved, do not spoil the covariance."""
+    scale = np.array([1.0, 1e-3, 0.3, 1e-3])
+    turn = np.linalg.qr(np.random.default_rng(4).standard_normal((4, 4)))[0]
+
+    def stiff(z: Array) -> Array:
+        u = (z - 0.2) @ turn / scale
+        return -0.5 * (u**2).sum(1) - 1e-3 * u[:, 1] ** 4
+
+    mode, factor = laplace(stiff, np.full(4, 0.2) + turn @ (0.8 * scale))
+    assert mode == pytest.approx(np.full(4, 0.2), abs=2e-4)
+    covariance = turn @ np.diag(scale**2) @ turn.T
+    assert factor @ factor.T == pytest.approx(covariance, abs=2e-3 * scale.max() ** 2)
+    inner = turn.T @ factor @ factor.T @ turn
+    assert np.diag(inner) == pytest.approx(scale**2, rel=0.05)
 
 
 def test_mode_of_a_curved_density() -> None:
