@@ -19,6 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.model import TotalsModel
+from cassini_bayes.parameters import ParameterSpec
 from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
 from cassini_bayes.terms import wheel_momentum
@@ -30,7 +31,10 @@ PER_EVENT: Final = "pseudo-inverse, per event"
 POOLED: Final = "pseudo-inverse, pooled"
 MEAN: Final = "mean of all thrusters, per event"
 
-# Paper 003 §IV. Inertia (5 % and 50 %) is in the list too but does not act: totals have no rates.
+# Paper 003 §IV. Inertia does not act on totals rows: they have no rates.
+MOMENTS: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
+MOMENT_PERTURBATION: Final = 0.05
+PRODUCT_PERTURBATION: Final = 0.50
 RELATIVE_PERTURBATIONS: Final[Mapping[str, float]] = {
     "centre of mass": 0.10,
     "geometry": 0.01,
@@ -55,7 +59,7 @@ def perturbation_bars(model: TotalsModel, nominal: Mapping[str, float]) -> pd.Da
     DataFrame with columns method, event ("" when pooled), thruster, estimate_n, bar_rss_n (root sum
     square of the shifts), bar_worst_n (sum of their absolute values), on_time_s, valid, note.
     """
-    varied = [dict(nominal), *_perturbed(model, nominal)]
+    varied = [dict(nominal), *perturbed(model.specs, nominal)]
     batch = {name: np.array([point[name] for point in varied]) for name in nominal}
     stack = model.stack
     estimates = _estimates(model, batch)
@@ -86,12 +90,17 @@ def perturbation_bars(model: TotalsModel, nominal: Mapping[str, float]) -> pd.Da
     return pd.DataFrame(rows)
 
 
-def _perturbed(model: TotalsModel, nominal: Mapping[str, float]) -> list[dict[str, float]]:
+def perturbed(
+    specs: Mapping[str, ParameterSpec], nominal: Mapping[str, float]
+) -> list[dict[str, float]]:
     """One point per hand-picked perturbation of paper 003's list."""
     points = []
     for name, value in nominal.items():
-        block = model.specs[name].block
-        if block in RELATIVE_PERTURBATIONS:
+        block = specs[name].block
+        if block == "inertia":
+            share = MOMENT_PERTURBATION if name in MOMENTS else PRODUCT_PERTURBATION
+            points.append({**nominal, name: value * (1.0 + share)})
+        elif block in RELATIVE_PERTURBATIONS:
             points.append({**nominal, name: value * (1.0 + RELATIVE_PERTURBATIONS[block])})
         elif block == "wheel alignment":
             points.append({**nominal, name: value + ALIGNMENT_PERTURBATION_RAD})

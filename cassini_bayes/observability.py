@@ -67,7 +67,7 @@ def observability(model: JointModel) -> Observability:
     """Expected posterior over prior widths in a joint model, from its Gram matrices alone."""
     places = _coordinates(model)
     information = _information(model, places)
-    covariance = np.linalg.inv(information + np.eye(places.size))
+    covariance = np.asarray(np.linalg.inv(information + np.eye(places.size)), dtype=np.float64)
     walked = _walked_rows(model, covariance)
     thrusts = _thrust_rows(model, places, covariance)
     table = pd.DataFrame([*thrusts, *walked])
@@ -321,7 +321,19 @@ def _sentences(
                 labels = [str(m).removeprefix("thrust[all events,").rstrip("]") for m in members]
                 parts.append(f"{verdict}: {', '.join(labels)}")
         said.append(f"{name[0].upper()}{name[1:]} – {'; '.join(parts)}.")
-    if together:
-        pairs = ", ".join(f"{a} with {b} (r = {r:+.2f})" for a, b, r in together[:5])
-        said.append(f"Only combinations are told of {pairs}.")
+    said += [
+        f"{', '.join(group)} are tied together (pairwise |r| > {TOGETHER}): the data tell their "
+        "combination far better than each alone."
+        for group in _groups(together)
+    ]
     return tuple(said)
+
+
+def _groups(together: tuple[tuple[str, str, float], ...]) -> list[list[str]]:
+    """Quantities that are connected by strong correlations, each group once."""
+    groups: list[list[str]] = []
+    for first, second, _ in together:
+        own = [group for group in groups if first in group or second in group]
+        merged = list(dict.fromkeys([*(name for group in own for name in group), first, second]))
+        groups = [group for group in groups if group not in own] + [merged]
+    return groups

@@ -1,18 +1,371 @@
-"""The papers' least squares on telemetry, beside which the posterior stands."""
+"""The papers' least squares on telemetry, beside which the posterior stands.
+
+Thrust (paper 000 eqs. 15-23, paper 003 eqs. 5-8): per row the momentum gained, I Δω + ΔH_w +
+∫ ω × (I ω + H_w) dt, is set against lever arms times commanded on-times. One unknown per thruster
+or per couple that always fires together gives the individual Z and paired Y thrusts at once (their
+columns share no axis), one for all couples' thrusters the mean Y thrust, one for all the mean of
+eight. Pulses are taken as rectangular; the estimates are then divided by R (paper 000, § V) or by T
+(paper 003 eq. 7). Inertia (paper 000 eqs. 4-11): momentum conserved in the inertial frame from
+rest, axis by axis or all elements at once. Rows are independent and equally good to these methods,
+and everything that is not asked for is taken as known; the bars come from perturbing it by
+hand-picked amounts (paper 003).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from cassini_bayes.event_reduction import ReducedEvent
+from cassini_bayes.baselines import (
+    MEAN,
+    MINIMUM_ON_TIME_S,
+    PER_EVENT,
+    POOLED,
+    correction_factor,
+    perturbed,
+)
+from cassini_bayes.event_reduction import ReducedEvent, samples_of
+from cassini_bayes.inertia import ELEMENTS, PLACES
 from cassini_bayes.joint import JointModel
+from cassini_bayes.physics import Physics, physics_of
+from cassini_bayes.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.statistics import Samples, Sampling
+from cassini_bayes.statistics.columns import direction_cosines, effective_increments
+from cassini_bayes.telemetry import read_chunks
+
+Array = NDArray[np.float64]
+MEAN_OF_COUPLES: Final = "mean of the paired thrusters, per event"
+UNCORRECTED: Final = ", uncorrected"
+BY_R: Final = ", divided by R"
+AXIS_BY_AXIS: Final = "axis by axis"
+ALL_AXES: Final = "all axes together"
+MOST_ROWS: Final = 50_000
+PURE: Final = 0.2  # a slew about one axis: the other rates below this share of it
+TURNING: Final = 0.1  # of the largest rate about the axis: slower rows tell nothing
 
 
-def inertia_methods(model: JointModel, events: tuple[ReducedEvent, ...]) -> pd.DataFrame:
-    """to come"""
-    return pd.DataFrame()
+@dataclass(frozen=True)
+class PlainRows:
+    """Rows on which all channels of an event were sampled; counters from their first reading on.
+
+    ``corrected_s`` (n, K) are pulses' effective on-times by paper 000's ratio, cumulative.
+    """
+
+    time_s: Array  # (n,)
+    attitude: Array  # (n, 3, 3) inertial to body
+    rate_rad_s: Array  # (n, 3)
+    wheel_rad_s: Array  # (n, W)
+    on_time_s: Array  # (n, K)
+    pulses: Array  # (n, K)
 
 
-def thrust_methods(model: JointModel, events: tuple[ReducedEvent, ...]) -> pd.DataFrame:
-    """to come"""
-    return pd.DataFrame()
+def plain_rows(event: ReducedEvent, spacecraft: Spacecraft) -> PlainRows:
+    """Rows with every channel, thinned evenly where there are more than ``MOST_ROWS``."""
+    every = max(1, -(-event.reading.rows // MOST_ROWS))
+    parts = []
+    seen = 0
+    for chunk in read_chunks(event.event, spacecraft):
+        samples = samples_of(chunk)
+        whole = samples.has_state & (samples.has_counters if event.fires else True)
+        rows = np.flatnonzero(whole)
+        kept = rows[(-seen) % every :: every]
+        seen += len(rows)
+        parts.append(Samples(*(getattr(samples, name)[kept] for name in _CHANNELS)))
+    rows_of = Samples.joined(parts)
+    return PlainRows(
+        rows_of.time_s,
+        direction_cosines(rows_of.attitude),
+        rows_of.rate_rad_s,
+        rows_of.wheel_rad_s,
+        rows_of.on_time_s - rows_of.on_time_s[:1],
+        rows_of.pulses - rows_of.pulses[:1],
+    )
+
+
+_CHANNELS: Final = ("time_s", "attitude", "rate_rad_s", "wheel_rad_s", "on_time_s", "pulses")
+
+
+def thrust_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+    """Thrust by the papers' methods from every telemetry event that fires.
+
+    Columns as of :func:`cassini_bayes.baselines.perturbation_bars`. Methods without a suffix are
+    divided by T; the suffixes say what else was done.
+    """
+    batch, physics = _assumed(model)
+    gathered: list[tuple[Array, Array]] = []
+    rows: list[dict[str, object]] = []
+    for terms, event in zip(model.telemetry, events, strict=True):
+        if not event.fires:
+            continue
+        data = plain_rows(event, model.spacecraft)
+        gained = momentum_gained(physics, terms.wheel_places, data)
+        columns = physics.arms_m[:, None] * data.on_time_s[:, None, :]
+        gathered.append((gained, columns))
+        couples = event.sampling.couples
+        estimates = {
+            PER_EVENT: individual_and_paired(columns, gained, couples),
+            MEAN_OF_COUPLES: mean_thrust(columns, gained, _paired(couples)),
+            MEAN: mean_thrust(columns, gained, range(columns.shape[-1])),
+        }
+        on_time, pulses = data.on_time_s[-1], data.pulses[-1]
+        factors = {
+            "": correction_factor(on_time, pulses, batch),
+            UNCORRECTED: np.ones((len(gained), len(on_time))),
+            BY_R: ratio(event.sampling, data, batch),
+        }
+        rows += _thrust_rows(model, event.event.id, estimates, factors, on_time, couples)
+    if len(gathered) > 1:
+        rows += _pooled(model, batch, events, gathered)
+    return pd.DataFrame(rows)
+
+
+def _assumed(model: JointModel) -> tuple[dict[str, Array], Physics]:
+    """Prior means, then one point per perturbation: parameters (n,) and their physics."""
+    space = model.space
+    means = {n: d.mean() for n, d in zip(space.names, space.distributions, strict=True)}
+    nominal = {**space.fixed, **means}
+    points = [nominal, *perturbed(model.specs, nominal)]
+    batch = {name: np.array([point[name] for point in points]) for name in nominal}
+    absent = {n: np.zeros(len(points)) for n in model.absent_wheel_parameters}
+    fires = bool(model.fired_ids)
+    return batch, physics_of(model.spacecraft, model.branch, {**batch, **absent}, fires=fires)
+
+
+def momentum_gained(physics: Physics, wheels: tuple[int, ...], data: PlainRows) -> Array:
+    """I Δω + ΔH_w + ∫ ω × (I ω + H_w) dt per row, (n, rows, 3) N m s (paper 000 eq. 15)."""
+    weights = physics.wheel_weights[..., list(wheels)]
+    body = np.einsum("nij,tj->nti", physics.inertia_kg_m2, data.rate_rad_s)
+    momentum = body + np.einsum("niw,tw->nti", weights, data.wheel_rad_s)
+    torque = np.cross(data.rate_rad_s, momentum)
+    steps = np.diff(data.time_s)[:, None]
+    turned = np.cumsum(0.5 * (torque[:, 1:] + torque[:, :-1]) * steps, axis=1)
+    gyroscopic = np.concatenate([np.zeros_like(torque[:, :1]), turned], axis=1)
+    return np.asarray(momentum - momentum[:, :1] + gyroscopic)
+
+
+def individual_and_paired(columns: Array, gained: Array, couples: Sequence[Sequence[int]]) -> Array:
+    """Thrust per thruster, one unknown per couple (paper 000 eqs. 18-21); NaN where none fired.
+
+    columns (n, rows, 3, K), gained (n, rows, 3) → (n, K).
+    """
+    members = np.zeros((len(couples), columns.shape[-1]))
+    for g, couple in enumerate(couples):
+        members[g, list(couple)] = 1.0
+    grouped = columns @ members.T
+    fired = np.any(grouped != 0.0, axis=(0, 1, 2))
+    found = np.full((len(columns), len(couples)), np.nan)
+    found[:, fired] = _solve(grouped[..., fired], gained)
+    place = members.argmax(0)
+    return np.asarray(found[:, place])
+
+
+def mean_thrust(columns: Array, gained: Array, thrusters: Sequence[int] | range) -> Array:
+    """One thrust for several thrusters (paper 000 eqs. 22-23), (n, K); NaN for the others.
+
+    The rows of axes about which these thrusters have no torque say nothing and have no weight.
+    """
+    found = np.full((len(columns), columns.shape[-1]), np.nan)
+    if len(thrusters) == 0:
+        return found
+    summed = columns[..., list(thrusters)].sum(-1, keepdims=True)
+    acts = np.any(np.abs(summed[0, ..., 0]) > 1e-9, axis=0)
+    if acts.any():
+        found[:, list(thrusters)] = _solve(summed[:, :, acts], gained[:, :, acts])
+    return found
+
+
+def _solve(columns: Array, target: Array) -> Array:
+    """Least squares over rows and axes for n points: (n, rows, 3, G), (n, rows, 3) → (n, G)."""
+    n, unknowns = len(columns), columns.shape[-1]
+    design = columns.reshape(n, -1, unknowns)
+    right = np.swapaxes(design, 1, 2) @ target.reshape(n, -1, 1)
+    normal = np.swapaxes(design, 1, 2) @ design
+    return np.asarray((np.linalg.pinv(normal, hermitian=True) @ right)[..., 0])
+
+
+def _paired(couples: Sequence[Sequence[int]]) -> list[int]:
+    return sorted(k for couple in couples if len(couple) > 1 for k in couple)
+
+
+def ratio(sampling: Sampling, data: PlainRows, parameters: Mapping[str, Array]) -> Array:
+    """R of paper 000: impulse over rectangular impulse of the pulses as they were, (n, K).
+
+    Widths come from the counters' increments; 1 where a thruster did not fire.
+    """
+    on_time, pulses = np.diff(data.on_time_s, axis=0), np.diff(data.pulses, axis=0)
+    total = data.on_time_s[-1]
+    found = np.ones((len(parameters["tau_fall_s"]), len(total)))
+    for i in range(len(found)):
+        reference = tuple(float(parameters[f"tau_{p}_s"][i]) for p in ("delay", "rise", "fall"))
+        shape = PULSE_SHAPES["published_2005"]
+        own = Sampling(
+            shape, (reference[0], reference[1], reference[2]), 0.0, sampling.couples, 1.0
+        )
+        effective = effective_increments(on_time, pulses, own)[..., 0].sum(0)
+        found[i] = np.where(total > 0, effective / np.where(total > 0, total, 1.0), 1.0)
+    return found
+
+
+def _thrust_rows(
+    model: JointModel,
+    event: str,
+    estimates: Mapping[str, Array],
+    factors: Mapping[str, Array],
+    on_time: Array,
+    couples: Sequence[Sequence[int]],
+) -> list[dict[str, object]]:
+    """Table rows of one event; a mean over thrusters is divided by their mean factor."""
+    rows: list[dict[str, object]] = []
+    names = model.spacecraft.thruster_names(model.branch)
+    groups = {MEAN: list(range(len(names))), MEAN_OF_COUPLES: _paired(couples)}
+    for method, values in estimates.items():
+        for suffix, factor in factors.items():
+            if method in groups:
+                members = groups[method]
+                weight = on_time[members]
+                shared = (factor[:, members] * weight).sum(-1) / max(float(weight.sum()), 1e-9)
+                factor = np.broadcast_to(shared[:, None], factor.shape)
+                seconds = np.full(len(names), weight.sum())
+            else:
+                seconds = on_time
+            for k in range(len(names)):
+                if np.isfinite(values[0, k]):
+                    own = values[:, k] / factor[:, k]
+                    rows.append(_row(method + suffix, event, names[k], own, seconds[k], on_time[k]))
+    return rows
+
+
+def _row(
+    method: str, event: str, thruster: str, values: Array, counted_s: float, on_time_s: float
+) -> dict[str, object]:
+    shifts = values[1:] - values[0]
+    valid = bool(counted_s >= MINIMUM_ON_TIME_S)
+    return {
+        "method": method,
+        "event": event,
+        "thruster": thruster,
+        "estimate_n": values[0],
+        "bar_rss_n": float(np.sqrt((shifts**2).sum())),
+        "bar_worst_n": float(np.abs(shifts).sum()),
+        "on_time_s": on_time_s,
+        "valid": valid,
+        "note": "" if valid else f"on-time below {MINIMUM_ON_TIME_S:g} s",
+    }
+
+
+def _pooled(
+    model: JointModel,
+    batch: Mapping[str, Array],
+    events: Sequence[ReducedEvent],
+    gathered: Sequence[tuple[Array, Array]],
+) -> list[dict[str, object]]:
+    """All events' rows in one least squares, divided by T."""
+    fired = [event for event in events if event.fires]
+    gained = np.concatenate([part[0] for part in gathered], axis=1)
+    columns = np.concatenate([part[1] for part in gathered], axis=1)
+    values = individual_and_paired(columns, gained, fired[0].sampling.couples)
+    on_time = np.sum([event.reading.on_time_s for event in fired], axis=0)
+    pulses = np.sum([event.reading.pulses for event in fired], axis=0)
+    values = values / correction_factor(on_time, pulses, batch)
+    names = model.spacecraft.thruster_names(model.branch)
+    return [
+        _row(POOLED, "", names[k], values[:, k], on_time[k], on_time[k])
+        for k in range(len(names))
+        if np.isfinite(values[0, k])
+    ]
+
+
+def inertia_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+    """Inertia by the papers' methods from every slew, and from all slews together.
+
+    Columns label, method, event ("" for all slews), element, estimate_kg_m2, bar_rss_kg_m2,
+    bar_worst_kg_m2; an element that the rows do not determine is NaN.
+    """
+    _, physics = _assumed(model)
+    parts: list[tuple[str, Array, Array]] = []
+    for terms, event in zip(model.telemetry, events, strict=True):
+        if terms.statistics.kind == "slew":
+            data = plain_rows(event, model.spacecraft)
+            exchanged = momentum_exchanged(physics, terms.wheel_places, data)
+            parts.append((event.event.id, data.rate_rad_s, exchanged))
+    rows: list[dict[str, object]] = []
+    for event_id, rate, exchanged in parts:
+        rows += _inertia_rows(event_id, rate, exchanged)
+    if len(parts) > 1:
+        rate = np.concatenate([part[1] for part in parts])
+        rows += _inertia_rows("", rate, np.concatenate([part[2] for part in parts], axis=1))
+    return pd.DataFrame(rows)
+
+
+def momentum_exchanged(physics: Physics, wheels: tuple[int, ...], data: PlainRows) -> Array:
+    """Q = P(t) P(0)⁻¹ T I_w ρ(0) − T I_w ρ(t), (n, rows, 3) N m s (paper 000 eq. 6).
+
+    The body is taken to be at rest on the first row.
+    """
+    weights = physics.wheel_weights[..., list(wheels)]
+    momentum = np.einsum("niw,tw->nti", weights, data.wheel_rad_s)
+    turned = data.attitude @ data.attitude[0].T
+    return np.asarray(np.einsum("tij,nj->nti", turned, momentum[:, 0]) - momentum)
+
+
+def axis_by_axis(rate: Array, exchanged: Array) -> Array:
+    """Elements (n, 6) from the rows that turn about one axis (paper 000 eq. 7).
+
+    A product of inertia is the mean of its two estimates; NaN where no row turns about an axis.
+    """
+    tensor = np.full((len(exchanged), 3, 3), np.nan)
+    size = np.abs(rate)
+    for axis in range(3):
+        others = np.delete(size, axis, axis=1).max(1)
+        own = size[:, axis]
+        pure = (others < PURE * own) & (own > TURNING * own.max())
+        if pure.sum() > 1:
+            turning = rate[pure, axis]
+            tensor[:, :, axis] = np.einsum("t,nti->ni", turning, exchanged[:, pure]) / (
+                turning @ turning
+            )
+    both = np.stack([tensor, np.swapaxes(tensor, 1, 2)])
+    known = np.isfinite(both)
+    summed = np.where(known, both, 0.0).sum(0)
+    mean = np.where(known.any(0), summed / np.maximum(known.sum(0), 1), np.nan)
+    return np.stack([mean[:, i, j] for i, j in PLACES], axis=-1)
+
+
+def all_axes(rate: Array, exchanged: Array) -> Array:
+    """All six elements (n, 6) at once (paper 000 eqs. 10-11); NaN where they are not determined."""
+    design = np.zeros((len(rate), 3, 6))
+    for place, (i, j) in enumerate(PLACES):
+        design[:, i, place] += rate[:, j]
+        if i != j:
+            design[:, j, place] += rate[:, i]
+    flat = design.reshape(-1, 6)
+    if np.linalg.matrix_rank(flat) < 6:
+        return np.full((len(exchanged), 6), np.nan)
+    answer = np.linalg.lstsq(flat, exchanged.reshape(len(exchanged), -1).T, rcond=None)[0]
+    return np.asarray(answer.T)
+
+
+def _inertia_rows(event: str, rate: Array, exchanged: Array) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = []
+    for method, solve in ((AXIS_BY_AXIS, axis_by_axis), (ALL_AXES, all_axes)):
+        values = solve(rate, exchanged)
+        shifts = values[1:] - values[0]
+        for place, element in enumerate(ELEMENTS):
+            rows.append(
+                {
+                    "label": f"{method}, {event or 'all slews'}",
+                    "method": method,
+                    "event": event,
+                    "element": element,
+                    "estimate_kg_m2": values[0, place],
+                    "bar_rss_kg_m2": float(np.sqrt((shifts[:, place] ** 2).sum())),
+                    "bar_worst_kg_m2": float(np.abs(shifts[:, place]).sum()),
+                }
+            )
+    return rows

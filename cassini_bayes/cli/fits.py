@@ -46,7 +46,11 @@ def run_command(
 
 def fit_command(
     events: Annotated[
-        list[str], typer.Argument(metavar="EVENT...", help="Totals CSV, or CSV:ID for one row.")
+        list[str],
+        typer.Argument(
+            metavar="EVENT...",
+            help="Event folder (telemetry), totals CSV, or CSV:ID for one of its rows; any mix.",
+        ),
     ],
     priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],

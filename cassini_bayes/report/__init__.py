@@ -33,6 +33,7 @@ from cassini_bayes.report.telemetry import (
     inertia_table,
     method_table,
     observability_table,
+    thrust_method_tables,
 )
 from cassini_bayes.report.thrusts import (
     key_numbers,
@@ -91,6 +92,7 @@ def render_report(review: Review, figures: Mapping[str, Figure]) -> str:
         telemetry_events=event_table(review),
         inertia=inertia_table(review),
         inertia_methods=method_table(review),
+        thrust_methods=thrust_method_tables(review),
         observability=observability_table(review),
         summary=[*inertia_sentence(review), *summary_sentences(review)],
         key_numbers=[*inertia_numbers(review), *key_numbers(review)],

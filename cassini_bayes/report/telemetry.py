@@ -105,6 +105,39 @@ def _estimate(row: pd.Series) -> Cell:
     return Cell(plus_minus(estimate, bar))
 
 
+def thrust_method_tables(review: Review) -> list[Table]:
+    """The papers' thrust estimates of every telemetry event, one table each: methods by thruster.
+
+    † marks on-times below 5 s, not valid by the papers' own rule.
+    """
+    if review.telemetry is None or review.baseline.empty:
+        return []
+    tables = []
+    for event in review.telemetry.events["event"]:
+        own = review.baseline[review.baseline["event"] == event]
+        if own.empty:
+            continue
+        names = list(dict.fromkeys(own["thruster"]))
+        rows = []
+        for method, estimates in own.groupby("method", sort=False):
+            by_name = estimates.set_index("thruster")
+            label = str(method).replace(", per event", "")
+            label += "" if "," in label else ", divided by T"
+            cells = (
+                _thrust(by_name.loc[n]) if n in by_name.index else Cell(MISSING, "muted")
+                for n in names
+            )
+            rows.append((Cell(label), *cells))
+        columns = ("method", *(f"{name} [N]" for name in names))
+        tables.append(Table(columns, tuple(rows), title=str(event)))
+    return tables
+
+
+def _thrust(row: pd.Series) -> Cell:
+    text = plus_minus(float(row["estimate_n"]), float(row["bar_rss_n"]))
+    return Cell(text) if row["valid"] else Cell(f"{text} †", "muted")
+
+
 def event_table(review: Review) -> Table | None:
     """Telemetry events: rows read and used, and how many of them the noise explains."""
     if review.telemetry is None:
