@@ -24,7 +24,9 @@ GRADIENT_STEP = 1e-4
 HESSIAN_STEP = 2e-2
 LEAST_CURVATURE = 0.25
 WHITENED_STEP = 0.25  # standard deviations
-WHITENED_LOOKS = 2
+WHITENED_LOOKS = 4
+WHITENED_LEAST_CURVATURE = 1e-2  # a look may widen a direction tenfold
+SETTLED = 0.1
 LONGEST_STEP = 3.0  # standard deviations, of one Newton step
 
 
@@ -145,24 +147,26 @@ def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
     """
     mode = start
     _, curvature = hessian(log_density, mode)
-    factor = _covariance_factor(-curvature)
+    # the prior alone has curvature one; far less is finite-difference noise or a saddle
+    factor = _covariance_factor(-curvature, LEAST_CURVATURE)
     for _ in range(WHITENED_LOOKS):
         gradient, curvature = hessian(log_density, mode, factor, WHITENED_STEP)
-        inner = _covariance_factor(-curvature)
+        inner = _covariance_factor(-curvature, WHITENED_LEAST_CURVATURE)
         shift = inner @ (inner.T @ gradient)
         size = float(np.sqrt(shift @ shift))
         moved = mode + factor @ (shift * min(1.0, LONGEST_STEP / max(size, LONGEST_STEP)))
         if log_density(moved[None])[0] > log_density(mode[None])[0]:
             mode = moved
         factor = np.asarray(np.linalg.cholesky(factor @ inner @ inner.T @ factor.T))
+        if size < SETTLED and np.abs(curvature + np.eye(len(mode))).max() < SETTLED:
+            break
     return mode, factor
 
 
-def _covariance_factor(curvature: Array) -> Array:
-    """Lower factor of the inverse of a curvature, whose eigenvalues are kept away from zero."""
+def _covariance_factor(curvature: Array, least: float) -> Array:
+    """Lower factor of the inverse of a curvature whose eigenvalues are raised to ``least``."""
     values, vectors = np.linalg.eigh(curvature)
-    # the prior alone has curvature one; far less is finite-difference noise or a saddle
-    covariance = (vectors / np.maximum(values, LEAST_CURVATURE)) @ vectors.T
+    covariance = (vectors / np.maximum(values, least)) @ vectors.T
     return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
