@@ -40,7 +40,9 @@ def events_of(review: Review) -> list[str]:
 
 
 def thrusters_of(review: Review) -> list[str]:
-    """Thruster names in the order of the spacecraft."""
+    """Thruster names in the order of the spacecraft; none in a fit without thrusts."""
+    if "thruster" not in review.fit.posterior.coords:
+        return []
     return [str(name) for name in review.fit.posterior.coords["thruster"].values]
 
 
