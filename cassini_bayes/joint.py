@@ -160,8 +160,13 @@ def build_joint_model(
     statistics: Sequence[tuple[EventStatistics, Sampling]],
     priors: Priors,
     totals: TotalsModel | None = None,
+    *,
+    keep_idle: bool = False,
 ) -> JointModel:
     """Assemble the model of telemetry events, with totals rows if there are any.
+
+    ``keep_idle`` keeps the columns that have no weight yet, for effects to be added;
+    :func:`without_idle` drops them.
 
     Raises
     ------
@@ -214,7 +219,7 @@ def build_joint_model(
         torque_mean_n_m=np.array(means),
         torque_sd_n_m=np.array(scales),
     )
-    return without_idle(model)
+    return model if keep_idle else without_idle(model)
 
 
 def without_idle(model: JointModel) -> JointModel:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.physics import Physics, physics_of
 from cassini_bayes.spacecraft import Spacecraft
-from cassini_bayes.statistics import EventStatistics, Sampling, contract, explained_by_modes
+from cassini_bayes.statistics import EventStatistics, Layout, Sampling, contract, explained_by_modes
 from cassini_bayes.statistics.columns import CUT_PARTS
 from cassini_bayes.terms import RAD_S_PER_RPM
 
@@ -88,8 +88,14 @@ class TelemetryTerms:
 
     @property
     def extra(self) -> tuple[str, ...]:
-        """Names of the columns that effects brought."""
-        return self.statistics.layout.extra
+        """Names of the columns that effects brought and that act on their own."""
+        return tuple(name for name in self.statistics.layout.extra if "@" not in name)
+
+    def extra_of(self, thruster: int) -> tuple[str, ...]:
+        """Names of the columns of effects that act through a thruster's thrust."""
+        layout = self.statistics.layout
+        ending = f"@{layout.thrusters[thruster]}"
+        return tuple(name for name in layout.extra if name.endswith(ending))
 
     @property
     def fires(self) -> bool:
@@ -223,21 +229,29 @@ def _pattern(statistics: EventStatistics) -> Pattern:
     layout = statistics.layout
     cuts = tuple(int(place) for place in np.flatnonzero(statistics.close_pairs > 0))
     entries: list[list[int]] = []
-    for k in range(len(layout.thrusters)):
+    for k, name in enumerate(layout.thrusters):
         first = layout.fired.start + 9 * k
         couple = next(g for g, members in enumerate(layout.couples) if k in members)
         own = [layout.cut.start + place for place in cuts if place // CUT_PARTS == couple]
         count = layout.pulse_count.start + k
-        entries.append([*range(first, first + 9), count, *own])
+        entries.append([*range(first, first + 9), count, *own, *_owned(layout, name)])
     entries += [[column] for column in range(layout.torque.stop)]
     entries += [[layout.cut.start + place] for place in cuts]
     measured = [*range(layout.rate.start, layout.wheel.stop)]
     torque = range(layout.torque.start, layout.torque.stop)
-    extra = range(layout.extra_place.start, layout.extra_place.stop)
-    entries.append([*measured, *torque, *extra])
+    entries.append([*measured, *torque, *_owned(layout, "")])
     start = np.cumsum([0, *map(len, entries)])
     row = [column for own in entries for column in own]
     return Pattern(np.array(row), start.astype(np.int64), len(layout.thrusters), cuts)
+
+
+def _owned(layout: Layout, thruster: str) -> list[int]:
+    """Extra columns that act through a thruster's thrust (named ``what@thruster``), or the rest."""
+    return [
+        layout.extra_place.start + i
+        for i, name in enumerate(layout.extra)
+        if name.partition("@")[2] == thruster
+    ]
 
 
 def event_system(
@@ -414,7 +428,13 @@ def _weights(
             fired = (arm[:, :, None] * strength[:, None, :]).reshape(n, 9, 1)
             weights[:, first : first + 9] = fired
             weights[:, first + 9] = offset[:, thruster, None] * arm
-            weights[:, first + 10 : stop] = (-probability * lost[:, None] * arm)[:, None, :]
+            names = terms.extra_of(thruster)
+            cuts = stop - len(names)
+            weights[:, first + 10 : cuts] = (-probability * lost[:, None] * arm)[:, None, :]
+            for i, name in enumerate(names):
+                if name in physics.extra:
+                    on_time = factor[:, thruster] * np.asarray(physics.extra[name])
+                    weights[:, cuts + i] = on_time[:, None] * arm
         couples = terms.statistics.layout.couples
         counts = terms.statistics.close_pairs
         spread = np.sqrt(probability * (1.0 - probability))

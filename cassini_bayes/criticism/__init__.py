@@ -1,0 +1,1 @@
+"""What a simulation gets wrong: symptoms, named causes, extended models, the gain."""

@@ -1,0 +1,85 @@
+"""Columns of telemetry that effects need beyond the balance's own.
+
+A column named ``what@thruster`` is multiplied by that thruster's thrust and lever arm, so that its
+weight is on-time (s per column unit); other columns carry a momentum weight of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.statistics import ExtraColumn, RowContext
+
+Array = NDArray[np.float64]
+WARMUP_NODES_S: Final = (1.0, 3.0, 8.0, 20.0)
+SHIFT_NODES_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
+FLEXIBLE: Final = ("flexible:cosine", "flexible:sine")
+_TAIL_S: Final = 0.030  # on-time that a pulse's tail adds; the shift's weight is good to a percent
+
+
+def warmup_column(thruster: str, time_constant_s: float) -> str:
+    """Name of the column of a warm-up of this time constant."""
+    return f"warmup:{time_constant_s:g}@{thruster}"
+
+
+def shift_column(thruster: str, offset_s: float) -> str:
+    """Name of the column of counters looked up later by ``offset_s``."""
+    return f"shift:{offset_s:g}@{thruster}"
+
+
+def telemetry_columns(thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
+    """Every column that the catalogue needs and that does not depend on a first fit."""
+    columns = []
+    for k, name in enumerate(thrusters):
+        for node in WARMUP_NODES_S:
+            columns.append(ExtraColumn(warmup_column(name, node), partial(_warmup, k, node)))
+        for node in SHIFT_NODES_S:
+            if node != 0.0:
+                columns.append(ExtraColumn(shift_column(name, node), partial(_shifted, k, node)))
+    return tuple(columns)
+
+
+def _warmup(place: int, time_constant_s: float, context: RowContext) -> Array:
+    """∫ exp(−u/t_w) du over the thruster's on-time so far: on-time lost per unit of deficit."""
+    on_time = context.on_time_at(context.time_s)[:, place]
+    return np.asarray(time_constant_s * -np.expm1(-on_time / time_constant_s))
+
+
+def _shifted(place: int, offset_s: float, context: RowContext) -> Array:
+    """Effective on-time that had been delivered but was shown ``offset_s`` later."""
+
+    def counted(values: Array) -> Array:
+        later = np.interp(context.time_s + offset_s, context.counter_time_s, values[:, place])
+        now = np.interp(context.time_s, context.counter_time_s, values[:, place])
+        return np.asarray(later - now)
+
+    return counted(context.on_time_s) + _TAIL_S * counted(context.pulses)
+
+
+def flexible_columns(frequency_hz: float, damping: float) -> tuple[ExtraColumn, ...]:
+    """exp(−ζ 2π f t) times cosine and sine of 2π f t."""
+    return tuple(
+        ExtraColumn(name, partial(_oscillation, frequency_hz, damping, part))
+        for part, name in enumerate(FLEXIBLE)
+    )
+
+
+def _oscillation(frequency_hz: float, damping: float, part: int, context: RowContext) -> Array:
+    phase = 2.0 * np.pi * frequency_hz * context.time_s
+    return np.asarray(np.exp(-damping * phase) * (np.cos(phase), np.sin(phase))[part])
+
+
+def hat_weights(value: Array, nodes: Array) -> Array:
+    """Weights (n, nodes) of piecewise linear interpolation at values (n,), held at the ends."""
+    inside = np.clip(value, nodes[0], nodes[-1])
+    place = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, len(nodes) - 2)
+    share = (inside - nodes[place]) / (nodes[place + 1] - nodes[place])
+    result = np.zeros((*inside.shape, len(nodes)))
+    np.put_along_axis(result, place[..., None], (1.0 - share)[..., None], axis=-1)
+    np.put_along_axis(result, place[..., None] + 1, share[..., None], axis=-1)
+    return result
