@@ -300,7 +300,7 @@ def event_system(
     walk = parameters["torque_noise_n_m_s05"] ** 2
     if np.any(walk > 0):
         ratio = walk[:, None, None] * terms.mode_values / values[:, :, None]
-        gain = walk[:, None, None] / (values[:, :, None] ** 2 * (1.0 + ratio))
+        gain = walk[:, None, None] / values[:, :, None] / (values[:, :, None] * (1.0 + ratio))
         normal = normal - explained_by_modes(
             reduced.projection, reduced.row, reduced.start, weights, vectors, gain
         )
