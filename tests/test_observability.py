@@ -1,0 +1,60 @@
+"""What events can see, from their Gram matrices: it comes true, and blind events are blind."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from event_cases import model
+
+from cassini_bayes.joint import joint_log_posterior
+from cassini_bayes.observability import observability
+from cassini_bayes.warmstart import warm_start
+
+
+@pytest.mark.parametrize("names", [("bias",), ("bias", "slews")])
+def test_expected_widths_come_true(names: tuple[str, ...]) -> None:
+    """Expected over prior widths are those of the posterior, within a third."""
+    joint = model(*names)
+    table = observability(joint).table.set_index("quantity")
+    warm = warm_start(
+        partial(joint_log_posterior, joint), joint.space.dimension, np.random.default_rng(3)
+    )
+    weights = np.exp(warm.draws.log_weights)
+    mean = weights @ warm.draws.z
+    width = np.sqrt(weights @ (warm.draws.z - mean) ** 2)
+    asked = [n for n, b in zip(joint.space.names, joint.space.blocks, strict=True) if b != "noise"]
+    places = [joint.space.names.index(name) for name in asked]
+    expected = table.loc[asked, "ratio"].to_numpy(dtype=float)
+    told = expected > 0.05  # narrower ones depend on where in the prior the truth lies
+    assert told.sum() > 10
+    assert np.abs(np.log(width[places][told] / expected[told])).max() < np.log(4 / 3)
+
+
+def test_slews_see_inertia_and_biases_see_thrust() -> None:
+    """A slew has no thrust to see; a bias sees nothing of the height of the Z thrusters."""
+    slews = observability(model("slews"))
+    assert not slews.table["block"].eq("thrust").any()
+    moments = [f"inertia_{e}_kg_m2" for e in ("xx", "yy", "zz")]
+    assert set(slews.table.set_index("quantity").loc[moments, "verdict"]) == {"seen well"}
+    bias = observability(model("bias")).table.set_index("quantity")
+    assert bias.loc["thruster_lzz_m", "verdict"] == "not seen"
+    assert bias.loc["thrust[all events,y2]", "ratio"] < 0.9
+
+
+def test_more_events_see_no_less() -> None:
+    """Adding slews narrows every expected width or leaves it."""
+    alone = observability(model("bias")).table.set_index("quantity")["ratio"]
+    both = observability(model("bias", "slews")).table.set_index("quantity")["ratio"]
+    assert (both.reindex(alone.index) <= alone * (1 + 1e-9)).all()
+
+
+def test_the_words_name_what_is_tied_together() -> None:
+    """Moments and wheel inertias scale together in slews: said, and singular values are sorted."""
+    seen = observability(model("slews"))
+    assert any("inertia_xx_kg_m2" in s and "rwa" in s for s in seen.sentences if "tied" in s)
+    assert np.all(np.diff(seen.singular_values) <= 1e-9)
+    assert seen.sentences[0].startswith("Expected before sampling")
+    blind = observability(model("bias")).table["ratio"].max()
+    assert blind == pytest.approx(1.0, abs=1e-6)
