@@ -65,6 +65,7 @@ _TAIL_SPAN: Final = 5.0
 _PRIOR_SPAN: Final = 2.0
 _POINTS: Final = 4
 _BLOCK: Final = 400
+_FAR: Final = 12.0
 
 
 @dataclass(frozen=True)
@@ -397,8 +398,13 @@ def joint_log_likelihood(model: JointModel, z: Array) -> Array:
 
 
 def joint_log_posterior(model: JointModel, z: Array) -> Array:
-    """Collapsed log likelihood plus log prior density in z, (n,); each prior counts once."""
-    return np.asarray(joint_log_likelihood(model, z) + model.space.log_prior_terms(z).sum(-1))
+    """Collapsed log likelihood plus log prior density in z, (n,); each prior counts once.
+
+    Far out in a proposal's tails, where the prior has 1e-32, quantiles overflow: −∞ there.
+    """
+    inside = np.clip(z, -_FAR, _FAR)
+    density = joint_log_likelihood(model, inside) + model.space.log_prior_terms(inside).sum(-1)
+    return np.where((inside == z).all(-1), density, -np.inf)
 
 
 @dataclass(frozen=True)
