@@ -45,6 +45,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("model",),
     ("posterior",),
     ("telemetry_terms",),
+    ("delta_v_terms",),
     ("joint",),
     ("predictive", "event_reduction"),
     ("result", "warmstart", "inertia"),
@@ -54,7 +55,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("fitting",),
     ("scenario", "ranks"),
     ("bias_comparison",),
-    ("baselines", "sensitivity", "criticism", "prediction", "calibration", "telemetry_calibration", "trend"),
+    ("baselines", "sensitivity", "criticism", "prediction", "calibration", "telemetry_calibration", "trend", "sweep"),
     ("telemetry_baselines",),
     ("review",),
     ("joint_review",),
@@ -62,7 +63,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("report",),
     ("configuration", "simulation_results", "prediction_results", "campaigns", "telemetry_campaign"),
     ("provenance", "inputs"),
-    ("run",),
+    ("run", "sweep_run"),
     ("cli",),
 )
 

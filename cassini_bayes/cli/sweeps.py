@@ -1,0 +1,91 @@
+"""`sweep`: how much a finished run leans on its priors."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import typer
+
+from cassini_bayes.cli.options import ConsoleReporter, Json, Quiet
+from cassini_bayes.configuration import read_run_file
+from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
+from cassini_bayes.sweep_run import SweepOutcome, execute_sweep
+
+
+def sweep_command(
+    run_file: Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")],
+    spec: Annotated[
+        Path | None, typer.Option("--spec", help="Sweep file (.toml); without one, every block.")
+    ] = None,
+    quantity: Annotated[
+        list[str] | None,
+        typer.Option("--quantity", help="Quantity to watch, as in summary.csv; may be repeated."),
+    ] = None,
+    fit: Annotated[
+        Path | None, typer.Option("--fit", help="Folder of the finished run (with fit.nc).")
+    ] = None,
+    refit: Annotated[
+        str | None, typer.Option("--refit", help="auto, always or never (overrides the file).")
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
+    dask: Annotated[
+        str | None, typer.Option("--dask", help="Dask scheduler, e.g. tcp://host:8786.")
+    ] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Tables only: no figures, report left alone.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Sweep the priors of a finished run; go on with the same command after a stop."""
+    run = read_run_file(run_file)
+    sweep = SweepFile() if spec is None else read_sweep_file(spec)
+    where = "command line" if spec is None else str(spec)
+    changed: dict[str, Any] = {}
+    if quantity:
+        changed["quantities"] = list(quantity)
+    if refit is not None:
+        changed["refit"] = refit
+    if changed:
+        sweep = check_sweep({**sweep.model_dump(), **changed}, where)
+    outcome = execute_sweep(
+        run,
+        run_file.parent,
+        fit or run_file.parent / (run.output.folder or run_file.stem),
+        sweep,
+        where,
+        jobs=jobs,
+        dask=dask,
+        report=not no_report,
+        reporter=ConsoleReporter(quiet),
+    )
+    if as_json:
+        typer.echo(json.dumps(as_record(outcome), allow_nan=False))
+    elif not quiet:
+        typer.echo(str(outcome.folder / "sweep.csv"))
+
+
+def as_record(outcome: SweepOutcome) -> dict[str, Any]:
+    """The outcome as plain JSON types; what is not finite becomes null."""
+    tables = {name: _records(table) for name, table in outcome.tables.files().items()}
+    return {
+        "folder": str(outcome.folder),
+        "cells": outcome.cells,
+        "seconds": round(outcome.seconds, 1),
+        "interval": "central 90 %",
+        **tables,
+    }
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [
+        {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in row.items()
+        }
+        for row in json.loads(table.to_json(orient="records", double_precision=10))
+    ]

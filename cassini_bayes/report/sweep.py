@@ -1,0 +1,162 @@
+"""The section on priors that a sweep adds to a run's report."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from cassini_bayes.plots import Figure, encode
+from cassini_bayes.plots.quantities import MISSING
+from cassini_bayes.report.cells import Cell, Table
+from cassini_bayes.storage import write_text
+from cassini_bayes.sweep.scaling import EVENT, SENSITIVE
+from cassini_bayes.sweep.tables import SweepTables
+
+BEGIN: Final = "<!-- sweep of priors -->"
+END: Final = "<!-- end of the sweep of priors -->"
+_BEFORE: Final = '<section>\n<h2 id="provenance">'
+_ENTRY: Final = '<li><a href="#sweep">How much the answer leans on its priors</a></li>\n'
+_ENTRY_BEFORE: Final = '<li><a href="#provenance">'
+STRONGEST: Final = 12
+
+
+def write_sweep_section(
+    page: Path,
+    tables: SweepTables,
+    names: Sequence[str],
+    figures: Mapping[str, Figure],
+    facts: str,
+) -> None:
+    """Put the section into a report, in place of an earlier sweep's, atomically."""
+    html = page.read_text(encoding="utf-8")
+    section = f"{BEGIN}\n{render_section(tables, names, figures, facts)}\n{END}\n"
+    write_text(page, with_section(html, section))
+
+
+def with_section(html: str, section: str) -> str:
+    """The page with the section before its provenance, and an entry in its contents."""
+    if BEGIN in html and END in html:
+        head, rest = html.split(BEGIN, 1)
+        html = head + rest.split(END, 1)[1].removeprefix("\n")
+    place = _BEFORE if _BEFORE in html else "</main>"
+    html = html.replace(place, section + place, 1)
+    if _ENTRY not in html:
+        html = html.replace(_ENTRY_BEFORE, _ENTRY + _ENTRY_BEFORE, 1)
+    return html
+
+
+def render_section(
+    tables: SweepTables, names: Sequence[str], figures: Mapping[str, Figure], facts: str
+) -> str:
+    """The section as HTML; every text is escaped."""
+    environment = Environment(
+        loader=PackageLoader("cassini_bayes", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    pictures = {name: _address(figure) for name, figure in figures.items()}
+    return environment.get_template("sweep.html.jinja").render(
+        facts=facts,
+        pictures=pictures,
+        quantities=[(i, name) for i, name in enumerate(names, start=1)],
+        strongest=strongest_sentence(tables.sweep),
+        changes=changes_table(tables.sweep),
+        sentences=list(tables.conflict["sentence"]),
+        conflicts=int((tables.conflict["verdict"] == "conflict").sum()),
+        scaling=scaling_table(tables.scaling, names),
+        sensitive=SENSITIVE,
+        refits=int((tables.sweep["reported"] & (tables.sweep["estimate"] != "reweighted")).sum())
+        // max(len(names), 1),
+    )
+
+
+def strongest_sentence(sweep: pd.DataFrame) -> str:
+    """The change of a prior that moves any quantity most."""
+    shown = sweep[sweep["reported"] & (sweep["kind"] != "without")]
+    if shown.empty or shown["shift_sd"].isna().all():
+        return "No prior was changed."
+    row = shown.loc[shown["shift_sd"].abs().idxmax()]
+    return (
+        f"The change that moves an answer most is {row['group']}, {row['change']}: "
+        f"{row['quantity']} moves by {_signed(row['shift_sd'], 2)} ± {row['shift_error']:.2f} of "
+        f"its posterior standard deviation, and its interval is {row['width_ratio']:.2f} ± "
+        f"{row['width_error']:.2f} times as wide."
+    )
+
+
+def changes_table(sweep: pd.DataFrame) -> Table:
+    """The cells that move some quantity most, one row each, with what they do to it."""
+    shown = sweep[sweep["reported"] & sweep["shift_sd"].notna() & (sweep["kind"] != "without")]
+    strongest = shown.loc[
+        shown.assign(size=shown["shift_sd"].abs()).groupby(["group", "change"])["size"].idxmax()
+    ]
+    order = strongest["shift_sd"].abs().sort_values(ascending=False).index[:STRONGEST]
+    rows = []
+    for _, row in strongest.loc[order].iterrows():
+        k = float(row["pareto_k"])
+        rows.append(
+            (
+                Cell(f"{row['group']}: {row['change']}"),
+                Cell(str(row["quantity"])),
+                Cell(f"{_signed(row['shift_sd'], 2)} ± {row['shift_error']:.2f}"),
+                Cell(f"{row['width_ratio']:.2f} ± {row['width_error']:.2f}"),
+                Cell(str(row["estimate"])),
+                Cell(f"{k:.2f}".replace("-", "−") if np.isfinite(k) else MISSING,
+                     "flag" if k > 0.7 else ""),
+            )
+        )  # fmt: skip
+    return Table(
+        (
+            "changed prior",
+            "quantity it moves most",
+            "shift of the mean [posterior sd]",
+            "ratio of sd",
+            "estimate",
+            "Pareto k̂",
+        ),
+        tuple(rows),
+    )
+
+
+def scaling_table(scaling: pd.DataFrame, names: Sequence[str]) -> Table:
+    """Largest power-scaling sensitivity of every block, and what it is of; events left out."""
+    rows = []
+    own = scaling[~scaling["component"].str.startswith(EVENT)]
+    for component, part in own.groupby("component", sort=False):
+        worst = part.loc[part["sensitivity"].idxmax()]
+        rows.append(
+            (
+                Cell(str(component)),
+                Cell(f"{worst['sensitivity']:.3f}", "flag" if worst["sensitive"] else ""),
+                Cell(str(worst["quantity"])),
+                Cell(f"{int(part['sensitive'].sum())} of {len(names)}"),
+                Cell(f"{worst['pareto_k']:.2f}".replace("-", "−")),
+            )
+        )
+    return Table(
+        (
+            "prior block or likelihood",
+            "largest sensitivity",
+            "of",
+            "quantities above the threshold",
+            "Pareto k̂",
+        ),
+        tuple(rows),
+    )
+
+
+def _signed(value: float, places: int) -> str:
+    return f"{value:+.{places}f}".replace("-", "−")
+
+
+def _address(figure: Figure) -> str:
+    content = base64.b64encode(encode(figure, "svg")).decode("ascii")
+    return f"data:image/svg+xml;base64,{content}"

@@ -1,0 +1,89 @@
+"""Draws of every prior block in standard coordinates, before and after the data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from cassini_bayes.model import SOFTWARE, THRUST_COMMON
+from cassini_bayes.priors import Priors
+from cassini_bayes.result import Fit
+from cassini_bayes.sweep.models import SweepModel, walked_values
+
+Array = NDArray[np.float64]
+
+LEVELS: Final = "thrust_level_n"
+THRUST: Final = "thrust"
+_TORQUE: Final = "external_torque_n_m"
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Coordinates of one prior block: names and draws from prior (m, p) and posterior (n, p).
+
+    Before the data each has mean 0 and standard deviation 1.
+    """
+
+    names: tuple[str, ...]
+    prior: Array
+    posterior: Array
+
+
+def block_coordinates(model: SweepModel, priors: Priors, fit: Fit) -> dict[str, Coordinates]:
+    """Block → coordinates. Walked parameters by their own z, what is integrated out standardised.
+
+    Thrust has the common level and every thruster's departure from it; torques are those of every
+    event; the flight software has its two constants.
+    """
+    sets = (fit.prior, fit.posterior)
+    walked = [
+        model.space.to_standard(walked_values(data, model.space.names, priors.spacecraft))
+        for data in sets
+    ]
+    found: dict[str, Coordinates] = {}
+    for block in dict.fromkeys(model.space.blocks):
+        columns = [i for i, own in enumerate(model.space.blocks) if own == block]
+        names = tuple(model.space.names[i] for i in columns)
+        found[block] = Coordinates(names, walked[0][:, columns], walked[1][:, columns])
+    for block, drawn in _collapsed(sets, priors).items():
+        mean, sd = drawn[1].mean(0), drawn[1].std(0, ddof=1)
+        varies = sd > 0
+        if varies.any():
+            names = tuple(name for name, own in zip(drawn[0], varies, strict=True) if own)
+            before, after = (((d - mean) / np.where(varies, sd, 1.0))[:, varies] for d in drawn[1:])
+            found[block] = Coordinates(names, before, after)
+    return found
+
+
+def _collapsed(
+    sets: tuple[xr.Dataset, xr.Dataset], priors: Priors
+) -> Mapping[str, tuple[list[str], Array, Array]]:
+    """Block → names, prior draws (m, p), posterior draws (n, p) of what is integrated out."""
+    found: dict[str, tuple[list[str], Array, Array]] = {}
+    posterior = sets[1]
+    if LEVELS in posterior and priors.parameters[THRUST_COMMON].distribution is not None:
+        thrusters = [str(name) for name in posterior.coords["thruster"].values]
+        names = [THRUST_COMMON, *(f"{LEVELS}[{name}] − common" for name in thrusters)]
+        found[THRUST] = (names, _levels(sets[0]), _levels(sets[1]))
+    if _TORQUE in posterior:
+        events = [str(name) for name in posterior.coords["event"].values]
+        names = [f"{_TORQUE}[{event},{axis}]" for event in events for axis in "xyz"]
+        before, after = (data[_TORQUE].values.reshape(-1, len(names)) for data in sets)
+        found["torque"] = (names, before, after)
+    if all(name in posterior for name in SOFTWARE):
+        before, after = (
+            np.stack([data[name].values.reshape(-1) for name in SOFTWARE], -1) for data in sets
+        )
+        found["flight software"] = (list(SOFTWARE), before, after)
+    return found
+
+
+def _levels(data: xr.Dataset) -> Array:
+    common = data[THRUST_COMMON].values.reshape(-1, 1)
+    levels = data[LEVELS].values.reshape(len(common), -1)
+    return np.concatenate([common, levels - common], axis=1)

@@ -1,0 +1,100 @@
+"""Run many independent cells in parallel, each kept in a file of its own as soon as it is done.
+
+A cell's numbers depend on its inputs alone, never on the process that works it out, so one process,
+several, or a Dask cluster give the same files, and a killed grid goes on with the missing ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.checkpoint import CheckpointStore
+from cassini_bayes.errors import CassiniBayesError, InputError
+
+Arrays = dict[str, NDArray[np.generic]]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where cells are worked out: an executor, and how an argument they share reaches it."""
+
+    executor: Executor
+    share: Callable[[Any], Any]
+
+
+@contextmanager
+def workers_at(jobs: int, dask: str | None) -> Iterator[Workers]:
+    """Local processes, or the workers of a Dask cluster at an address such as tcp://host:8786.
+
+    Raises
+    ------
+    InputError
+        Dask is not installed, or nothing answers at the address.
+    """
+    if dask is None:
+        with ProcessPoolExecutor(max_workers=jobs) as pool:
+            yield Workers(pool, lambda shared: shared)
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(
+            "--dask", "Dask's distributed", "not installed", "install cassini_bayes[dask]"
+        ) from error
+    try:
+        client: Any = Client(dask, timeout="10s")  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise InputError(
+            "--dask", "a Dask scheduler", f"none at {dask}", "start one, or leave --dask out"
+        ) from error
+    with client, client.get_executor(pure=False) as pool:
+        yield Workers(pool, lambda shared: client.scatter(shared, broadcast=True))
+
+
+def run_cells(
+    work: Callable[..., Arrays],
+    shared: object,
+    cells: Mapping[str, Sequence[object]],
+    store: CheckpointStore,
+    workers: Workers,
+) -> Iterator[tuple[int, int]]:
+    """Work out the cells that ``store`` lacks as ``work(shared, *arguments)``, in any order.
+
+    Yields (done, all) at the start and whenever a cell has been stored.
+    """
+    missing = [name for name in cells if store.load(name) is None]
+    done = len(cells) - len(missing)
+    yield done, len(cells)
+    if not missing:
+        return
+    handle = workers.share(shared)
+    pending = {workers.executor.submit(work, handle, *cells[name]): name for name in missing}
+    try:
+        for future in as_completed(pending):
+            store.save(pending[future], future.result())
+            done += 1
+            yield done, len(cells)
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+def stored_cell(store: CheckpointStore, name: str) -> Arrays:
+    """Arrays of a finished cell.
+
+    Raises
+    ------
+    CassiniBayesError
+        The cell is missing.
+    """
+    arrays = store.load(name)
+    if arrays is None:
+        raise CassiniBayesError(f"{store.folder}: cell {name} is missing: run the sweep again")
+    return arrays

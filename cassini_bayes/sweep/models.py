@@ -1,0 +1,263 @@
+"""What a sweep needs of a model, and how totals and telemetry give it."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from cassini_bayes.checks import nearest
+from cassini_bayes.errors import InputError
+from cassini_bayes.event_reduction import ReducedEvent
+from cassini_bayes.events import TotalsEvent
+from cassini_bayes.joint import JointModel, build_joint_model, joint_log_likelihood
+from cassini_bayes.joint_result import build_joint_fit
+from cassini_bayes.model import (
+    SOFTWARE,
+    THRUST_COMMON,
+    THRUST_LEVELS,
+    TORQUES,
+    DeltaVUse,
+    TotalsModel,
+    build_model,
+)
+from cassini_bayes.parameter_space import ParameterSpace
+from cassini_bayes.posterior import log_likelihood
+from cassini_bayes.priors import Priors
+from cassini_bayes.result import build_fit
+from cassini_bayes.spacecraft import Spacecraft
+
+Array = NDArray[np.float64]
+
+
+class SweepModel(Protocol):
+    """A model as a sweep sees it: walked parameters, a collapsed likelihood, draws of the rest."""
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The walked parameters."""
+
+    @property
+    def collapsed(self) -> tuple[str, ...]:
+        """Parameters whose priors act although they are integrated out."""
+
+    def log_likelihood(self, z: Array) -> Array:
+        """Log likelihood (n,) at walked coordinates z (n, d), everything linear integrated out."""
+
+    def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
+        """Every quantity of the posterior at z (n, d): dims (chain 1, draw n, ...)."""
+
+
+class ModelFactory(Protocol):
+    """Makes the same model with other priors, or without one of its events."""
+
+    @property
+    def priors(self) -> Priors:
+        """The priors of the baseline."""
+
+    @property
+    def event_ids(self) -> tuple[str, ...]:
+        """Ids of all events."""
+
+    def build(self, priors: Priors, without: str = "") -> SweepModel:
+        """The model with these priors, leaving out the event named ``without``."""
+
+
+@dataclass(frozen=True)
+class TotalsSweepModel:
+    """Totals rows as a :class:`SweepModel`."""
+
+    model: TotalsModel
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The walked parameters."""
+        return self.model.space
+
+    @property
+    def collapsed(self) -> tuple[str, ...]:
+        """Parameters whose priors act although they are integrated out."""
+        software = SOFTWARE if self.model.computed is not None else ()
+        names = (THRUST_COMMON, *THRUST_LEVELS, *TORQUES, *software)
+        return tuple(name for name in names if name not in self.space.names)
+
+    def log_likelihood(self, z: Array) -> Array:
+        """Collapsed log likelihood (n,) at z (n, d)."""
+        return log_likelihood(self.model, z)
+
+    def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
+        """Every quantity of the posterior at z (n, d)."""
+        return build_fit(self.model, z[None], np.zeros((1, len(z))), rng, {}, 1).posterior
+
+
+@dataclass(frozen=True)
+class TotalsFactory:
+    """Totals rows with the choices of a run file."""
+
+    events: tuple[TotalsEvent, ...]
+    priors: Priors
+    pulse_shape: str = "first_order"
+    delta_v: DeltaVUse = "as-declared"
+
+    @property
+    def event_ids(self) -> tuple[str, ...]:
+        """Ids of all events."""
+        return tuple(event.id for event in self.events)
+
+    def build(self, priors: Priors, without: str = "") -> TotalsSweepModel:
+        """The model with these priors, leaving out the event named ``without``."""
+        kept = tuple(event for event in self.events if event.id != without)
+        return TotalsSweepModel(
+            build_model(kept, priors, pulse_shape=self.pulse_shape, delta_v=self.delta_v)
+        )
+
+
+@dataclass(frozen=True)
+class JointSweepModel:
+    """Telemetry, with totals rows or without, as a :class:`SweepModel`."""
+
+    model: JointModel
+    events: tuple[ReducedEvent, ...]
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The walked parameters."""
+        return self.model.space
+
+    @property
+    def collapsed(self) -> tuple[str, ...]:
+        """Parameters whose priors act although they are integrated out."""
+        thrusts = (THRUST_COMMON, *THRUST_LEVELS) if self.model.fired_ids else ()
+        totals = self.model.totals
+        software = SOFTWARE if totals is not None and totals.computed is not None else ()
+        names = (*thrusts, *TORQUES, *software)
+        return tuple(name for name in names if name not in self.space.names)
+
+    def log_likelihood(self, z: Array) -> Array:
+        """Collapsed log likelihood (n,) at z (n, d)."""
+        return joint_log_likelihood(self.model, z)
+
+    def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
+        """Every quantity of the posterior at z (n, d)."""
+        density = np.zeros((1, len(z)))
+        fit, _ = build_joint_fit(self.model, self.events, z[None], density, rng, {}, 1)
+        return fit.posterior
+
+
+@dataclass(frozen=True)
+class JointFactory:
+    """Reduced telemetry events, with the totals rows of the same run (None without any)."""
+
+    telemetry: tuple[ReducedEvent, ...]
+    priors: Priors
+    totals: TotalsFactory | None
+
+    @property
+    def event_ids(self) -> tuple[str, ...]:
+        """Ids of all events, totals rows first."""
+        rows = self.totals.event_ids if self.totals is not None else ()
+        return (*rows, *(reduced.event.id for reduced in self.telemetry))
+
+    def build(self, priors: Priors, without: str = "") -> SweepModel:
+        """The model with these priors, leaving out the event named ``without``."""
+        kept = tuple(reduced for reduced in self.telemetry if reduced.event.id != without)
+        rows = None
+        if self.totals is not None and set(self.totals.event_ids) != {without}:
+            rows = replace(self.totals, priors=priors).build(priors, without)
+        if not kept and rows is not None:
+            return rows
+        statistics = [(reduced.statistics, reduced.sampling) for reduced in kept]
+        totals = None if rows is None else rows.model
+        return JointSweepModel(build_joint_model(statistics, priors, totals), kept)
+
+
+def scalar_names(dataset: xr.Dataset) -> tuple[str, ...]:
+    """Names of every scalar that varies, as in summary.csv: ``thrust_n[<event>,<thruster>]``."""
+    return tuple(
+        name
+        for name, values in _scalars(dataset)
+        if np.isfinite(values).all() and np.ptp(values) > 0
+    )
+
+
+def _scalars(dataset: xr.Dataset) -> list[tuple[str, Array]]:
+    found = []
+    for quantity, variable in dataset.data_vars.items():
+        dims = variable.dims[2:]
+        values = variable.values.reshape(-1, *variable.shape[2:])
+        for place in np.ndindex(variable.shape[2:]):
+            labels = [
+                str(variable.coords[dim].values[i]) for dim, i in zip(dims, place, strict=True)
+            ]
+            name = f"{quantity}[{','.join(labels)}]" if labels else str(quantity)
+            found.append((name, np.asarray(values[(slice(None), *place)], dtype=np.float64)))
+    return found
+
+
+def chosen_names(dataset: xr.Dataset, patterns: Sequence[str], where: str) -> tuple[str, ...]:
+    """Scalars that the patterns name, in the fit's order.
+
+    A pattern is a scalar's name, a quantity's name (all its elements), or either with ``*``.
+
+    Raises
+    ------
+    InputError
+        A pattern that names nothing.
+    """
+    names = scalar_names(dataset)
+    kept: set[str] = set()
+    for pattern in patterns:
+        plain = pattern.replace("[", "[[]")  # brackets are part of names, not sets of letters
+        hits = [n for n in names if fnmatch.fnmatchcase(n, plain) or n.split("[")[0] == pattern]
+        if not hits:
+            raise InputError(
+                where,
+                "quantities of the posterior, as in summary.csv",
+                repr(pattern),
+                nearest(pattern, dict.fromkeys([*(n.split("[")[0] for n in names), *names])),
+            )
+        kept.update(hits)
+    return tuple(name for name in names if name in kept)
+
+
+def values_of(dataset: xr.Dataset, names: Sequence[str]) -> Array:
+    """Draws (n, q) of named scalars; NaN where the data set has none (an event left out)."""
+    found = dict(_scalars(dataset))
+    n = dataset.sizes["chain"] * dataset.sizes["draw"]
+    return np.stack([found.get(name, np.full(n, np.nan)) for name in names], axis=-1)
+
+
+def units_of(dataset: xr.Dataset, names: Sequence[str]) -> tuple[str, ...]:
+    """Unit of every named scalar."""
+    return tuple(str(dataset[name.split("[")[0]].attrs["units"]) for name in names)
+
+
+def walked_values(
+    dataset: xr.Dataset, names: Sequence[str], spacecraft: Spacecraft
+) -> dict[str, Array]:
+    """Draws (n,) of named parameters, whichever way the data set keeps them.
+
+    Raises
+    ------
+    InputError
+        The data set has no draws of one of them.
+    """
+    scalars = dict(_scalars(dataset))
+    wheels = {wheel.inertia_parameter: wheel.name for wheel in spacecraft.wheels}
+    found = {}
+    for name in names:
+        kept = f"rwa_inertia_kg_m2[{wheels[name]}]" if name in wheels else name
+        if kept not in scalars:
+            raise InputError(
+                "fit.nc: posterior",
+                f"draws of the parameter {name}",
+                "none",
+                "fit the run again with this version",
+            )
+        found[name] = scalars[kept]
+    return found

@@ -1,0 +1,60 @@
+"""Everything a finished sweep found, as tables: drawn nowhere, written nowhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import pandas as pd
+
+from cassini_bayes.checkpoint import CheckpointStore
+from cassini_bayes.result import Fit
+from cassini_bayes.sweep.conflict import conflict_table
+from cassini_bayes.sweep.coordinates import block_coordinates
+from cassini_bayes.sweep.knowledge import knowledge_table
+from cassini_bayes.sweep.models import ModelFactory, values_of
+from cassini_bayes.sweep.scaling import components, power_scaling
+from cassini_bayes.sweep.study import Study, baseline_table, sweep_table
+
+
+@dataclass(frozen=True)
+class SweepTables:
+    """Everything a sweep found, as tables; intervals are in the columns' names."""
+
+    baseline: pd.DataFrame
+    sweep: pd.DataFrame
+    scaling: pd.DataFrame
+    knowledge: pd.DataFrame
+    data_worth: pd.DataFrame
+    conflict: pd.DataFrame
+
+    def files(self) -> Mapping[str, pd.DataFrame]:
+        """The tables by the name of their file."""
+        return {
+            "baseline": self.baseline,
+            "sweep": self.sweep,
+            "scaling": self.scaling,
+            "knowledge": self.knowledge,
+            "data_worth": self.data_worth,
+            "conflict": self.conflict,
+        }
+
+
+def tables_of(study: Study, store: CheckpointStore, factory: ModelFactory, fit: Fit) -> SweepTables:
+    """Every table of a finished sweep."""
+    names, units = study.baseline.names, study.units
+    blocks = block_coordinates(factory.build(factory.priors), factory.priors, fit)
+    values = values_of(fit.posterior, names)
+    chains = fit.posterior.sizes["chain"]
+    cells = sweep_table(study, store)
+    left_out = cells[(cells["kind"] == "without") & cells["reported"]]
+    worth = left_out.assign(event=left_out["change"].str.removeprefix("without "))
+    columns = ["event", "quantity", "unit", "estimate", "pareto_k", "shift_sd", "shift_error"]
+    return SweepTables(
+        baseline=baseline_table(study),
+        sweep=cells,
+        scaling=power_scaling(components(fit), names, values, units),
+        knowledge=knowledge_table(blocks, chains, names, values, units),
+        data_worth=worth[[*columns, "width_ratio", "width_error"]].reset_index(drop=True),
+        conflict=conflict_table(blocks, fit),
+    )

@@ -1,0 +1,172 @@
+"""Changed priors: what a cell of a sweep changes, and the priors that result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from cassini_bayes.distributions import Distribution
+from cassini_bayes.errors import InputError
+from cassini_bayes.model import THRUST_COMMON
+from cassini_bayes.priors import ZERO_CENTRED, Priors
+from cassini_bayes.sweep.models import SweepModel
+
+Kind = Literal["width", "shift", "family", "without"]
+FAMILIES: Final = ("normal", "student-t", "uniform")
+STUDENT_DOF: Final = 5.0
+_FRACTIONS: Final = {0.25: "¼", 0.5: "½", 0.75: "¾"}
+
+
+@dataclass(frozen=True)
+class Group:
+    """Parameters whose priors are changed together: a prior block, or what a user named."""
+
+    name: str
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Variation:
+    """One cell: a group of priors widened (``amount`` is the factor), one prior shifted (``amount``
+    in prior standard deviations), a group in another family, or an event left out.
+    """
+
+    group: str
+    kind: Kind
+    parameters: tuple[str, ...] = ()
+    amount: float = 1.0
+    family: str = ""
+    event: str = ""
+
+    @property
+    def key(self) -> str:
+        """Name of the cell's file: letters, digits, dots, dashes and underscores."""
+        what = {
+            "width": f"{self.amount:g}",
+            "shift": f"{'_'.join(self.parameters)}_{self.amount:+g}",
+            "family": self.family,
+            "without": self.event,
+        }[self.kind]
+        text = f"{self.group}_{self.kind}_{what}".replace("+", "plus").replace("-", "-")
+        return "".join(c if c.isalnum() or c in "._-" else "-" for c in text)
+
+    @property
+    def label(self) -> str:
+        """What the cell changes, for people."""
+        if self.kind == "width":
+            return f"width × {_FRACTIONS.get(self.amount, f'{self.amount:g}')}"
+        if self.kind == "shift":
+            sign = "+" if self.amount > 0 else "−"
+            return f"{', '.join(self.parameters)} {sign} {abs(self.amount):g} σ"
+        return self.family if self.kind == "family" else f"without {self.event}"
+
+    def applied(self, priors: Priors) -> Priors:
+        """The priors of the cell."""
+        if self.kind == "width":
+            return priors.scaled(self.parameters, width=self.amount)
+        if self.kind == "shift":
+            return priors.scaled(self.parameters, shift=self.amount)
+        if self.kind == "family":
+            for name in self.parameters:
+                distribution = priors.parameters[name].distribution
+                if distribution is not None:
+                    changed = with_family(distribution, self.family)
+                    priors = priors.with_distribution(name, changed)
+        return priors
+
+
+def with_family(distribution: Distribution, family: str) -> Distribution:
+    """The same centre, spread and bounds in another family.
+
+    The standard deviation before any truncation stays. ``student-t`` has five degrees of freedom. A
+    log-normal changes in the logarithm: its normal is itself, its Student-t the log-logistic (a
+    logistic is close to a Student-t of nine degrees of freedom), its uniform the log-uniform.
+    """
+    low, high = distribution.low, distribution.high
+    keywords = distribution.keywords
+    if distribution.name == "lognorm" and keywords.get("loc", 0.0) == 0.0:
+        s, median = keywords["s"], keywords.get("scale", 1.0)
+        if family == "normal":
+            return distribution
+        if family == "student-t":
+            shape = {"c": math.pi / (math.sqrt(3.0) * s), "scale": median}
+            return Distribution("fisk", shape, low, high)
+        reach = math.exp(math.sqrt(3.0) * s)
+        return Distribution("loguniform", {"a": median / reach, "b": median * reach}, low, high)
+    whole = Distribution(distribution.name, dict(keywords))
+    mean, sd = whole.mean(), whole.sd()
+    if family == "normal":
+        return Distribution("norm", {"loc": mean, "scale": sd}, low, high)
+    if family == "student-t":
+        scale = sd * math.sqrt((STUDENT_DOF - 2.0) / STUDENT_DOF)
+        return Distribution("t", {"df": STUDENT_DOF, "loc": mean, "scale": scale}, low, high)
+    half = math.sqrt(3.0) * sd
+    return Distribution("uniform", {"loc": mean - half, "scale": 2.0 * half}, low, high)
+
+
+def blocks_of(model: SweepModel, priors: Priors) -> tuple[Group, ...]:
+    """The prior blocks that act in a model, each with its free parameters."""
+    members: dict[str, list[str]] = {}
+    for name in (*model.space.names, *model.collapsed):
+        prior = priors.parameters[name]
+        if prior.distribution is not None:
+            members.setdefault(prior.spec.block, []).append(name)
+    return tuple(Group(block, tuple(names)) for block, names in members.items())
+
+
+def grid_of(
+    groups: Iterable[Group],
+    model: SweepModel,
+    priors: Priors,
+    *,
+    widths: Sequence[float],
+    shifts: Sequence[float],
+    families: Sequence[str],
+) -> tuple[Variation, ...]:
+    """Every cell of a sweep that changes something.
+
+    Widths and families act on a whole group, shifts on one parameter at a time (a block has no one
+    direction to be shifted in). Departures of thrust are centred on zero and are not shifted. What
+    is integrated out stays normal, so families act on walked parameters and the common thrust.
+
+    Raises
+    ------
+    InputError
+        A group with a parameter that does not act in the model, or with none that is free.
+    """
+    acting = (*model.space.names, *model.collapsed)
+    cells: list[Variation] = []
+    for group in groups:
+        _check_group(group, acting, priors)
+        free = tuple(n for n in group.parameters if priors.parameters[n].distribution is not None)
+        changeable = tuple(n for n in free if n in model.space.names or n == THRUST_COMMON)
+        cells += [Variation(group.name, "width", free, amount=w) for w in widths if w != 1.0]
+        cells += [
+            Variation(group.name, "shift", (name,), amount=shift)
+            for name in free
+            if name not in ZERO_CENTRED
+            for shift in shifts
+            if shift != 0.0
+        ]
+        cells += [Variation(group.name, "family", changeable, family=f) for f in families]
+    return tuple(cell for cell in cells if cell.applied(priors).parameters != priors.parameters)
+
+
+def _check_group(group: Group, acting: Sequence[str], priors: Priors) -> None:
+    for name in group.parameters:
+        if name not in acting:
+            raise InputError(
+                f"group {group.name}",
+                "parameters that act in the model",
+                repr(name),
+                f"leave it out; acting: {', '.join(acting)}",
+            )
+    if all(priors.parameters[name].distribution is None for name in group.parameters):
+        raise InputError(
+            f"group {group.name}",
+            "at least one parameter with a distribution",
+            "none, or only fixed ones",
+            "leave the group out",
+        )

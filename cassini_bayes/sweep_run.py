@@ -1,0 +1,154 @@
+"""The pipeline of one sweep: a run's fit, the cells in parallel, then tables, figures, report.
+
+``<run>/sweep/`` holds ``resolved.toml``, ``cells/<identity>/`` (one file per finished cell),
+``sweep.csv``, ``baseline.csv``, ``scaling.csv``, ``knowledge.csv``, ``data_worth.csv``,
+``conflict.csv`` and ``figures/``; the run's ``report.html`` gets a section.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import tomli_w
+
+from cassini_bayes import __version__
+from cassini_bayes.checkpoint import CheckpointStore
+from cassini_bayes.configuration import RunFile
+from cassini_bayes.errors import InputError
+from cassini_bayes.inputs import Inputs, read_inputs
+from cassini_bayes.provenance import code_digest
+from cassini_bayes.result import read_fit
+from cassini_bayes.storage import remove_leftovers, write_text
+from cassini_bayes.sweep.grid import workers_at
+from cassini_bayes.sweep.models import JointFactory, ModelFactory, TotalsFactory
+from cassini_bayes.sweep.specification import SweepFile
+from cassini_bayes.sweep.study import Study, plan, reported_quantiles
+from cassini_bayes.sweep.tables import SweepTables, tables_of
+
+FOLDER: Final = "sweep"
+
+
+class Reporter(Protocol):
+    """Where a sweep says what it is doing."""
+
+    def say(self, text: str) -> None:
+        """One line about a stage that begins or has ended."""
+
+    def count(self, what: str, done: int, total: int) -> None:
+        """Cells done, and the time left."""
+
+
+@dataclass(frozen=True)
+class SweepOutcome:
+    """What a sweep produced, and how long it took (cells already stored take none)."""
+
+    folder: Path
+    tables: SweepTables
+    cells: int
+    seconds: float
+
+
+def execute_sweep(
+    run: RunFile,
+    base: Path,
+    folder: Path,
+    sweep: SweepFile,
+    where: str,
+    *,
+    jobs: int,
+    dask: str | None,
+    report: bool,
+    reporter: Reporter,
+) -> SweepOutcome:
+    """Sweep the priors of a finished run.
+
+    Parameters
+    ----------
+    run, base
+        The run file and the folder its paths are relative to.
+    folder
+        The run's folder, with ``fit.nc``.
+    sweep, where
+        The sweep file, and its name for messages.
+    jobs, dask
+        Local processes, or the address of a Dask scheduler.
+    report
+        Whether to draw figures and write into the run's report.
+
+    Raises
+    ------
+    InputError
+        No fit there, one of another model, or a sweep file that does not fit the model.
+    """
+    began = time.monotonic()
+    if not (folder / "fit.nc").exists():
+        raise InputError(
+            str(folder / "fit.nc"), "the fit of this run", "no such file", "run it first"
+        )
+    inputs = read_inputs(run, base, folder, reporter.say)
+    fit = read_fit(folder / "fit.nc")
+    factory = factory_of(run, inputs)
+    study = plan(factory, fit, sweep, where)
+    target = folder / FOLDER
+    remove_leftovers(target) if target.exists() else None
+    identity = study.identity(f"{code_digest()} {sorted(inputs.digests.items())}")
+    store = CheckpointStore(target / "cells" / identity[:12], identity)
+    write_text(target / "resolved.toml", tomli_w.dumps(sweep.model_dump()))
+    reporter.say(f"{len(study.cells)} cells, {len(study.baseline.names)} quantities")
+    with workers_at(jobs, dask) as workers:
+        for done, total in study.run(store, workers):
+            reporter.count("cells", done, total)
+    reporter.say("tables")
+    tables = tables_of(study, store, factory, fit)
+    for name, table in tables.files().items():
+        write_text(target / f"{name}.csv", table.to_csv(index=False))
+    if report:
+        _write_report(study, store, tables, folder, reporter)
+    seconds = time.monotonic() - began
+    reporter.say(f"done in {seconds:.0f} s: {target}")
+    return SweepOutcome(target, tables, len(study.cells), seconds)
+
+
+def factory_of(run: RunFile, inputs: Inputs) -> ModelFactory:
+    """The factory that builds the run's model with other priors."""
+    totals = None
+    if inputs.events:
+        totals = TotalsFactory(
+            inputs.events, inputs.priors, run.model.pulse_shape, run.model.delta_v
+        )
+    if totals is not None and not inputs.telemetry:
+        return totals
+    return JointFactory(inputs.telemetry, inputs.priors, totals)
+
+
+def _write_report(
+    study: Study, store: CheckpointStore, tables: SweepTables, folder: Path, reporter: Reporter
+) -> None:
+    from cassini_bayes.plots import save_figures
+    from cassini_bayes.plots.sweep import sweep_figures
+    from cassini_bayes.report.sweep import write_sweep_section
+
+    reporter.say("figures")
+    names = study.baseline.names
+    stored = reported_quantiles(study, store)
+    figures = sweep_figures(
+        tables.sweep,
+        {
+            name: (unit, study.baseline.values[:, j])
+            for j, (name, unit) in enumerate(zip(names, study.units, strict=True))
+        },
+        [
+            (c.group, c.kind, c.label, {n: stored[key][:, j] for j, n in enumerate(names)})
+            for key, c in study.cells.items()
+        ],
+        tables.knowledge,
+        tables.data_worth,
+    )
+    save_figures(figures, folder / FOLDER / "figures")
+    page = folder / "report.html"
+    if page.exists():
+        facts = f"{len(study.cells)} cells, cassini_bayes {__version__}, seed {study.baseline.seed}"
+        write_sweep_section(page, tables, names, figures, facts)
