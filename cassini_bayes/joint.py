@@ -16,6 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.delta_v import channel_log_likelihood
+from cassini_bayes.delta_v_terms import (
+    DELTA_V_PARAMETERS,
+    DeltaVStatistics,
+    delta_v_information,
+)
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import (
     TORQUES,
@@ -44,7 +49,7 @@ from cassini_bayes.posterior import (
 )
 from cassini_bayes.priors import ParameterSpace, Priors
 from cassini_bayes.pulses import PULSE_SHAPES
-from cassini_bayes.spacecraft import Spacecraft, couples
+from cassini_bayes.spacecraft import Spacecraft, couples, thruster_directions
 from cassini_bayes.statistics import EventStatistics, Sampling
 from cassini_bayes.telemetry_terms import (
     EventSystem,
@@ -65,7 +70,7 @@ _TAIL_SPAN: Final = 5.0
 _PRIOR_SPAN: Final = 2.0
 _POINTS: Final = 4
 _BLOCK: Final = 400
-_FAR: Final = 12.0
+_FAR: Final = 30.0
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,7 @@ class JointModel:
     torque_mean_n_m: Array
     torque_sd_n_m: Array
     modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
+    delta_v: tuple[DeltaVStatistics, ...] = ()  # measured velocity changes of telemetry events
 
     @property
     def event_ids(self) -> tuple[str, ...]:
@@ -163,11 +169,12 @@ def build_joint_model(
     priors: Priors,
     totals: TotalsModel | None = None,
     *,
+    delta_v: Sequence[DeltaVStatistics] = (),
     keep_idle: bool = False,
 ) -> JointModel:
     """Assemble the model of telemetry events, with totals rows if there are any.
 
-    ``keep_idle`` keeps the columns that have no weight yet, for effects to be added;
+    ``delta_v`` are measured velocity changes of some of the events. ``keep_idle`` keeps the columns that have no weight yet, for effects to be added;
     :func:`without_idle` drops them.
 
     Raises
@@ -193,6 +200,8 @@ def build_joint_model(
     if fired:
         position_names = spacecraft.geometry[priors.branch].parameters
         names += [*PULSE_PARAMETERS, *CENTRE_PARAMETERS, *position_names]
+    if delta_v:
+        names += DELTA_V_PARAMETERS
     names = list(dict.fromkeys(names))
     priors.require(names, "the model of these events")
     space = priors.space(names)
@@ -220,6 +229,7 @@ def build_joint_model(
         },
         torque_mean_n_m=np.array(means),
         torque_sd_n_m=np.array(scales),
+        delta_v=tuple(delta_v),
     )
     return model if keep_idle else without_idle(model)
 
@@ -317,7 +327,7 @@ def collapse_joint(model: JointModel, z: Array) -> JointCollapsed:
         factors, information = eliminate_own(event, terms.pattern.thrusters, common)
         own.append(factors)
         if terms.fires:
-            parts.append(information)
+            parts.append(_with_delta_v(model, terms, physics, full, information))
         else:
             log_likelihood = log_likelihood + information.constant[:, 0]
     if not parts:
@@ -330,6 +340,29 @@ def _physics(model: JointModel, parameters: Mapping[str, Array]) -> Physics:
     """Physics of the telemetry events at all points."""
     fires = bool(model.fired_ids)
     return physics_of(model.spacecraft, model.branch, parameters, model.modifiers, fires=fires)
+
+
+def _with_delta_v(
+    model: JointModel,
+    terms: TelemetryTerms,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    information: ThrustInformation,
+) -> ThrustInformation:
+    """An event's information on its thrusts with that of its measured velocity change, if any."""
+    own = next((part for part in model.delta_v if part.event_id == terms.id), None)
+    if own is None:
+        return information
+    directions = thruster_directions(model.spacecraft, model.branch)
+    matrix, vector, constant = delta_v_information(
+        own, physics, directions, parameters, information.common_n
+    )
+    return ThrustInformation(
+        information.common_n,
+        information.matrix + matrix[:, None],
+        information.vector + vector[:, None],
+        information.constant + constant[:, None],
+    )
 
 
 def _joined(parts: Sequence[ThrustInformation]) -> ThrustInformation:
@@ -400,11 +433,11 @@ def joint_log_likelihood(model: JointModel, z: Array) -> Array:
 def joint_log_posterior(model: JointModel, z: Array) -> Array:
     """Collapsed log likelihood plus log prior density in z, (n,); each prior counts once.
 
-    Far out in a proposal's tails, where the prior has 1e-32, quantiles overflow: −∞ there.
+    Far out in a proposal's tails, where the prior has 1e-190, quantiles overflow: the likelihood
+    stays there what it is at the edge.
     """
     inside = np.clip(z, -_FAR, _FAR)
-    density = joint_log_likelihood(model, inside) + model.space.log_prior_terms(inside).sum(-1)
-    return np.where((inside == z).all(-1), density, -np.inf)
+    return np.asarray(joint_log_likelihood(model, inside) + model.space.log_prior_terms(z).sum(-1))
 
 
 @dataclass(frozen=True)
