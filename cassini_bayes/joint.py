@@ -174,7 +174,8 @@ def build_joint_model(
 ) -> JointModel:
     """Assemble the model of telemetry events, with totals rows if there are any.
 
-    ``delta_v`` are measured velocity changes of some of the events. ``keep_idle`` keeps the columns that have no weight yet, for effects to be added;
+    ``delta_v`` are measured velocity changes of some of the events.
+    ``keep_idle`` keeps the columns that have no weight yet, for effects to be added;
     :func:`without_idle` drops them.
 
     Raises

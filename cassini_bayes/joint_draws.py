@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.delta_v import draw_software
+from cassini_bayes.delta_v_terms import DeltaVStatistics, delta_v_information
 from cassini_bayes.joint import JointModel, collapse_joint, draw_joint
 from cassini_bayes.model import linear_system
 from cassini_bayes.physics import Physics, physics_of
@@ -21,6 +22,7 @@ from cassini_bayes.posterior import (
 )
 from cassini_bayes.predictive import event_log_likelihood
 from cassini_bayes.result import prior_software, prior_thrusts
+from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.telemetry_terms import INITIAL_SD_N_M_S, event_system
 
 Array = NDArray[np.float64]
@@ -184,8 +186,28 @@ def _log_likelihood_batch(model: JointModel, z: Array, sample: JointSample, rows
             place += 1
         vector = np.concatenate(unknowns, axis=1)
         square = np.einsum("ni,nij,nj->n", vector, system.normal, vector)
-        columns.append(system.log_scale - 0.5 * square)
+        density = system.log_scale - 0.5 * square
+        for own_delta_v in model.delta_v:
+            if own_delta_v.event_id == terms.id:
+                thrust_n = -vector[:, : terms.pattern.thrusters]
+                density = density + _delta_v_density(model, own_delta_v, physics, full, thrust_n)
+        columns.append(density)
     return np.stack(columns, axis=1)
+
+
+def _delta_v_density(
+    model: JointModel,
+    statistics: DeltaVStatistics,
+    physics: Physics,
+    full: Mapping[str, Array],
+    thrust_n: Array,
+) -> Array:
+    """Log density (n,) of a burn's velocity changes at its thrusts (n, K), the offset unknown."""
+    directions = thruster_directions(model.spacecraft, model.branch)
+    reference = np.zeros(len(thrust_n))
+    matrix, vector, constant = delta_v_information(statistics, physics, directions, full, reference)
+    square = np.einsum("nk,nkl,nl->n", thrust_n, matrix, thrust_n)
+    return np.asarray(constant + (vector * thrust_n).sum(-1) - 0.5 * square)
 
 
 def joint_thrust_moments(model: JointModel, z: Array) -> tuple[Array, Array]:
