@@ -2,7 +2,8 @@
 
 Per row in body axes, M ΔV(t) = Σ_k d_k F_k s_k(t), with the effective on-time s_k of the momentum
 balance and the event's wet mass M. Rows during which a pulse is being delivered are left out, as in
-the balance. The noise of a row is white, and the first reading is an unknown offset of its own.
+the balance; the first reading stays in, because on-times and velocity change are counted from it.
+The noise of a row is white, and the zero of the velocity change is an unknown offset of its own.
 Like the balance this is linear in the thrusts, so a few inner products are all that is kept.
 """
 
@@ -34,7 +35,7 @@ class DeltaVStatistics:
 
     Columns: per thruster its three pulse columns and its pulse count (4 K), then the constant.
     ``gram`` (4K + 1, 4K + 1), ``cross`` (4K + 1, 3) with the measured ΔV, ``square`` its sum of
-    squares over rows and axes.
+    squares over rows and axes; ``last_m_s`` (3,) the last reading less the first.
     """
 
     event_id: str
@@ -43,6 +44,7 @@ class DeltaVStatistics:
     gram: Array
     cross: Array
     square: float
+    last_m_s: Array
 
 
 def delta_v_statistics(
@@ -64,7 +66,10 @@ def delta_v_statistics(
     time = samples.time_s[counted]
     counters = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
     rows = np.flatnonzero(np.isfinite(measured).all(1))
-    rows = rows[quiet_rows(samples.time_s[rows], time, counters, sampling.guard_s)]
+    quiet = quiet_rows(samples.time_s[rows], time, counters, sampling.guard_s)
+    # the first reading is where on-times and velocity change begin to be counted
+    quiet |= samples.time_s[rows] == time[0]
+    rows = rows[quiet]
     if len(rows) < LEAST_ROWS:
         raise InputError(
             f"event {event_id}: telemetry",
@@ -87,6 +92,7 @@ def delta_v_statistics(
         table.T @ table,
         table.T @ values,
         float((values**2).sum()),
+        values[-1] - values[0],
     )
 
 
@@ -106,7 +112,7 @@ def delta_v_information(
     variance = (
         parameters["delta_v_noise_m_s"] ** 2 + parameters["delta_v_resolution_m_s"] ** 2 / 12.0
     )
-    weights = _weights(statistics, physics, n, k)
+    weights = on_time_weights(statistics, physics, n, k)
     gram, cross = statistics.gram, statistics.cross
     fired = weights @ gram[: 4 * k, : 4 * k] @ np.swapaxes(weights, 1, 2)
     to_one = weights @ gram[: 4 * k, -1]
@@ -136,7 +142,7 @@ def delta_v_information(
     )
 
 
-def _weights(statistics: DeltaVStatistics, physics: Physics, n: int, k: int) -> Array:
+def on_time_weights(statistics: DeltaVStatistics, physics: Physics, n: int, k: int) -> Array:
     """Weights (n, K, 4 K) that make each thruster's effective on-time out of the columns."""
     pulse = np.broadcast_to(pulse_weights(statistics.sampling, physics), (n, 3))
     factor = np.broadcast_to(physics.thrust_factor, (n, k))

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.delta_v_terms import DeltaVStatistics, delta_v_statistics
 from cassini_bayes.errors import InputError
 from cassini_bayes.joint import sampling_of
 from cassini_bayes.priors import Priors
@@ -60,6 +61,7 @@ class ReducedEvent:
     statistics: EventStatistics
     reading: ReadingRecord
     key: str
+    delta_v: DeltaVStatistics | None = None
 
     @property
     def fires(self) -> bool:
@@ -134,7 +136,20 @@ def reduce_event(
         )
         for line in reading.mends:
             say(f"{event.id}: mended: {line}")
-    return ReducedEvent(event, sampling, statistics, reading, key)
+    return ReducedEvent(
+        event, sampling, statistics, reading, key, _delta_v(event, priors, sampling)
+    )
+
+
+def _delta_v(event: TelemetryEvent, priors: Priors, sampling: Sampling) -> DeltaVStatistics | None:
+    """The measured velocity change of a burn; None for any other event.
+
+    One computed on board repeats the flight software's constants and says nothing of thrust.
+    """
+    if event.kind != "delta_v" or event.delta_v_source != "measured" or not event.thrusters:
+        return None
+    parts = ((samples_of(c), c.delta_v_m_s) for c in read_chunks(event, priors.spacecraft))
+    return delta_v_statistics(event.id, parts, sampling)
 
 
 def store_reduction(reduced: ReducedEvent, cache: Path) -> None:

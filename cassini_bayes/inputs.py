@@ -105,7 +105,12 @@ def _model(
 ) -> TotalsModel | JointModel:
     if totals is not None and not telemetry:
         return totals
-    return build_joint_model([(e.statistics, e.sampling) for e in telemetry], priors, totals)
+    return build_joint_model(
+        [(e.statistics, e.sampling) for e in telemetry],
+        priors,
+        totals,
+        delta_v=[e.delta_v for e in telemetry if e.delta_v is not None],
+    )
 
 
 def _file_of(base: Path, reference: str) -> str:

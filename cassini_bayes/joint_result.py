@@ -245,12 +245,29 @@ def _parameter_variables(model: JointModel, sample: JointSample) -> dict[str, Va
         for column, name in enumerate(SOFTWARE):
             spec = model.specs[name]
             variables[name] = ((), sample.software[:, column], spec.unit, spec.meaning)
+    mass = _mass(model, sample)
+    if mass is not None:
+        variables["mass_kg"] = (("event",), mass, "kg", "wet mass, of events that need it")
     for name in model.space.names:
-        if name in wheels or name == _COMMON:
+        if name in wheels or name in (_COMMON, "mass_kg"):
             continue
         spec = model.specs[name]
         variables[name] = ((), np.asarray(sample.parameters[name]), spec.unit, spec.meaning)
     return variables
+
+
+def _mass(model: JointModel, sample: JointSample) -> Array | None:
+    """Wet mass (n, E) of totals rows with a velocity change and of burns, NaN elsewhere."""
+    values = np.full((sample.size, len(model.event_ids)), np.nan)
+    if model.totals is not None and "mass_factor" in sample.parameters:
+        factor = np.broadcast_to(sample.parameters["mass_factor"], (sample.size,))
+        table = model.totals.stack.mass_kg
+        values[:, : len(table)] = factor[:, None] * table
+    burns = {own.event_id for own in model.delta_v}
+    for place, name in enumerate(model.event_ids):
+        if name in burns:
+            values[:, place] = sample.parameters["mass_kg"]
+    return values if np.isfinite(values).any() else None
 
 
 def _predictive(

@@ -34,7 +34,12 @@ from cassini_bayes.review import (
     summarise,
 )
 from cassini_bayes.sensitivity import error_budget
-from cassini_bayes.telemetry_baselines import inertia_methods, thrust_methods
+from cassini_bayes.telemetry_baselines import (
+    burn_methods,
+    inertia_methods,
+    thrust_methods,
+    torque_methods,
+)
 from cassini_bayes.time_series import EventSeries, event_series
 
 Array = NDArray[np.float64]
@@ -71,6 +76,7 @@ def assemble_joint_review(
         inertia=inertia_table(*tensors),
         physicality=physical.sentence,
         inertia_methods=inertia_methods(model, events),
+        torque_methods=torque_methods(model, events),
         observability=observability(model),
         series=series,
         mends=tuple(f"{e.event.id}: {line}" for e in events for line in e.reading.mends),
@@ -134,7 +140,7 @@ def event_table(events: Sequence[ReducedEvent], series: Sequence[EventSeries]) -
 
 
 def _baseline(model: JointModel, events: tuple[ReducedEvent, ...]) -> pd.DataFrame:
-    parts = [thrust_methods(model, events)]
+    parts = [thrust_methods(model, events), burn_methods(model, events)]
     if model.totals is not None:
         parts.append(perturbation_bars(model.totals, prior_centre(model.totals)))
     kept = [part for part in parts if not part.empty]

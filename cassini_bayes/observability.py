@@ -18,9 +18,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from cassini_bayes.delta_v_terms import DeltaVStatistics, on_time_weights
 from cassini_bayes.joint import JointModel
 from cassini_bayes.joint_draws import full_parameters, joint_physics
 from cassini_bayes.model import TotalsModel, linear_system
+from cassini_bayes.physics import Physics
+from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryTerms,
@@ -117,7 +120,40 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
         part = _gram_of(terms, columns, noise, float(nominal["torque_noise_n_m_s05"][0]) ** 2)
         index = _index(places, place)
         information[np.ix_(index, index)] += part
+        for own in model.delta_v:
+            if own.event_id == terms.id:
+                index, part = _delta_v_part(model, own, physics, full, places, place)
+                information[np.ix_(index, index)] += part
     return information
+
+
+def _delta_v_part(
+    model: JointModel,
+    statistics: DeltaVStatistics,
+    physics: Physics,
+    full: Mapping[str, Array],
+    places: _Coordinates,
+    event: int,
+) -> tuple[NDArray[np.int64], Array]:
+    """Information of a burn's velocity change on the walked parameters and its thrusts.
+
+    The offset of each axis is eliminated with the Gram matrix of the centred columns.
+    """
+    d = model.space.dimension
+    directions = thruster_directions(model.spacecraft, model.branch)
+    n, k = len(full["mass_kg"]), directions.shape[1]
+    per_newton = on_time_weights(statistics, physics, n, k) / full["mass_kg"][:, None, None]
+    each = directions.T[None, :, :, None] * per_newton[:, :, None, :]  # (n, K, 3, 4 K)
+    total = model.linear.common_mean_n * each.sum(1)
+    walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * STEP)
+    levels = np.einsum("kca,kq->qca", each[0], model.linear.shared)
+    own = np.einsum("kca,kq->qca", each[0], model.linear.own)
+    columns = np.concatenate([walked, levels, own])
+    gram, one = statistics.gram[:-1, :-1], statistics.gram[:-1, -1]
+    centred = gram - np.outer(one, one) / statistics.rows
+    noise = full["delta_v_noise_m_s"][0] ** 2 + full["delta_v_resolution_m_s"][0] ** 2 / 12.0
+    index = _index(places, event)[: len(columns)]
+    return index, np.einsum("uca,ab,vcb->uv", columns, centred, columns, optimize=True) / noise
 
 
 def _index(places: _Coordinates, event: int) -> NDArray[np.int64]:

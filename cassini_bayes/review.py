@@ -65,13 +65,15 @@ class TelemetryReview:
     """What a review of telemetry has beyond one of totals rows.
 
     ``events`` lists rows read and used, ``inertia`` the tensor both ways, ``inertia_methods`` the
-    papers' least squares beside the posterior; ``series`` are the balances row by row.
+    papers' least squares and ``torque_methods`` the drift of the wheels beside the posterior;
+    ``series`` are the balances row by row.
     """
 
     events: pd.DataFrame
     inertia: pd.DataFrame
     physicality: str
     inertia_methods: pd.DataFrame
+    torque_methods: pd.DataFrame
     observability: Observability
     series: tuple[EventSeries, ...]
     mends: tuple[str, ...]
@@ -82,6 +84,7 @@ class TelemetryReview:
             "telemetry": self.events,
             "inertia": self.inertia,
             "inertia_methods": self.inertia_methods,
+            "torque_methods": self.torque_methods,
             "observability": self.observability.table,
         }
 

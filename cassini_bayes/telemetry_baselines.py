@@ -34,7 +34,7 @@ from cassini_bayes.inertia import ELEMENTS, PLACES
 from cassini_bayes.joint import JointModel
 from cassini_bayes.physics import Physics, physics_of
 from cassini_bayes.pulses import PULSE_SHAPES
-from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft import Spacecraft, thruster_directions
 from cassini_bayes.statistics import Samples, Sampling
 from cassini_bayes.statistics.columns import direction_cosines, effective_increments
 from cassini_bayes.telemetry import read_chunks
@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 MEAN_OF_COUPLES: Final = "mean of the paired thrusters, per event"
 UNCORRECTED: Final = ", uncorrected"
 BY_R: Final = ", divided by R"
+BURN: Final = "velocity change over on-time, per event"
 AXIS_BY_AXIS: Final = "axis by axis"
 ALL_AXES: Final = "all axes together"
 MOST_ROWS: Final = 50_000
@@ -97,7 +98,7 @@ def thrust_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.Data
     Columns as of :func:`cassini_bayes.baselines.perturbation_bars`. Methods without a suffix are
     divided by T; the suffixes say what else was done.
     """
-    batch, physics = _assumed(model)
+    batch, physics = assumed_physics(model)
     gathered: list[tuple[Array, Array]] = []
     rows: list[dict[str, object]] = []
     for terms, event in zip(model.telemetry, events, strict=True):
@@ -125,8 +126,69 @@ def thrust_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.Data
     return pd.DataFrame(rows)
 
 
-def _assumed(model: JointModel) -> tuple[dict[str, Array], Physics]:
-    """Prior means, then one point per perturbation: parameters (n,) and their physics."""
+def burn_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+    """Mean thrust along the measured velocity change of every burn (paper 000 App. D).
+
+    M ΔV over the on-time of the thrusters that push that way, divided by T; columns as of
+    :func:`cassini_bayes.baselines.perturbation_bars`.
+    """
+    batch, _ = assumed_physics(model)
+    directions = thruster_directions(model.spacecraft, model.branch)
+    names = model.spacecraft.thruster_names(model.branch)
+    rows: list[dict[str, object]] = []
+    for event in events:
+        if event.delta_v is None:
+            continue
+        on_time, pulses = np.array(event.reading.on_time_s), np.array(event.reading.pulses)
+        axis = int(np.argmax(np.abs(event.delta_v.last_m_s)))
+        along = directions[axis] * np.sign(event.delta_v.last_m_s[axis])
+        pushing = np.flatnonzero((along > 0.5) & (on_time > 0))
+        momentum = batch["mass_kg"] * abs(float(event.delta_v.last_m_s[axis]))
+        factor = correction_factor(on_time, pulses, batch)
+        for suffix, correction in (("", factor), (UNCORRECTED, np.ones_like(factor))):
+            seconds = (along[pushing] * on_time[pushing] * correction[:, pushing]).sum(-1)
+            total = float(on_time[pushing].sum())
+            rows += [
+                _row(BURN + suffix, event.event.id, names[k], momentum / seconds, total, on_time[k])
+                for k in pushing
+            ]
+    return pd.DataFrame(rows)
+
+
+def torque_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+    """External torque from the wheels' drift over every quiescent event (paper 000 App. A).
+
+    T diag(I_w) Δρ over the time, from straight lines through the wheel rates; columns event, axis,
+    estimate_n_m, bar_rss_n_m.
+    """
+    _, physics = assumed_physics(model)
+    rows: list[dict[str, object]] = []
+    for terms, event in zip(model.telemetry, events, strict=True):
+        if terms.statistics.kind != "quiescent":
+            continue
+        data = plain_rows(event, model.spacecraft)
+        torque = drift_torque(physics, terms.wheel_places, data)
+        bars = np.sqrt(((torque[1:] - torque[0]) ** 2).sum(0))
+        for axis, name in enumerate("xyz"):
+            rows.append(
+                {
+                    "event": event.event.id,
+                    "axis": name,
+                    "estimate_n_m": torque[0, axis],
+                    "bar_rss_n_m": bars[axis],
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def drift_torque(physics: Physics, wheels: tuple[int, ...], data: PlainRows) -> Array:
+    """T diag(I_w) times the drift rates of the wheels, (n, 3) N m: straight lines through rows."""
+    drift = np.polynomial.polynomial.polyfit(data.time_s, data.wheel_rad_s, 1)[1]
+    return np.asarray(physics.wheel_weights[..., list(wheels)] @ drift)
+
+
+def assumed_physics(model: JointModel) -> tuple[dict[str, Array], Physics]:
+    """Prior means, then one point per perturbation of paper 003: parameters (n,), and physics."""
     space = model.space
     means = {n: d.mean() for n, d in zip(space.names, space.distributions, strict=True)}
     nominal = {**space.fixed, **means}
@@ -287,7 +349,7 @@ def inertia_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.Dat
     Columns label, method, event ("" for all slews), element, estimate_kg_m2, bar_rss_kg_m2,
     bar_worst_kg_m2; an element that the rows do not determine is NaN.
     """
-    _, physics = _assumed(model)
+    _, physics = assumed_physics(model)
     parts: list[tuple[str, Array, Array]] = []
     for terms, event in zip(model.telemetry, events, strict=True):
         if terms.statistics.kind == "slew":

@@ -15,7 +15,9 @@ from cassini_bayes.telemetry_baselines import (
     UNCORRECTED,
     PlainRows,
     all_axes,
+    assumed_physics,
     axis_by_axis,
+    drift_torque,
     individual_and_paired,
     inertia_methods,
     mean_thrust,
@@ -119,3 +121,21 @@ def test_simulated_bias_needs_the_correction_and_short_on_times_are_not_valid() 
     own = table[table["method"] == PER_EVENT]
     assert (own["valid"] == (own["on_time_s"] >= 5.0)).all()
     assert not own["valid"].all()
+
+
+def test_torque_from_the_drift_of_the_wheels() -> None:
+    """Paper 000 App. A: wheels that drift at a steady rate give T diag(I_w) times that rate back.
+
+    The published totals (Table A1) in, the same out; drift rates in rpm are not printed.
+    """
+    joint = model("slews")
+    published = 1e-6 * np.array([-0.53, -2.11, 1.83])
+    _, physics = assumed_physics(joint)
+    weights = physics.wheel_weights[0][:, list(joint.telemetry[0].wheel_places)]
+    drift = np.linalg.solve(weights, published)
+    time = np.arange(0.0, 7200.0, 4.0)
+    data = PlainRows(
+        time, np.empty(0), np.empty(0), 50.0 + np.outer(time, drift), np.empty(0), np.empty(0)
+    )
+    found = drift_torque(physics, joint.telemetry[0].wheel_places, data)
+    assert found[0] == pytest.approx(published, rel=1e-9)

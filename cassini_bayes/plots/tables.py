@@ -103,6 +103,9 @@ def nuisance_column(review: Review, name: str) -> Column | None:
     posterior, prior = review.fit.posterior, review.fit.prior
     if name in posterior:
         after, before = flat_draws(posterior, name), flat_draws(prior, name)
+        if after.ndim > 1:  # of some events: the walked parameter is the same in all of them
+            own = int(np.flatnonzero(np.isfinite(after[0]))[-1])
+            after, before = after[:, own], before[:, own]
     else:
         place = _wheel_place(review, name)
         if place is None:

@@ -34,6 +34,7 @@ from cassini_bayes.report.telemetry import (
     method_table,
     observability_table,
     thrust_method_tables,
+    torque_table,
 )
 from cassini_bayes.report.thrusts import (
     key_numbers,
@@ -93,6 +94,7 @@ def render_report(review: Review, figures: Mapping[str, Figure]) -> str:
         inertia=inertia_table(review),
         inertia_methods=method_table(review),
         thrust_methods=thrust_method_tables(review),
+        torques=torque_table(review),
         observability=observability_table(review),
         summary=[*inertia_sentence(review), *summary_sentences(review)],
         key_numbers=[*inertia_numbers(review), *key_numbers(review)],

@@ -11,6 +11,7 @@ from cassini_bayes.plots.quantities import MISSING, display_scale, number, plus_
 from cassini_bayes.report.cells import Cell, Table, percent
 from cassini_bayes.review import Review
 
+MICRO: Final = 1e6
 MOMENTS: Final = ("xx", "yy", "zz")
 
 
@@ -136,6 +137,37 @@ def thrust_method_tables(review: Review) -> list[Table]:
 def _thrust(row: pd.Series) -> Cell:
     text = plus_minus(float(row["estimate_n"]), float(row["bar_rss_n"]))
     return Cell(text) if row["valid"] else Cell(f"{text} †", "muted")
+
+
+def torque_table(review: Review) -> Table | None:
+    """External torque of quiescent events: from the wheels' drift, and the posterior."""
+    if review.telemetry is None or review.telemetry.torque_methods.empty:
+        return None
+    summary = review.summary[review.summary["quantity"] == "external_torque_n_m"]
+    after = summary.set_index(["event", "item"])
+    rows = []
+    for _, row in review.telemetry.torque_methods.iterrows():
+        own = after.loc[(row["event"], row["axis"])]
+        rows.append(
+            (
+                Cell(str(row["event"])),
+                Cell(str(row["axis"])),
+                Cell(plus_minus(MICRO * row["estimate_n_m"], MICRO * row["bar_rss_n_m"])),
+                Cell(plus_minus(MICRO * own["mean"], MICRO * own["sd"])),
+                Cell(plus_minus(MICRO * own["prior_mean"], MICRO * own["prior_sd"])),
+            )
+        )
+    return Table(
+        (
+            "event",
+            "axis",
+            "from the wheels' drift ± perturbations (rss) [µN m]",
+            "posterior mean ± sd [µN m]",
+            "prior mean ± sd [µN m]",
+        ),
+        tuple(rows),
+        heads=2,
+    )
 
 
 def event_table(review: Review) -> Table | None:
