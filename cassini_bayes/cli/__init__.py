@@ -29,6 +29,7 @@ app.command("sweep")(sweeps.sweep_command)
 app.command("predict")(predictions.predict_command)
 app.command("plan")(predictions.plan_command)
 calibrations.app.command("prediction")(predictions.calibrate_prediction_command)
+calibrations.app.command("perturbations")(sweeps.calibrate_perturbations_command)
 app.add_typer(calibrations.app, name="calibrate")
 
 
