@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cassini_bayes.statistics import ExtraColumn, RowContext
 
 Array = NDArray[np.float64]
-WARMUP_NODES_S: Final = (1.0, 3.0, 8.0, 20.0)
+WARMUP_NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
 SHIFT_NODES_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
 FLEXIBLE: Final = ("flexible:cosine", "flexible:sine")
 _TAIL_S: Final = 0.030  # on-time that a pulse's tail adds; the shift's weight is good to a percent
@@ -82,4 +82,14 @@ def hat_weights(value: Array, nodes: Array) -> Array:
     result = np.zeros((*inside.shape, len(nodes)))
     np.put_along_axis(result, place[..., None], (1.0 - share)[..., None], axis=-1)
     np.put_along_axis(result, place[..., None] + 1, share[..., None], axis=-1)
+    return result
+
+
+def lagrange_weights(value: Array, nodes: Array) -> Array:
+    """Weights (n, nodes) of the polynomial through all nodes, at values (n,) between them."""
+    inside = np.clip(value, nodes[0], nodes[-1])[..., None]
+    result = np.ones((*inside.shape[:-1], len(nodes)))
+    for i, node in enumerate(nodes):
+        others = np.delete(nodes, i)
+        result[..., i] = ((inside - others) / (node - others)).prod(-1)
     return result

@@ -24,7 +24,7 @@ CURVATURE_STEP: Final = 0.2
 LEAST_CURVATURE: Final = 0.05
 STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
 WORTH_A_SEARCH: Final = -1.0  # nats of log density against the baseline's mode
-DRAWS: Final = 1_500
+DRAWS: Final = 1_000
 DOF: Final = 8.0
 
 
@@ -91,7 +91,11 @@ def climb(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -
         return -float(values[0]), -gradient
 
     found = minimize(
-        objective, np.zeros(d), jac=True, method="L-BFGS-B", options={"maxiter": steps, "ftol": 1e-8}
+        objective,
+        np.zeros(d),
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxiter": steps, "ftol": 1e-8},
     )
     return np.asarray(point + axes @ found.x)
 
@@ -200,8 +204,15 @@ def _mode_with_rows(density: LogDensity, point: Array, base: Mode, d: int, extra
     for i in range(d, d + extra):
         others = unit[: i + 1]
         both = np.vstack(
-            [unit[i] + others, -unit[i] - others, unit[i] - others, others - unit[i], unit[i][None],
-             -unit[i][None], np.zeros((1, len(point)))]
+            [
+                unit[i] + others,
+                -unit[i] - others,
+                unit[i] - others,
+                others - unit[i],
+                unit[i][None],
+                -unit[i][None],
+                np.zeros((1, len(point))),
+            ]
         )
         values = density(point + both)
         same = values[: i + 1] + values[i + 1 : 2 * i + 2]
@@ -250,4 +261,3 @@ def weigh(hypotheses: Sequence[Hypothesis], base: Mode) -> list[Weighed]:
         mode = extended_mode(hypothesis, base)
         result.append(Weighed(hypothesis, mode, mode.log_evidence, float("nan")))
     return result
-

@@ -149,6 +149,7 @@ class Hypothesis:
     effects: tuple[Effect, ...]
     prior_probability: float
     rates: RateInformation | None
+    log_penalty: float = 0.0  # nats that a search before the fit cost
 
     @property
     def dimension(self) -> int:

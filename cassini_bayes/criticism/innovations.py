@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cassini_bayes.criticism.extended import Case, Hypothesis
 from cassini_bayes.joint import JointModel
 from cassini_bayes.physics import Physics, physics_of
-from cassini_bayes.statistics.columns import Carry, Rows, settle
+from cassini_bayes.statistics.columns import Carry, Layout, Rows, settle
 from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryTerms,
@@ -31,7 +31,8 @@ from cassini_bayes.telemetry_terms import (
 
 Array = NDArray[np.float64]
 MODES: Final = 16
-REPLICATES: Final = 400
+REPLICATES: Final = 200
+SMOOTHED_ROWS: Final = 31
 _STEP: Final = 1e-3
 _WIDE: Final = 1e-12
 
@@ -103,7 +104,28 @@ def _columns(terms: TelemetryTerms, rows: Rows, weights: Array) -> Array:
     return result
 
 
-def linearise(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, list[Rows], list[Array]]:
+def smoothed(rows: Rows, layout: Layout) -> Rows:
+    """Rows whose rates and wheel rates are running means.
+
+    Slopes of the measured momentum with respect to inertias are the channels themselves. With their
+    noise in them any noise could be fitted away, as in the naive likelihood of the residual.
+    """
+    vectors = len(layout.vector)
+    scalar = rows.scalar.copy()
+    width = min(SMOOTHED_ROWS, len(rows.time_s))
+    counts = np.convolve(np.ones(len(rows.time_s)), np.ones(width), mode="same")
+    for place in (
+        *range(layout.rate.start, layout.rate.stop),
+        *range(layout.wheel.start, layout.wheel.stop),
+    ):
+        column = scalar[:, place - vectors]
+        scalar[:, place - vectors] = np.convolve(column, np.ones(width), mode="same") / counts
+    return Rows(rows.time_s, rows.vector, scalar)
+
+
+def linearise(
+    case: Case, hypothesis: Hypothesis, z: Array
+) -> tuple[Linear, list[Rows], list[Array]]:
     """The whitened linear model at z (d,), the rows of every event and its noise factors."""
     model = hypothesis.model
     d = len(z)
@@ -118,18 +140,16 @@ def linearise(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, lis
         weights = balance_weights(terms, physics, thrust)
         noise = noise_covariance(terms, physics, parameters)[0]
         factor = np.linalg.cholesky(noise)
+        smooth = smoothed(rows, terms.statistics.layout)
         centre = _columns(terms, rows, weights[0])
         k = terms.pattern.thrusters
-        mean = np.concatenate(
-            [np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m]
-        )
+        mean = np.concatenate([np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m])
         unknown = centre[:, :, :-1]
         at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
-        at[:k] = _thrust_guess(unknown, centre[:, :, -1], at, k)
         target = centre[:, :, -1] - unknown @ at
         slopes = np.stack(
             [
-                _slope(terms, rows, weights[1 + i] - weights[1 + d + i], at) / (2.0 * _STEP)
+                _slope(terms, smooth, weights[1 + i] - weights[1 + d + i], at) / (2.0 * _STEP)
                 for i in range(d)
             ],
             axis=2,
@@ -145,11 +165,6 @@ def linearise(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, lis
         all_rows.append(rows)
     shared_width = d + (levels.shape[1] if levels.size else 0)
     return _stacked(targets, blocks, own_precision, factors, shared_width), all_rows, factors
-
-
-def _thrust_guess(unknown: Array, measured: Array, at: Array, k: int) -> Array:
-    """Thrusts that fit the rows best about their mean: slopes are taken there."""
-    return at[:k]
 
 
 def _slope(terms: TelemetryTerms, rows: Rows, difference: Array, at: Array) -> Array:
@@ -187,9 +202,9 @@ def _stacked(
         target[row:stop] = (own_target @ inverse.T).reshape(-1)
         white = np.einsum("ab,nbp->nap", inverse, common)
         columns[row:stop, : white.shape[2]] = white.reshape(size, -1)
-        columns[row:stop, column : column + width] = np.einsum(
-            "ab,nbp->nap", inverse, own
-        ).reshape(size, -1)
+        columns[row:stop, column : column + width] = np.einsum("ab,nbp->nap", inverse, own).reshape(
+            size, -1
+        )
         row, column = stop, column + width
     precision = np.concatenate([np.ones(shared), *own_precision])
     return Linear(target, columns, precision, tuple(size // 3 for size in sizes))

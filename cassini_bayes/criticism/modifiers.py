@@ -20,6 +20,7 @@ from cassini_bayes.criticism.columns import (
     SHIFT_NODES_S,
     WARMUP_NODES_S,
     hat_weights,
+    lagrange_weights,
     shift_column,
     warmup_column,
 )
@@ -98,7 +99,7 @@ def _with_extra(physics: Physics, weights: Mapping[str, Array]) -> Physics:
 
 
 def _warmup(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
-    shares = hat_weights(np.log(values["warmup_time_s"]), np.log(WARMUP_NODES_S))
+    shares = lagrange_weights(np.log(values["warmup_time_s"]), np.log(WARMUP_NODES_S))
     weights = {
         warmup_column(name, node): -(values["warmup_deficit"] * shares[..., i])
         for name in setting.thrusters
@@ -178,7 +179,9 @@ def _misalignment(
     centre = centre_of_mass(parameters)
     nominal = np.cross(places - centre, direction)
     change = np.cross(places - centre, force) - nominal
-    arms = np.array(np.broadcast_to(physics.arms_m, (*change.shape[:-1], *physics.arms_m.shape[-2:])))
+    arms = np.array(
+        np.broadcast_to(physics.arms_m, (*change.shape[:-1], *physics.arms_m.shape[-2:]))
+    )
     arms[..., k] += change
     return replace(physics, arms_m=arms)
 
@@ -199,9 +202,7 @@ def _inertia(physics: Physics, _: Parameters, values: Values, setting: Setting) 
     unit = np.zeros((3, 3))
     unit[i, j] = unit[j, i] = 1.0
     (departure,) = values.values()
-    return replace(
-        physics, inertia_kg_m2=physics.inertia_kg_m2 + departure[..., None, None] * unit
-    )
+    return replace(physics, inertia_kg_m2=physics.inertia_kg_m2 + departure[..., None, None] * unit)
 
 
 def _rate_bias(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:

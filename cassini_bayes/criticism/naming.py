@@ -1,0 +1,308 @@
+"""Naming: evidence and probability of every cause, second causes, what cannot be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from cassini_bayes.criticism.catalogue import Catalogue, Effect
+from cassini_bayes.criticism.columns import FLEXIBLE, flexible_columns
+from cassini_bayes.criticism.evidence import (
+    Mode,
+    Weighed,
+    baseline_mode,
+    extended_mode,
+    refined_mode,
+    sampled,
+)
+from cassini_bayes.criticism.extended import (
+    Case,
+    Hypothesis,
+    compact,
+    extend,
+    none_hypothesis,
+    reduce_source,
+    unknown_hypothesis,
+)
+from cassini_bayes.criticism.innovations import (
+    EventRows,
+    Linear,
+    innovations,
+    strongest_oscillation,
+)
+
+Array = NDArray[np.float64]
+NEAR_NATS: Final = 10.0
+MOST_SAMPLED: Final = 6
+SECOND_CAUSE_NATS: Final = 4.0
+CONFOUNDED_NATS: Final = 3.0
+SUMMARY_DRAWS: Final = 2_000
+_DAMPINGS: Final = (0.0, 0.001, 0.003, 0.01, 0.03)
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """The strongest line of the innovations: what ``flexible_mode`` is given to explain."""
+
+    frequency_hz: float
+    damping: float
+    axis: int
+    log_looks: float  # nats that the search costs
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Everything weighed, most probable first, with probabilities that add up to one.
+
+    ``innovations`` and ``linear`` are the baseline's at its mode (None without telemetry);
+    ``pair`` is the best two causes together where the second one earned its place.
+    """
+
+    case: Case
+    catalogue: Catalogue
+    weighed: tuple[Weighed, ...]
+    log_probabilities: Array
+    none: Weighed
+    unknown: Weighed
+    oscillation: Oscillation | None
+    linear: Linear | None
+    rows: tuple[EventRows, ...]
+    pair: Weighed | None
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of every cause by name."""
+        values = np.exp(self.log_probabilities)
+        return {w.name: float(p) for w, p in zip(self.weighed, values, strict=True)}
+
+    @property
+    def best(self) -> Weighed:
+        """The most probable hypothesis."""
+        return self.weighed[0]
+
+    def confounded_with(self, name: str) -> tuple[str, ...]:
+        """Real causes whose evidence is within three nats of a named one's."""
+        own = next(w for w in self.weighed if w.name == name)
+        if not own.hypothesis.effects:
+            return ()
+        return tuple(
+            w.name
+            for w in self.weighed
+            if w.name != name
+            and w.hypothesis.effects
+            and abs(w.log_evidence - own.log_evidence) < CONFOUNDED_NATS
+        )
+
+
+def name_causes(
+    case: Case,
+    catalogue: Catalogue,
+    rng: np.random.Generator,
+    *,
+    pairs: bool = True,
+    say: Say | None = None,
+) -> Verdict:
+    """Weigh ``none``, ``unknown`` and every cause of the catalogue.
+
+    Parameters
+    ----------
+    case
+        The events, reduced.
+    catalogue
+        Causes with the priors of their sizes.
+    rng
+        For the importance draws.
+    pairs
+        Whether to look for a second cause.
+    say
+        Told how far it got.
+    """
+    tell = say if say is not None else _silent
+    none = compact(none_hypothesis(case, catalogue))
+    base = baseline_mode(none.log_density, none.dimension)
+    tell(f"none: log evidence {base.log_evidence:.1f}")
+    unknown = compact(unknown_hypothesis(case, catalogue))
+    start = _unknown_start(none, unknown, base)
+    unknown_mode = baseline_mode(unknown.log_density, unknown.dimension, start)
+    tell(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
+    linear, rows = (
+        (None, [])
+        if not case.sources
+        else innovations(case, none_hypothesis(case, catalogue), base.point)
+    )
+    weighed = [_by_laplace(none, base), _by_laplace(unknown, unknown_mode)]
+    oscillation = find_oscillation(rows) if rows else None
+    effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
+    full = none_hypothesis(case, catalogue)
+    for i, effect in enumerate(effects):
+        hypothesis = compact(extend(full, [effect], case))
+        weighed.append(_by_laplace(hypothesis, extended_mode(hypothesis, base)))
+        if (i + 1) % 10 == 0:
+            tell(f"{i + 1} of {len(effects)} causes weighed")
+    if oscillation is not None and "flexible_mode" in catalogue.names:
+        weighed.append(_flexible(case, catalogue, oscillation, base))
+    weighed = _sample_near(weighed, rng)
+    weighed, log_probabilities = _ranked(weighed)
+    verdict = Verdict(
+        case,
+        catalogue,
+        tuple(weighed),
+        log_probabilities,
+        next(w for w in weighed if w.name == "none"),
+        next(w for w in weighed if w.name == "unknown"),
+        oscillation,
+        linear,
+        tuple(rows),
+        None,
+    )
+    if pairs and verdict.best.hypothesis.effects:
+        tell(f"looking for a second cause beside {verdict.best.name}")
+        verdict = replace(verdict, pair=second_cause(verdict, rng))
+    return verdict
+
+
+def _silent(text: str) -> None:
+    del text
+
+
+def _by_laplace(hypothesis: Hypothesis, mode: Mode) -> Weighed:
+    return Weighed(hypothesis, mode, mode.log_evidence, float("nan"))
+
+
+def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
+    """The baseline's mode in the coordinates of ``unknown``; its own new ones at the middle."""
+    at = dict(zip(none.model.space.names, base.point, strict=True))
+    return np.array([np.clip(at.get(name, 0.0), -3.0, 3.0) for name in unknown.model.space.names])
+
+
+def find_oscillation(rows: Sequence[EventRows]) -> Oscillation:
+    """The strongest line of the innovations and the damping that suits it best."""
+    frequency, axis, _, looks = strongest_oscillation(rows)
+    powers = []
+    for damping in _DAMPINGS:
+        total = 0.0
+        for own in rows:
+            phase = 2.0 * np.pi * frequency * own.time_s
+            decay = np.exp(-damping * phase)
+            columns = np.stack([decay * np.cos(phase), decay * np.sin(phase)], axis=1)
+            seen = columns.T @ own.white[:, axis]
+            total += float(seen @ np.linalg.solve(columns.T @ columns + 1e-9 * np.eye(2), seen))
+        powers.append(total)
+    damping = _DAMPINGS[int(np.argmax(powers))]
+    return Oscillation(frequency, damping, axis, float(np.log(looks * len(_DAMPINGS))))
+
+
+def _flexible(case: Case, catalogue: Catalogue, oscillation: Oscillation, base: Mode) -> Weighed:
+    """``flexible_mode`` at the frequency found, less the nats that the search costs."""
+    own, model_case = catalogue.effect("flexible_mode"), flexible_case(case, oscillation)
+    hypothesis = compact(extend(none_hypothesis(model_case, catalogue), [own], model_case))
+    mode = extended_mode(hypothesis, base)
+    hypothesis = replace(hypothesis, log_penalty=oscillation.log_looks)
+    return _by_laplace(hypothesis, mode)
+
+
+def flexible_case(case: Case, oscillation: Oscillation) -> Case:
+    """The case reduced again with the columns of the oscillation."""
+    columns = flexible_columns(oscillation.frequency_hz, oscillation.damping)
+    assert {column.name for column in columns} == set(FLEXIBLE)
+    statistics = tuple(
+        reduce_source(source, case.priors, columns, sampling.pulse_shape.name)
+        for source, (_, sampling) in zip(case.sources, case.statistics, strict=True)
+    )
+    return replace(case, statistics=statistics, flexible_axis=oscillation.axis)
+
+
+def _sample_near(weighed: Sequence[Weighed], rng: np.random.Generator) -> list[Weighed]:
+    """Importance-sampled evidence for the hypotheses nearest the best."""
+    scores = [_score(w) for w in weighed]
+    order = np.argsort(scores)[::-1]
+    near = [i for i in order if scores[i] > scores[order[0]] - NEAR_NATS][:MOST_SAMPLED]
+    return [sampled(w, rng) if i in near else w for i, w in enumerate(weighed)]
+
+
+def _score(weighed: Weighed) -> float:
+    return (
+        weighed.log_evidence
+        - weighed.hypothesis.log_penalty
+        + float(np.log(weighed.hypothesis.prior_probability))
+    )
+
+
+def _ranked(weighed: Sequence[Weighed]) -> tuple[list[Weighed], Array]:
+    scores = np.array([_score(w) for w in weighed])
+    order = np.argsort(-scores, kind="stable")
+    return [weighed[i] for i in order], scores[order] - float(logsumexp(scores))
+
+
+def second_cause(verdict: Verdict, rng: np.random.Generator) -> Weighed | None:
+    """The best pair with the winner, if it gains four nats over the winner alone."""
+    best, catalogue = verdict.best, verdict.catalogue
+    (first,) = best.hypothesis.effects
+    case = verdict.case
+    if first.kind == "flexible_mode":
+        return None
+    full = extend(none_hypothesis(case, catalogue), [first], case)
+    base = best.mode if best.z is not None else refined_mode(best.hypothesis, best.mode)
+    found: Weighed | None = None
+    for effect in _others(catalogue, first):
+        hypothesis = compact(extend(full, [effect], case))
+        weighed = _by_laplace(hypothesis, extended_mode(hypothesis, base))
+        if found is None or weighed.log_evidence > found.log_evidence:
+            found = weighed
+    if found is None or found.log_evidence < best.log_evidence + SECOND_CAUSE_NATS:
+        return None
+    return sampled(found, rng)
+
+
+def _others(catalogue: Catalogue, first: Effect) -> list[Effect]:
+    return [
+        effect
+        for effect in catalogue.effects
+        if effect.name != first.name and effect.kind != "flexible_mode"
+    ]
+
+
+def effect_draws(weighed: Weighed, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Posterior draws (n, d) in z and their weights (n,): importance or Laplace draws."""
+    if weighed.z is not None and weighed.log_weights is not None:
+        return weighed.z, np.exp(weighed.log_weights)
+    mode = weighed.mode
+    white = rng.standard_normal((SUMMARY_DRAWS, len(mode.point)))
+    return mode.point + white @ mode.factor.T, np.full(SUMMARY_DRAWS, 1.0 / SUMMARY_DRAWS)
+
+
+def effect_values(weighed: Weighed, z: Array) -> dict[str, Array]:
+    """The effect parameters' values (n,) at z: departures added to the baseline's parameter."""
+    model = weighed.hypothesis.model
+    parameters = model.space.to_parameters(z)
+    means = dict(zip("xyz", model.torque_mean_n_m, strict=True))
+    values = {}
+    for effect in weighed.hypothesis.effects:
+        for parameter in effect.parameters:
+            value = np.asarray(parameters[parameter.name], dtype=np.float64)
+            if parameter.is_departure and parameter.key in parameters:
+                value = value + parameters[parameter.key]
+            elif parameter.is_departure and parameter.key.startswith("external_torque_"):
+                value = value + means[parameter.key.split("_")[2]]
+            values[parameter.key] = value
+    return values
+
+
+def weighted_interval(
+    values: Array, weights: Array, probability: float = 0.9
+) -> tuple[float, float]:
+    """Shortest interval of a weighted sample with at least this probability."""
+    order = np.argsort(values)
+    ordered, cumulative = values[order], np.cumsum(weights[order])
+    starts = np.concatenate([[0.0], cumulative[:-1]])
+    ends = np.searchsorted(cumulative, starts + probability * cumulative[-1] - 1e-12)
+    valid = ends < len(ordered)
+    widths = ordered[ends[valid]] - ordered[valid]
+    first = int(np.argmin(widths))
+    return float(ordered[valid][first]), float(ordered[ends[valid]][first])
