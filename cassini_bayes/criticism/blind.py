@@ -66,6 +66,7 @@ MOST_RPM: Final = 1_000.0
 LARGEST_IN_PRIOR_SCALES: Final = 4.0
 NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
 KEPT_CAUSES: Final = 8
+NEWTON_STEPS: Final = 3
 DIAGNOSIS_CODE: Final = (
     "blind.py",
     "catalogue.py",
@@ -200,7 +201,7 @@ def draw_path(effect: Effect, rng: np.random.Generator) -> Path1:
 def sensitivity(case: Case, catalogue: Catalogue, base: Mode, path: Path1) -> float:
     """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
     none = none_hypothesis(case, catalogue)
-    step = 0.02
+    step = 0.05
     for _ in range(3):
         values = [_marginal(case, none, base, path, s) for s in (step, 0.0, -step)]
         bend = (2.0 * values[1] - values[0] - values[2]) / step**2
@@ -220,8 +221,13 @@ def _marginal(case: Case, none: Any, base: Mode, path: Path1, s: float) -> float
     narrowed = ParameterSpace(old.names, {**space.fixed, **fixed}, old.distributions, old.blocks)
     hypothesis = replace(extended, model=replace(extended.model, space=narrowed))
     moves = STEP * base.factor.T
-    found = hypothesis.log_density(base.point + np.vstack([0.0 * moves[:1], moves, -moves]))
-    d = len(base.point)
+    offsets = np.vstack([0.0 * moves[:1], moves, -moves])
+    point, d = base.point, len(base.point)
+    for _ in range(NEWTON_STEPS):
+        found = hypothesis.log_density(point + offsets)
+        gradient = (found[1 : d + 1] - found[d + 1 :]) / (2.0 * STEP)
+        point = point + base.factor @ gradient
+    found = hypothesis.log_density(point + offsets)
     gradient = (found[1 : d + 1] - found[d + 1 :]) / (2.0 * STEP)
     return float(found[0] + 0.5 * gradient @ gradient)
 

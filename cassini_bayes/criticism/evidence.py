@@ -22,6 +22,8 @@ LogDensity = Callable[[Array], Array]
 STEP: Final = 0.05
 CURVATURE_STEP: Final = 0.2
 LEAST_CURVATURE: Final = 0.05
+RIDGE_ROUNDS: Final = 2
+FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
 STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
 WORTH_A_SEARCH: Final = -1.0  # nats of log density against the baseline's mode
 DRAWS: Final = 1_000
@@ -141,10 +143,31 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
     density = hypothesis.log_density
     d, extra = len(base.point), hypothesis.dimension - len(base.point)
     point = _best_start(density, base, starts(extra))
-    axes = _own_axes(density, point, base, extra)
+    axes = _along_ridges(density, point, _own_axes(density, point, base, extra), d)
     if float(density(point[None])[0]) > float(density(_at_base(base, extra))[0]) + WORTH_A_SEARCH:
         point = climb(density, point, axes)
-    return _mode_with_rows(density, point, base, d, extra)
+        axes = _along_ridges(density, point, axes, d)
+    inner = _own_rows(density, point, axes, d)
+    factor = np.linalg.cholesky(_square(axes @ _inverse_factor(inner)))
+    return _mode(density, point, factor)
+
+
+def _along_ridges(density: LogDensity, point: Array, axes: Array, d: int) -> Array:
+    """Axes whose last ones follow the ridges along which the effect trades with the nuisances.
+
+    With the baseline's coordinates white and c, h the effect's rows of the curvature, the ridge is
+    (−c, 1) and its curvature h − cᵀc. That difference of large numbers is good after a few rounds.
+    """
+    for _ in range(RIDGE_ROUNDS):
+        inner = _own_rows(density, point, axes, d)
+        cross, own = inner[:d, d:], inner[d:, d:]
+        values, vectors = np.linalg.eigh(own - cross.T @ cross)
+        least = FLATTEST * np.diagonal(own).max()
+        turn = vectors / np.sqrt(np.maximum(values, least))
+        ridge = axes @ np.concatenate([-cross @ turn, turn])
+        length = np.abs(ridge[d:]).max(0)
+        axes = np.concatenate([axes[:, :d], ridge / np.maximum(length, 1.0)], axis=1)
+    return axes
 
 
 def _at_base(base: Mode, extra: int) -> Array:
@@ -164,14 +187,12 @@ def _best_start(density: LogDensity, base: Mode, tried: Array) -> Array:
     )
     values = density(batch.reshape(-1, d + tried.shape[1])).reshape(len(tried), -1)
     gradient = (values[:, 1 : d + 1] - values[:, d + 1 :]) / (2.0 * STEP)
-    size = np.linalg.norm(gradient, axis=1, keepdims=True)
     candidates = [np.concatenate([np.tile(base.point, (len(tried), 1)), tried], axis=1)]
     for share in (1.0, 0.3):
         stepped = base.point + share * gradient @ base.factor.T
         candidates.append(np.concatenate([stepped, tried], axis=1))
     everything = np.concatenate(candidates)
     found = density(everything)
-    del size
     return np.asarray(everything[int(np.nanargmax(found))])
 
 
@@ -195,13 +216,13 @@ def _own_axes(density: LogDensity, point: Array, base: Mode, extra: int) -> Arra
     return axes
 
 
-def _mode_with_rows(density: LogDensity, point: Array, base: Mode, d: int, extra: int) -> Mode:
-    """Laplace at a point with the baseline's curvature and the effect's own rows."""
-    axes = _own_axes(density, point, base, extra)
+def _own_rows(density: LogDensity, point: Array, axes: Array, d: int) -> Array:
+    """Curvature in the coordinates of ``axes``: the unit matrix but for the effect's own rows."""
+    size = axes.shape[1]
     h = CURVATURE_STEP
-    inner = np.eye(d + extra)
+    inner = np.eye(size)
     unit = h * axes.T
-    for i in range(d, d + extra):
+    for i in range(d, size):
         others = unit[: i + 1]
         both = np.vstack(
             [
@@ -220,8 +241,7 @@ def _mode_with_rows(density: LogDensity, point: Array, base: Mode, d: int, extra
         row = -(same - opposite) / (4.0 * h**2)
         row[i] = (2.0 * values[-1] - values[-3] - values[-2]) / h**2
         inner[i, : i + 1] = inner[: i + 1, i] = row
-    factor = np.linalg.cholesky(_square(axes @ _inverse_factor(inner)))
-    return _mode(density, point, factor)
+    return inner
 
 
 def refined_mode(hypothesis: Hypothesis, mode: Mode) -> Mode:
