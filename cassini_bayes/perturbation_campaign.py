@@ -141,24 +141,32 @@ def verdict(table: pd.DataFrame) -> str:
             f"in quadrature in {_percent(both)}. The posterior's 90 % intervals hold "
             f"{_percent(mean[POSTERIOR])} and {_percent(posterior)}, Laplace's "
             f"{_percent(mean[LAPLACE])} and {_percent(pooled[LAPLACE])}. For a thruster over all "
-            f"events the posterior's interval is {against[0]:.2f} times as long as the RSS bars and "
-            f"{against[1]:.2f} times as long as bars and standard error together. A thruster in one "
-            "event is not determined by totals for least squares (its answer of least norm lies "
-            f"inside the 90 % RSS bars in {_percent(single[RSS])}); the posterior's interval holds "
-            f"it in {_percent(single[POSTERIOR])}."
+            f"events the posterior's interval is {against[0]:.2f} times as long as the RSS bars "
+            f"and {against[1]:.2f} times as long as bars and standard error together. A thruster "
+            "in one event is not determined by totals for least squares (its answer of least norm "
+            f"lies inside the 90 % RSS bars in {_percent(single[RSS])}); the posterior's interval "
+            f"holds it in {_percent(single[POSTERIOR])}."
         )
+    return "\n\n".join([_in_short(table), *lines])
+
+
+def _in_short(table: pd.DataFrame) -> str:
+    """How many of the stated probabilities each method meets, and in which direction it errs."""
     own = table[table["claim"].notna()]
-    counts = [
-        f"{method} {int(holds_claim(own[own['method'] == method]).sum())} of "
-        f"{int((own['method'] == method).sum())}"
-        for method in (RSS, SQUARES, BOTH, LAPLACE, POSTERIOR)
-    ]
-    lines.append(
-        "**How many of the stated probabilities are met** (coverage within 3 % or three standard "
+    parts = []
+    for method in (RSS, SQUARES, BOTH, LAPLACE, POSTERIOR):
+        rows = own[own["method"] == method]
+        met = holds_claim(rows)
+        short = int((rows["coverage"] < rows["claim"])[~met].sum())
+        long = int((~met).sum()) - short
+        errs = [f"{n} too {word}" for n, word in ((short, "short"), (long, "long")) if n]
+        also = f" ({', '.join(errs)})" if errs else ""
+        parts.append(f"{method} {int(met.sum())} of {len(rows)}{also}")
+    return (
+        "**In short.** Stated probabilities that are met (coverage within 3 % or three standard "
         f"errors of the claim, over both readings, {len(ESTIMANDS)} estimates and two claims): "
-        f"{'; '.join(counts)}."
+        f"{'; '.join(parts)}."
     )
-    return "\n\n".join(lines)
 
 
 def _page(
@@ -205,6 +213,9 @@ certainty where sizes are largest errors.
 {_tables(table)}
 As a file: [{stem}.csv]({stem}.csv). Posterior draws are importance draws (largest Pareto k̂
 {worst_k:.2f}); a chain stood in for them in {chains} of {2 * sets} sets.
+
+The posterior also knows the priors of thrust and dead-band, which least squares does not ask for;
+the truths are drawn from them.
 
 What this does not say: the papers' estimates use the time history within an event, which totals do
 not carry; with it a single event determines its thrusters, and its least squares is a better

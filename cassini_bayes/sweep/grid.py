@@ -6,8 +6,11 @@ several, or a Dask cluster give the same files, and a killed grid goes on with t
 
 from __future__ import annotations
 
+import os
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -31,7 +34,9 @@ class Workers:
 
 @contextmanager
 def workers_at(jobs: int, dask: str | None) -> Iterator[Workers]:
-    """Local processes, or the workers of a Dask cluster at an address such as tcp://host:8786.
+    """Local processes (one job: this one), or the workers of a Dask cluster at an address.
+
+    An address looks like tcp://host:8786.
 
     Raises
     ------
@@ -39,7 +44,7 @@ def workers_at(jobs: int, dask: str | None) -> Iterator[Workers]:
         Dask is not installed, or nothing answers at the address.
     """
     if dask is None:
-        with ProcessPoolExecutor(max_workers=jobs) as pool:
+        with _local(jobs) as pool:
             yield Workers(pool, lambda shared: shared)
         return
     try:
@@ -56,6 +61,23 @@ def workers_at(jobs: int, dask: str | None) -> Iterator[Workers]:
         ) from error
     with client, client.get_executor(pure=False) as pool:
         yield Workers(pool, lambda shared: client.scatter(shared, broadcast=True))
+
+
+def _local(jobs: int) -> Executor:
+    if jobs == 1:
+        return ThreadPoolExecutor(max_workers=1)
+    return ProcessPoolExecutor(jobs, initializer=_end_with_parent, initargs=(os.getpid(),))
+
+
+def _end_with_parent(parent: int) -> None:
+    """Let a worker end when its parent was killed; it would wait for work for ever."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def run_cells(

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 Array = NDArray[np.float64]
 
 WORST_PARETO_K: Final = 0.7
-FEWEST_DRAWS: Final = 200.0
+FEWEST_DRAWS: Final = 400.0
 BATCHES: Final = 10
 QUANTILES: Final = (np.arange(199) + 1.0) / 200.0
 _ALL_ALIKE: Final = 1e-10

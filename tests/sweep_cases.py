@@ -1,0 +1,115 @@
+"""Cases for sweeps: a conjugate toy model with closed forms, and a small fit of flight events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from totals_cases import flight
+
+from cassini_bayes.parameter_space import ParameterSpace
+from cassini_bayes.posterior import log_posterior
+from cassini_bayes.priors import Priors
+from cassini_bayes.result import Fit, build_fit
+from cassini_bayes.sweep.cells import Baseline
+from cassini_bayes.sweep.models import TotalsFactory
+from cassini_bayes.sweep.weights import batch_labels
+from cassini_bayes.warmstart import warm_start
+
+Array = NDArray[np.float64]
+
+TOY_NAMES = ("cm_x_m", "cm_y_m")
+TOY_DATUM = 0.25
+TOY_NOISE = 0.02
+
+
+@dataclass(frozen=True)
+class ToyModel:
+    """One datum y = cm_x + cm_y + noise; ``blind`` has no datum (an event left out)."""
+
+    space: ParameterSpace
+    blind: bool
+
+    @property
+    def collapsed(self) -> tuple[str, ...]:
+        return ()
+
+    def log_likelihood(self, z: Array) -> Array:
+        values = self.space.to_parameters(z)
+        residual = TOY_DATUM - values["cm_x_m"] - values["cm_y_m"]
+        return np.asarray(-0.5 * (residual / TOY_NOISE) ** 2 * (not self.blind))
+
+    def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
+        del rng  # nothing is left to be drawn
+        values = self.space.to_parameters(z)
+        return xr.Dataset(
+            {
+                name: xr.DataArray(
+                    np.asarray(values[name])[None], dims=("chain", "draw"), attrs={"units": "m"}
+                )
+                for name in TOY_NAMES
+            }
+        )
+
+
+@dataclass(frozen=True)
+class ToyFactory:
+    """Makes the toy with any priors of the two centres of mass."""
+
+    priors: Priors
+    event_ids: tuple[str, ...] = ("datum",)
+
+    def build(self, priors: Priors, without: str = "") -> ToyModel:
+        return ToyModel(priors.space(TOY_NAMES), without == "datum")
+
+
+def toy_exact(priors: Priors) -> tuple[Array, Array]:
+    """Posterior mean and standard deviation of the toy under normal priors."""
+    found = [priors.parameters[name].distribution for name in TOY_NAMES]
+    mean = np.array([d.keywords["loc"] for d in found if d is not None])
+    sd = np.array([d.keywords["scale"] for d in found if d is not None])
+    gain = sd**2 / ((sd**2).sum() + TOY_NOISE**2)
+    centre = mean + gain * (TOY_DATUM - mean.sum())
+    return centre, np.sqrt(sd**2 - gain * sd**2)
+
+
+def toy_baseline(n: int = 8_000, seed: int = 1) -> Baseline:
+    """Independent exact draws of the toy's posterior."""
+    _, priors = flight(1)
+    factory = ToyFactory(priors)
+    space = priors.space(TOY_NAMES)
+    rng = np.random.default_rng(seed)
+    draws = space.to_parameters(space.sample(rng, n))
+    x = np.stack([np.asarray(draws[name]) for name in TOY_NAMES], -1)
+    sd = np.array([priors.parameters[name].distribution.sd() for name in TOY_NAMES])
+    gain = sd**2 / ((sd**2).sum() + TOY_NOISE**2)
+    # a prior draw moved by its own simulated misfit is a posterior draw (linear and normal)
+    x = x + gain * (TOY_DATUM - x.sum(-1) - TOY_NOISE * rng.standard_normal(n))[:, None]
+    parameters = {name: x[:, i] for i, name in enumerate(TOY_NAMES)}
+    z = space.to_standard(parameters)
+    return Baseline(
+        factory=factory,
+        parameters=parameters,
+        names=TOY_NAMES,
+        values=x,
+        log_likelihood=factory.build(priors).log_likelihood(z),
+        batches=batch_labels(4, n // 4),
+        seed=3,
+    )
+
+
+def small_fit(events: int = 2, draws: int = 1_000) -> tuple[TotalsFactory, Fit]:
+    """Importance draws, four "chains" of them, of the first flight events without ΔV."""
+    rows, priors = flight(events)
+    factory = TotalsFactory(rows, priors, delta_v="ignore")
+    model = factory.build(priors).model
+    rng = np.random.default_rng(7)
+    density = partial(log_posterior, model)
+    warm = warm_start(density, model.space.dimension, rng, draws=6_000)
+    z = warm.draws.resample(rng, 4 * draws)
+    shaped = z.reshape(4, draws, -1)
+    values = density(z).reshape(4, draws)
+    return factory, build_fit(model, shaped, values, rng, {"walkers": 1}, 2_000)
