@@ -202,13 +202,12 @@ def sensitivity(case: Case, catalogue: Catalogue, base: Mode, path: Path1) -> fl
     """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
     none = none_hypothesis(case, catalogue)
     step = 0.05
-    for _ in range(3):
+    bend = 0.0
+    for _ in range(4):
         values = [_marginal(case, none, base, path, s) for s in (step, 0.0, -step)]
-        bend = (2.0 * values[1] - values[0] - values[2]) / step**2
-        if not bend > 0:
-            return 0.0
-        step = float(np.clip(2.0 / np.sqrt(bend), 1e-5, 1.0))
-    return float(np.sqrt(bend))
+        bend = float((2.0 * values[1] - values[0] - values[2]) / step**2)
+        step = float(np.clip(2.0 / np.sqrt(bend), 1e-5, 1.0)) if bend > 0 else 5.0 * step
+    return float(np.sqrt(bend)) if bend > 0 else 0.0
 
 
 def _marginal(case: Case, none: Any, base: Mode, path: Path1, s: float) -> float:
