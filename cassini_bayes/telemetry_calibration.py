@@ -47,10 +47,13 @@ TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
 # Degrees of freedom, pilots and number of importance draws, cheap first: the noise levels have long
 # tails that a heavier proposal covers. A chain stands in when all fail.
-EFFORTS: Final = ((15.0, 2, 3_000), (6.0, 4, 8_000), (5.0, 5, 16_000))
+EFFORTS: Final = ((15.0, 1, 2_500), (6.0, 3, 6_000), (5.0, 4, 12_000))
+# Some forty autocorrelation times of several hundred walkers: enough for 999 draws.
+CHAIN_STEPS: Final = 300
 MOST_RPM: Final = 1_000.0
 MODEL_CODE: Final = (
     "distributions",
+    "delta_v_terms",
     "joint",
     "model",
     "parameter_space",
@@ -302,7 +305,9 @@ def _posterior_draws(
         warm = warm_start(log_density, dimension, rng, dof=dof, pilots=pilots, draws=draws)
         if warm.draws.pareto_k < TRUSTED_K:
             return warm.draws.resample(rng, RANK_DRAWS), warm.draws.pareto_k, False
-    settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
+    settings = SamplerSettings(
+        target_ess=RANK_DRAWS, max_steps=CHAIN_STEPS, seed=int(rng.integers(2**31))
+    )
     chains = sample(log_density, warm.proposal, settings)
     z, _ = chains.thinned(4 * RANK_DRAWS)
     flat = z.reshape(-1, dimension)

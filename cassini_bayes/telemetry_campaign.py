@@ -38,6 +38,8 @@ REPETITIONS: Final[Mapping[str, int]] = {
     **{variant.name: 100 for variant in VARIANTS},
     **{control.name: 30 for control in CONTROLS},
     "joint": 300,
+    "quiet-wheels": 50,
+    "noisy-wheels": 50,
 }
 QUICK: Final[Mapping[str, int]] = dict.fromkeys(REPETITIONS, 15) | {"joint": 40}
 
