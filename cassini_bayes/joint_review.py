@@ -144,7 +144,11 @@ def _baseline(model: JointModel, events: tuple[ReducedEvent, ...]) -> pd.DataFra
     if model.totals is not None:
         parts.append(perturbation_bars(model.totals, prior_centre(model.totals)))
     kept = [part for part in parts if not part.empty]
-    return pd.concat(kept, ignore_index=True) if kept else pd.DataFrame()
+    table = pd.concat(kept, ignore_index=True) if kept else pd.DataFrame()
+    if model.totals is not None and model.telemetry and not table.empty:
+        # pooled estimates of either kind are not of all events
+        table = table[table["event"] != ""].reset_index(drop=True)
+    return table
 
 
 def _predictive(model: JointModel, fit: Fit) -> pd.DataFrame:

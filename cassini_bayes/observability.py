@@ -31,6 +31,7 @@ from cassini_bayes.telemetry_terms import (
     cut_probability,
     noise_covariance,
 )
+from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
 STEP: Final = 0.05  # in prior standard deviations
@@ -117,7 +118,9 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
         weights = balance_weights(terms, physics, model.linear.common_mean_n, variance)
         columns = _columns(model, terms, weights)
         noise = noise_covariance(terms, physics, full)[0]
-        part = _gram_of(terms, columns, noise, float(nominal["torque_noise_n_m_s05"][0]) ** 2)
+        walk = float(nominal["torque_noise_n_m_s05"][0]) ** 2
+        wheel_variance = float(nominal["wheel_noise_rpm"][0] * RAD_S_PER_RPM) ** 2
+        part = _gram_of(terms, columns, noise, walk, wheel_variance)
         index = _index(places, place)
         information[np.ix_(index, index)] += part
         for own in model.delta_v:
@@ -209,11 +212,26 @@ def _tail_sd(terms: TelemetryTerms) -> Array:
     return np.asarray(np.sqrt(probability * (1.0 - probability)) / np.sqrt(counts))
 
 
-def _gram_of(terms: TelemetryTerms, columns: Array, noise: Array, walk: float) -> Array:
+def _without_wheel_noise(terms: TelemetryTerms, wheel_variance: float) -> Array:
+    """Gram matrices of the true wheel rates: what their noise adds to its square taken off.
+
+    Noise that drives a regressor tells nothing; the likelihood's Jacobian sees to the same.
+    """
+    layout, gram = terms.statistics.layout, terms.reduced.gram.copy()
+    used = np.unique(terms.pattern.row[terms.reduced.entries])
+    wheel = np.flatnonzero((used >= layout.wheel.start) & (used < layout.wheel.stop))
+    gram[:, :, wheel, wheel] -= terms.statistics.rows * wheel_variance
+    return gram
+
+
+def _gram_of(
+    terms: TelemetryTerms, columns: Array, noise: Array, walk: float, wheel_variance: float
+) -> Array:
     """Inner products of the derivatives over all rows, white noise and torque noise whitened."""
     values, vectors = np.linalg.eigh(noise)
     count, size = len(columns), terms.reduced.gram.shape[2]
-    gram = terms.reduced.gram.transpose(0, 2, 1, 3).reshape(3 * size, 3 * size)
+    gram = _without_wheel_noise(terms, wheel_variance)
+    gram = gram.transpose(0, 2, 1, 3).reshape(3 * size, 3 * size)
     projection = terms.reduced.projection.reshape(3 * size, -1).T
     result = np.zeros((count, count))
     for value, axis in zip(values, vectors.T, strict=True):

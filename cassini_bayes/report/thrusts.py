@@ -46,7 +46,7 @@ def summary_sentences(review: Review) -> list[str]:
         f"The thrusters share a common level of {plus_minus(common['mean'], common['sd'])} N "
         f"(mean ± standard deviation; {INTERVAL} "
         f"{interval(common['hdi_90_low'], common['hdi_90_high'])} N), from "
-        f"{_count(len(events_of(review)), 'wheel bias', 'wheel biases')} and "
+        f"{_count(len(events_of(review)), *_what(review))} and "
         f"{_count(len(thrusters), 'thruster', 'thrusters')}."
     ]
     if len(thrusters) > 1:
@@ -60,6 +60,13 @@ def summary_sentences(review: Review) -> list[str]:
         f"{_span(sd, ' mN')} (standard deviation)."
     )
     return [*sentences, *_limit_sentence(review), *_printed_sentence(review, common)]
+
+
+def _what(review: Review) -> tuple[str, str]:
+    """One event with thrusts, and several: totals rows are biases, telemetry may be a burn."""
+    if review.telemetry is None:
+        return "wheel bias", "wheel biases"
+    return "event with firings", "events with firings"
 
 
 def _count(n: int, one: str, many: str) -> str:
