@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pytest
 from event_cases import PRIORS, events, model, priors, simulated
@@ -20,6 +21,12 @@ from cassini_bayes.events import read_totals, write_totals
 from cassini_bayes.inputs import read_inputs
 from cassini_bayes.joint import collapse_joint
 from cassini_bayes.joint_draws import draw_all, joint_event_log_likelihood
+from cassini_bayes.plots.checks import balance_figure
+from cassini_bayes.plots.inertia import inertia_figure, observability_figure
+from cassini_bayes.plots.style import STYLE
+from cassini_bayes.plots.thrusts import thrust_figure
+from cassini_bayes.plots.time_series import series_figures
+from cassini_bayes.report import render_report
 from cassini_bayes.result import GROUPS, normal_log_density, read_fit
 from cassini_bayes.run import Outcome, execute
 from cassini_bayes.sampling import SamplerSettings
@@ -27,7 +34,7 @@ from cassini_bayes.telemetry_terms import INITIAL_SD_N_M_S
 from cassini_bayes.warmstart import WarmStart
 
 SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
-OUTPUT = {"report": True, "draws_per_ensemble": 500, "prior_draws": 500}
+OUTPUT = {"report": False, "draws_per_ensemble": 500, "prior_draws": 500}
 
 
 def table(folder: Path) -> dict[str, object]:
@@ -89,14 +96,34 @@ def test_a_mixed_run_is_complete(mixed: tuple[Outcome, Silent]) -> None:
     assert list(fit.posterior.coords["event"].values) == ["bias-again", "bias", "slews"]
     stored = {path.name for path in (folder / "tables").iterdir()}
     assert {"inertia.csv", "inertia_methods.csv", "observability.csv", "telemetry.csv"} <= stored
-    assert {"series_1.png", "series_2.png", "inertia.png"} <= {
-        path.name for path in (folder / "figures").iterdir()
-    }
-    page = (folder / "report.html").read_text()
-    for words in ("What these events can see", "Telemetry, row by row", "paper 000 eqs. 18–23"):
-        assert words in page
     provenance = json.loads((folder / "provenance.json").read_text())
     assert provenance["sha256"][str(simulated() / "bias")] == events("bias")[0].event.digest
+
+
+def test_the_page_shows_what_telemetry_adds(mixed: tuple[Outcome, Silent]) -> None:
+    """Sections, tables and pictures of telemetry are on the page, and those of totals rows stay."""
+    review = mixed[0].review
+    with matplotlib.rc_context(dict(STYLE)):
+        figures = {
+            "inertia": inertia_figure(review),
+            "observability": observability_figure(review),
+            "thrusts": thrust_figure(review),
+            "balance": balance_figure(review),
+            **series_figures(review),
+        }
+    drawn = {name: figure for name, figure in figures.items() if figure is not None}
+    assert set(drawn) == {*figures} >= {"series_1", "series_2"}
+    page = render_report(review, drawn)
+    for words in (
+        "Thrust and inertia, with their uncertainty",
+        "What these events can see",
+        "Telemetry, row by row",
+        "paper 000 eqs. 18–23",
+        "On-times",
+        "less the wheels&#39; spin inertia",
+    ):
+        assert words in page, words
+    assert page.count("<figure") == len(drawn)
 
 
 def test_a_slew_has_no_thrust_and_everything_else_is_finite(mixed: tuple[Outcome, Silent]) -> None:
@@ -159,8 +186,7 @@ def test_resume_takes_the_cache_and_gives_the_same(mixed: tuple[Outcome, Silent]
     outcome, _ = mixed
     before = read_fit(outcome.folder / "fit.nc")
     folder = outcome.folder.parent
-    content = table(folder) | {"output": OUTPUT | {"report": False}}
-    again, reporter = do(content, outcome.folder, resume=True)
+    again, reporter = do(table(folder), outcome.folder, resume=True)
     assert all("from the cache" in line for line in reporter.lines if "rows of telemetry" in line)
     after = read_fit(again.folder / "fit.nc")
     assert before.posterior.identical(after.posterior)
