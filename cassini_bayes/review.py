@@ -86,6 +86,7 @@ class TelemetryReview:
             "inertia_methods": self.inertia_methods,
             "torque_methods": self.torque_methods,
             "observability": self.observability.table,
+            **{f"series_{i}": series.table() for i, series in enumerate(self.series, start=1)},
         }
 
 

@@ -289,7 +289,7 @@ def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, 
         **expansion,
         "Pulse shape": run.model.pulse_shape,
         "ΔV": run.model.delta_v,
-        "Data rows": f"source “{run.source}” of {', '.join(run.events)}",
+        "Data rows": _data_rows(run, sampled),
         "Versions": ", ".join(f"{name} {version}" for name, version in provenance.versions.items()),
         "Package": f"cassini_bayes {__version__}",
         "SHA-256 of the inputs": "; ".join(
@@ -299,6 +299,15 @@ def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, 
         "Command": " ".join(provenance.command),
         "Started (UTC)": provenance.started_utc,
     }
+
+
+def _data_rows(run: RunFile, sampled: Sampled) -> str:
+    """Where the data came from; the source chooses rows of totals files only."""
+    named = ", ".join(run.events)
+    if isinstance(sampled.model, JointModel):
+        totals = f"; totals rows of source “{run.source}”" if sampled.model.totals else ""
+        return f"telemetry{totals}: {named}"
+    return f"source “{run.source}” of {named}"
 
 
 def _write_tables(review: Review, folder: Path) -> None:

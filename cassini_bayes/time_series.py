@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.event_reduction import ReducedEvent, samples_of
@@ -50,6 +51,14 @@ class EventSeries:
     residual_sd: Array  # over posterior draws
     noise_sd: Array
     every: int  # one row in this many is kept
+
+    def table(self) -> pd.DataFrame:
+        """The series as columns, one row per time; the event's id in the first column."""
+        columns: dict[str, object] = {"event": self.event, "time_s": self.time_s}
+        for name in ("measured", "predicted", "predicted_sd", "residual", "noise_sd"):
+            for axis, values in zip("xyz", getattr(self, name).T, strict=True):
+                columns[f"{name}_{axis}_n_m_s"] = values
+        return pd.DataFrame(columns)
 
     @property
     def inside(self) -> Array:
