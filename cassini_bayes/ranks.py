@@ -88,12 +88,14 @@ def envelope_p_values(ranks: Array) -> Array:
 def _least_tail(ranks: Array, n: int) -> Array:
     """Smallest two-sided binomial tail probability of each column's ECDF on the grid, (P,)."""
     points = np.arange(1, GRID + 1) / (GRID + 1)
-    counts = np.arange(n + 1)
-    least = np.ones(ranks.shape[1])
-    for point in points:
-        tail = 2.0 * np.minimum(binom.cdf(counts, n, point), binom.sf(counts - 1, n, point))
-        least = np.minimum(least, tail[(ranks <= point).sum(0)])
-    return least
+    columns = ranks.shape[1]
+    cell = np.clip(np.ceil(ranks * (GRID + 1)).astype(np.int64) - 1, 0, GRID)
+    place = cell + (GRID + 1) * np.arange(columns)
+    histogram = np.bincount(place.ravel(), minlength=(GRID + 1) * columns)
+    below = np.cumsum(histogram.reshape(columns, GRID + 1), axis=1)[:, :GRID]
+    counts = np.arange(n + 1)[:, None]
+    tail = 2.0 * np.minimum(binom.cdf(counts, n, points), binom.sf(counts - 1, n, points))
+    return np.asarray(np.minimum(tail[below, np.arange(GRID)].min(axis=1), 1.0))
 
 
 def envelope_band(n: int, probability: float) -> tuple[Array, Array, Array]:

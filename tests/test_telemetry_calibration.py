@@ -1,0 +1,100 @@
+"""The telemetry calibration: reproducible repetitions, truths with draws, a sound judgement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cassini_bayes.ranks import Ranks
+from cassini_bayes.telemetry_calibration import (
+    CONTROLS,
+    VARIANTS,
+    TelemetryCampaign,
+    flat_draws,
+    flat_truth,
+    joint_model_of,
+)
+from cassini_bayes.telemetry_campaign import QUICK, REPETITIONS, judge
+
+SCENARIO = "runs/scenarios/calibration.toml"
+PRIORS = "priors/cassini_b_branch_telemetry.toml"
+
+
+def campaign(name: str, seed: int = 5) -> TelemetryCampaign:
+    """The campaign of one variant."""
+    variant = next(v for v in (*VARIANTS, *CONTROLS) if v.name == name)
+    return TelemetryCampaign(SCENARIO, PRIORS, seed, variant)
+
+
+def test_a_repetition_repeats_and_ranks_every_name() -> None:
+    """The same seed and index give the same ranks, one fraction per name."""
+    slews = campaign("slew")
+    first, k, _ = slews.repetition(0)
+    again, _, _ = slews.repetition(0)
+    assert np.array_equal(first, again)
+    assert first.shape == (len(slews.names()),)
+    assert ((first >= 0) & (first <= 1)).all()
+    assert np.isfinite(k)
+
+
+def test_names_are_those_of_draws_and_truth() -> None:
+    """Every ranked scalar has draws and a true value; torque noise has no truth and is left out."""
+    joint = campaign("joint")
+    rng = np.random.default_rng(1)
+    priors = joint.priors()
+    simulation = joint.simulate(priors, rng)
+    model = joint_model_of(simulation, joint.variant, priors)
+    drawn = flat_draws(model, model.space.sample(rng, 3), rng)
+    truth = flat_truth(simulation)
+    assert set(joint.names()) <= set(drawn)
+    assert set(joint.names()) <= set(truth)
+    assert "torque_noise_n_m_s05" in drawn
+    assert "torque_noise_n_m_s05" not in joint.names()
+
+
+def test_variants_change_what_they_say() -> None:
+    """Sampling, events and wheel noise of a variant are in its telemetry and priors."""
+    rng = np.random.default_rng(2)
+    mixed = campaign("mixed")
+    telemetry = mixed.simulate(mixed.priors(), rng).events[0].telemetry
+    counters = telemetry.time_s[np.isfinite(telemetry.columns["pulses_z1"])]
+    rates = telemetry.time_s[np.isfinite(telemetry.columns["rate_x_rad_s"])]
+    assert np.diff(counters).min() == pytest.approx(10.0)
+    assert np.diff(rates).min() == pytest.approx(4.0)
+    noisy = campaign("noisy-wheels").priors().parameters["wheel_noise_rpm"].distribution
+    assert noisy is not None
+    assert noisy.quantile_of_standard(np.zeros(1))[0] == pytest.approx(1.0)
+    assert set(REPETITIONS) == set(QUICK) == {v.name for v in (*VARIANTS, *CONTROLS)}
+
+
+def test_the_pulse_blind_control_keeps_more_rows() -> None:
+    """Without the guard time rows during pulses are kept."""
+    one = campaign("bias")
+    priors = one.priors()
+    simulation = one.simulate(priors, np.random.default_rng(3))
+    rows = [
+        joint_model_of(simulation, replace(one.variant, control=control), priors)
+        .telemetry[0]
+        .statistics.rows
+        for control in ("none", "pulse-blind")
+    ]
+    assert rows[1] > rows[0] + 50
+
+
+def test_the_judgement_is_over_all_variants_together() -> None:
+    """Uniform ranks pass; one skewed parameter in one variant fails everything."""
+    rng = np.random.default_rng(4)
+
+    def made_up(n: int, skew: float) -> Ranks:
+        values = rng.uniform(size=(n, 6))
+        values[:, 2] **= skew
+        return Ranks(tuple("abcdef"), values, np.zeros(n), np.zeros(n, dtype=bool))
+
+    good = judge({"one": made_up(200, 1.0), "two": made_up(100, 1.0)})
+    bad = judge({"one": made_up(200, 2.0), "two": made_up(100, 1.0)})
+    assert good.passed
+    assert not bad.passed
+    failing = bad.table[bad.table["p_envelope_holm"] <= 0.01]
+    assert list(failing["variant"] + failing["parameter"]) == ["onec"]
