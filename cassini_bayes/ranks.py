@@ -94,7 +94,8 @@ def _least_tail(ranks: Array, n: int) -> Array:
     histogram = np.bincount(place.ravel(), minlength=(GRID + 1) * columns)
     below = np.cumsum(histogram.reshape(columns, GRID + 1), axis=1)[:, :GRID]
     counts = np.arange(n + 1)[:, None]
-    tail = 2.0 * np.minimum(binom.cdf(counts, n, points), binom.sf(counts - 1, n, points))
+    lower, upper = binom.cdf(counts, n, points), binom.sf(counts - 1, n, points)
+    tail: Array = 2.0 * np.minimum(lower, upper)
     return np.asarray(np.minimum(tail[below, np.arange(GRID)].min(axis=1), 1.0))
 
 
