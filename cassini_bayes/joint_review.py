@@ -172,8 +172,11 @@ def _totals_balance(model: JointModel, fit: Fit, z: Array) -> pd.DataFrame:
 
 
 def _closure(series: Sequence[EventSeries]) -> pd.DataFrame:
-    """What is left at the last usable row of every telemetry event, against its noise."""
-    left = np.stack([own.residual[-1] for own in series])
+    """What is left at the last usable row of every telemetry event, against its noise.
+
+    Delivered minus gained, as for totals rows.
+    """
+    left = -np.stack([own.residual[-1] for own in series])
     spread = np.stack([own.residual_sd[-1] for own in series])
     noise = np.stack([own.noise_sd[-1] for own in series])
     return _balance([own.event for own in series], left, spread, noise)

@@ -161,6 +161,12 @@ def test_the_rows_lie_inside_the_band(mixed: tuple[Outcome, Silent]) -> None:
         assert np.all(np.abs(series.inside - 0.9) < 0.07)
         assert len(series.time_s) <= 2_000
     bias, slews = telemetry.series
+    left = mixed[0].review.balance.set_index("event").loc["bias", "residual_n_m_s"]
+    assert left.to_numpy() == pytest.approx(-bias.residual[-1])
+    stored = np.genfromtxt(
+        mixed[0].folder / "tables" / "series_1.csv", delimiter=",", names=True, usecols=range(1, 17)
+    )
+    assert stored["residual_z_n_m_s"] == pytest.approx(bias.residual[:, 2], abs=1e-12)
     assert np.allclose(bias.measured - bias.predicted, bias.residual)
     # a slew's measured momentum is I ω of the file's rates
     rates = np.genfromtxt(
