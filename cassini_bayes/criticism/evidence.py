@@ -24,6 +24,7 @@ CURVATURE_STEP: Final = 0.2
 LEAST_CURVATURE: Final = 0.05
 RIDGE_ROUNDS: Final = 2
 FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
+LEAST_RIDGE: Final = 1e-6
 STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
 WORTH_A_SEARCH: Final = -1.0  # nats of log density against the baseline's mode
 DRAWS: Final = 1_000
@@ -111,12 +112,12 @@ def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -
         factor = factor @ _inverse_factor(matrix)
     point = climb(log_density, point, factor)
     _, matrix = curvature(log_density, point, factor)
-    factor = np.linalg.cholesky(_square(factor @ _inverse_factor(matrix)))
-    return _mode(log_density, point, factor)
+    return _mode(log_density, point, _cholesky(factor @ _inverse_factor(matrix)))
 
 
-def _square(factor: Array) -> Array:
-    return np.asarray(factor @ factor.T)
+def _cholesky(factor: Array) -> Array:
+    """Lower factor of the same covariance."""
+    return np.asarray(np.linalg.cholesky(factor @ factor.T), dtype=np.float64)
 
 
 def _mode(log_density: LogDensity, point: Array, factor: Array) -> Mode:
@@ -148,8 +149,7 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
         point = climb(density, point, axes)
         axes = _along_ridges(density, point, axes, d)
     inner = _own_rows(density, point, axes, d)
-    factor = np.linalg.cholesky(_square(axes @ _inverse_factor(inner)))
-    return _mode(density, point, factor)
+    return _mode(density, point, _cholesky(axes @ _inverse_factor(inner)))
 
 
 def _along_ridges(density: LogDensity, point: Array, axes: Array, d: int) -> Array:
@@ -162,7 +162,7 @@ def _along_ridges(density: LogDensity, point: Array, axes: Array, d: int) -> Arr
         inner = _own_rows(density, point, axes, d)
         cross, own = inner[:d, d:], inner[d:, d:]
         values, vectors = np.linalg.eigh(own - cross.T @ cross)
-        least = FLATTEST * np.diagonal(own).max()
+        least = max(FLATTEST * float(np.abs(np.diagonal(own)).max()), LEAST_RIDGE)
         turn = vectors / np.sqrt(np.maximum(values, least))
         ridge = axes @ np.concatenate([-cross @ turn, turn])
         length = np.abs(ridge[d:]).max(0)
@@ -249,8 +249,7 @@ def refined_mode(hypothesis: Hypothesis, mode: Mode) -> Mode:
     density = hypothesis.log_density
     point = climb(density, mode.point, mode.factor)
     _, matrix = curvature(density, point, mode.factor)
-    factor = np.linalg.cholesky(_square(mode.factor @ _inverse_factor(matrix)))
-    return _mode(density, point, factor)
+    return _mode(density, point, _cholesky(mode.factor @ _inverse_factor(matrix)))
 
 
 def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = DRAWS) -> Weighed:

@@ -165,9 +165,10 @@ class Hypothesis:
         inside = np.clip(z, -FARTHEST, FARTHEST)
         wall = WALL * ((z - inside) ** 2).sum(-1)
         try:
-            return self._inside(inside) - wall
+            return np.asarray(self._inside(inside) - wall)
         except np.linalg.LinAlgError:
-            return np.concatenate([self._one(point[None]) for point in inside]) - wall
+            found = np.concatenate([self._one(point[None]) for point in inside])
+            return np.asarray(found - wall)
 
     def _one(self, z: Array) -> Array:
         try:
@@ -176,7 +177,7 @@ class Hypothesis:
             return np.array([LEAST])
 
     def _inside(self, z: Array) -> Array:
-        value = joint_log_posterior(self.model, z)
+        value = np.nan_to_num(joint_log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
         if self.rates is None:
             return value
         parameters = self.model.space.to_parameters(z)

@@ -1,8 +1,8 @@
 """Row by row: the baseline's innovations, what can be fitted away, and a calibrated p-value.
 
-At the mode the balance is linear in everything: a row's momentum is columns times unknowns (thrusts,
-initial momentum, torque, cut tails) plus the derivatives with respect to the walked parameters times
-their departure, plus noise. With X all of these columns, whitened, and P their prior precision, the
+At the mode the balance is linear in everything: a row's momentum is columns times unknowns
+(thrusts, initial momentum, torque, cut tails) plus the derivatives with respect to the walked
+parameters times their departure, plus noise. With X all of these columns, whitened, and P their prior precision, the
 innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y. Replicates of y drawn from that same linear model and
 refitted in the same way give every statistic its own reference: a parametric bootstrap.
 """
@@ -25,7 +25,6 @@ from cassini_bayes.telemetry_terms import (
     TelemetryTerms,
     balance_weights,
     cut_probability,
-    lost_per_cut_s,
     noise_covariance,
 )
 

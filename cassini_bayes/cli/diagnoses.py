@@ -1,0 +1,102 @@
+"""`diagnose` and `calibrate blind`: what the simulation gets wrong, and whether that can be found."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Seed
+from cassini_bayes.errors import InputError
+
+DEFAULT_SEED = 1
+
+
+def diagnose_command(
+    events: Annotated[list[str], typer.Argument(help="Event folders, totals CSV or file.csv:ID.")],
+    priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    effects: Annotated[
+        Path | None, typer.Option("--effects", help="Another catalogue of effects.")
+    ] = None,
+    source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
+    gain: Annotated[bool, typer.Option("--gain/--no-gain", help="Hold events out.")] = True,
+    then_fit: Annotated[
+        bool, typer.Option("--then-fit", help="Sample the extended model with emcee.")
+    ] = False,
+    seed: Seed = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show what the simulation gets wrong, name the cause, measure the gain."""
+    import numpy as np
+
+    from cassini_bayes.criticism.diagnosis import catalogue_of, diagnose
+    from cassini_bayes.criticism.read import read_case
+    from cassini_bayes.report.diagnosis import diagnosis_json, write_diagnosis
+
+    if (out / "diagnosis.json").exists() and not force:
+        raise InputError(str(out), "a new folder", "an existing diagnosis", "add --force")
+    reporter = ConsoleReporter(quiet)
+    case = read_case(events, priors, source, reporter.say)
+    catalogue = catalogue_of(case, effects)
+    number = DEFAULT_SEED if seed is None else seed
+    result = diagnose(
+        case,
+        catalogue,
+        np.random.default_rng(number),
+        measure_gain=gain,
+        say=reporter.say,
+    )
+    result.record["seed"] = number
+    result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
+    write_diagnosis(result, out, out.name)
+    if then_fit:
+        from cassini_bayes.criticism.refit import fit_extended
+
+        fit_extended(result, out / "extended", number, reporter.say)
+    if as_json:
+        typer.echo(diagnosis_json(result.record).rstrip())
+    elif not quiet:
+        typer.echo(str(out / "report.html"))
+
+
+def calibrate_blind_command(
+    trials: Annotated[int, typer.Option("--trials", min=1)] = 470,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_261_121,
+    work: Annotated[Path, typer.Option("--work", help="Folder of finished trials.")] = Path(
+        "runs/calibrate-blind"
+    ),
+    page: Annotated[Path, typer.Option("--page", help="Folder of the results.")] = Path(
+        "docs/results/blind"
+    ),
+    scenario: Annotated[Path, typer.Option("--scenario")] = Path("runs/scenarios/calibration.toml"),
+    priors: Annotated[Path, typer.Option("--priors")] = Path(
+        "priors/cassini_b_branch_telemetry.toml"
+    ),
+    events: Annotated[str, typer.Option("--events", help="Ids of the scenario's events.")] = (
+        "bias-1,slews"
+    ),
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
+    results_only: Annotated[
+        bool, typer.Option("--results-only", help="Write results of the trials that are there.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Hide effects in simulated telemetry and count how often the diagnosis finds them."""
+    from cassini_bayes.blind_campaign import run_campaign, write_results
+    from cassini_bayes.criticism.blind import Blind
+
+    reporter = ConsoleReporter(quiet)
+    campaign = Blind(scenario, priors, seed, tuple(events.split(",")))
+    if not results_only:
+        for done, total in run_campaign(campaign, trials, work, jobs):
+            reporter.count("blind trials", done, total)
+    rates: dict[str, Any] = write_results(
+        work, page, seed, ["cassini-bayes", *sys.argv[1:]]
+    )
+    typer.echo(json.dumps(rates))

@@ -1,0 +1,270 @@
+"""``diagnosis.json``: the whole of a diagnosis as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.criticism.catalogue import Catalogue, read_catalogue
+from cassini_bayes.criticism.evidence import Weighed, extended_mode
+from cassini_bayes.criticism.extended import Case, compact, extend, none_hypothesis
+from cassini_bayes.criticism.gain import LEAST_EVENTS, HeldOut, case_of, held_out
+from cassini_bayes.criticism.innovations import EventRows, innovations, p_value
+from cassini_bayes.criticism.naming import (
+    NEAR_NATS,
+    Verdict,
+    effect_draws,
+    effect_values,
+    name_causes,
+    weighted_interval,
+)
+from cassini_bayes.criticism.separation import separating_measurement
+from cassini_bayes.criticism.symptoms import find_symptoms
+from cassini_bayes.spacecraft import couples
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+WIDTHS: Final = (0.5, 2.0)
+DISCREPANT: Final = 0.5
+LEAST_PROBABILITY: Final = 1e-6
+MOST_RESCALED: Final = 6
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A verdict with its symptoms, gain and the record that is written."""
+
+    verdict: Verdict
+    extended: Weighed
+    extended_rows: tuple[EventRows, ...]
+    record: dict[str, Any]
+
+
+def diagnose(
+    case: Case,
+    catalogue: Catalogue,
+    rng: np.random.Generator,
+    *,
+    measure_gain: bool = True,
+    say: Say | None = None,
+) -> Diagnosis:
+    """Show, name, extend and measure; returns everything for JSON and report.
+
+    Parameters
+    ----------
+    case, catalogue
+        What is diagnosed and what is weighed.
+    rng
+        For importance draws and bootstrap.
+    measure_gain
+        Whether to hold events out (takes as many more fits as there are events, twice).
+    say
+        Told how far it got.
+    """
+    verdict = name_causes(case, catalogue, rng, say=say)
+    extended = verdict.pair if verdict.pair is not None else verdict.best
+    p, extended_p, extended_rows = _p_values(verdict, extended, rng)
+    base_score, own_score = None, None
+    if measure_gain and len(case.sources) >= LEAST_EVENTS and case.totals is None:
+        base_score = held_out(verdict, verdict.none, say)
+        own_score = base_score if extended is verdict.none else held_out(verdict, extended, say)
+    thrusters = _thrusters(case)
+    symptoms = find_symptoms(verdict.rows, thrusters) if _is_discrepant(verdict) else ()
+    record = {
+        "format": 1,
+        "events": _event_ids(case),
+        "baseline": _fit_record(verdict.none, base_score, verdict.rows),
+        "discrepant": _is_discrepant(verdict),
+        "p_value": p,
+        "symptoms": [asdict(symptom) for symptom in symptoms],
+        "causes": _cause_records(verdict, rng),
+        "extended": {
+            "causes": _names(extended),
+            **_fit_record(extended, own_score, extended_rows),
+        },
+        "gain": _gain(base_score, own_score, extended_p),
+        "sensitivity": _sensitivity(verdict),
+        "second_cause_nats": None
+        if verdict.pair is None
+        else float(verdict.pair.log_evidence - verdict.best.log_evidence),
+        "separation": _separation(verdict),
+    }
+    return Diagnosis(verdict, extended, extended_rows, record)
+
+
+def catalogue_of(case: Case, path: Any = None) -> Catalogue:
+    """The default catalogue, or that of a file, for a case."""
+    arguments = () if path is None else (path,)
+    return read_catalogue(case.priors, case.wheels, case.inputs, *arguments)
+
+
+def _is_discrepant(verdict: Verdict) -> bool:
+    return verdict.probabilities["none"] < DISCREPANT
+
+
+def _event_ids(case: Case) -> list[str]:
+    rows = list(case.totals.stack.event_ids) if case.totals is not None else []
+    return [*rows, *(source.id for source in case.sources)]
+
+
+def _thrusters(case: Case) -> tuple[str, ...]:
+    return next((source.thrusters for source in case.sources if source.thrusters), ())
+
+
+def _names(weighed: Weighed) -> list[str]:
+    if weighed.name == "none":
+        return []
+    return [effect.name for effect in weighed.hypothesis.effects] or [weighed.name]
+
+
+def _p_values(
+    verdict: Verdict, extended: Weighed, rng: np.random.Generator
+) -> tuple[float | None, float | None, tuple[EventRows, ...]]:
+    """p-values of the baseline and the extended model, and the latter's innovations."""
+    if verdict.linear is None:
+        return None, None, ()
+    p = p_value(verdict.linear, [own.time_s for own in verdict.rows], rng)
+    if extended is verdict.none or extended.name == "unknown":
+        return p, p, verdict.rows
+    linear, rows = innovations(case_of(verdict, extended), extended.hypothesis, extended.mode.point)
+    return p, p_value(linear, [own.time_s for own in rows], rng), tuple(rows)
+
+
+def _rmse(rows: tuple[EventRows, ...]) -> float | None:
+    if not rows:
+        return None
+    values = np.concatenate([own.residual_n_m_s.ravel() for own in rows])
+    return float(np.sqrt((values**2).mean()))
+
+
+def _fit_record(
+    weighed: Weighed, score: HeldOut | None, rows: tuple[EventRows, ...]
+) -> dict[str, Any]:
+    return {
+        "elpd": None if score is None else score.elpd,
+        "elpd_se": None if score is None else score.elpd_se,
+        "rmse_nms": _rmse(rows),
+        "heldout_rmse_nms": None if score is None else score.rmse_n_m_s,
+        "heldout_coverage_90": None if score is None else score.coverage_90,
+        "log_evidence": float(weighed.log_evidence - weighed.hypothesis.log_penalty),
+    }
+
+
+def _gain(base: HeldOut | None, own: HeldOut | None, p: float | None) -> dict[str, Any]:
+    if base is None or own is None:
+        return {
+            "elpd_diff": None,
+            "elpd_diff_se": None,
+            "heldout_rmse_ratio": None,
+            "still_discrepant": None if p is None else p < 0.05,
+            "p_value": p,
+            "verdict": "held-out gain: not measurable",
+        }
+    differences = own.log_scores - base.log_scores
+    n = len(differences)
+    total = float(differences.sum())
+    se = float(np.sqrt(n) * differences.std(ddof=1))
+    gained = total > 2.0 * se and total > 0
+    return {
+        "elpd_diff": total,
+        "elpd_diff_se": se,
+        "heldout_rmse_ratio": own.rmse_n_m_s / base.rmse_n_m_s,
+        "still_discrepant": None if p is None else p < 0.05,
+        "p_value": p,
+        "verdict": "gain" if gained else "no gain",
+    }
+
+
+def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str, Any]]:
+    records = []
+    for weighed, log_probability in zip(verdict.weighed, verdict.log_probabilities, strict=True):
+        hypothesis = weighed.hypothesis
+        shown = weighed.z is not None or float(log_probability) > np.log(LEAST_PROBABILITY)
+        records.append(
+            {
+                "name": weighed.name,
+                "probability": float(np.exp(log_probability)),
+                "log_bayes_factor": float(
+                    weighed.log_evidence - hypothesis.log_penalty - verdict.none.log_evidence
+                ),
+                "parameters": _parameters(verdict, weighed, rng)
+                if shown and hypothesis.effects
+                else {},
+                "confounded_with": list(verdict.confounded_with(weighed.name)) if shown else [],
+            }
+        )
+    return records
+
+
+def _parameters(verdict: Verdict, weighed: Weighed, rng: np.random.Generator) -> dict[str, Any]:
+    z, weights = effect_draws(weighed, rng)
+    values = effect_values(weighed, z)
+    if "cosine_rad_s" in values:
+        amplitude = np.hypot(values["cosine_rad_s"], values["sine_rad_s"])
+        assert verdict.oscillation is not None  # what the columns were made from
+        found = {"amplitude_rad_s": _summary(amplitude, weights)}
+        for key in ("frequency_hz", "damping"):
+            value = float(getattr(verdict.oscillation, key))
+            found[key] = {"mean": value, "sd": 0.0, "hdi_90": [value, value]}
+        return found
+    return {key: _summary(value, weights) for key, value in values.items()}
+
+
+def _summary(values: Array, weights: Array) -> dict[str, Any]:
+    mean = float(weights @ values / weights.sum())
+    sd = float(np.sqrt(weights @ (values - mean) ** 2 / weights.sum()))
+    return {"mean": mean, "sd": sd, "hdi_90": list(weighted_interval(values, weights))}
+
+
+def _sensitivity(verdict: Verdict) -> dict[str, dict[str, float]]:
+    """Probabilities with every effect's prior half and twice as wide, for causes near the best.
+
+    Causes further than ten nats from the best keep their evidence.
+    """
+    best = max(w.log_evidence for w in verdict.weighed)
+    near = [
+        w for w in verdict.weighed if w.hypothesis.effects and w.log_evidence > best - NEAR_NATS
+    ][:MOST_RESCALED]
+    base = verdict.none.mode
+    result = {}
+    for width in WIDTHS:
+        scores = {
+            w.name: w.log_evidence
+            - w.hypothesis.log_penalty
+            + float(np.log(w.hypothesis.prior_probability))
+            for w in verdict.weighed
+        }
+        for weighed in near:
+            case = case_of(verdict, weighed)
+            full = none_hypothesis(case, verdict.catalogue)
+            effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
+            hypothesis = compact(extend(full, effects, case))
+            changed = extended_mode(hypothesis, base).log_evidence - weighed.mode.log_evidence
+            scores[weighed.name] += changed
+        values = np.array(list(scores.values()))
+        shares = np.exp(values - values.max())
+        result[f"{width:g}"] = {
+            name: float(share / shares.sum())
+            for name, share in sorted(zip(scores, shares, strict=True), key=lambda pair: -pair[1])
+            if share / shares.sum() > LEAST_PROBABILITY
+        }
+    return result
+
+
+def _separation(verdict: Verdict) -> list[dict[str, str]]:
+    best = verdict.best
+    if not best.hypothesis.effects:
+        return []
+    priors = verdict.case.priors
+    groups = tuple(couples(priors.spacecraft, priors.branch))
+    return [
+        {
+            "cause": other,
+            "measurement": separating_measurement(best.name, other, groups),
+        }
+        for other in verdict.confounded_with(best.name)
+    ]

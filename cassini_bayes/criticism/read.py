@@ -1,0 +1,61 @@
+"""Events named on the command line, read for a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from cassini_bayes.criticism.extended import Case, TelemetrySource, prepare
+from cassini_bayes.event_reduction import is_event_folder, samples_of
+from cassini_bayes.events import TotalsEvent, read_totals
+from cassini_bayes.model import build_model
+from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.statistics import Samples
+from cassini_bayes.telemetry import read_chunks, read_event
+
+
+def read_case(
+    references: Sequence[str],
+    priors_path: Path,
+    source: str = "flight",
+    say: Callable[[str], None] | None = None,
+) -> Case:
+    """Read event folders and totals rows.
+
+    Parameters
+    ----------
+    references
+        Event folders, totals CSV files (all rows) or ``file.csv:ID``.
+    priors_path
+        The priors file.
+    source
+        Which rows of a totals CSV.
+    say
+        Told what was read.
+
+    Raises
+    ------
+    InputError
+        Bad data or priors, as when fitting.
+    """
+    priors = read_priors(priors_path)
+    sources: list[TelemetrySource] = []
+    rows: list[TotalsEvent] = []
+    for reference in references:
+        if is_event_folder(Path(reference)):
+            sources.append(read_source(Path(reference), priors))
+        else:
+            rows += read_totals(reference, priors.spacecraft, source)
+    totals = build_model(tuple(rows), priors) if rows else None
+    if say is not None:
+        say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
+    return prepare(sources, priors, totals)
+
+
+def read_source(folder: Path, priors: Priors) -> TelemetrySource:
+    """One event folder as rows; a diagnosis keeps them in memory."""
+    event = read_event(folder, priors.spacecraft)
+    chunks = [samples_of(chunk) for chunk in read_chunks(event, priors.spacecraft)]
+    return TelemetrySource(
+        event.id, event.kind, event.wheels, event.thrusters, Samples.joined(chunks)
+    )
