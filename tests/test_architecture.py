@@ -36,6 +36,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("telemetry",),
     ("plausibility",),
     ("parameter_space",),
+    ("chaining",),
     ("priors",),
     ("simulation",),
     ("physics",),

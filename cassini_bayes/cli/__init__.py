@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cassini_bayes import __version__
-from cassini_bayes.cli import calibrations, fits, predictions, simulations, sweeps
+from cassini_bayes.cli import calibrations, diagnoses, fits, predictions, simulations, sweeps
 from cassini_bayes.errors import CassiniBayesError
 
 app = typer.Typer(
@@ -24,12 +24,14 @@ INTERRUPTED = 130
 
 app.command("run")(fits.run_command)
 app.command("fit")(fits.fit_command)
+app.command("diagnose")(diagnoses.diagnose_command)
 app.command("simulate")(simulations.simulate_command)
 app.command("sweep")(sweeps.sweep_command)
 app.command("predict")(predictions.predict_command)
 app.command("plan")(predictions.plan_command)
 calibrations.app.command("prediction")(predictions.calibrate_prediction_command)
 calibrations.app.command("perturbations")(sweeps.calibrate_perturbations_command)
+calibrations.app.command("blind")(diagnoses.calibrate_blind_command)
 app.add_typer(calibrations.app, name="calibrate")
 
 

@@ -96,7 +96,5 @@ def calibrate_blind_command(
     if not results_only:
         for done, total in run_campaign(campaign, trials, work, jobs):
             reporter.count("blind trials", done, total)
-    rates: dict[str, Any] = write_results(
-        work, page, seed, ["cassini-bayes", *sys.argv[1:]]
-    )
+    rates: dict[str, Any] = write_results(work, page, seed, ["cassini-bayes", *sys.argv[1:]])
     typer.echo(json.dumps(rates))

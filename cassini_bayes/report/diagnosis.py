@@ -66,9 +66,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     none = next(c for c in record["causes"] if c["name"] == "none")
     lines = []
     if best["name"] == "none":
-        lines.append(
-            f"The baseline explains these events (probability {none['probability']:.3f})."
-        )
+        lines.append(f"The baseline explains these events (probability {none['probability']:.3f}).")
     elif best["name"] == "unknown":
         lines.append(
             f"The data reject the baseline and no cause of the catalogue mends it "
@@ -127,9 +125,7 @@ def _cause_row(cause: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str,
     }
 
 
-def render_diagnosis(
-    record: Mapping[str, Any], figures: Mapping[str, Figure], name: str
-) -> str:
+def render_diagnosis(record: Mapping[str, Any], figures: Mapping[str, Figure], name: str) -> str:
     """The page as HTML; every text is escaped."""
     environment = Environment(
         loader=PackageLoader("cassini_bayes", "templates"),
@@ -147,9 +143,7 @@ def render_diagnosis(
         "heldout_rmse_nms": "held-out RMS residual (N m s)",
         "heldout_coverage_90": "coverage of held-out 90 % central intervals (1)",
     }
-    pictures = [
-        {"name": key, "address": _address(figure)} for key, figure in figures.items()
-    ]
+    pictures = [{"name": key, "address": _address(figure)} for key, figure in figures.items()]
     return environment.get_template("diagnosis.html.jinja").render(
         name=name,
         sentences=sentences(record),
@@ -159,7 +153,11 @@ def render_diagnosis(
         separation=record["separation"],
         extended_name=", ".join(after["causes"]) or "none",
         comparison=[
-            {"what": text, "before": _number(before[key], ".6g"), "after": _number(after[key], ".6g")}
+            {
+                "what": text,
+                "before": _number(before[key], ".6g"),
+                "after": _number(after[key], ".6g"),
+            }
             for key, text in labels.items()
         ],
         gain_sentence=gain_sentence(record),
