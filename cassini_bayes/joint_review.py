@@ -17,6 +17,7 @@ from cassini_bayes.inertia import (
     inertia_table,
     physicality,
 )
+from cassini_bayes.inertia_baselines import inertia_methods
 from cassini_bayes.joint import JointModel
 from cassini_bayes.joint_draws import full_parameters
 from cassini_bayes.model import linear_system, prior_centre
@@ -34,12 +35,7 @@ from cassini_bayes.review import (
     summarise,
 )
 from cassini_bayes.sensitivity import error_budget
-from cassini_bayes.telemetry_baselines import (
-    burn_methods,
-    inertia_methods,
-    thrust_methods,
-    torque_methods,
-)
+from cassini_bayes.telemetry_baselines import burn_methods, thrust_methods, torque_methods
 from cassini_bayes.time_series import EventSeries, event_series
 
 Array = NDArray[np.float64]

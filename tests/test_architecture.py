@@ -58,6 +58,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("bias_comparison",),
     ("baselines", "sensitivity", "criticism", "prediction", "calibration", "telemetry_calibration", "trend", "sweep"),
     ("telemetry_baselines", "perturbation_coverage"),
+    ("inertia_baselines",),
     ("review",),
     ("joint_review",),
     ("plots",),

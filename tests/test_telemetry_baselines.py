@@ -9,17 +9,15 @@ import pytest
 from event_cases import events, model, simulated
 
 from cassini_bayes.baselines import MEAN, PER_EVENT
+from cassini_bayes.inertia_baselines import all_axes, axis_by_axis, inertia_methods
 from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.statistics import Sampling
 from cassini_bayes.telemetry_baselines import (
     UNCORRECTED,
     PlainRows,
-    all_axes,
     assumed_physics,
-    axis_by_axis,
     drift_torque,
     individual_and_paired,
-    inertia_methods,
     mean_thrust,
     ratio,
     thrust_methods,
