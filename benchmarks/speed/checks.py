@@ -1,0 +1,46 @@
+"""That the plain likelihood and the copies in JAX state the same posterior as ours."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import jax.scipy.special as jax_special
+import numpy as np
+import scipy.special
+from speed import plain
+from speed.fast_jax import fast_log_posterior
+
+from cassini_bayes.joint import joint_log_posterior
+
+
+def largest_difference(problem: plain.Problem, points: int = 5) -> dict[str, float]:
+    """Largest relative differences to our log posterior over prior-like points.
+
+    The plain density is Gaussian in everything we integrate out, so its integral is exact: the
+    maximum and the determinant of its second derivatives.
+    """
+    d, extra = len(problem.model.space.names), problem.linear_size
+    z = 0.5 * np.random.default_rng(7).standard_normal((points, d))
+    ours = joint_log_posterior(problem.model, z)
+    fast = jax.jit(fast_log_posterior(problem))
+    by_jax = np.array([float(fast(point)) for point in z])
+
+    def density(x: jax.Array) -> jax.Array:
+        return plain.log_posterior(jnp, jax_special, problem, x)
+
+    value, slope, curve = (jax.jit(f) for f in (density, jax.grad(density), jax.hessian(density)))
+    integrals, copies = [], []
+    for point in z:
+        x = np.concatenate([point, np.zeros(extra)])
+        for _ in range(2):  # the second step mends the first one's rounding
+            x = x.copy()
+            x[d:] += np.linalg.solve(-curve(x)[d:, d:], slope(x)[d:])
+        log_det = np.linalg.slogdet(-np.asarray(curve(x))[d:, d:])[1]
+        integrals.append(float(value(x)) + 0.5 * extra * np.log(2.0 * np.pi) - 0.5 * log_det)
+        copies.append(plain.log_posterior(np, scipy.special, problem, x) - float(value(x)))
+    scale = np.abs(ours)
+    return {
+        "fast in JAX": float(np.max(np.abs(by_jax - ours) / scale)),
+        "plain, integrated": float(np.max(np.abs(integrals - ours) / scale)),
+        "plain in JAX against numpy": float(np.max(np.abs(copies) / scale)),
+    }

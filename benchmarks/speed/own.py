@@ -1,0 +1,149 @@
+"""This package's own times: one bias, seven events, many samples, many events."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from speed.problem import model_of, reduced_events
+
+from cassini_bayes.fitting import Sampled, collapsed_size, fit_model
+from cassini_bayes.joint import JointModel, build_joint_model, joint_log_posterior
+from cassini_bayes.joint_draws import draw_all
+from cassini_bayes.sampling import SamplerSettings, stored_ess
+from cassini_bayes.statistics import EventStatistics, Samples, Sampling, reduce_chunks
+from cassini_bayes.warmstart import warm_start
+
+Row = dict[str, Any]
+TARGET = 2_000
+POINTS = 400
+
+
+def fit_row(folders: list[Path], label: str) -> Row:
+    """From event folders to a fit with the effective draws asked for, stage by stage."""
+    began = time.perf_counter(), time.process_time()
+    events = reduced_events(folders)
+    model = model_of(events)
+    read = time.perf_counter()
+    fitted = fit_model(model, SamplerSettings(target_ess=TARGET), events=events)
+    wall, processor = time.perf_counter() - began[0], time.process_time() - began[1]
+    least, least_name = least_ess(fitted)
+    return {
+        "case": label,
+        "rows": sum(event.reading.rows for event in events),
+        "walked": len(model.space.names),
+        "collapsed": collapsed_size(model),
+        "reading_s": read - began[0],
+        "wall_s": wall,
+        "processor_s": processor,
+        "least_ess": least,
+        "least_ess_of": least_name,
+        "steps": int(fitted.chains.convergence.step),
+        "converged": fitted.chains.convergence.done,
+        "pareto_k": float(fitted.warm.draws.pareto_k),
+        **importance_row(folders),
+    }
+
+
+def least_ess(fitted: Sampled) -> tuple[float, str]:
+    """Smallest bulk or tail effective size of the stored draws, walked and collapsed alike."""
+    model, z = fitted.model, fitted.z
+    assert isinstance(model, JointModel)
+    m, n, d = z.shape
+    walkers = fitted.chains.z.shape[2]
+    drawn = draw_all(model, fitted.flat_z, np.random.default_rng(0))
+    parts = {"torque": drawn.torque_n_m.reshape(len(drawn.torque_n_m), -1)}
+    parts |= {f"own of event {i}": own for i, own in enumerate(drawn.own)}
+    if drawn.thrusts is not None:
+        parts["thrust"] = drawn.thrusts.thrust_n.reshape(m * n, -1)
+    sizes = {name: min(stored_ess(z[:, :, i], walkers)) for i, name in enumerate(model.space.names)}
+    for name, values in parts.items():
+        for j in np.flatnonzero(values.std(0) > 0):
+            sizes[f"{name} {j}"] = min(stored_ess(values[:, j].reshape(m, n), walkers))
+    return min((size, name) for name, size in sizes.items())
+
+
+def importance_row(folders: list[Path]) -> Row:
+    """From event folders to importance draws alone."""
+    began = time.perf_counter()
+    model = model_of(reduced_events(folders))
+    log_density = partial(joint_log_posterior, model)
+    warm = warm_start(log_density, len(model.space.names), np.random.default_rng(1))
+    wall = time.perf_counter() - began
+    ess = warm.draws.efficiency * len(warm.draws.z)
+    return {"importance_wall_s": wall, "importance_ess": ess}
+
+
+def repeated(samples: Samples, times: int) -> Samples:
+    """Telemetry flown again and again: counters and time go on, the rest repeats."""
+
+    def again(values: np.ndarray[Any, Any], grows: bool) -> np.ndarray[Any, Any]:
+        step = (values[-1] - values[0]) if grows else 0.0
+        return np.concatenate([values + i * step for i in range(times)])
+
+    period = samples.time_s[-1] - samples.time_s[0] + 1.0
+    return Samples(
+        np.concatenate([samples.time_s + i * period for i in range(times)]),
+        again(samples.attitude, False),
+        again(samples.rate_rad_s, False),
+        again(samples.wheel_rad_s, False),
+        again(samples.on_time_s, True),
+        again(samples.pulses, True),
+    )
+
+
+def call_time(model: JointModel, repeats: int, points: int = POINTS) -> float:
+    """Median processor time of a likelihood call per point, seconds."""
+    rng = np.random.default_rng(0)
+    z = 0.3 * rng.standard_normal((points, len(model.space.names)))
+    joint_log_posterior(model, z)
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        joint_log_posterior(model, z)
+        times.append(time.process_time() - began)
+    return float(np.median(times)) / points
+
+
+def sample_growth(reduced: Any, samples: Samples, counts: list[int], repeats: int) -> list[Row]:
+    """Time of a likelihood call for telemetry of more and more rows."""
+    models = []
+    for count in counts:
+        whole = repeated(samples, -(-count // len(samples))).part(0, count)
+        sampling = replace(reduced.sampling, duration_s=float(whole.time_s[-1]))
+        chunks = [whole.part(a, a + 100_000) for a in range(0, count, 100_000)]
+        layout = reduced.statistics.layout
+        statistics = reduce_chunks("bias", "bias", chunks, layout, sampling)
+        models.append(build_joint_model([(statistics, sampling)], _priors()))
+    # taken in turn, so that a busy machine slows all of them
+    times = np.array([[call_time(model, 1) for model in models] for _ in range(repeats)])
+    return [
+        {"rows": count, "call_s": float(value)}
+        for count, value in zip(counts, np.median(times, axis=0), strict=True)
+    ]
+
+
+def event_growth(
+    pairs: list[tuple[EventStatistics, Sampling]], counts: list[int], repeats: int
+) -> list[Row]:
+    """Time of a likelihood call for more and more joint events (the six biases, renamed)."""
+    models = []
+    for count in counts:
+        chosen = [pairs[i % len(pairs)] for i in range(count)]
+        named = [(replace(s, event_id=f"e{i}"), how) for i, (s, how) in enumerate(chosen)]
+        models.append(build_joint_model(named, _priors()))
+    times = np.array([[call_time(model, 1) for model in models] for _ in range(repeats)])
+    return [
+        {"events": count, "walked": len(model.space.names), "call_s": float(value)}
+        for count, model, value in zip(counts, models, np.median(times, axis=0), strict=True)
+    ]
+
+
+def _priors() -> Any:
+    from speed.problem import priors_of
+
+    return priors_of()
