@@ -95,8 +95,9 @@ def _least_tail(ranks: Array, n: int) -> Array:
     below = np.cumsum(histogram.reshape(columns, GRID + 1), axis=1)[:, :GRID]
     counts = np.arange(n + 1)[:, None]
     lower, upper = binom.cdf(counts, n, points), binom.sf(counts - 1, n, points)
-    tail: Array = 2.0 * np.minimum(lower, upper)
-    return np.asarray(np.minimum(tail[below, np.arange(GRID)].min(axis=1), 1.0))
+    tail: Array = np.asarray(2.0 * np.minimum(lower, upper), dtype=np.float64)
+    least: Array = tail[below, np.arange(GRID)].min(axis=1)
+    return np.minimum(least, 1.0)
 
 
 def envelope_band(n: int, probability: float) -> tuple[Array, Array, Array]:

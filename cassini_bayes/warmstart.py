@@ -24,10 +24,11 @@ GRADIENT_STEP = 1e-4
 HESSIAN_STEP = 2e-2
 LEAST_CURVATURE = 0.25
 WHITENED_STEP = 0.25  # standard deviations
+WHITENED_GRADIENT_STEP = 0.01
 WHITENED_LOOKS = 4
 WHITENED_LEAST_CURVATURE = 1e-2  # a look may widen a direction tenfold
 SETTLED = 0.1
-LONGEST_STEP = 3.0  # standard deviations, of one Newton step
+ROUGH, FINE = 2e-9, 1e-13
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,18 @@ class WarmStart:
     draws: ImportanceDraws
 
 
-def find_mode(log_density: LogDensity, start: Array) -> Array:
+def find_mode(
+    log_density: LogDensity,
+    start: Array,
+    axes: Array | None = None,
+    step: float = GRADIENT_STEP,
+    tolerance: float = ROUGH,
+) -> Array:
     """Maximise the log density from ``start`` (d,) by L-BFGS with batched central differences.
+
+    The search is in the coordinates u of z = start + axes u; ``axes`` (d, d) is the identity by
+    default. Axes of about a standard deviation each make it short where scales differ. It ends when
+    a step gains less than ``tolerance`` of the density's own size.
 
     Raises
     ------
@@ -100,17 +111,20 @@ def find_mode(log_density: LogDensity, start: Array) -> Array:
         When the density is not finite at the start.
     """
     d = len(start)
-    steps = GRADIENT_STEP * np.eye(d)
+    turned = np.eye(d) if axes is None else axes
+    steps = step * turned.T
 
-    def objective(z: Array) -> tuple[float, Array]:
+    def objective(u: Array) -> tuple[float, Array]:
+        z = start + turned @ u
         values = log_density(np.vstack([z, z + steps, z - steps]))
-        gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * GRADIENT_STEP)
+        gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * step)
         return -float(values[0]), -gradient
 
     if not np.isfinite(log_density(start[None])).all():
         raise CassiniBayesError("the posterior is not finite at the centre of the prior")
-    found = minimize(objective, start, jac=True, method="L-BFGS-B", options={"maxiter": 500})
-    return np.asarray(found.x, dtype=np.float64)
+    options = {"maxiter": 500, "ftol": tolerance}
+    found = minimize(objective, np.zeros(d), jac=True, method="L-BFGS-B", options=options)
+    return np.asarray(start + turned @ found.x, dtype=np.float64)
 
 
 def hessian(
@@ -140,31 +154,36 @@ def hessian(
 def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
     """Mode and lower factor of the Laplace covariance, from a point near the mode.
 
-    Stiff and soft directions may differ by a thousand in scale, where no one step of finite
-    differences is right for all. The curvature found with a common step whitens the second look,
-    whose steps are a fraction of a standard deviation along every axis; Newton steps with it finish
-    the search for the mode.
+    Stiff and soft directions may differ by a thousand in scale and lie along curved ridges, where a
+    search in the plain coordinates stops early and no one step of finite differences is right for
+    all. The curvature found with a common step whitens the coordinates for a second search and a
+    second look, whose steps are a fraction of a standard deviation along every axis, and so on
+    until two looks agree.
     """
     mode = start
     _, curvature = hessian(log_density, mode)
-    # the prior alone has curvature one; far less is finite-difference noise or a saddle
     factor = _covariance_factor(-curvature, LEAST_CURVATURE)
     for _ in range(WHITENED_LOOKS):
-        gradient, curvature = hessian(log_density, mode, factor, WHITENED_STEP)
-        inner = _covariance_factor(-curvature, WHITENED_LEAST_CURVATURE)
-        shift = inner @ (inner.T @ gradient)
-        size = float(np.sqrt(shift @ shift))
-        moved = mode + factor @ (shift * min(1.0, LONGEST_STEP / max(size, LONGEST_STEP)))
-        if log_density(moved[None])[0] > log_density(mode[None])[0]:
-            mode = moved
-        factor = np.asarray(np.linalg.cholesky(factor @ inner @ inner.T @ factor.T))
-        if size < SETTLED and np.abs(curvature + np.eye(len(mode))).max() < SETTLED:
+        mode = find_mode(log_density, mode, factor, WHITENED_GRADIENT_STEP, FINE)
+        _, curvature = hessian(log_density, mode, factor, WHITENED_STEP)
+        factor = _narrowed(factor @ _covariance_factor(-curvature, WHITENED_LEAST_CURVATURE))
+        if np.abs(curvature + np.eye(len(mode))).max() < SETTLED:
             break
     return mode, factor
 
 
+def _narrowed(factor: Array) -> Array:
+    """Lower factor of a covariance no axis of which is wider than the prior's curvature allows."""
+    values, vectors = np.linalg.eigh(factor @ factor.T)
+    covariance = (vectors * np.minimum(values, 1.0 / LEAST_CURVATURE)) @ vectors.T
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+
+
 def _covariance_factor(curvature: Array, least: float) -> Array:
-    """Lower factor of the inverse of a curvature whose eigenvalues are raised to ``least``."""
+    """Lower factor of the inverse of a curvature whose eigenvalues are raised to ``least``.
+
+    The prior alone has curvature one in z; far less is finite-difference noise or a saddle.
+    """
     values, vectors = np.linalg.eigh(curvature)
     covariance = (vectors / np.maximum(values, least)) @ vectors.T
     return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
