@@ -96,8 +96,8 @@ def _least_tail(ranks: Array, n: int) -> Array:
     counts = np.arange(n + 1)[:, None]
     lower, upper = binom.cdf(counts, n, points), binom.sf(counts - 1, n, points)
     tail: Array = np.asarray(2.0 * np.minimum(lower, upper), dtype=np.float64)
-    least: Array = tail[below, np.arange(GRID)].min(axis=1)
-    return np.minimum(least, 1.0)
+    least = np.minimum(tail[below, np.arange(GRID)].min(axis=1), 1.0)
+    return np.asarray(least, dtype=np.float64)
 
 
 def envelope_band(n: int, probability: float) -> tuple[Array, Array, Array]:
@@ -138,7 +138,12 @@ def run_repetitions(
     with ProcessPoolExecutor(max_workers=jobs) as pool:
         pending = {pool.submit(_one_file, campaign, index): index for index in missing}
         for future in as_completed(pending):
-            store.save(_file(pending[future]), future.result())
+            try:
+                block = future.result()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)  # else all others would run first
+                raise
+            store.save(_file(pending[future]), block)
             done += 1
             yield min(done * campaign.per_file, repetitions), repetitions
 
