@@ -121,9 +121,8 @@ def holm(p_values: Sequence[float] | Array) -> Array:
 def coverage_p_values(coverage: Array, n: int, probability: float = 0.9) -> Array:
     """Two-sided binomial p-values of the coverage of n intervals of a stated probability."""
     hits = np.rint(coverage * n)
-    return np.minimum(
-        2.0 * np.minimum(binom.cdf(hits, n, probability), binom.sf(hits - 1, n, probability)), 1.0
-    )
+    tail = np.minimum(binom.cdf(hits, n, probability), binom.sf(hits - 1, n, probability))
+    return np.asarray(np.minimum(2.0 * tail, 1.0), dtype=np.float64)
 
 
 def run_repetitions(
