@@ -8,7 +8,7 @@ not depend on the number of samples (``docs/telemetry-likelihood.md`` §5).
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -25,6 +25,7 @@ from cassini_bayes.storage import write_bytes
 Array = NDArray[np.float64]
 MODES: Final = 32
 _FORMAT: Final = 1
+_BLOCK_ROWS: Final = 4_096
 
 
 @dataclass(frozen=True)
@@ -82,21 +83,26 @@ def empty_statistics(
 
 def gram_of(rows: Rows, statistics: EventStatistics) -> EventStatistics:
     """Statistics of some rows alone, on the time scale of ``statistics``."""
-    columns = [np.concatenate([rows.vector[:, c], rows.scalar], axis=1) for c in range(3)]
-    gram = np.empty_like(statistics.gram)
-    for c in range(3):
-        for d in range(c, 3):
-            gram[c, d] = columns[c].T @ columns[d]
-            gram[d, c] = gram[c, d].T
+    n, vectors, scalars = len(rows.time_s), rows.vector.shape[2], rows.scalar.shape[1]
     phase = np.pi * rows.time_s[:, None] / statistics.duration_s
     modes = np.cos(phase * np.arange(1, MODES + 1))
-    projection = np.stack([modes.T @ column for column in columns], axis=1)
+    # one symmetric product: half the work of a product per pair of axes, scalars only once
+    everything = np.concatenate([rows.vector.reshape(n, 3 * vectors), rows.scalar, modes], axis=1)
+    inner = everything.T @ everything
+    start = 3 * vectors
+    places = [np.r_[c * vectors : (c + 1) * vectors, start : start + scalars] for c in range(3)]
+    gram = np.empty_like(statistics.gram)
+    for c in range(3):
+        for d in range(3):
+            gram[c, d] = inner[places[c][:, None], places[d]]
+    mode = slice(start + scalars, None)
+    projection = np.stack([inner[mode, place] for place in places], axis=1)
     return replace(
         statistics,
         rows=len(rows.time_s),
         gram=gram,
         projection=projection,
-        mode_gram=modes.T @ modes,
+        mode_gram=inner[mode, mode],
         close_pairs=np.zeros_like(statistics.close_pairs),
     )
 
@@ -124,7 +130,7 @@ def reduce_chunks(
     carry = Carry.start(layout)
     interval = 0.0
     previous: Samples | None = None
-    for chunk in chunks:
+    for chunk in _in_blocks(chunks):
         if previous is not None:
             rows, carry = settle(previous, carry, layout, sampling, final=False)
             total = total + gram_of(rows, total)
@@ -143,6 +149,16 @@ def reduce_chunks(
             "give more telemetry, or the counters at a faster rate",
         )
     return replace(total, close_pairs=carry.cuts, counter_interval_s=interval)
+
+
+def _in_blocks(chunks: Iterable[Samples]) -> Iterator[Samples]:
+    """The same rows in blocks whose columns stay in the processor's cache."""
+    for chunk in chunks:
+        if len(chunk) <= _BLOCK_ROWS:
+            yield chunk
+        else:
+            for start in range(0, len(chunk), _BLOCK_ROWS):
+                yield chunk.part(start, start + _BLOCK_ROWS)
 
 
 def counter_interval(samples: Samples) -> float:
