@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import jax.scipy.special as jax_special
 import numpy as np
 import scipy.special
-from speed import plain
-from speed.fast_jax import fast_log_posterior
 
 from cassini_bayes.joint import joint_log_posterior
+from speed import plain
+from speed.fast_jax import fast_log_posterior
 
 
 def largest_difference(problem: plain.Problem, points: int = 5) -> dict[str, float]:

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import jax.scipy.special as special
 import numpy as np
 from jax.scipy.linalg import solve_triangular
-from speed import plain
 
 from cassini_bayes.statistics.columns import CUT_PARTS
 from cassini_bayes.telemetry_terms import CONTROL_CYCLE_S, INITIAL_SD_N_M_S, cut_probability
 from cassini_bayes.terms import RAD_S_PER_RPM
+from speed import plain
 
 jax.config.update("jax_enable_x64", True)
 Values = Any

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from dataclasses import replace
 from functools import partial
@@ -9,35 +10,63 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from speed.problem import model_of, reduced_events
+from numpy.typing import NDArray
 
 from cassini_bayes.fitting import Sampled, collapsed_size, fit_model
 from cassini_bayes.joint import JointModel, build_joint_model, joint_log_posterior
 from cassini_bayes.joint_draws import draw_all
-from cassini_bayes.sampling import SamplerSettings, stored_ess
+from cassini_bayes.sampling import ProgressReport, SamplerSettings, sample, stored_ess
 from cassini_bayes.statistics import EventStatistics, Samples, Sampling, reduce_chunks
 from cassini_bayes.warmstart import warm_start
+from speed.problem import model_of, reduced_events
 
 Row = dict[str, Any]
+Array = NDArray[np.float64]
 TARGET = 2_000
+FIRST_CHECK = 300
+CHECKED_STEPS = 600
+REFERENCE = 50_000
 POINTS = 400
 
 
-def fit_row(folders: list[Path], label: str) -> Row:
+class Stages:
+    """When the effective sizes of the walked parameters were reached first, in a fit."""
+
+    def __init__(self) -> None:
+        self._began = time.perf_counter(), time.process_time()
+        self.enough: tuple[float, float] | None = None
+
+    def note(self, report: ProgressReport) -> None:
+        """Take a progress report of the sampler."""
+        if self.enough is None and not any(text.startswith("ESS") for text in report.failed):
+            self.enough = self.now()
+
+    def now(self) -> tuple[float, float]:
+        """Wall and processor seconds since the start."""
+        return time.perf_counter() - self._began[0], time.process_time() - self._began[1]
+
+
+def fit_row(folders: list[Path], label: str, quick: bool = False) -> Row:
     """From event folders to a fit with the effective draws asked for, stage by stage."""
-    began = time.perf_counter(), time.process_time()
+    stages = Stages()
     events = reduced_events(folders)
     model = model_of(events)
-    read = time.perf_counter()
-    fitted = fit_model(model, SamplerSettings(target_ess=TARGET), events=events)
-    wall, processor = time.perf_counter() - began[0], time.process_time() - began[1]
+    read = stages.now()
+    settings = SamplerSettings(target_ess=100 if quick else TARGET)
+    if quick:
+        settings = replace(settings, first_check=40, max_steps=60)
+    fitted = fit_model(model, settings, events=events, progress=stages.note)
+    wall, processor = stages.now()
     least, least_name = least_ess(fitted)
+    enough = stages.enough or (np.nan, np.nan)
     return {
         "case": label,
         "rows": sum(event.reading.rows for event in events),
         "walked": len(model.space.names),
         "collapsed": collapsed_size(model),
-        "reading_s": read - began[0],
+        "reading_s": read[1],
+        "enough_wall_s": enough[0],
+        "enough_processor_s": enough[1],
         "wall_s": wall,
         "processor_s": processor,
         "least_ess": least,
@@ -47,6 +76,61 @@ def fit_row(folders: list[Path], label: str) -> Row:
         "pareto_k": float(fitted.warm.draws.pareto_k),
         **importance_row(folders),
     }
+
+
+def sampler_row(folders: list[Path], torque_noise: bool) -> tuple[Row, Array]:
+    """Our sampler until the size wanted is there, as the others are timed, and many more draws.
+
+    The clock starts at the event folder and includes reading, reduction and warm start.
+    """
+    importlib.import_module("arviz")  # two seconds; the others' imports do not count either
+    clock = Stages()
+    model = model_of(reduced_events(folders, torque_noise), torque_noise)
+    log_density = partial(joint_log_posterior, model)
+    joint_log_posterior(model, np.zeros((1, len(model.space.names))))
+    warm = warm_start(log_density, len(model.space.names), np.random.default_rng(1))
+    warm_s = clock.now()[1]
+    settings = SamplerSettings(
+        target_ess=TARGET, ensembles=2, first_check=FIRST_CHECK, max_steps=CHECKED_STEPS
+    )
+    began = time.process_time()
+    chains = sample(log_density, warm.proposal, settings, progress=clock.note)
+    sampling_s = time.process_time() - began
+    kept = chains.z[:, chains.burn_in :]
+    m, steps, walkers, d = kept.shape
+    per_walker = np.moveaxis(kept, 2, 1).reshape(m * walkers, steps, d)
+    ess = least_of(per_walker)
+    flat = kept.reshape(-1, d)
+    enough = clock.enough or (np.nan, np.nan)
+    row = {
+        "sampler": "cassini_bayes (emcee)",
+        "likelihood": "fast",
+        "torque_noise": torque_noise,
+        "dimensions": d,
+        "warm_start_s": warm_s,
+        "enough_s": enough[1],
+        "enough_wall_s": enough[0],
+        "sampling_s": sampling_s,
+        "ess": ess,
+        "autocorrelation_steps": float(chains.convergence.autocorrelation_time.max()),
+        "ess_per_s": ess / (warm_s + sampling_s),
+        "sampling_ess_per_s": ess / sampling_s,
+        "call_s": call_time(model, 5),
+        "pareto_k": float(warm.draws.pareto_k),
+        "importance_ess": float(warm.draws.efficiency * len(warm.draws.z)),
+    }
+    return row, flat[:: max(len(flat) // REFERENCE, 1)]
+
+
+def least_of(chains: Array) -> float:
+    """Smallest bulk or tail effective size of chains (chains, steps, dimensions)."""
+    from arviz import ess
+
+    return min(
+        float(ess(chains[:, :, j], method=method))
+        for j in range(chains.shape[2])
+        for method in ("bulk", "tail")
+    )
 
 
 def least_ess(fitted: Sampled) -> tuple[float, str]:
@@ -81,7 +165,7 @@ def importance_row(folders: list[Path]) -> Row:
 def repeated(samples: Samples, times: int) -> Samples:
     """Telemetry flown again and again: counters and time go on, the rest repeats."""
 
-    def again(values: np.ndarray[Any, Any], grows: bool) -> np.ndarray[Any, Any]:
+    def again(values: Array, grows: bool) -> Array:
         step = (values[-1] - values[0]) if grows else 0.0
         return np.concatenate([values + i * step for i in range(times)])
 

@@ -79,19 +79,10 @@ def make_problem(model: JointModel, event: ReducedEvent, has_noise: bool) -> Pro
 
 def log_posterior(xp: ModuleType, special: Any, problem: Problem, x: Values) -> Values:
     """Log density of the data and of everything sampled, at one point x."""
-    d, k = len(problem.model.space.names), problem.terms.pattern.thrusters
-    cuts = len(problem.terms.pattern.cuts)
-    parameters = to_parameters(xp, special, problem.model, x[:d])
-    white = x[d:]
-    thrust = problem.model.linear.common_mean_n + problem.thrust_factor @ white[:k]
-    start = problem.terms.initial_mean_n_m_s + INITIAL_SD_N_M_S * white[k : k + 3]
-    torque = problem.model.torque_mean_n_m + problem.model.torque_sd_n_m * white[k + 3 : k + 6]
-    tails = white[k + 6 : k + 6 + cuts]
-    amplitudes = white[k + 6 + cuts :].reshape(-1, 3)
-    residual, noise, weights, spread = balance(
-        xp, problem, parameters, (thrust, start, torque, tails)
-    )
+    parameters, unknowns = unpacked(xp, special, problem, x)
+    residual, noise, weights, spread = balance(xp, problem, parameters, unknowns)
     if problem.has_noise:
+        amplitudes = x[-3 * MODES :].reshape(-1, 3)
         residual = residual - parameters["torque_noise_n_m_s05"] * (problem.waves @ amplitudes)
     rows = len(problem.scalar)
     whitened = residual @ xp.linalg.inv(noise)
@@ -102,6 +93,21 @@ def log_posterior(xp: ModuleType, special: Any, problem: Problem, x: Values) -> 
         - 3.0 * np.log(2.0 * np.pi)
     )
     return log_likelihood - 0.5 * xp.sum(x**2) - 0.5 * len(x) * np.log(2.0 * np.pi)
+
+
+def unpacked(
+    xp: ModuleType, special: Any, problem: Problem, x: Values
+) -> tuple[dict[str, Values], tuple[Values, ...]]:
+    """Parameters, and (thrusts, initial momentum, torque, cut tails) at a point."""
+    d, k = len(problem.model.space.names), problem.terms.pattern.thrusters
+    white = x[d:]
+    unknowns = (
+        problem.model.linear.common_mean_n + problem.thrust_factor @ white[:k],
+        problem.terms.initial_mean_n_m_s + INITIAL_SD_N_M_S * white[k : k + 3],
+        problem.model.torque_mean_n_m + problem.model.torque_sd_n_m * white[k + 3 : k + 6],
+        white[k + 6 : k + 6 + len(problem.terms.pattern.cuts)],
+    )
+    return to_parameters(xp, special, problem.model, x[:d]), unknowns
 
 
 def balance(

@@ -1,0 +1,209 @@
+"""How fast telemetry is fitted: from data to effective draws, against five other samplers.
+
+Ratios in one run, as a table and a figure in docs/results. Parts that are finished are kept
+(``--parts``), so that a single part can be run again: delete its file. The other samplers (extra
+``bench`` of pyproject.toml) may be missing; then their part says so. Everything runs on one core
+at a time; times are processor time where a busy machine would spoil wall time, and say so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import platform
+import time
+from collections.abc import Callable
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from speed import own, page, reduction
+from speed.problem import (
+    ROOT,
+    event_folders,
+    model_of,
+    priors_of,
+    reduced_events,
+)
+
+from cassini_bayes import __version__
+from cassini_bayes.event_reduction import samples_of
+from cassini_bayes.storage import write_text
+from cassini_bayes.telemetry import load_event
+
+Row = dict[str, Any]
+NEEDED = ("jax", "numpyro", "dynesty", "nautilus", "zeus")
+PACKAGES = ("emcee", "zeus-mcmc", "numpyro", "jax", "dynesty", "nautilus-sampler", "numpy")
+
+
+def main() -> None:
+    """Run the parts that are not finished, then write the page."""
+    options = read_options()
+    if options.core is not None:
+        os.sched_setaffinity(0, {options.core})
+    folders = event_folders(options.parts / "events")
+    for name, work in parts(folders, options).items():
+        if options.only and not any(name.startswith(wanted) for wanted in options.only):
+            continue
+        path = options.parts / f"{name}.json"
+        if path.exists():
+            continue
+        print(f"== {name}", flush=True)
+        rows = work()
+        write_text(path, json.dumps({"circumstances": circumstances(), "rows": rows}, indent=1))
+        for row in rows:
+            print("  ", json.dumps(row, default=str), flush=True)
+    found = {
+        path.stem: json.loads(path.read_text()) for path in sorted(options.parts.glob("*.json"))
+    }
+    if options.page is not None:
+        page.write(options.page, found, options.quick)
+        print(f"page: {options.page}")
+
+
+def read_options() -> argparse.Namespace:
+    """Options of the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="short runs, to see that all works")
+    parser.add_argument("--page", type=Path, help="write table and figure beside this .md file")
+    parser.add_argument("--parts", type=Path, default=None, help="folder of finished parts")
+    parser.add_argument("--only", nargs="*", default=[], help="parts whose names begin like this")
+    parser.add_argument("--core", type=int, default=None, help="run on this processor core alone")
+    parser.add_argument("--budget", type=float, default=60.0, help="seconds for each peer")
+    parser.add_argument("--long", action="store_true", help="1e8 rows of reduction as well")
+    options = parser.parse_args()
+    if options.parts is None:
+        options.parts = ROOT / "build" / ("speed-quick" if options.quick else "speed")
+    if options.quick:
+        options.budget = min(options.budget, 3.0)
+    return options
+
+
+def parts(folders: list[Path], options: argparse.Namespace) -> dict[str, Callable[[], list[Row]]]:
+    """Every part of the benchmark by name, in order."""
+    quick = options.quick
+    chosen: dict[str, Callable[[], list[Row]]] = {
+        "calls-samples": partial(samples_part, folders, quick),
+        "calls-events": partial(events_part, folders, quick),
+        "reduction": partial(reduction_part, folders, options),
+        "fit-one": lambda: [own.fit_row(folders[:1], "one bias", quick)],
+        "fit-seven": lambda: [own.fit_row(folders, "six biases and a slew set", quick)],
+    }
+    if options.long:
+        chosen["reduction-long"] = lambda: [reduction.reduce_row(folders[0], 10**8)]
+    for noise in (True, False):
+        suffix = "noise" if noise else "white"
+        chosen[f"own-{suffix}"] = partial(own_part, folders, noise, options)
+        if any(importlib.util.find_spec(name) is None for name in NEEDED):
+            print("other samplers are not all installed (extra bench): left out")
+            continue
+        from speed.peers import PEERS
+
+        chosen[f"same-{suffix}"] = partial(same_part, folders, noise)
+        for fast in (True, False):
+            for i, name in enumerate(PEERS):
+                form = "fast" if fast else "plain"
+                chosen[f"peer-{suffix}-{form}-{i}"] = partial(
+                    peer_part, name, fast, noise, folders, options
+                )
+    return chosen
+
+
+def own_part(folders: list[Path], noise: bool, options: argparse.Namespace) -> list[Row]:
+    """Our sampler on its own likelihood; its draws are the reference for the others."""
+    row, draws = own.sampler_row(folders[:1], noise)
+    np.save(reference_path(options.parts, noise), draws)
+    return [row]
+
+
+def reference_path(folder: Path, noise: bool) -> Path:
+    """Where reference draws lie."""
+    return folder / f"reference-{'noise' if noise else 'white'}.npy"
+
+
+def peer_part(
+    name: str, fast: bool, noise: bool, folders: list[Path], options: argparse.Namespace
+) -> list[Row]:
+    """One other sampler on one form of the posterior."""
+    from speed.peers import peer_row
+
+    reference = np.load(reference_path(options.parts, noise))
+    return [peer_row(name, fast, noise, folders, options.budget, reference)]
+
+
+def same_part(folders: list[Path], noise: bool) -> list[Row]:
+    """How well the plain likelihood and the JAX copies agree with ours."""
+    from speed import plain
+    from speed.checks import largest_difference
+
+    events = reduced_events(folders[:1], noise)
+    problem = plain.make_problem(model_of(events, noise), events[0], noise)
+    return [{"torque_noise": noise, **largest_difference(problem)}]
+
+
+def samples_part(folders: list[Path], quick: bool) -> list[Row]:
+    """Time of a likelihood call against the number of samples."""
+    event = reduced_events(folders[:1])[0]
+    samples = samples_of(load_event(event.event, priors_of().spacecraft))
+    counts = [1_000, 10_000] if quick else [1_000, 10_000, 100_000, 1_000_000]
+    return own.sample_growth(event, samples, counts, 3 if quick else 41)
+
+
+def events_part(folders: list[Path], quick: bool) -> list[Row]:
+    """Time of a likelihood call against the number of joint events."""
+    pairs = [(event.statistics, event.sampling) for event in reduced_events(folders[:-1])]
+    counts = [1, 2, 4] if quick else [1, 2, 4, 8, 16, 32, 64]
+    return own.event_growth(pairs, counts, 3 if quick else 11)
+
+
+def reduction_part(folders: list[Path], options: argparse.Namespace) -> list[Row]:
+    """Rows per second, and memory, of reading and of reducing."""
+    scratch = options.parts / "scratch"
+    if options.quick:
+        return [
+            reduction.reading_row(folders[0], 20_000, scratch),
+            reduction.reduce_row(folders[0], 20_000),
+        ]
+    return [
+        reduction.reading_row(folders[0], 1_000_000, scratch),
+        reduction.reduce_row(folders[0], 10**6),
+        reduction.reduce_row(folders[0], 10**7),
+    ]
+
+
+def circumstances() -> Row:
+    """What a figure depends on."""
+    versions = {}
+    for name in PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    return {
+        "version": __version__,
+        "python": platform.python_version(),
+        "processor": processor(),
+        "load": os.getloadavg()[0],
+        "cores": os.cpu_count(),
+        "date": time.strftime("%Y-%m-%d"),
+        "packages": versions,
+    }
+
+
+def processor() -> str:
+    """Name of the processor."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.machine()
+
+
+if __name__ == "__main__":
+    main()
