@@ -15,6 +15,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.chaining import ChainedLevels
 from cassini_bayes.delta_v import ComputedDeltaV, computed_channel
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import TotalsEvent
@@ -81,6 +82,9 @@ class LinearBlock:
     own: Array  # (K, p)
     torque_mean_n_m: Array  # (3,)
     torque_sd_n_m: Array  # (3,)
+    # levels from an earlier fit: ``shared`` is then a factor of their covariance given the walked
+    # parameters, and their mean takes the place of the common one
+    chained: ChainedLevels | None = None
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,7 @@ class LinearSystem:
     delta_v_variance: Array  # (n,) of a printed ΔV; 0 where no event uses it
     common_n: Array  # (n,)
     effective_on_time_s: Array  # (n, E, K)
+    offset_n: Array | None = None  # (n, K) mean level less the common one, from an earlier fit
 
 
 def build_model(
@@ -193,7 +198,7 @@ def build_model(
         stack=stack,
         space=priors.space(()),
         specs={name: prior.spec for name, prior in priors.parameters.items()},
-        linear=linear_block(priors, len(stack.thrusters)),
+        linear=linear_block(replace(priors, earlier=None), len(stack.thrusters)),
         pulse_shape=PULSE_SHAPES[pulse_shape],
         delta_v=delta_v,
         # a parameter that an idle wheel shares with a prime one keeps its prior
@@ -225,9 +230,27 @@ def build_model(
     names = list(dict.fromkeys(names))
     priors.require(names, "the totals model")
     model = replace(draft, space=priors.space(names))
+    if priors.earlier is not None:
+        model = _chained(model, priors)
     _require_sense(model, priors.path)
     check_axis_pairs(spacecraft, priors.branch, prior_centre(model))
     return model
+
+
+def _chained(model: TotalsModel, priors: Priors) -> TotalsModel:
+    """The model with thrust levels from an earlier fit, given the parameters that both walk."""
+    earlier = priors.earlier
+    assert earlier is not None  # asked for with an earlier fit only
+    if model.computed is not None:
+        raise InputError(
+            f"{priors.path}: from_fit",
+            "events without a computed velocity change",
+            "one that the flight software computed, whose constants are not handed on",
+            'set delta_v = "ignore" in the run file: it informs no thrust',
+        )
+    levels, factor = earlier.levels(model.space.names)
+    factor.setflags(write=False)
+    return replace(model, linear=replace(model.linear, shared=factor, chained=levels))
 
 
 def _require_sense(model: TotalsModel, where: str) -> None:
@@ -266,6 +289,9 @@ def _require_sense(model: TotalsModel, where: str) -> None:
 
 def prior_centre(model: TotalsModel) -> dict[str, float]:
     """Prior mean of every walked parameter and value of every fixed one: what one would assume."""
+    if model.space.joint is not None:
+        centre = model.space.to_parameters(np.zeros(model.space.dimension))
+        return {name: float(value) for name, value in centre.items()}
     means = {
         name: distribution.mean()
         for name, distribution in zip(model.space.names, model.space.distributions, strict=True)
@@ -290,6 +316,13 @@ def _require_mass(model: TotalsModel) -> None:
 
 def linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
     """Read the linear parameters' priors; they must be normal (or fixed) to be integrated out."""
+    if priors.earlier is not None:
+        raise InputError(
+            f"{priors.path}: from_fit",
+            "totals rows alone, in the earlier fit and in this one",
+            "telemetry with thrusters",
+            "fit both sets of events together instead",
+        )
     priors.require([THRUST_COMMON], "the totals model")
     levels = normal_priors(priors, THRUST_LEVELS)[1]
     torque_means, torque_scales = normal_priors(priors, TORQUES)
@@ -398,7 +431,19 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
         delta_v_variance=np.broadcast_to(_delta_v_variance(full), batch),
         common_n=np.broadcast_to(np.asarray(common, dtype=np.float64), batch),
         effective_on_time_s=np.broadcast_to(effective, (*batch, n_events, n_thrusters)),
+        offset_n=_offset(model.linear, full, batch, n_thrusters),
     )
+
+
+def _offset(
+    linear: LinearBlock, parameters: Parameters, batch: tuple[int, ...], n_thrusters: int
+) -> Array | None:
+    """Mean levels less the common one (..., K); None without an earlier fit."""
+    if linear.chained is None:
+        return None
+    common = parameters[THRUST_COMMON] if linear.common_is_walked else linear.common_mean_n
+    levels = linear.chained.levels_n(parameters) - np.asarray(common)[..., None]
+    return np.broadcast_to(levels, (*batch, n_thrusters))
 
 
 def _effective_on_time(model: TotalsModel, physics: Physics) -> Array:

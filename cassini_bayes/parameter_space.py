@@ -16,6 +16,18 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class JointNormal:
+    """Correlated normal of some parameters' standard coordinates: mean (m,) + factor (m, m) u.
+
+    It stands in for their own unit normals where an earlier fit gives more than a prior each.
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    factor: Array
+
+
+@dataclass(frozen=True)
 class ParameterSpace:
     """An ordered space of free parameters, walked in standard-normal coordinates z.
 
@@ -27,12 +39,16 @@ class ParameterSpace:
         Parameters carried along at a fixed value.
     distributions, blocks
         Prior and block (``thrust``, ``centre of mass``, …) of each free parameter, as ``names``.
+    joint
+        Joint normal of some of ``names``: their z is mean + factor u with u walked in its place, so
+        what is walked has the prior N(0, 1) all the same.
     """
 
     names: tuple[str, ...]
     fixed: Mapping[str, float]
     distributions: tuple[Distribution, ...]
     blocks: tuple[str, ...]
+    joint: JointNormal | None = field(default=None, compare=False)
     _loc: Array = field(init=False, repr=False, compare=False)
     _scale: Array = field(init=False, repr=False, compare=False)
 
@@ -51,7 +67,8 @@ class ParameterSpace:
 
     def __reduce__(self) -> tuple[object, ...]:
         # A read-only mapping cannot be sent to a worker process; the arguments can.
-        return ParameterSpace, (self.names, dict(self.fixed), self.distributions, self.blocks)
+        arguments = (self.names, dict(self.fixed), self.distributions, self.blocks, self.joint)
+        return ParameterSpace, arguments
 
     @property
     def dimension(self) -> int:
@@ -60,7 +77,7 @@ class ParameterSpace:
 
     def to_parameters(self, z: ArrayLike) -> dict[str, Array | float]:
         """θ_i = F_i⁻¹(Φ(z_i)): z (..., d) → name → (...,) array; fixed values as floats."""
-        points = self._points(z)
+        points = self._correlated(self._points(z))
         # One affine operation serves every plain normal; the others are mapped one by one.
         affine = self._loc + self._scale * points
         parameters: dict[str, Array | float] = dict(self.fixed)
@@ -78,7 +95,15 @@ class ParameterSpace:
             distribution.standard_of(parameters[name])
             for name, distribution in zip(self.names, self.distributions, strict=True)
         ]
-        return np.stack(np.broadcast_arrays(*columns), axis=-1) if columns else np.empty((0,))
+        if not columns:
+            return np.empty((0,))
+        z = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        if self.joint is None:
+            return z
+        places = self._places(self.joint)
+        white = np.linalg.solve(self.joint.factor, (z[..., places] - self.joint.mean)[..., None])
+        z[..., places] = white[..., 0]
+        return z
 
     def log_prior_terms(self, z: ArrayLike) -> Array:
         """Log prior density in z of every free parameter, log N(z_i; 0, 1), shape (..., d)."""
@@ -95,6 +120,18 @@ class ParameterSpace:
     def sample(self, rng: np.random.Generator, n: int) -> Array:
         """``n`` independent draws of z from the prior, shape (n, d)."""
         return rng.standard_normal((n, self.dimension))
+
+    def _correlated(self, points: Array) -> Array:
+        """Standard coordinates of what is walked: joint ones from their independent ones."""
+        if self.joint is None:
+            return points
+        places = self._places(self.joint)
+        moved = points.copy()
+        moved[..., places] = self.joint.mean + points[..., places] @ self.joint.factor.T
+        return moved
+
+    def _places(self, joint: JointNormal) -> list[int]:
+        return [self.names.index(name) for name in joint.names]
 
     def _points(self, z: ArrayLike) -> Array:
         points = np.asarray(z, dtype=np.float64)

@@ -63,7 +63,10 @@ class LinearDraws:
 
 def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
     """Integrate the thrusts and torques out of the likelihood of totals events."""
-    collapsed = combine(model.linear, thrust_information(model, system))
+    information = thrust_information(model, system)
+    if system.offset_n is not None:
+        information = about(information, system.offset_n)
+    collapsed = combine(model.linear, information)
     if model.computed is None:
         return collapsed
     channel = channel_log_likelihood(model.computed, system.delta_v_variance)
@@ -101,6 +104,20 @@ def thrust_information(model: TotalsModel, system: LinearSystem) -> ThrustInform
         constant=(
             -0.5 * gram[..., -1, -1] - log_det - 0.5 * rows * np.log(2.0 * np.pi) + tilt_value
         ),
+    )
+
+
+def about(information: ThrustInformation, offset_n: Array) -> ThrustInformation:
+    """The same information about other mean levels, common + offset (n, K).
+
+    With d = d' + δ: c + νᵀd − ½ dᵀGd = (c + νᵀδ − ½ δᵀGδ) + (ν − Gδ)ᵀ d' − ½ d'ᵀ G d'.
+    """
+    moved = (information.matrix @ offset_n[:, None, :, None])[..., 0]
+    along = offset_n[:, None, :] * (information.vector - 0.5 * moved)
+    return replace(
+        information,
+        vector=information.vector - moved,
+        constant=information.constant + along.sum(-1),
     )
 
 
@@ -172,7 +189,11 @@ class ThrustDraws:
 
 
 def draw_thrusts(
-    linear: LinearBlock, collapsed: Collapsed, common_n: Array, rng: np.random.Generator
+    linear: LinearBlock,
+    collapsed: Collapsed,
+    common_n: Array,
+    rng: np.random.Generator,
+    offset_n: Array | None = None,
 ) -> ThrustDraws:
     """One draw of all events' thrusts from their conditional normal at every parameter point."""
     n, n_events, n_own, n_shared = collapsed.own_coupling.shape
@@ -182,9 +203,11 @@ def draw_thrusts(
     pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
     own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
     level = common_n[:, None] + shared @ linear.shared.T
+    if offset_n is not None:
+        level = level + offset_n
     return ThrustDraws(
         thrust_n=level[:, None, :] + own @ linear.own.T,
-        common_n=_draw_common(linear, common_n, level, rng),
+        common_n=draw_common(linear, common_n, level, rng),
         level_n=level,
     )
 
@@ -193,7 +216,7 @@ def draw_linear(
     model: TotalsModel, system: LinearSystem, collapsed: Collapsed, rng: np.random.Generator
 ) -> LinearDraws:
     """One draw of thrusts and torques from their conditional normal at every parameter point."""
-    thrusts = draw_thrusts(model.linear, collapsed, system.common_n, rng)
+    thrusts = draw_thrusts(model.linear, collapsed, system.common_n, rng, system.offset_n)
     return LinearDraws(
         thrust_n=thrusts.thrust_n,
         common_n=thrusts.common_n,
@@ -207,7 +230,7 @@ def draw_linear(
     )
 
 
-def _draw_common(
+def draw_common(
     linear: LinearBlock, common_n: Array, level_n: Array, rng: np.random.Generator
 ) -> Array:
     """The common level given every thruster's level = common + individual; the data add nothing.
@@ -253,7 +276,10 @@ def thrust_moments(model: TotalsModel, z: Array) -> tuple[Array, Array]:
     report; its change with z is the consider-style contribution of each nuisance.
     """
     system = linear_system(model, model.space.to_parameters(z))
-    return moments_of(model.linear, collapse(model, system), system.common_n)
+    mean, variance = moments_of(model.linear, collapse(model, system), system.common_n)
+    if system.offset_n is not None:
+        mean = mean + system.offset_n[:, None, :]
+    return mean, variance
 
 
 def moments_of(linear: LinearBlock, collapsed: Collapsed, common_n: Array) -> tuple[Array, Array]:

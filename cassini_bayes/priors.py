@@ -19,6 +19,7 @@ from typing import Final
 
 from scipy.special import ndtr
 
+from cassini_bayes.chaining import EarlierFit, read_earlier
 from cassini_bayes.checks import closest, finite_number, nearest
 from cassini_bayes.distributions import Distribution, check_bounds, check_keywords
 from cassini_bayes.errors import InputError
@@ -37,6 +38,8 @@ __all__ = [
 ]
 
 ZERO_CENTRED: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
+_TABLES: Final = ("spacecraft", "parameters", "from_fit")
+_LEVELS: Final = ("thrust_common_n", "thrust_individual_n")  # what an earlier fit's levels replace
 _OWN_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
 _NEVER_NEGATIVE_BLOCKS: Final = ("tail-off", "wheel inertia", "mass", "noise")
 _BUT_SIGNED: Final = ("rate_bias_x_rad_s", "rate_bias_y_rad_s", "rate_bias_z_rad_s")
@@ -64,7 +67,8 @@ class Priors:
     """Everything a priors file says.
 
     ``path`` is the file as the user named it, ``digest`` the SHA-256 of its bytes; both stay those
-    of the file when :meth:`with_distribution` makes a variant of it.
+    of the file when :meth:`with_distribution` makes a variant of it. ``earlier`` are the moments of
+    an earlier fit that stand in for the priors of what it walked (``from_fit``).
     """
 
     spacecraft: Spacecraft
@@ -73,6 +77,7 @@ class Priors:
     parameters: Mapping[str, ParameterPrior]
     path: str
     digest: str
+    earlier: EarlierFit | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
@@ -80,7 +85,7 @@ class Priors:
     def __reduce__(self) -> tuple[object, ...]:
         # A read-only mapping cannot be sent to a worker process; the arguments can.
         arguments = (self.spacecraft, self.branch, self.wheels, dict(self.parameters))
-        return Priors, (*arguments, self.path, self.digest)
+        return Priors, (*arguments, self.path, self.digest, self.earlier)
 
     def require(self, names: Iterable[str], why: str) -> None:
         """Check that the file has every parameter in ``names``.
@@ -122,11 +127,13 @@ class Priors:
         self.require(ordered, "the parameter space")
         chosen = [self.parameters[name] for name in ordered]
         free = [(p.spec, p.distribution) for p in chosen if p.distribution is not None]
+        walked = [spec.name for spec, _ in free]
         return ParameterSpace(
             names=tuple(spec.name for spec, _ in free),
             fixed={p.spec.name: p.fixed for p in chosen if p.fixed is not None},
             distributions=tuple(distribution for _, distribution in free),
             blocks=tuple(spec.block for spec, _ in free),
+            joint=None if self.earlier is None else self.earlier.joint(walked),
         )
 
     def with_distribution(self, name: str, distribution: Distribution) -> Priors:
@@ -152,6 +159,13 @@ class Priors:
 
     def _with(self, name: str, distribution: Distribution | None, fixed: float | None) -> Priors:
         self.require([name], "a changed prior")
+        if self.earlier is not None and name in (*self.earlier.names, *_LEVELS):
+            raise InputError(
+                f"{self.path}: parameters.{name}",
+                "a prior of its own",
+                f"the posterior of {self.earlier.path}",
+                "change it there, or leave from_fit out",
+            )
         changed = replace(self.parameters[name], distribution=distribution, fixed=fixed)
         return replace(self, parameters={**self.parameters, name: changed})
 
@@ -178,12 +192,12 @@ def read_priors(path: str | Path) -> Priors:
     content = _read_bytes(Path(path))
     document = _parse(str(path), content)
     for key in document:
-        if key not in ("spacecraft", "parameters"):
+        if key not in _TABLES:
             raise InputError(
                 f"{path}: {key}",
-                "the tables spacecraft and parameters",
+                "the tables spacecraft and parameters, or from_fit",
                 f"the unknown key {key!r}",
-                nearest(key, ("spacecraft", "parameters")),
+                nearest(key, _TABLES),
             )
     own = _table(f"{path}: spacecraft", document.get("spacecraft"))
     spacecraft = _read_spacecraft(Path(path), own)
@@ -199,7 +213,7 @@ def read_priors(path: str | Path) -> Priors:
                 nearest(name, specs),
             )
         parameters[name] = _read_parameter(where, specs[name], _table(where, entry))
-    return Priors(
+    priors = Priors(
         spacecraft=spacecraft,
         branch=_read_branch(f"{path}: spacecraft.branch", own.get("branch"), spacecraft),
         wheels=_read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft),
@@ -207,6 +221,22 @@ def read_priors(path: str | Path) -> Priors:
         path=str(path),
         digest=hashlib.sha256(content).hexdigest(),
     )
+    return _chained(priors, document["from_fit"]) if "from_fit" in document else priors
+
+
+def _chained(priors: Priors, value: object) -> Priors:
+    """The priors with the moments of the earlier fit that ``from_fit`` names."""
+    where = f"{priors.path}: from_fit"
+    file = _text(where, value, "the path of a fit.nc", 'write e.g. from_fit = "../runs/x/fit.nc"')
+    craft = priors.spacecraft
+    earlier = read_earlier(
+        Path(priors.path).parent / file,
+        where,
+        {n: p.distribution for n, p in priors.parameters.items() if p.distribution is not None},
+        {wheel.inertia_parameter: wheel.name for wheel in craft.wheels},
+        [thruster.name for thruster in craft.thrusters_of(priors.branch)],
+    )
+    return replace(priors, earlier=earlier)
 
 
 def _read_bytes(path: Path) -> bytes:

@@ -20,7 +20,13 @@ from cassini_bayes.model import (
     linear_system,
 )
 from cassini_bayes.physics import Parameters
-from cassini_bayes.posterior import LinearDraws, ThrustDraws, collapse, draw_linear
+from cassini_bayes.posterior import (
+    LinearDraws,
+    ThrustDraws,
+    collapse,
+    draw_common,
+    draw_linear,
+)
 from cassini_bayes.predictive import (
     balance_residual,
     event_log_likelihood,
@@ -105,6 +111,12 @@ def prior_thrusts(
         ),
         (n,),
     )
+    if linear.chained is not None:
+        own = rng.standard_normal((*shape, linear.own.shape[1]))
+        spread = rng.standard_normal((n, linear.shared.shape[1])) @ linear.shared.T
+        level = linear.chained.levels_n(parameters) + spread
+        common = draw_common(linear, common, level, rng)
+        return ThrustDraws(level[:, None, :] + own @ linear.own.T, common, level)
     individual = linear.individual_sd_n * rng.standard_normal((n, linear.shared.shape[0]))
     common = common + linear.common_sd_n * rng.standard_normal(n)
     own = rng.standard_normal((*shape, linear.own.shape[1]))
@@ -225,9 +237,15 @@ def thrust_log_prior(linear: LinearBlock, parameters: Parameters, draws: ThrustD
     """Log prior density (n,) of drawn thrusts: common level, thrusters' levels, departures."""
     mean = np.asarray(parameters.get(_COMMON, linear.common_mean_n))
     departure = draws.thrust_n - draws.level_n[:, None, :]
-    thrust = normal_log_density(draws.common_n - mean, linear.common_sd_n)
-    individual = draws.level_n - draws.common_n[:, None]
-    thrust = thrust + normal_log_density(individual, linear.individual_sd_n).sum(-1)
+    if linear.chained is not None:
+        departures = draws.level_n - linear.chained.levels_n(parameters)
+        level = np.asarray(np.linalg.solve(linear.shared, departures.T).T, dtype=np.float64)
+        scale = np.log(np.diagonal(linear.shared)).sum()
+        thrust = normal_log_density(level, 1.0).sum(-1) - scale
+    else:
+        thrust = normal_log_density(draws.common_n - mean, linear.common_sd_n)
+        individual = draws.level_n - draws.common_n[:, None]
+        thrust = thrust + normal_log_density(individual, linear.individual_sd_n).sum(-1)
     if linear.own.shape[1]:
         white = departure @ np.linalg.pinv(linear.own).T
         scale = 0.5 * np.linalg.slogdet(linear.own.T @ linear.own)[1]

@@ -240,7 +240,7 @@ def test_event_log_likelihood_is_the_plain_one_with_exact_jacobian() -> None:
 
 def _batched(field: Field[object]) -> bool:
     """Whether a field of the linear system carries the batch axis."""
-    return field.name not in ("jacobian", "torque_design", "torque_covariance")
+    return field.name not in ("jacobian", "torque_design", "torque_covariance", "offset_n")
 
 
 def _tiled(jacobian: ResponseJacobian, n: int) -> ResponseJacobian:
