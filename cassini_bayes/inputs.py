@@ -65,6 +65,8 @@ def read_inputs(
     priors_path = base / run.priors
     priors = read_priors(priors_path)
     digests = {run.priors: digest(priors_path)}
+    if priors.earlier is not None:
+        digests[priors.earlier.path] = priors.earlier.digest
     given: dict[str, str] = {}
     events: list[TotalsEvent] = []
     telemetry: list[ReducedEvent] = []

@@ -8,9 +8,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import tomli_w
 
@@ -27,6 +28,9 @@ from cassini_bayes.sweep.models import JointFactory, ModelFactory, TotalsFactory
 from cassini_bayes.sweep.specification import SweepFile
 from cassini_bayes.sweep.study import Study, plan, reported_quantiles
 from cassini_bayes.sweep.tables import SweepTables, tables_of
+
+if TYPE_CHECKING:
+    from cassini_bayes.plots import Figure
 
 FOLDER: Final = "sweep"
 
@@ -62,6 +66,8 @@ def execute_sweep(
     dask: str | None,
     report: bool,
     reporter: Reporter,
+    page: Path | None = None,
+    command: Sequence[str] = (),
 ) -> SweepOutcome:
     """Sweep the priors of a finished run.
 
@@ -77,6 +83,8 @@ def execute_sweep(
         Local processes, or the address of a Dask scheduler.
     report
         Whether to draw figures and write into the run's report.
+    page, command
+        A results page to write (.md), with the command line in it.
 
     Raises
     ------
@@ -93,7 +101,8 @@ def execute_sweep(
     factory = factory_of(run, inputs)
     study = plan(factory, fit, sweep, where)
     target = folder / FOLDER
-    remove_leftovers(target) if target.exists() else None
+    if target.exists():
+        remove_leftovers(target)
     identity = study.identity(f"{code_digest()} {sorted(inputs.digests.items())}")
     store = CheckpointStore(target / "cells" / identity[:12], identity)
     write_text(target / "resolved.toml", tomli_w.dumps(sweep.model_dump()))
@@ -105,8 +114,17 @@ def execute_sweep(
     tables = tables_of(study, store, factory, fit)
     for name, table in tables.files().items():
         write_text(target / f"{name}.csv", table.to_csv(index=False))
-    if report:
-        _write_report(study, store, tables, folder, reporter)
+    if report or page is not None:
+        reporter.say("figures")
+        figures = _figures(study, store, tables)
+        if report:
+            _write_report(study, tables, figures, folder)
+        if page is not None:
+            from cassini_bayes.report.sweep_page import write_sweep_page
+
+            title = f"Prior sensitivity of the run {folder.name}"
+            names, seed = study.baseline.names, study.baseline.seed
+            write_sweep_page(page, title, tables, names, figures, command, seed)
     seconds = time.monotonic() - began
     reporter.say(f"done in {seconds:.0f} s: {target}")
     return SweepOutcome(target, tables, len(study.cells), seconds)
@@ -124,31 +142,30 @@ def factory_of(run: RunFile, inputs: Inputs) -> ModelFactory:
     return JointFactory(inputs.telemetry, inputs.priors, totals)
 
 
-def _write_report(
-    study: Study, store: CheckpointStore, tables: SweepTables, folder: Path, reporter: Reporter
-) -> None:
-    from cassini_bayes.plots import save_figures
+def _figures(study: Study, store: CheckpointStore, tables: SweepTables) -> dict[str, Figure]:
     from cassini_bayes.plots.sweep import sweep_figures
-    from cassini_bayes.report.sweep import write_sweep_section
 
-    reporter.say("figures")
     names = study.baseline.names
     stored = reported_quantiles(study, store)
-    figures = sweep_figures(
-        tables.sweep,
-        {
-            name: (unit, study.baseline.values[:, j])
-            for j, (name, unit) in enumerate(zip(names, study.units, strict=True))
-        },
-        [
-            (c.group, c.kind, c.label, {n: stored[key][:, j] for j, n in enumerate(names)})
-            for key, c in study.cells.items()
-        ],
-        tables.knowledge,
-        tables.data_worth,
-    )
+    base = {
+        name: (unit, study.baseline.values[:, j])
+        for j, (name, unit) in enumerate(zip(names, study.units, strict=True))
+    }
+    cells = [
+        (c.group, c.kind, c.label, {n: stored[key][:, j] for j, n in enumerate(names)})
+        for key, c in study.cells.items()
+    ]
+    return sweep_figures(tables.sweep, base, cells, tables.knowledge, tables.data_worth)
+
+
+def _write_report(
+    study: Study, tables: SweepTables, figures: Mapping[str, Figure], folder: Path
+) -> None:
+    from cassini_bayes.plots import save_figures
+    from cassini_bayes.report.sweep import write_sweep_section
+
     save_figures(figures, folder / FOLDER / "figures")
     page = folder / "report.html"
     if page.exists():
         facts = f"{len(study.cells)} cells, cassini_bayes {__version__}, seed {study.baseline.seed}"
-        write_sweep_section(page, tables, names, figures, facts)
+        write_sweep_section(page, tables, study.baseline.names, figures, facts)

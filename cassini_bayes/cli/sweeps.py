@@ -39,6 +39,9 @@ def sweep_command(
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Tables only: no figures, report left alone.")
     ] = False,
+    page: Annotated[
+        Path | None, typer.Option("--page", help="Also write a results page (.md).")
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -63,6 +66,8 @@ def sweep_command(
         dask=dask,
         report=not no_report,
         reporter=ConsoleReporter(quiet),
+        page=page,
+        command=["cassini-bayes", *sys.argv[1:]],
     )
     if as_json:
         typer.echo(json.dumps(as_record(outcome), allow_nan=False))

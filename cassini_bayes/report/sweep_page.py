@@ -1,0 +1,114 @@
+"""A results page of a sweep for the documentation."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import pandas as pd
+
+from cassini_bayes import __version__
+from cassini_bayes.plots import Figure, encode
+from cassini_bayes.report.cells import Table
+from cassini_bayes.report.sweep import changes_table, scaling_table, strongest_sentence
+from cassini_bayes.storage import write_bytes, write_text
+from cassini_bayes.sweep.tables import SweepTables
+
+_SHOWN: Final = ("worth", "tornado_1", "overlay_1")
+
+
+def write_sweep_page(
+    page: Path,
+    title: str,
+    tables: SweepTables,
+    names: Sequence[str],
+    figures: Mapping[str, Figure],
+    command: Sequence[str],
+    seed: int,
+) -> None:
+    """Write a markdown page with the first quantity's figures beside it, atomically."""
+    for name in _SHOWN:
+        if name in figures:
+            write_bytes(page.with_name(f"{page.stem}-{name}.png"), encode(figures[name], "png"))
+    write_text(page.with_suffix(".csv"), tables.sweep.to_csv(index=False, float_format="%.6g"))
+    write_text(page, _page(page.stem, title, tables, names, figures, command, seed))
+
+
+def _page(
+    stem: str,
+    title: str,
+    tables: SweepTables,
+    names: Sequence[str],
+    figures: Mapping[str, Figure],
+    command: Sequence[str],
+    seed: int,
+) -> str:
+    pictures = {
+        name: f"![{name.replace('_', ' ')}]({stem}-{name}.png)" if name in figures else ""
+        for name in _SHOWN
+    }
+    reported = tables.sweep[tables.sweep["reported"]]
+    per_cell = reported.drop_duplicates(["group", "change"])
+    counts = ", ".join(f"{n} {kind}" for kind, n in per_cell["estimate"].value_counts().items())
+    sentences = "\n".join(f"* {sentence}" for sentence in tables.conflict["sentence"])
+    return f"""# {title}
+
+{strongest_sentence(tables.sweep)} Shifts are in posterior standard deviations of the run, ± is one
+Monte Carlo standard error; {len(per_cell)} cells: {counts}. How it is done: [prior
+sensitivity](../prior-sensitivity.md). Every cell and quantity: [{stem}.csv]({stem}.csv).
+
+{_markdown(changes_table(tables.sweep))}
+
+{pictures["tornado_1"]}
+
+{names[0]}: shift of the mean and ratio of standard deviations; filled symbols are weighted draws,
+open ones new fits.
+
+{pictures["overlay_1"]}
+
+## Which knowledge to buy
+
+{_knowledge_sentences(tables.knowledge)}
+
+{pictures["worth"]}
+
+Above: expected change of each standard deviation if the parameters of a block were known perfectly.
+Below: its change without an event.
+
+## Do prior and data disagree?
+
+Before fitting: from draws of the prior and what it predicts; after fitting: from the posterior (for
+events the data have then been used twice, which makes it lenient).
+
+{sentences}
+
+## Power-scaling sensitivity
+
+{_markdown(scaling_table(tables.scaling, names))}
+
+Made by `{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__}, Python
+{platform.python_version()}.
+"""
+
+
+def _knowledge_sentences(knowledge: pd.DataFrame) -> str:
+    """The block worth most for each quantity, those alike said together."""
+    blocks = knowledge[(knowledge["level"] == "block") & (knowledge["width_ratio"] > 0.02)]
+    best = blocks.loc[blocks.groupby("quantity", sort=False)["width_ratio"].idxmin()]
+    lines = []
+    for block, rows in best.groupby("block", sort=False):
+        shrink = 100.0 * (1.0 - rows["width_ratio"])
+        span = f"{shrink.min():.0f} %"
+        if shrink.max() - shrink.min() >= 1.0:
+            span = f"{shrink.min():.0f} to {shrink.max():.0f} %"
+        quantities = ", ".join(f"`{name}`" for name in rows["quantity"])
+        lines.append(f"* {block}: known perfectly, it would narrow {quantities} by {span}.")
+    return "\n".join(lines)
+
+
+def _markdown(table: Table) -> str:
+    lines = [f"| {' | '.join(table.columns)} |", f"| {' | '.join('---' for _ in table.columns)} |"]
+    lines += [f"| {' | '.join(cell.text for cell in row)} |" for row in table.rows]
+    return "\n".join(lines)
