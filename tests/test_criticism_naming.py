@@ -1,0 +1,105 @@
+"""Diagnosis of telemetry: hidden effects are named, nothing is named where nothing is hidden."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cassini_bayes.criticism.blind import source_of
+from cassini_bayes.criticism.catalogue import read_catalogue
+from cassini_bayes.criticism.diagnosis import catalogue_of
+from cassini_bayes.criticism.extended import Case, prepare
+from cassini_bayes.criticism.innovations import p_value
+from cassini_bayes.criticism.naming import (
+    Verdict,
+    effect_draws,
+    effect_values,
+    name_causes,
+    weighted_interval,
+)
+from cassini_bayes.criticism.symptoms import find_symptoms
+from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.scenario import simulate_file
+from cassini_bayes.simulation import scenario_of
+
+ROOT = Path(__file__).parents[1]
+SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
+SEED = int(os.environ.get("CASSINI_BAYES_BLIND_SEED", "7"))
+EVENTS = ("bias-1", "slews")
+# Causes and sizes that the blind test draws from: each some ten sigma of these events.
+HIDDEN = (
+    ("rate_scale:y", {"rate_scale": 0.002}),
+    ("thruster_leak:z3", {"leak_n": 1.0e-5}),
+    ("rate_bias:x", {"rate_bias_x_rad_s": 1.0e-6}),
+    ("time_offset", {"time_offset_s": 0.1}),
+    ("flexible_mode", {"frequency_hz": 0.05, "damping": 0.0, "amplitude_rad_s": 2e-6}),
+)
+
+
+@cache
+def priors() -> Priors:
+    """The telemetry priors, read once."""
+    return read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+
+
+def flown(seed: int, effects: Sequence[dict[str, Any]] = ()) -> Case:
+    """A bias and slews with effects hidden."""
+    document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    document["event"] = [e for e in document["event"] if e["id"] in EVENTS]
+    document["effect"] = list(effects)
+    simulation = simulate_file(scenario_of(document, SCENARIO.parent), seed, priors=priors())
+    return prepare([source_of(event) for event in simulation.events], priors())
+
+
+def verdict_of(case: Case) -> Verdict:
+    """A diagnosis without a hint."""
+    return name_causes(case, catalogue_of(case), np.random.default_rng(1), pairs=False)
+
+
+def test_hidden_effect_is_named_with_its_size() -> None:
+    """A cause drawn by a seed from the environment is named first and its interval is near it."""
+    rng = np.random.default_rng(SEED)
+    name, parameters = HIDDEN[int(rng.integers(len(HIDDEN)))]
+    case = flown(SEED, [{"name": name, "parameters": parameters}])
+    verdict = verdict_of(case)
+    assert verdict.best.name == name or name in verdict.confounded_with(verdict.best.name)
+    assert verdict.probabilities["none"] < 0.01
+    found = next(w for w in verdict.weighed if w.name == name)
+    z, weights = effect_draws(found, rng)
+    for key, values in effect_values(found, z).items():
+        if key in parameters:
+            # a single 90 % interval misses one time in ten: three times as wide must hold it
+            low, high = weighted_interval(values, weights)
+            middle, half = 0.5 * (low + high), 1.5 * (high - low)
+            assert abs(parameters[key] - middle) < half, key
+
+
+def test_nothing_hidden_gives_none_and_something_strange_gives_unknown() -> None:
+    """Null telemetry keeps the baseline; a torque pulse outside the catalogue is called unknown."""
+    null = verdict_of(flown(SEED + 1))
+    assert null.best.name == "none"
+    assert null.linear is not None
+    p = p_value(null.linear, [own.time_s for own in null.rows], np.random.default_rng(2))
+    assert p > 0.001
+    assert sum(null.probabilities.values()) == pytest.approx(1.0)
+    pulse = {"peak_x_n_m": 4e-4, "peak_y_n_m": -3e-4, "peak_z_n_m": 2e-4}
+    pulse |= {"centre_s": 600.0, "width_s": 150.0}
+    odd = verdict_of(flown(SEED + 1, [{"name": "atmospheric_torque", "parameters": pulse}]))
+    assert odd.best.name == "unknown"
+    assert find_symptoms(odd.rows, odd.case.sources[0].thrusters)
+
+
+def test_catalogue_probabilities_add_up() -> None:
+    """none, unknown and all causes together have probability one before the data."""
+    catalogue = read_catalogue(priors(), (1, 2, 4), ("telemetry",))
+    total = sum(effect.prior_probability for effect in catalogue.effects)
+    total += catalogue.none_probability + catalogue.unknown_probability
+    assert total == pytest.approx(1.0)
+    assert len(set(catalogue.names)) == len(catalogue.names)

@@ -1,0 +1,198 @@
+"""Pieces of the diagnosis against oracles of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cassini_bayes.blind_campaign import interval
+from cassini_bayes.criticism.blind import STRATA, stratum_of
+from cassini_bayes.criticism.cases import a_branch, flight_2004, fsds
+from cassini_bayes.criticism.catalogue import read_catalogue
+from cassini_bayes.criticism.columns import WARMUP_NODES_S, hat_weights, lagrange_weights
+from cassini_bayes.criticism.evidence import baseline_mode
+from cassini_bayes.criticism.innovations import Linear, p_value
+from cassini_bayes.criticism.kinematics import rate_information, rotation_vectors
+from cassini_bayes.criticism.modifiers import modifier_of
+from cassini_bayes.criticism.naming import weighted_interval
+from cassini_bayes.criticism.summaries import weigh_summaries
+from cassini_bayes.errors import InputError
+from cassini_bayes.physics import physics_of
+from cassini_bayes.priors import read_priors
+from cassini_bayes.statistics import Samples
+
+ROOT = Path(__file__).parents[1]
+PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+CATALOGUE = read_catalogue(PRIORS, (1, 2, 4), ("telemetry", "totals"))
+
+
+def centre() -> dict[str, np.ndarray]:
+    """Prior means as one point."""
+    values = {}
+    for name, prior in PRIORS.parameters.items():
+        value = prior.fixed if prior.distribution is None else prior.distribution.mean()
+        values[name] = np.array([value], dtype=float)
+    return values
+
+
+@pytest.mark.parametrize(
+    ("name", "baseline"),
+    [
+        ("center_of_mass:x", "cm_x_m"),
+        ("inertia:xy", "inertia_xy_kg_m2"),
+        ("wheel_inertia:2", "rwa2_inertia_kg_m2"),
+        ("tail_off", "tau_fall_s"),
+    ],
+)
+def test_departure_is_the_baseline_parameter_moved(name: str, baseline: str) -> None:
+    """An effect on a parameter of the baseline does what moving that parameter does."""
+    effect = CATALOGUE.effect(name)
+    point = {**centre(), effect.parameters[0].name: np.array([0.013])}
+    modify = modifier_of(effect, PRIORS.spacecraft, PRIORS.branch)
+    found = physics_of(PRIORS.spacecraft, PRIORS.branch, point, (modify,))
+    moved = {**centre(), baseline: centre()[baseline] + 0.013}
+    wanted = physics_of(PRIORS.spacecraft, PRIORS.branch, moved)
+    assert found.arms_m == pytest.approx(wanted.arms_m)
+    assert found.inertia_kg_m2 == pytest.approx(wanted.inertia_kg_m2)
+    assert found.wheel_weights == pytest.approx(wanted.wheel_weights)
+    assert found.tau_s[2] == pytest.approx(wanted.tau_s[2])
+
+
+def test_cant_turns_the_force() -> None:
+    """A canted thruster's arm is (r − e) × unit(d + a e1 + b e2)."""
+    effect = CATALOGUE.effect("thruster_misalignment:y2")
+    point = centre()
+    for parameter, value in zip(effect.parameters, (0.04, -0.03), strict=True):
+        point[parameter.name] = np.array([value])
+    modify = modifier_of(effect, PRIORS.spacecraft, PRIORS.branch)
+    arms = physics_of(PRIORS.spacecraft, PRIORS.branch, point, (modify,)).arms_m[0]
+    k = PRIORS.spacecraft.thruster_names(PRIORS.branch).index("y2")
+    force = np.array([0.04, -1.0, -0.03]) / np.sqrt(1.0 + 0.04**2 + 0.03**2)
+    place = np.array([-1.234, 1.610, 2.880]) - np.array([0.13, 0.057, 1.064])
+    assert arms[:, k] == pytest.approx(np.cross(place, force))
+
+
+def test_interpolation_of_columns() -> None:
+    """Warm-up between nodes is good to some percent; a time shift is linear between nodes."""
+    nodes = np.array(WARMUP_NODES_S)
+    on_time = np.linspace(0.0, 40.0, 200)
+
+    def lost(t: float) -> np.ndarray:
+        return np.asarray(-t * np.expm1(-on_time / t))
+
+    for value in (0.8, 2.5, 6.0, 20.0):
+        weights = lagrange_weights(np.log(np.array([value])), np.log(nodes))[0]
+        found = sum(w * lost(float(t)) for w, t in zip(weights, nodes, strict=True))
+        assert np.abs(found - lost(value)).max() < 0.05 * value + 0.25
+    assert hat_weights(np.array([0.25]), np.array([-1.0, 0.0, 1.0])) == pytest.approx(
+        np.array([[0.0, 0.75, 0.25]])
+    )
+
+
+def made_up(bias: float, scale: float, rng: np.random.Generator) -> Samples:
+    """A body turning slowly about Z with swings, its rates misread about Z."""
+    time = np.arange(0.0, 2000.0)
+    rate = 2e-4 * np.sin(time / 150.0)
+    angle = 2e-4 * 150.0 * (1.0 - np.cos(time / 150.0))
+    angle = angle + 2e-5 * rng.standard_normal(len(time))
+    attitude = np.zeros((len(time), 4))
+    attitude[:, 2], attitude[:, 3] = np.sin(angle / 2), np.cos(angle / 2)
+    rates = 2e-6 * rng.standard_normal((len(time), 3))
+    rates[:, 2] += (1.0 + scale) * rate + bias
+    return Samples(
+        time,
+        attitude,
+        rates,
+        np.zeros((len(time), 3)),
+        np.empty((len(time), 0)),
+        np.empty((len(time), 0)),
+    )
+
+
+def test_attitude_tells_rate_bias_and_scale() -> None:
+    """Bias and scale come back within four of their standard deviations; none gives none."""
+    for bias, scale in ((3e-6, 0.0), (0.0, 0.02), (0.0, 0.0)):
+        samples = made_up(bias, scale, np.random.default_rng(3))
+        information = rate_information(samples)
+        covariance = np.linalg.inv(information.precision[2])
+        found = covariance @ information.linear[2]
+        miss = (found - np.array([bias, scale])) / np.sqrt(np.diag(covariance))
+        assert np.abs(miss).max() < 4.0
+        assert np.sqrt(covariance[0, 0]) < 5e-7
+    turned = rotation_vectors(made_up(0.0, 0.0, np.random.default_rng(0)).attitude)
+    assert np.abs(turned[:, :2]).max() < 1e-12
+
+
+def test_laplace_is_exact_for_a_normal() -> None:
+    """On a Gaussian the evidence by Laplace is the determinant formula, ridges included."""
+    rng = np.random.default_rng(5)
+    root = np.diag([1.0, 0.03, 0.3]) @ np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    precision = np.linalg.inv(root @ root.T)
+
+    def density(z: np.ndarray) -> np.ndarray:
+        gap = z - 0.2
+        return np.asarray(-0.5 * np.einsum("ni,ij,nj->n", gap, precision, gap))
+
+    mode = baseline_mode(density, 3)
+    wanted = 1.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(precision)[1]
+    assert mode.log_evidence == pytest.approx(wanted, abs=1e-3)
+
+
+def test_p_value_is_uniform_on_the_model_and_small_off_it() -> None:
+    """Data of the linear model give uniform p-values; a slow drift gives small ones."""
+    rng = np.random.default_rng(11)
+    time = np.arange(150.0)
+    columns = rng.standard_normal((450, 5))
+    found = []
+    for _ in range(60):
+        target = columns @ rng.standard_normal(5) + rng.standard_normal(450)
+        linear = Linear(target, columns, np.ones(5), (150,))
+        found.append(p_value(linear, [time], rng, 99))
+    values = np.sort(np.array(found))
+    gap = np.abs(values - (np.arange(60) + 0.5) / 60).max()
+    assert gap < 0.21  # Kolmogorov-Smirnov at one percent
+    drift = np.repeat(0.8 * np.cos(np.pi * time / 150.0), 3)
+    assert p_value(replace(linear, target=linear.target + drift), [time], rng, 99) < 0.05
+
+
+def test_weighted_interval_of_a_normal() -> None:
+    """The shortest 90 % interval of a weighted normal sample is the central one."""
+    z = np.random.default_rng(1).standard_normal(40_000)
+    low, high = weighted_interval(z, np.full(len(z), 1.0 / len(z)))
+    assert (low, high) == pytest.approx((-1.645, 1.645), abs=0.08)
+
+
+def test_published_cases_say_what_the_docs_say() -> None:
+    """The closed form explains the FSDS case; the flight biases do not need a cause."""
+    rng = np.random.default_rng(1)
+    case = fsds()
+    verdicts = weigh_summaries(case.estimate_n, case.sd_n, case.causes(), rng, 60_000)
+    assert verdicts[0].name == "pulse_shape, first-order closed form"
+    flight = flight_2004()
+    names = [
+        v.name
+        for v in weigh_summaries(flight.estimate_n, flight.sd_n, flight.causes(), rng, 60_000)
+    ]
+    assert names[0] == "none"
+    branch = a_branch()
+    found = weigh_summaries(branch.estimate_n, branch.sd_n, branch.causes(), rng, 60_000)
+    assert {v.name: v.probability for v in found}["none"] < 1e-6
+
+
+def test_strata_come_in_proportion() -> None:
+    """Any first part of a campaign holds the strata in proportion; rates have exact intervals."""
+    names = [stratum_of(i) for i in range(47)]
+    for name, count in STRATA:
+        assert abs(names.count(name) - count / 10) <= 1.0
+    assert interval(0, 10) == pytest.approx((0.0, 0.3085), abs=1e-3)
+
+
+def test_bad_catalogue_is_refused(tmp_path: Path) -> None:
+    """A catalogue without its tables is an input error that names the table."""
+    path = tmp_path / "effects.toml"
+    path.write_text("[causes]\nnone = 0.5\n")
+    with pytest.raises(InputError, match="unknown"):
+        read_catalogue(PRIORS, (1, 2, 4), ("telemetry",), path)
