@@ -212,7 +212,9 @@ def pareto_k(log_weights: Array) -> float:
     """Tail index of importance weights, by Pareto-smoothed importance sampling."""
     from arviz import psislw  # two seconds to import: only where it is needed
 
-    _, shape = psislw(log_weights)
+    # Candidate tails far from the data have likelihoods below the smallest float: weight zero.
+    with np.errstate(over="ignore"):
+        _, shape = psislw(log_weights)
     return float(shape)
 
 

@@ -78,6 +78,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
         "prediction_results",
         "campaigns",
         "telemetry_campaign",
+        "blind_campaign",
         "perturbation_campaign",
     ),
     ("provenance", "inputs"),

@@ -18,6 +18,7 @@ SUFFIXES = {
     "s": "_s",
     "m": "_m",
     "kg m2": "_kg_m2",
+    "N m s0.5": "_n_m_s05",
     "N m": "_n_m",
     "rad/s": "_rad_s",
     "rad": "_rad",
@@ -37,6 +38,7 @@ EXPECTED = {
     *("mass_kg", "mass_factor"),
     *("rate_noise_rad_s", "wheel_noise_rpm", "wheel_resolution_rpm", "attitude_noise_rad"),
     *("on_time_resolution_s", "hold_rate_rad_s", "hold_attitude_rad"),
+    "torque_noise_n_m_s05",
     *("delta_v_noise_m_s", "delta_v_resolution_m_s"),
     *("fsw_acceleration_factor", "fsw_impulse_offset_s"),
 }
