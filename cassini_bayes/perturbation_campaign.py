@@ -63,7 +63,9 @@ def compare_error_bars(
     files = -(-sets // SETS_PER_FILE)
     for reading in READINGS:
         campaign = CoverageCampaign(events, priors, seed, reading)
-        store = CheckpointStore(folder / reading.replace(" ", "-"), campaign.identity())
+        identity = campaign.identity()
+        place = f"{reading.replace(' ', '-')}-{identity[:12]}"  # other code or data start anew
+        store = CheckpointStore(folder / place, identity)
         cells = {f"sets_{i:04d}": (i * SETS_PER_FILE,) for i in range(files)}
         for done, total in run_cells(covered_sets, campaign, cells, store, workers):
             progress(f"sizes as {reading}", done * SETS_PER_FILE, total * SETS_PER_FILE)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
-import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import tomli_w
+from numpy.typing import NDArray
 from run_cases import Forked, command, small_table, write_run
 from sweep_cases import small_fit, toy_baseline
 
@@ -19,6 +21,7 @@ from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.errors import InputError
 from cassini_bayes.report.sweep import BEGIN, END, with_section
 from cassini_bayes.result import save_fit
+from cassini_bayes.storage import is_leftover
 from cassini_bayes.sweep.cells import cell_arrays
 from cassini_bayes.sweep.grid import run_cells, stored_cell, workers_at
 from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
@@ -89,27 +92,55 @@ def test_sweep_writes_tables_figures_and_a_section_of_the_report(
     assert html.index('id="sweep"') < html.index('id="provenance"')
 
 
-def test_killed_sweep_goes_on_without_redoing_finished_cells(finished: Path) -> None:
-    """Killed at random: finished cells stay as they are, and the table is the uninterrupted one."""
-    rng = np.random.default_rng(11)
-    spec = write_spec(finished, "killed.toml", seed=77)
+def finished_cells(cells: Path) -> set[Path]:
+    """Files of finished cells, without what a killed write left behind."""
+    return {path for path in cells.glob("*/*.npz") if not is_leftover(path)}
+
+
+def kill_in_the_middle(monkeypatch: pytest.MonkeyPatch, cell: int, *, half_written: bool) -> None:
+    """Let this process, or its child, kill itself at a cell, before or while it is stored."""
+    save, stored = CheckpointStore.save, itertools.count(1)
+
+    def deadly(
+        store: CheckpointStore, name: str, arrays: Mapping[str, NDArray[np.generic]]
+    ) -> None:
+        if next(stored) < cell:
+            save(store, name, arrays)
+            return
+        if half_written:
+            monkeypatch.setattr(Path, "replace", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+            save(store, name, arrays)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr(CheckpointStore, "save", deadly)
+
+
+@pytest.mark.parametrize("half_written", [False, True], ids=["between", "within"])
+def test_killed_sweep_goes_on_without_redoing_finished_cells(
+    finished: Path, monkeypatch: pytest.MonkeyPatch, half_written: bool
+) -> None:
+    """Killed at a random cell: finished ones stay as they are, the table is the uninterrupted one.
+
+    The child kills itself, so that where it dies does not depend on how fast the machine is.
+    """
+    spec = write_spec(finished, "killed.toml", seed=77 + half_written)
     cells = finished / "small" / "sweep" / "cells"
-    before = set(cells.glob("*/*.npz")) if cells.exists() else set()
+    before = finished_cells(cells)
     arguments = ["sweep", str(finished / "small.toml"), "--spec", str(spec), "--jobs", "1"]
     arguments += ["--no-report", "--quiet"]
-    child = Forked.start(arguments, finished / "killed.log")
-    wanted = int(rng.integers(2, 5))
-    while child.poll() is None and len(set(cells.glob("*/*.npz")) - before) < wanted:
-        time.sleep(0.02)
-    time.sleep(float(rng.uniform(0.0, 0.3)))
-    os.kill(child.pid, signal.SIGKILL)
-    assert child.wait() == -signal.SIGKILL
-    done = {path: path.stat().st_mtime_ns for path in set(cells.glob("*/*.npz")) - before}
-    assert len(done) >= wanted
+    last = int(np.random.default_rng(11 + half_written).integers(3, 9))
+    with monkeypatch.context() as patch:
+        kill_in_the_middle(patch, last, half_written=half_written)
+        child = Forked.start(arguments, finished / "killed.log")
+        assert child.wait() == -signal.SIGKILL
+    done = {path: path.stat().st_mtime_ns for path in finished_cells(cells) - before}
+    assert len(done) == last - 1
+    assert any(is_leftover(path) for path in cells.rglob("*")) == half_written
     assert command(arguments) == 0
-    every = set(cells.glob("*/*.npz")) - before
+    every = finished_cells(cells) - before
     assert len(every) > len(done)
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in done.items())
+    assert not any(is_leftover(path) for path in cells.rglob("*"))
     table = (finished / "small" / "sweep" / "sweep.csv").read_bytes()
     for path in every:
         path.unlink()
