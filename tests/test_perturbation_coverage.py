@@ -124,7 +124,8 @@ def test_coverage_and_length_are_counted_over_valid_estimates() -> None:
     assert right.loc[0.9, "mean_length_n"] == pytest.approx(2 * 1.6449)
     text = verdict(table)
     assert "posterior 12 of 12" in text
-    assert "RSS 0 of 12 (12 too short)" in text
+    assert "RSS 0 of 8 (8 too short)" in text
+    assert "together are 1.0 to 1.0 times as long" in text
 
 
 def test_a_set_has_every_interval_and_repeats_itself() -> None:

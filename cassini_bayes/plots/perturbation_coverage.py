@@ -58,6 +58,6 @@ def _panel(axes: Axes, own: pd.DataFrame) -> None:
                 yerr=100.0 * row["coverage_error"], color=_COLOURS[i], marker=_MARKERS[i], ms=6.0,
                 mfc=_COLOURS[i] if filled else "white", lw=0.9, zorder=4,
             )  # fmt: skip
-    axes.set_ylim(0.0, 103.0)
+    axes.set_ylim(-4.0, 103.0)  # a symbol at nil is shown whole
     axes.set_xlim(0.0, 1.1e3 * float(np.nanmax(own["mean_length_n"])))
     axes.grid(axis="y")

@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 
 KNOBS_SHOWN: Final = 16
 PANELS_ACROSS: Final = 4
-_GRID: Final = 200
+_GRID: Final = 300
+_TALLEST: Final = 4.0  # peaks above this many times the baseline's are cut
+_FARTHEST: Final = 1.5  # and tails this many of the baseline's ranges beyond it
 _SIZES: Final = (3.5, 4.8, 6.2, 7.6)
 _LINES: Final = ("#4477AA", "#66CCEE", "#CCBB44", "#EE6677", "#AA3377", "#228833", "#BBBBBB")
 _FAMILY_MARKERS: Final = {"normal": "o", "student-t": "D", "uniform": "s"}
@@ -145,9 +147,7 @@ def overlay_figure(
     scale = display_scale(unit, float(np.abs(base).max()))
     across = min(PANELS_ACROSS, len(groups))
     down = -(-len(groups) // across)
-    low, high = np.quantile(base, [0.0005, 0.9995])
-    middle, half = 0.5 * (low + high), 0.75 * (high - low)
-    grid = np.linspace(middle - half, middle + half, _GRID)
+    grid = _overlay_grid(base, [cell[3] for cell in shown])
     with matplotlib.rc_context(dict(STYLE)):
         figure = new_figure(2.9 * across + 0.2, 2.45 * down + 0.5)
         panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
@@ -156,17 +156,31 @@ def overlay_figure(
             _overlay_panel(axes, group, base, own, grid, scale)
         for axes in panels[len(groups) :]:
             axes.remove()
-        tallest = 2.2 * float(gaussian_kde(base)(grid).max())
-        panels[0].set_ylim(0.0, tallest)
+        tallest = max(float(gaussian_kde(cell[3])(grid).max()) for cell in shown)
+        own_peak = float(gaussian_kde(base)(grid).max())
+        panels[0].set_ylim(0.0, 1.05 * min(max(tallest, 1.8 * own_peak), _TALLEST * own_peak))
         for i, axes in enumerate(panels[: len(groups)]):
             if i + across >= len(groups):
                 axes.tick_params(axis="x", labelbottom=True)
                 axes.set_xlabel(f"[{scale.unit}]")
         figure.suptitle(
-            f"{short_name(quantity, unit)}: baseline (grey) and changed priors",
+            f"{short_name(quantity, unit)}: posterior density, baseline (grey) and changed priors",
             fontweight="bold", x=0.01, ha="left",
         )  # fmt: skip
     return figure
+
+
+def _overlay_grid(base: Array, quantiles: Sequence[Array]) -> Array:
+    """Abscissae that hold the baseline and the changed posteriors, as far as these stay near it.
+
+    Quantiles (199,) are at (i + 1)/200; the axis ends where one of them moves out of sight.
+    """
+    low, high = np.quantile(base, [0.0005, 0.9995])
+    reach = high - low
+    low = max(min(low, *(own[0] for own in quantiles)), low - _FARTHEST * reach)
+    high = min(max(high, *(own[-1] for own in quantiles)), high + _FARTHEST * reach)
+    margin = 0.05 * (high - low)
+    return np.linspace(low - margin, high + margin, _GRID)
 
 
 def _overlay_panel(

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from cassini_bayes.errors import InputError
 from cassini_bayes.quantiles import standard_normal_log_density
 from cassini_bayes.sampling import SamplerSettings, sample
 from cassini_bayes.sweep.models import ModelFactory, SweepModel, values_of
@@ -76,19 +77,36 @@ def cell_arrays(
 
     Keys ``<way>.<what>`` with way 0 (weighted draws) and, where fitted anew, 1; what is kind,
     pareto_k, effective, mean, sd, quantiles, shift, shift_error, width, width_error.
+
+    Raises
+    ------
+    InputError
+        The changed priors are so extreme that the model cannot be computed.
     """
-    with threadpool_limits(1):  # cells are spread over processes; more threads would compete
-        model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
-        weights, values = reweighted(baseline, variation, model)
-        change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
-        found = _arrays("0", REWEIGHTED, weights, values, change)
-        if refit == "always" or (refit == "auto" and not weights.trusted):
-            rng = baseline.stream(variation.key)
-            kind, weights, values, batches = fitted_anew(model, baseline.names, rng)
-            change = change_between(
-                baseline.values, baseline.batches, values, weights.values, batches
-            )
-            found |= _arrays("1", kind, weights, values, change)
+    try:
+        with threadpool_limits(1):  # cells are spread over processes; more threads would compete
+            return _cell_arrays(baseline, variation, refit)
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            f"sweep: {variation.group}, {variation.label}",
+            "priors under which the model can be computed",
+            str(error),
+            "leave this change out of the grid, or make it milder",
+        ) from error
+
+
+def _cell_arrays(
+    baseline: Baseline, variation: Variation, refit: Refit
+) -> dict[str, NDArray[np.generic]]:
+    model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
+    weights, values = reweighted(baseline, variation, model)
+    change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
+    found = _arrays("0", REWEIGHTED, weights, values, change)
+    if refit == "always" or (refit == "auto" and not weights.trusted):
+        rng = baseline.stream(variation.key)
+        kind, weights, values, batches = fitted_anew(model, baseline.names, rng)
+        change = change_between(baseline.values, baseline.batches, values, weights.values, batches)
+        found |= _arrays("1", kind, weights, values, change)
     return found
 
 

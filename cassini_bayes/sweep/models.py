@@ -46,6 +46,10 @@ class SweepModel(Protocol):
     def collapsed(self) -> tuple[str, ...]:
         """Parameters whose priors act although they are integrated out."""
 
+    @property
+    def walkable(self) -> tuple[str, ...]:
+        """Those of them that would be walked under a prior that is not normal."""
+
     def log_likelihood(self, z: Array) -> Array:
         """Log likelihood (n,) at walked coordinates z (n, d), everything linear integrated out."""
 
@@ -85,6 +89,11 @@ class TotalsSweepModel:
         software = SOFTWARE if self.model.computed is not None else ()
         names = (THRUST_COMMON, *THRUST_LEVELS, *TORQUES, *software)
         return tuple(name for name in names if name not in self.space.names)
+
+    @property
+    def walkable(self) -> tuple[str, ...]:
+        """The common thrust."""
+        return tuple(name for name in self.collapsed if name == THRUST_COMMON)
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at z (n, d)."""
@@ -137,6 +146,12 @@ class JointSweepModel:
         software = SOFTWARE if totals is not None and totals.computed is not None else ()
         names = (*thrusts, *TORQUES, *software)
         return tuple(name for name in names if name not in self.space.names)
+
+    @property
+    def walkable(self) -> tuple[str, ...]:
+        """The common thrust, where totals rows stand beside the telemetry that can walk it."""
+        has_rows = self.model.totals is not None
+        return tuple(name for name in self.collapsed if has_rows and name == THRUST_COMMON)
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at z (n, d)."""

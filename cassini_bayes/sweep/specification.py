@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
+
+EVENTS: Final = "events"  # the group of cells that leave an event out
 
 
 class _Table(BaseModel):
@@ -81,23 +83,55 @@ def check_sweep(table: dict[str, Any], where: str) -> SweepFile:
         raise _refusal(where, first["type"], first["loc"], first["msg"], first.get("input")) from (
             error
         )
-    for i, width in enumerate(sweep.grid.widths):
+    _refuse_repeated(sweep, where)
+    _check_amounts(sweep.grid, f"{where}: grid")
+    return sweep
+
+
+def _refuse_repeated(sweep: SweepFile, where: str) -> None:
+    """Refuse names that stand twice: the cells of one would replace those of the other."""
+    names = [EVENTS, *sweep.blocks, *(group.name for group in sweep.group)]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            got = "the name kept for leaving events out" if name == EVENTS else "twice"
+            raise InputError(
+                f"{where}: blocks and group",
+                "names that differ from each other",
+                f"{name!r}, {got}",
+                "drop it, or give the group another name",
+            )
+    for table in sweep.group:
+        for i, name in enumerate(table.parameters):
+            if name in table.parameters[:i]:
+                raise InputError(
+                    f"{where}: group {table.name}", "each parameter once", repr(name), "drop one"
+                )
+
+
+def _check_amounts(grid: GridTable, where: str) -> None:
+    for i, width in enumerate(grid.widths):
         if not 0.0 < width < float("inf"):
             raise InputError(
-                f"{where}: grid.widths[{i}]", "a factor above 0", repr(width), "e.g. 0.5 or 2.0"
+                f"{where}.widths[{i}]", "a factor above 0", repr(width), "e.g. 0.5 or 2.0"
             )
-    for i, shift in enumerate(sweep.grid.shifts):
+    for i, shift in enumerate(grid.shifts):
         if not abs(shift) < float("inf"):
             raise InputError(
-                f"{where}: grid.shifts[{i}]",
+                f"{where}.shifts[{i}]",
                 "a shift in prior standard deviations",
                 repr(shift),
                 "e.g. -1.0 or 1.0",
             )
-    return sweep
 
 
-_OWNERS: dict[str, type[_Table]] = {"grid": GridTable, "group": GroupTable}
+_OWNERS: Final[dict[str, type[_Table]]] = {"grid": GridTable, "group": GroupTable}
+_EXPECTED: Final = {
+    "string_type": "a text",
+    "list_type": "a list",
+    "model_type": "a table",
+    "too_short": "a list of at least one",
+    "string_too_short": "a text that is not empty",
+}
 
 
 def _refusal(
@@ -115,5 +149,5 @@ def _refusal(
         )
     if kind == "missing":
         return InputError(f"{where}: {key}", "a value", "nothing", f"add {key} = …")
-    expected = message.removeprefix("Input should be ").replace("a valid string", "a text")
+    expected = _EXPECTED.get(kind) or message.removeprefix("Input should be ")
     return InputError(f"{where}: {key}", expected, repr(value), f"change {key}")

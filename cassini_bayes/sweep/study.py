@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,7 +28,8 @@ from cassini_bayes.sweep.models import (
     values_of,
     walked_values,
 )
-from cassini_bayes.sweep.specification import SweepFile
+from cassini_bayes.sweep.scaling import LIKELIHOOD, components
+from cassini_bayes.sweep.specification import EVENTS, SweepFile
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of
 from cassini_bayes.sweep.weights import BATCHES, batch_labels, moments
 
@@ -36,7 +37,6 @@ Array = NDArray[np.float64]
 
 SAME_DENSITY: Final = 1e-5
 _CHECKED: Final = 20
-EVENTS: Final = "events"
 COLUMNS: Final = (
     "group", "kind", "change", "parameters", "quantity", "unit", "estimate", "pareto_k",
     "effective_draws", "mean", "sd", "shift_sd", "shift_error", "width_ratio", "width_error",
@@ -98,6 +98,7 @@ def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Study
         seed=sweep.seed,
     )
     _refuse_other_fit(model, z, baseline.log_likelihood)
+    _refuse_older_fit(model, factory, fit)
     cells = grid_of(
         _groups(factory, sweep, where),
         model,
@@ -105,12 +106,28 @@ def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Study
         widths=sweep.grid.widths,
         shifts=sweep.grid.shifts,
         families=sweep.grid.families,
+        where=where,
     )
     if sweep.grid.events and len(factory.event_ids) > 1:
         cells += tuple(Variation(EVENTS, "without", event=name) for name in factory.event_ids)
     if not cells:
         raise InputError(f"{where}: grid", "at least one change", "none", "add widths or shifts")
-    return Study(baseline, units_of(posterior, names), {c.key: c for c in cells}, sweep.refit)
+    return Study(baseline, units_of(posterior, names), _by_key(cells, where), sweep.refit)
+
+
+def _by_key(cells: Iterable[Variation], where: str) -> dict[str, Variation]:
+    """Cells by the name of their file; names that only signs tell apart are refused."""
+    found: dict[str, Variation] = {}
+    for cell in cells:
+        other = found.setdefault(cell.key, cell)
+        if other != cell:
+            raise InputError(
+                f"{where}: group",
+                "names and amounts that differ by letters or digits",
+                f"{other.group}, {other.label} beside {cell.group}, {cell.label}",
+                "rename one of them",
+            )
+    return found
 
 
 def _kept(fit: Fit, draws: int) -> NDArray[np.int64]:
@@ -144,6 +161,19 @@ def _refuse_other_fit(model: SweepModel, z: Array, log_likelihood: Array) -> Non
             f"log densities that differ by {worst:.3g}",
             "run the fit again: data, priors or the model have changed since",
         )
+
+
+def _refuse_older_fit(model: SweepModel, factory: ModelFactory, fit: Fit) -> None:
+    """Refuse a fit without log priors of a block: its power scaling would silently be left out."""
+    kept = components(fit)
+    for block in blocks_of(model, factory.priors):
+        if block.name not in kept:
+            raise InputError(
+                "fit.nc: log_prior",
+                f"the block {block.name}",
+                ", ".join(name for name in kept if not name.startswith(LIKELIHOOD)),
+                "run the fit again with this version",
+            )
 
 
 def baseline_table(study: Study) -> pd.DataFrame:
@@ -211,8 +241,3 @@ def reported_quantiles(study: Study, store: CheckpointStore) -> dict[str, Array]
         way = "1" if "1.kind" in arrays else "0"
         found[name] = np.asarray(arrays[f"{way}.quantiles"], dtype=np.float64)
     return found
-
-
-def groups_in(study: Study) -> Sequence[str]:
-    """Names of the swept groups in order, events last."""
-    return list(dict.fromkeys(cell.group for cell in study.cells.values()))

@@ -7,14 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from cassini_bayes.checks import nearest
 from cassini_bayes.distributions import Distribution
 from cassini_bayes.errors import InputError
-from cassini_bayes.model import THRUST_COMMON
 from cassini_bayes.priors import ZERO_CENTRED, Priors
 from cassini_bayes.sweep.models import SweepModel
 
 Kind = Literal["width", "shift", "family", "without"]
-FAMILIES: Final = ("normal", "student-t", "uniform")
 STUDENT_DOF: Final = 5.0
 _FRACTIONS: Final = {0.25: "¼", 0.5: "½", 0.75: "¾"}
 
@@ -49,7 +48,7 @@ class Variation:
             "family": self.family,
             "without": self.event,
         }[self.kind]
-        text = f"{self.group}_{self.kind}_{what}".replace("+", "plus").replace("-", "-")
+        text = f"{self.group}_{self.kind}_{what}".replace("+", "plus")
         return "".join(c if c.isalnum() or c in "._-" else "-" for c in text)
 
     @property
@@ -124,12 +123,13 @@ def grid_of(
     widths: Sequence[float],
     shifts: Sequence[float],
     families: Sequence[str],
+    where: str = "sweep",
 ) -> tuple[Variation, ...]:
     """Every cell of a sweep that changes something.
 
     Widths and families act on a whole group, shifts on one parameter at a time (a block has no one
     direction to be shifted in). Departures of thrust are centred on zero and are not shifted. What
-    is integrated out stays normal, so families act on walked parameters and the common thrust.
+    is integrated out stays normal, unless it can be walked instead (the common thrust of totals).
 
     Raises
     ------
@@ -139,9 +139,9 @@ def grid_of(
     acting = (*model.space.names, *model.collapsed)
     cells: list[Variation] = []
     for group in groups:
-        _check_group(group, acting, priors)
+        _check_group(group, acting, priors, where)
         free = tuple(n for n in group.parameters if priors.parameters[n].distribution is not None)
-        changeable = tuple(n for n in free if n in model.space.names or n == THRUST_COMMON)
+        changeable = tuple(n for n in free if n in (*model.space.names, *model.walkable))
         cells += [Variation(group.name, "width", free, amount=w) for w in widths if w != 1.0]
         cells += [
             Variation(group.name, "shift", (name,), amount=shift)
@@ -154,18 +154,18 @@ def grid_of(
     return tuple(cell for cell in cells if cell.applied(priors).parameters != priors.parameters)
 
 
-def _check_group(group: Group, acting: Sequence[str], priors: Priors) -> None:
+def _check_group(group: Group, acting: Sequence[str], priors: Priors, where: str) -> None:
     for name in group.parameters:
         if name not in acting:
             raise InputError(
-                f"group {group.name}",
+                f"{where}: group {group.name}",
                 "parameters that act in the model",
                 repr(name),
-                f"leave it out; acting: {', '.join(acting)}",
+                nearest(name, acting),
             )
     if all(priors.parameters[name].distribution is None for name in group.parameters):
         raise InputError(
-            f"group {group.name}",
+            f"{where}: group {group.name}",
             "at least one parameter with a distribution",
             "none, or only fixed ones",
             "leave the group out",
