@@ -24,6 +24,7 @@ from cassini_bayes.joint_draws import full_parameters, joint_physics
 from cassini_bayes.model import TotalsModel, linear_system
 from cassini_bayes.physics import Physics
 from cassini_bayes.spacecraft import thruster_directions
+from cassini_bayes.telemetry_bands import Band, latent_wheels
 from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryTerms,
@@ -114,15 +115,15 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
     for place, terms in enumerate(model.telemetry, start=first):
         assert physics is not None  # there is telemetry
         nominal = {name: values[:1] for name, values in full.items()}
-        variance = np.broadcast_to(nominal["rate_noise_rad_s"] ** 2, (len(steps),))
-        weights = balance_weights(terms, physics, model.linear.common_mean_n, variance)
-        columns = _columns(model, terms, weights)
-        noise = noise_covariance(terms, physics, full)[0]
-        walk = float(nominal["torque_noise_n_m_s05"][0]) ** 2
-        wheel_variance = float(nominal["wheel_noise_rpm"][0] * RAD_S_PER_RPM) ** 2
-        part = _gram_of(terms, columns, noise, walk, wheel_variance)
         index = _index(places, place)
-        information[np.ix_(index, index)] += part
+        for band, gram in zip((terms.slow, *terms.fast), (None, *terms.reduced.grams), strict=True):
+            kept, _ = latent_wheels(band, nominal)
+            weights = balance_weights(terms, physics, model.linear.common_mean_n, kept)
+            columns = _columns(model, terms, weights)
+            noise = noise_covariance(terms, physics, full, kept)[0]
+            information[np.ix_(index, index)] += _whitened(
+                terms, band, gram, columns, noise, nominal
+            )
         for own in model.delta_v:
             if own.event_id == terms.id:
                 index, part = _delta_v_part(model, own, physics, full, places, place)
@@ -184,7 +185,7 @@ def _columns(model: JointModel, terms: TelemetryTerms, weights: Array) -> Array:
     pattern, reduced = terms.pattern, terms.reduced
     owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
     k, last = pattern.thrusters, len(pattern.start) - 2
-    by_owner = np.zeros((len(weights), last + 1, 3, reduced.gram.shape[2]))
+    by_owner = np.zeros((len(weights), last + 1, 3, reduced.slow.shape[1]))
     for b, column in zip(reduced.entries, reduced.row, strict=True):
         by_owner[:, owner[b], :, column] += weights[:, b]
     nominal = np.zeros(last + 1)
@@ -212,36 +213,49 @@ def _tail_sd(terms: TelemetryTerms) -> Array:
     return np.asarray(np.sqrt(probability * (1.0 - probability)) / np.sqrt(counts))
 
 
-def _without_wheel_noise(terms: TelemetryTerms, wheel_variance: float) -> Array:
-    """Gram matrices of the true wheel rates: what their noise adds to its square taken off.
+def _whitened(
+    terms: TelemetryTerms,
+    band: Band,
+    gram: Array | None,
+    columns: Array,
+    noise: Array,
+    nominal: Mapping[str, Array],
+) -> Array:
+    """Inner products of the derivatives over one band's rows, white and torque noise whitened."""
+    values, vectors = np.linalg.eigh(noise)
+    count, size = len(columns), terms.reduced.slow.shape[1]
+    variance = values[:, None] + nominal["torque_noise_n_m_s05"][0] ** 2 * band.walk  # (3, R)
+    modes = terms.reduced.slow.reshape(3 * size, -1)
+    quiet = _channel_noise(terms, band, nominal)
+    result = np.zeros((count, count))
+    for own, axis in zip(variance, vectors.T, strict=True):
+        along = (axis[:, None] * columns).reshape(count, -1)
+        if gram is None:
+            seen = along @ modes
+            result += (seen / own) @ seen.T
+        else:
+            flat = gram.transpose(0, 2, 1, 3).reshape(3 * size, 3 * size)
+            result += along @ flat @ along.T / own.mean()
+        scalar = np.einsum("a,uac->uc", axis, columns)
+        result -= (scalar * quiet) @ scalar.T / own.mean()
+    return result
+
+
+def _channel_noise(terms: TelemetryTerms, band: Band, nominal: Mapping[str, Array]) -> Array:
+    """Square (A,) that the channels' own noise adds to each scalar column over a band's rows.
 
     Noise that drives a regressor tells nothing; the likelihood's Jacobian sees to the same.
     """
-    layout, gram = terms.statistics.layout, terms.reduced.gram.copy()
+    layout = terms.statistics.layout
     used = np.unique(terms.pattern.row[terms.reduced.entries])
-    wheel = np.flatnonzero((used >= layout.wheel.start) & (used < layout.wheel.stop))
-    gram[:, :, wheel, wheel] -= terms.statistics.rows * wheel_variance
-    return gram
-
-
-def _gram_of(
-    terms: TelemetryTerms, columns: Array, noise: Array, walk: float, wheel_variance: float
-) -> Array:
-    """Inner products of the derivatives over all rows, white noise and torque noise whitened."""
-    values, vectors = np.linalg.eigh(noise)
-    count, size = len(columns), terms.reduced.gram.shape[2]
-    gram = _without_wheel_noise(terms, wheel_variance)
-    gram = gram.transpose(0, 2, 1, 3).reshape(3 * size, 3 * size)
-    projection = terms.reduced.projection.reshape(3 * size, -1).T
-    result = np.zeros((count, count))
-    for value, axis in zip(values, vectors.T, strict=True):
-        along = (axis[:, None] * columns).reshape(count, -1)
-        result += along @ gram @ along.T / value
-        if walk > 0:
-            seen = projection @ along.T
-            gain = walk / (value**2 * (1.0 + walk * terms.mode_values / value))
-            result -= (seen * gain[:, None]).T @ seen
-    return result
+    square = np.zeros(len(used))
+    square[(used >= layout.rate.start) & (used < layout.rate.stop)] = (
+        nominal["rate_noise_rad_s"][0] ** 2
+    )
+    square[(used >= layout.wheel.start) & (used < layout.wheel.stop)] = (
+        nominal["wheel_noise_rpm"][0] * RAD_S_PER_RPM
+    ) ** 2
+    return band.rows * square
 
 
 def _totals_parts(

@@ -35,6 +35,7 @@ from cassini_bayes.sampling import SamplerSettings, sample
 from cassini_bayes.scenario import Simulation, simulate_file
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.statistics import EventStatistics, Layout, Samples, Sampling, reduce_chunks
+from cassini_bayes.statistics.columns import direction_cosines
 from cassini_bayes.storage import digest
 from cassini_bayes.terms import RAD_S_PER_RPM
 from cassini_bayes.warmstart import warm_start
@@ -64,13 +65,12 @@ MODEL_CODE: Final = (
     "quantiles",
     "ranks",
     "scenario",
+    "telemetry_bands",
     "telemetry_calibration",
     "telemetry_terms",
     "warmstart",
 )
 MODEL_PACKAGES: Final = ("simulation", "spacecraft", "statistics")
-# What the truth does not have: its simulation adds no torque noise.
-NOT_RANKED: Final = ("torque_noise_n_m_s05",)
 
 
 @dataclass(frozen=True)
@@ -152,11 +152,7 @@ class TelemetryCampaign:
         """Names of the ranked scalars: walked parameters, thrusts and torques of the events."""
         priors = self.priors()
         thrusters = priors.spacecraft.thruster_names(priors.branch)
-        walked = [
-            name
-            for name in _walked(priors, fires=any(_fires(e) for e in self.variant.events))
-            if name not in NOT_RANKED
-        ]
+        walked = _walked(priors, fires=any(_fires(e) for e in self.variant.events))
         thrusts = [
             f"thrust_n[{event},{thruster}]"
             for event in self.variant.events
@@ -180,7 +176,7 @@ class TelemetryCampaign:
         rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
         priors = self.priors()
         simulation = self.simulate(priors, rng)
-        model = joint_model_of(simulation, self.variant, priors)
+        model = joint_model_of(simulation, self.variant, priors, rng)
         z, pareto_k, by_chain = _posterior_draws(log_density_of(model, self.variant), model, rng)
         drawn = flat_draws(model, z, rng)
         truth = flat_truth(simulation)
@@ -228,11 +224,14 @@ def _made_up(layout: Layout) -> EventStatistics:
     )
 
 
-def joint_model_of(simulation: Simulation, variant: Variant, priors: Priors) -> JointModel:
+def joint_model_of(
+    simulation: Simulation, variant: Variant, priors: Priors, rng: np.random.Generator
+) -> JointModel:
     """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
     reduced = []
     for event in simulation.events:
         samples, thrusters = samples_of(event)
+        samples = with_torque_noise(samples, event, rng)
         duration = float(samples.time_s[-1])
         sampling = sampling_of(priors, thrusters, duration, "first_order")
         if variant.control == "pulse-blind":
@@ -268,6 +267,29 @@ def samples_of(event: SimulatedEvent) -> tuple[Samples, tuple[str, ...]]:
     ), thrusters
 
 
+def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Generator) -> Samples:
+    """Telemetry whose wheels have also taken up the momentum of a white torque, as much as is true.
+
+    The simulation knows no such torque. Its momentum is conserved in inertial axes, as all is.
+    """
+    plan = event.plan
+    density = plan.parameters["torque_noise_n_m_s05"]
+    values = {name: np.asarray(value) for name, value in plan.parameters.items()}
+    physics = physics_of(plan.spacecraft, "", values, fires=False)
+    numbers = [wheel.number for wheel in plan.spacecraft.wheels]
+    places = [numbers.index(number) for number in plan.wheel_numbers]
+    # no channel is slower than the attitude, which is sampled whenever wheels are
+    known = np.isfinite(samples.attitude[:, 0])
+    to_body = direction_cosines(samples.attitude[known])
+    steps = np.sqrt(np.diff(samples.time_s[known], prepend=samples.time_s[0]))
+    kicks = density * steps[:, None] * rng.standard_normal((len(steps), 3))
+    inertial = np.cumsum(np.einsum("nab,na->nb", to_body, kicks), axis=0)
+    momentum = np.full((len(samples), 3), np.nan)
+    momentum[known] = np.einsum("nab,nb->na", to_body, inertial)
+    taken = np.linalg.pinv(physics.wheel_weights[:, places]) @ momentum.T
+    return replace(samples, wheel_rad_s=samples.wheel_rad_s + taken.T)
+
+
 def log_density_of(model: JointModel, variant: Variant) -> LogDensity:
     """The log posterior; for the balance-residual control without its Jacobian."""
     if variant.control == "balance-residual":
@@ -278,7 +300,7 @@ def log_density_of(model: JointModel, variant: Variant) -> LogDensity:
 def without_jacobian(model: JointModel, z: Array) -> Array:
     """The naive likelihood: a density of the balance residual, which shrinks with everything.
 
-    Takes N ½ log det(T I_w² Tᵀ) off again (docs/telemetry-likelihood.md §2).
+    Takes N log det I off again (docs/telemetry-likelihood.md §2).
     """
     parameters = {
         name: np.broadcast_to(np.asarray(value, dtype=np.float64), (len(z),))
@@ -288,11 +310,8 @@ def without_jacobian(model: JointModel, z: Array) -> Array:
         }.items()
     }
     physics = physics_of(model.spacecraft, model.branch, parameters, fires=False)
-    lost = np.zeros(len(z))
-    for terms in model.telemetry:
-        wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-        square = wheels @ np.swapaxes(wheels, -1, -2)
-        lost += 0.5 * terms.statistics.rows * np.linalg.slogdet(square)[1]
+    rows = sum(terms.statistics.rows for terms in model.telemetry)
+    lost = rows * np.linalg.slogdet(physics.inertia_kg_m2)[1]
     return np.asarray(joint_log_posterior(model, z) - lost)
 
 

@@ -5,7 +5,7 @@ Per row, in body axes,
     I ω + T I_w ρ − R h0 − Σ_k F_k q_k s_k − τ D = noise
 
 (:mod:`cassini_bayes.statistics.columns` has the columns). The likelihood is that of the measured
-channels with the true body rate as a latent variable: docs/telemetry-likelihood.md §2 and §3.
+channels with the true wheel rates as latent variables: docs/telemetry-likelihood.md §2 and §3.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from cassini_bayes.physics import Physics, physics_of
 from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.statistics import EventStatistics, Layout, Sampling, contract, explained_by_modes
 from cassini_bayes.statistics.columns import CUT_PARTS
+from cassini_bayes.telemetry_bands import Band, latent_wheels, make_bands
 from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
@@ -55,30 +56,27 @@ class Reduced:
     entries: Places
     row: Places
     start: Places
-    gram: Array  # (3, 3, A', A')
-    projection: Array  # (3, A', M) on the turned cosines
+    grams: tuple[Array, ...]  # (3, 3, A', A') of the fast bands
+    slow: Array  # (3, A', M) coordinates on the slow modes
 
 
 @dataclass(frozen=True)
 class TelemetryTerms:
     """One telemetry event, ready for likelihood calls.
 
+    ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.telemetry_bands`).
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
-    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. The cosines of the
-    torque noise are turned so that their Gram matrix, scaled by the spectrum of a random walk, is
-    diagonal with ``mode_values``.
+    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters.
     """
 
     statistics: EventStatistics
     sampling: Sampling
     pattern: Pattern
     wheel_places: tuple[int, ...]
-    mean_rate: Array  # (3,)
-    rate_values: Array  # (3,) variances of the measured rates along their principal axes
-    rate_vectors: Array  # (3, 3) these axes as columns
+    slow: Band
+    fast: tuple[Band, ...]
     initial_mean_n_m_s: Array
     spin: Array
-    mode_values: Array  # (M,)
     reduced: Reduced
 
     @property
@@ -142,9 +140,6 @@ def make_terms(
     numbers = [wheel.number for wheel in spacecraft.wheels]
     places = tuple(numbers.index(number) for number in layout.wheels)
     gram, rows = statistics.gram, statistics.rows
-    mean = gram[0, 0, layout.one, layout.rate] / rows
-    second = gram[0, 0, layout.rate, layout.rate] / rows
-    values, vectors = np.linalg.eigh(second - np.outer(mean, mean))
     physics = physics_of(
         spacecraft, "", {name: np.asarray(value) for name, value in nominal.items()}, fires=False
     )
@@ -155,7 +150,7 @@ def make_terms(
     start = np.linalg.lstsq(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
-    mode_values, mode_projection = _turned_modes(statistics)
+    slow, fast, slow_modes, grams = make_bands(statistics)
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
     return TelemetryTerms(
@@ -163,13 +158,11 @@ def make_terms(
         sampling=sampling,
         pattern=pattern,
         wheel_places=places,
-        mean_rate=mean,
-        rate_values=np.maximum(values, 0.0),
-        rate_vectors=vectors,
-        initial_mean_n_m_s=start,
+        slow=slow,
+        fast=fast,
+        initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
-        mode_values=mode_values,
-        reduced=Reduced(everything, pattern.row, pattern.start, gram, mode_projection),
+        reduced=Reduced(everything, pattern.row, pattern.start, grams, slow_modes),
     )
 
 
@@ -184,9 +177,7 @@ def without_idle_columns(
     n, pattern = len(physics.inertia_kg_m2), terms.pattern
     weights, _ = _weights(terms, physics, n, thrust_n)
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    weights[:, pattern.start[-2] :] = _measured_weights(
-        terms, physics, 0.5 * physics.inertia_kg_m2, wheels
-    )
+    weights[:, pattern.start[-2] :] = _measured_weights(terms, physics, wheels)
     used = np.any(weights != 0.0, axis=(0, 2))
     entries = np.flatnonzero(used)
     columns = np.unique(pattern.row[entries])
@@ -197,8 +188,10 @@ def without_idle_columns(
         entries=entries,
         row=np.searchsorted(columns, pattern.row[entries]),
         start=np.concatenate([[0], np.cumsum(counts)]),
-        gram=np.ascontiguousarray(full.gram[:, :, columns[:, None], columns]),
-        projection=np.ascontiguousarray(full.projection[:, columns]),
+        grams=tuple(
+            np.ascontiguousarray(gram[:, :, columns[:, None], columns]) for gram in full.grams
+        ),
+        slow=np.ascontiguousarray(full.slow[:, columns]),
     )
     return replace(terms, reduced=reduced)
 
@@ -211,18 +204,6 @@ def _initial_gram(statistics: EventStatistics) -> Array:
 def _initial_target(statistics: EventStatistics, scalars: Array, span: slice) -> Array:
     first = statistics.layout.initial
     return np.asarray(sum(statistics.gram[c, c, first, span] @ scalars[c] for c in range(3)))
-
-
-def _turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
-    """Cosines scaled by the spectrum of a random walk, turned to a diagonal Gram matrix.
-
-    Momentum gained from white torque noise of density a has cosine coefficients of variance
-    2 a T/(m π)² (Karhunen-Loève expansion of a random walk about its mean).
-    """
-    order = np.arange(1, len(statistics.mode_gram) + 1)
-    scale = np.sqrt(2.0 * statistics.duration_s) / (order * np.pi)
-    values, turn = np.linalg.eigh(scale[:, None] * statistics.mode_gram * scale)
-    return np.maximum(values, 0.0), np.einsum("lm,l,lca->cam", turn, scale, statistics.projection)
 
 
 def _pattern(statistics: EventStatistics) -> Pattern:
@@ -276,35 +257,38 @@ def event_system(
         (3,) prior of the event's steady torque, N m.
     """
     pattern, rows = terms.pattern, terms.statistics.rows
-    inertia = physics.inertia_kg_m2
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    n = len(inertia)
-    rate_variance = parameters["rate_noise_rad_s"] ** 2
-    kept, spread = _latent_rate(terms, rate_variance)
-    to_latent = inertia @ kept
-    wheel_square = wheels @ np.swapaxes(wheels, -1, -2)
-    noise = noise_covariance(terms, physics, parameters, to_latent)
-    weights, own_sd = _weights(terms, physics, n, thrust_n)
-    weights[:, pattern.start[-2] :] = _measured_weights(terms, physics, to_latent, wheels)
-    values, vectors = np.linalg.eigh(noise)
-    precision = (vectors / values[:, None, :]) @ np.swapaxes(vectors, -1, -2)
+    n = len(physics.inertia_kg_m2)
     reduced = terms.reduced
-    weights = weights[:, reduced.entries]
-    normal = contract(reduced.gram, reduced.row, reduced.start, weights, precision)
-    log_scale = rows * (
-        -0.5 * np.log(values).sum(-1)
-        + 0.5 * np.linalg.slogdet(wheel_square)[1]
-        - 0.5 * spread
-        - 3.0 * np.log(2.0 * np.pi)
-    )
-    walk = parameters["torque_noise_n_m_s05"] ** 2
-    if np.any(walk > 0):
-        ratio = walk[:, None, None] * terms.mode_values / values[:, :, None]
-        gain = walk[:, None, None] / values[:, :, None] / (values[:, :, None] * (1.0 + ratio))
-        normal = normal - explained_by_modes(
-            reduced.projection, reduced.row, reduced.start, weights, vectors, gain
-        )
-        log_scale = log_scale - 0.5 * np.log1p(ratio).sum((-2, -1))
+    weights, own_sd = _weights(terms, physics, n, thrust_n)
+    measured = slice(pattern.start[-2], None)
+
+    walk = parameters["torque_noise_n_m_s05"][:, None] ** 2
+    log_scale = np.zeros(n)
+    width = len(reduced.start) - 1
+    normal = np.zeros((n, width, width))
+    for band, gram in zip((terms.slow, *terms.fast), (None, *reduced.grams), strict=True):
+        if band.rows == 0:
+            continue
+        kept, log_density = latent_wheels(band, parameters)
+        weights[:, measured] = _measured_weights(terms, physics, wheels @ kept)
+        used = np.ascontiguousarray(weights[:, reduced.entries])
+        values, vectors = np.linalg.eigh(noise_covariance(terms, physics, parameters, kept))
+        variance = values[:, :, None] + (walk * band.walk)[:, None, :]
+        if gram is None:
+            normal = normal + explained_by_modes(
+                reduced.slow, reduced.row, reduced.start, used, vectors, 1.0 / variance
+            )
+        else:
+            variance = variance.mean(-1, keepdims=True)
+            precision = (vectors / variance[:, None, :, 0]) @ np.swapaxes(vectors, -1, -2)
+            normal = normal + contract(gram, reduced.row, reduced.start, used, precision)
+        each = band.rows / variance.shape[-1]
+        log_scale += log_density - 0.5 * each * np.log(variance).sum((-2, -1))
+
+    channels = 3 + len(terms.wheel_places)
+    jacobian = np.linalg.slogdet(_by_rate(physics))[1]
+    log_scale = log_scale + rows * (jacobian - 0.5 * channels * np.log(2.0 * np.pi))
     return EventSystem(
         normal=normal,
         log_scale=log_scale,
@@ -316,27 +300,19 @@ def event_system(
 
 
 def balance_weights(
-    terms: TelemetryTerms,
-    physics: Physics,
-    thrust_n: float,
-    rate_variance: Array | None = None,
+    terms: TelemetryTerms, physics: Physics, thrust_n: float, kept: Array | None = None
 ) -> Array:
     """Weights (n, B, 3) of all entries of the pattern, in its order, at a batch of n points.
 
-    The measured momentum is that of the measured rates, or with their noise variance (n,) given
-    that of the estimate of the true rates. For residuals and their derivatives: the same columns
-    and weights that the likelihood has.
+    The measured momentum is that of the measured rates and wheels, or with the matrices ``kept``
+    (n, W, W) of a band that of the estimate of the true wheel rates. For residuals and their
+    derivatives: the same columns and weights that the likelihood has.
     """
-    inertia = physics.inertia_kg_m2
-    n = len(inertia)
-    kept = np.broadcast_to(np.eye(3), (n, 3, 3))
-    if rate_variance is not None:
-        kept, _ = _latent_rate(terms, rate_variance)
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    weights, _ = _weights(terms, physics, n, thrust_n)
-    weights[:, terms.pattern.start[-2] :] = _measured_weights(
-        terms, physics, inertia @ kept, wheels
-    )
+    if kept is not None:
+        wheels = wheels @ kept
+    weights, _ = _weights(terms, physics, len(physics.inertia_kg_m2), thrust_n)
+    weights[:, terms.pattern.start[-2] :] = _measured_weights(terms, physics, wheels)
     return weights
 
 
@@ -344,58 +320,47 @@ def noise_covariance(
     terms: TelemetryTerms,
     physics: Physics,
     parameters: Mapping[str, Array],
-    to_latent: Array | None = None,
+    kept: Array | None = None,
 ) -> Array:
     """Covariance (n, 3, 3) of the white noise of a row's balance, (N m s)².
 
-    ``to_latent`` replaces the inertia on one side where the true rate is estimated.
+    ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
+    estimated.
     """
-    inertia = physics.inertia_kg_m2
+    by_rate = _by_rate(physics)
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
     rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
     wheel = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
     attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
-    left = inertia if to_latent is None else to_latent
+    left = wheels if kept is None else wheels @ kept
     return np.asarray(
-        rate * left @ np.swapaxes(inertia, -1, -2)
-        + wheel * wheels @ np.swapaxes(wheels, -1, -2)
+        rate * by_rate @ np.swapaxes(by_rate, -1, -2)
+        + wheel * left @ np.swapaxes(wheels, -1, -2)
         + attitude * terms.spin
     )
 
 
-def _latent_rate(terms: TelemetryTerms, rate_variance: Array) -> tuple[Array, Array]:
-    """Best linear estimate of the true rate from the measured one, and the rate's own density.
-
-    The measured rate has variance V = S + σ² with the true rate's S inferred, S = max(V − σ², 0)
-    along the principal axes of the measured covariance. Returns the matrix S V⁻¹ (n, 3, 3) that
-    takes a departure from the mean rate to its estimate, and log det V + tr(V⁻¹ V̂) (n,).
-    """
-    variance = np.maximum(terms.rate_values, rate_variance[:, None])
-    share = 1.0 - rate_variance[:, None] / variance
-    kept = (terms.rate_vectors * share[:, None, :]) @ terms.rate_vectors.T
-    return kept, (np.log(variance) + terms.rate_values / variance).sum(-1)
+def _by_rate(physics: Physics) -> Array:
+    """Momentum per measured rate (n, 3, 3): the true rate is (measured − bias)/(1 + scale)."""
+    inertia = physics.inertia_kg_m2
+    scale = np.broadcast_to(physics.rate_scale, inertia.shape[:-1])
+    return np.asarray(inertia / (1.0 + scale)[..., None, :])
 
 
-def _measured_weights(
-    terms: TelemetryTerms, physics: Physics, to_latent: Array, wheels: Array
-) -> Array:
+def _measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> Array:
     """Weights of the measured momentum's entries: rates, constant, wheels, torque, extra columns.
 
-    The true rate is (measured − bias)/(1 + scale). What a steady torque or an effect's own column
-    puts in is taken off the measured momentum.
+    What a steady torque or an effect's own column puts in is taken off the measured momentum.
     """
-    n, inertia = len(to_latent), physics.inertia_kg_m2
-    true = 1.0 / (1.0 + np.broadcast_to(physics.rate_scale, (n, 3)))
+    n, by_rate = len(wheels), _by_rate(physics)
     bias = np.broadcast_to(physics.rate_bias_rad_s, (n, 3))
-    by_rate = to_latent * true[:, None, :]
-    offset = (inertia - to_latent) * true[:, None, :] @ terms.mean_rate
-    shift = inertia * true[:, None, :] @ bias[..., None]
+    shift = by_rate @ bias[..., None]
     torque = -np.broadcast_to(physics.steady_torque_n_m, (n, 3))
     extra = [-np.broadcast_to(physics.extra.get(name, 0.0), (n, 3)) for name in terms.extra]
     return np.concatenate(
         [
             np.swapaxes(by_rate, -1, -2),
-            (offset - shift[..., 0])[:, None],
+            -shift[..., 0][:, None],
             np.swapaxes(wheels, -1, -2),
             np.repeat(torque[:, :, None], 3, axis=2),
             *(weight[:, None] for weight in extra),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import trapezoid
 from scipy.stats import multivariate_normal
 
 from cassini_bayes.joint import JointModel, build_joint_model, sampling_of
@@ -21,7 +22,9 @@ from cassini_bayes.telemetry_terms import cut_probability
 Array = NDArray[np.float64]
 PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 RPM = 2.0 * np.pi / 60.0
-MODES = 32
+MODES = 128
+EDGES = (32, 64)
+ROWS_PER_MODE = 4
 PARTS = 4
 
 
@@ -219,36 +222,26 @@ def plain_log_likelihood(
         sampling = terms.sampling
         rows = plain_rows(samples, sampling, arms if fires else np.zeros((3, 0)), tau)
         n = len(rows.times)
-        rates = np.array(rows.rates)
-        mean_rate = rates.mean(0)
-        covariance = (rates - mean_rate).T @ (rates - mean_rate) / n
-        noise = values["rate_noise_rad_s"] ** 2 * np.eye(3)
-        gain = inertia @ noise @ np.linalg.inv(covariance)  # K = I Σ (S + Σ)^-1
-        wheel_noise = (values["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
-        momenta = np.array(
-            [inertia @ w + weights @ r for w, r in zip(rates, rows.wheels, strict=True)]
-        )
         spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
-        row_noise = (
-            inertia @ noise @ inertia
-            - gain @ noise @ inertia
-            + wheel_noise
-            + values["attitude_noise_rad"] ** 2 * spin
-        )
-        constant += -0.5 * n * (np.linalg.slogdet(2 * np.pi * covariance)[1] + 3.0)
-        constant += 0.5 * n * np.linalg.slogdet(weights @ weights.T)[1]
-        y = momenta - (rates - mean_rate) @ gain.T
-        total = np.kron(np.eye(n), row_noise)
+        white = values["rate_noise_rad_s"] ** 2 * inertia @ inertia
+        white = white + values["attitude_noise_rad"] ** 2 * spin
+        wheels, wheel_noise = np.array(rows.wheels), (values["wheel_noise_rpm"] * RPM) ** 2
+        y = np.array(rows.rates) @ inertia
+        total = np.zeros((3 * n, 3 * n))
+        for share, drift in plain_bands(np.array(rows.times), sampling.duration_s):
+            kept, density = plain_latent(share @ wheels, round(np.trace(share)), wheel_noise)
+            y = y + share @ wheels @ (weights @ kept).T
+            total += np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
+            total += values["torque_noise_n_m_s05"] ** 2 * np.kron(drift, np.eye(3))
+            constant += density
+        # the density of the rates is that of the balance times |det I| per row; three wheel rates
+        constant += n * (np.linalg.slogdet(inertia)[1] - 1.5 * np.log(2 * np.pi))
         starts = (np.array(rows.bodies) @ _first_body(samples).T).transpose(2, 0, 1)
         own = [10.0 * start.reshape(-1) for start in starts]
         own += [
             sd * np.array(rows.torques)[:, :, axis].reshape(-1)
             for axis, sd in enumerate(model.torque_sd_n_m)
         ]
-        for m in range(1, MODES + 1):
-            wave = np.cos(m * np.pi * np.array(rows.times) / sampling.duration_s)
-            size = values["torque_noise_n_m_s05"] * np.sqrt(2 * sampling.duration_s) / (m * np.pi)
-            own += [size * np.kron(wave, axis) for axis in np.eye(3)]
         mean = (np.array(rows.bodies) @ _first_body(samples).T) @ terms.initial_mean_n_m_s
         mean = mean + np.array(rows.torques) @ model.torque_mean_n_m
         columns = np.zeros((3 * n, thrusters))
@@ -283,6 +276,43 @@ def plain_log_likelihood(
     dense += between @ between.T
     log_density = multivariate_normal.logpdf(np.concatenate(means), np.zeros(size), dense)
     return float(log_density) + constant
+
+
+def plain_bands(times: Array, duration: float) -> list[tuple[Array, Array]]:
+    """Projector of every band of rows and the covariance of a unit random walk in it, (n, n)."""
+    waves = [np.ones(len(times)) * np.sqrt(duration / 3.0)]
+    for m in range(1, MODES + 1):
+        waves.append(np.cos(m * np.pi * times / duration) * np.sqrt(2 * duration) / (m * np.pi))
+    modes, size, _ = np.linalg.svd(np.array(waves).T, full_matrices=False)
+    count = len(times) // ROWS_PER_MODE
+    edges = [0, *(edge for edge in EDGES if edge < count), count]
+    bands = []
+    for start, stop in pairwise(edges):
+        own, variance = modes[:, start:stop], size[start:stop] ** 2
+        if start > 0:
+            variance = np.full_like(variance, variance.mean())
+        bands.append((own @ own.T, own * variance @ own.T))
+    rest = np.eye(len(times)) - modes[:, :count] @ modes[:, :count].T
+    return [*bands, (rest, np.zeros_like(rest))]
+
+
+def plain_latent(wheels: Array, rows: int, noise: float) -> tuple[Array, float]:
+    """Share of measured wheel rates that is motion, and their density, by quadrature over log V."""
+    squares, axes = np.linalg.eigh(wheels.T @ wheels)
+    shares, density = [], 0.0
+    for square in squares:
+        # dense in the logarithm above the noise, where the integrand is widest or narrowest
+        u = np.concatenate([[0.0], np.geomspace(1e-7, 60.0, 400_001)])
+        log_v = np.log(noise) + u
+        log_p = -0.5 * rows * log_v - 0.5 * square * np.exp(-log_v)
+        top = log_p.max()
+        p = np.exp(log_p - top)
+        total = trapezoid(p, u) / 14.0
+        still = np.exp(-0.5 * rows * np.log(noise) - 0.5 * square / noise - top)
+        moving = trapezoid(p * (1.0 - np.exp(-u)), u) / 14.0
+        shares.append(moving / (total + still))
+        density += top + np.log(total + still)
+    return axes * shares @ axes.T, density
 
 
 def _first_body(samples: Samples) -> Array:

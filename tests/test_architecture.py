@@ -45,6 +45,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("statistics",),
     ("model",),
     ("posterior",),
+    ("telemetry_bands",),
     ("telemetry_terms",),
     ("delta_v_terms",),
     ("joint",),

@@ -35,7 +35,7 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
     events = [
         made_up_samples(rng, 60),
         made_up_samples(rng, 50, fires=False),
-        made_up_samples(rng, 55),
+        made_up_samples(rng, 300),  # enough for all bands
     ]
     model = model_of(events)
     for z in 0.7 * model.space.sample(rng, 2):

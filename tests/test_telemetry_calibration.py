@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cassini_bayes.physics import physics_of
 from cassini_bayes.ranks import Ranks
 from cassini_bayes.telemetry_calibration import (
     CONTROLS,
@@ -15,6 +16,8 @@ from cassini_bayes.telemetry_calibration import (
     flat_draws,
     flat_truth,
     joint_model_of,
+    samples_of,
+    with_torque_noise,
 )
 from cassini_bayes.telemetry_campaign import QUICK, REPETITIONS, judge
 
@@ -40,18 +43,17 @@ def test_a_repetition_repeats_and_ranks_every_name() -> None:
 
 
 def test_names_are_those_of_draws_and_truth() -> None:
-    """Every ranked scalar has draws and a true value; torque noise has no truth and is left out."""
+    """Every ranked scalar has draws and a true value, and every walked parameter is ranked."""
     joint = campaign("joint")
     rng = np.random.default_rng(1)
     priors = joint.priors()
     simulation = joint.simulate(priors, rng)
-    model = joint_model_of(simulation, joint.variant, priors)
+    model = joint_model_of(simulation, joint.variant, priors, np.random.default_rng(2))
     drawn = flat_draws(model, model.space.sample(rng, 3), rng)
     truth = flat_truth(simulation)
     assert set(joint.names()) <= set(drawn)
     assert set(joint.names()) <= set(truth)
-    assert "torque_noise_n_m_s05" in drawn
-    assert "torque_noise_n_m_s05" not in joint.names()
+    assert set(model.space.names) <= set(joint.names())
 
 
 def test_variants_change_what_they_say() -> None:
@@ -75,7 +77,9 @@ def test_the_pulse_blind_control_keeps_more_rows() -> None:
     priors = one.priors()
     simulation = one.simulate(priors, np.random.default_rng(3))
     rows = [
-        joint_model_of(simulation, replace(one.variant, control=control), priors)
+        joint_model_of(
+            simulation, replace(one.variant, control=control), priors, np.random.default_rng(2)
+        )
         .telemetry[0]
         .statistics.rows
         for control in ("none", "pulse-blind")
@@ -98,3 +102,26 @@ def test_the_judgement_is_over_all_variants_together() -> None:
     assert not bad.passed
     failing = bad.table[bad.table["p_envelope_holm"] <= 0.01]
     assert list(failing["variant"] + failing["parameter"]) == ["onec"]
+
+
+def test_torque_noise_walks_in_inertial_axes() -> None:
+    """Wheels gain the momentum of a white torque: variance density² t, none at zero density."""
+    campaign = TelemetryCampaign(SCENARIO, PRIORS, 4, VARIANTS[2])
+    priors = campaign.priors().with_fixed("torque_noise_n_m_s05", 1e-3)
+    event = campaign.simulate(priors, np.random.default_rng(3)).events[0]
+    samples, _ = samples_of(event)
+    weights = physics_of(
+        event.plan.spacecraft,
+        "",
+        {name: np.asarray(value) for name, value in event.plan.parameters.items()},
+        fires=False,
+    ).wheel_weights[:, [0, 1, 3]]
+    end, half = [], []
+    for seed in range(200):
+        noisy = with_torque_noise(samples, event, np.random.default_rng(seed))
+        gained = (noisy.wheel_rad_s - samples.wheel_rad_s) @ weights.T
+        end.append(gained[-1])
+        half.append(gained[len(gained) // 4])
+    # 600 values: relative standard error of a variance 0.058
+    assert np.var(end) == pytest.approx(1e-6 * samples.time_s[-1], rel=0.24)
+    assert np.var(half) == pytest.approx(0.25e-6 * samples.time_s[-1], rel=0.24)

@@ -23,7 +23,7 @@ from cassini_bayes.statistics.rows import Samples
 from cassini_bayes.storage import write_bytes
 
 Array = NDArray[np.float64]
-MODES: Final = 32
+MODES: Final = 128
 _FORMAT: Final = 1
 _BLOCK_ROWS: Final = 4_096
 
