@@ -21,7 +21,7 @@ from cassini_bayes.configuration import RunFile
 from cassini_bayes.errors import InputError
 from cassini_bayes.inputs import Inputs, read_inputs
 from cassini_bayes.provenance import code_digest
-from cassini_bayes.result import read_fit
+from cassini_bayes.result import Fit, read_fit
 from cassini_bayes.storage import remove_leftovers, write_text
 from cassini_bayes.sweep.grid import workers_at
 from cassini_bayes.sweep.models import JointFactory, ModelFactory, TotalsFactory
@@ -92,19 +92,11 @@ def execute_sweep(
         No fit there, one of another model, or a sweep file that does not fit the model.
     """
     began = time.monotonic()
-    if not (folder / "fit.nc").exists():
-        raise InputError(
-            str(folder / "fit.nc"), "the fit of this run", "no such file", "run it first"
-        )
-    inputs = read_inputs(run, base, folder, reporter.say)
-    fit = read_fit(folder / "fit.nc")
+    inputs, fit = _read(run, base, folder, reporter)
     factory = factory_of(run, inputs)
     study = plan(factory, fit, sweep, where)
     target = folder / FOLDER
-    if target.exists():
-        remove_leftovers(target)
-    identity = study.identity(f"{code_digest()} {sorted(inputs.digests.items())}")
-    store = CheckpointStore(target / "cells" / identity[:12], identity)
+    store = _store(study, target, inputs)
     write_text(target / "resolved.toml", tomli_w.dumps(sweep.model_dump()))
     reporter.say(f"{len(study.cells)} cells, {len(study.baseline.names)} quantities")
     with workers_at(jobs, dask) as workers:
@@ -120,14 +112,25 @@ def execute_sweep(
         if report:
             _write_report(study, tables, figures, folder)
         if page is not None:
-            from cassini_bayes.report.sweep_page import write_sweep_page
-
-            title = f"Prior sensitivity of the run {folder.name}"
-            names, seed = study.baseline.names, study.baseline.seed
-            write_sweep_page(page, title, tables, names, figures, command, seed)
+            _write_page(page, study, tables, figures, folder, command)
     seconds = time.monotonic() - began
     reporter.say(f"done in {seconds:.0f} s: {target}")
     return SweepOutcome(target, tables, len(study.cells), seconds)
+
+
+def _read(run: RunFile, base: Path, folder: Path, reporter: Reporter) -> tuple[Inputs, Fit]:
+    path = folder / "fit.nc"
+    if not path.exists():
+        raise InputError(str(path), "the fit of this run", "no such file", "run it first")
+    return read_inputs(run, base, folder, reporter.say), read_fit(path)
+
+
+def _store(study: Study, target: Path, inputs: Inputs) -> CheckpointStore:
+    """Where finished cells are kept; other code, data or settings have a folder of their own."""
+    if target.exists():
+        remove_leftovers(target)
+    identity = study.identity(f"{code_digest()} {sorted(inputs.digests.items())}")
+    return CheckpointStore(target / "cells" / identity[:12], identity)
 
 
 def factory_of(run: RunFile, inputs: Inputs) -> ModelFactory:
@@ -169,3 +172,18 @@ def _write_report(
     if page.exists():
         facts = f"{len(study.cells)} cells, cassini_bayes {__version__}, seed {study.baseline.seed}"
         write_sweep_section(page, tables, study.baseline.names, figures, facts)
+
+
+def _write_page(
+    page: Path,
+    study: Study,
+    tables: SweepTables,
+    figures: Mapping[str, Figure],
+    folder: Path,
+    command: Sequence[str],
+) -> None:
+    from cassini_bayes.report.sweep_page import write_sweep_page
+
+    title = f"Prior sensitivity of the run {folder.name}"
+    names, seed = study.baseline.names, study.baseline.seed
+    write_sweep_page(page, title, tables, names, figures, command, seed)

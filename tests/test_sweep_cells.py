@@ -7,14 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sweep_cases import TOY_NAMES, small_fit, toy_baseline, toy_exact
+from telemetry_cases import made_up_samples, reduced, telemetry_priors
 from totals_cases import flight
 
 from cassini_bayes.distributions import Distribution
 from cassini_bayes.errors import InputError
+from cassini_bayes.joint import build_joint_model
 from cassini_bayes.result import Fit
 from cassini_bayes.sweep.cells import BY_CHAIN, REFITTED, REWEIGHTED, cell_arrays
-from cassini_bayes.sweep.models import TotalsFactory, chosen_names
-from cassini_bayes.sweep.specification import GridTable, SweepFile
+from cassini_bayes.sweep.models import JointSweepModel, TotalsFactory, chosen_names
+from cassini_bayes.sweep.specification import GridTable, GroupTable, SweepFile
 from cassini_bayes.sweep.study import plan
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of, with_family
 
@@ -136,6 +138,37 @@ def test_fits_of_other_priors_are_refused(fitted: tuple[TotalsFactory, Fit]) -> 
         plan(other, fit, SweepFile(), "test")
 
 
+def test_fits_without_the_log_prior_of_a_block_are_refused(
+    fitted: tuple[TotalsFactory, Fit],
+) -> None:
+    """A fit of an older version would lose a block's power scaling without a word."""
+    factory, fit = fitted
+    older = fit.groups["log_prior"].drop_vars("thrust")
+    with pytest.raises(InputError, match="the block thrust"):
+        plan(factory, replace(fit, groups={**fit.groups, "log_prior": older}), SweepFile(), "test")
+
+
+def test_groups_that_would_share_a_file_are_refused(fitted: tuple[TotalsFactory, Fit]) -> None:
+    """Names that differ only in signs a file name cannot have: no cell replaces another."""
+    factory, fit = fitted
+    groups = [
+        GroupTable(name=name, parameters=[parameter])
+        for name, parameter in (("my arm", "cm_x_m"), ("my/arm", "cm_y_m"))
+    ]
+    with pytest.raises(InputError, match="rename one"):
+        plan(factory, fit, SweepFile(group=groups), "test")
+
+
+def test_priors_beyond_arithmetic_are_one_line(fitted: tuple[TotalsFactory, Fit]) -> None:
+    """A width under which a matrix cannot be factored is an input error that names the cell."""
+    factory, fit = fitted
+    study = plan(factory, fit, SweepFile(blocks=["thrust"]), "test")
+    thrusts = next(cell for cell in study.cells.values() if cell.kind == "width").parameters
+    wild = Variation("thrust", "width", thrusts, amount=1e12)
+    with pytest.raises(InputError, match=r"thrust, width × 1e\+12.*milder"):
+        cell_arrays(study.baseline, wild, "always")
+
+
 def test_quantities_are_chosen_by_name_element_and_star(
     fitted: tuple[TotalsFactory, Fit],
 ) -> None:
@@ -163,6 +196,27 @@ def test_every_block_is_swept_by_default(fitted: tuple[TotalsFactory, Fit]) -> N
     shifted = {c.parameters[0] for c in study.cells.values() if c.kind == "shift"}
     assert "thrust_common_n" in shifted
     assert not shifted & {"thrust_individual_n", "thrust_event_n", "thrust_jitter_n"}
+
+
+def test_every_cell_of_telemetry_alone_can_be_computed() -> None:
+    """No change of the default grid asks a telemetry model for a parameter it cannot walk."""
+    priors = telemetry_priors()
+    statistics = [reduced(made_up_samples(np.random.default_rng(1)), priors)]
+    model = JointSweepModel(build_joint_model(statistics, priors), ())
+    grid = GridTable()
+    cells = grid_of(
+        blocks_of(model, priors),
+        model,
+        priors,
+        widths=grid.widths,
+        shifts=grid.shifts,
+        families=grid.families,
+    )
+    assert {cell.group for cell in cells} >= {"thrust", "inertia", "torque", "tail-off"}
+    for cell in cells:
+        changed = JointSweepModel(build_joint_model(statistics, cell.applied(priors)), ())
+        middle = np.zeros((1, changed.space.dimension))
+        assert np.isfinite(changed.log_likelihood(middle)).all(), cell.key
 
 
 def test_groups_of_unknown_or_fixed_parameters_are_refused() -> None:

@@ -216,6 +216,12 @@ def test_sweep_files_are_checked() -> None:
         ({"grid": {"families": ["cauchy"]}}, "families"),
         ({"refit": "maybe"}, "refit"),
         ({"group": [{"name": "own"}]}, "parameters"),
+        ({"quantities": []}, "a list of at least one"),
+        ({"grid": 3}, "a table"),
+        ({"blocks": ["mass", "mass"]}, "differ from each other"),
+        ({"blocks": ["mass"], "group": [{"name": "mass", "parameters": ["a"]}]}, "differ"),
+        ({"group": [{"name": "events", "parameters": ["a"]}]}, "kept for leaving events out"),
+        ({"group": [{"name": "own", "parameters": ["a", "a"]}]}, "each parameter once"),
     ):
         with pytest.raises(InputError, match=message):
             check_sweep(table, "spec.toml")

@@ -47,15 +47,8 @@ def sweep_command(
 ) -> None:
     """Sweep the priors of a finished run; go on with the same command after a stop."""
     run = read_run_file(run_file)
-    sweep = SweepFile() if spec is None else read_sweep_file(spec)
     where = "command line" if spec is None else str(spec)
-    changed: dict[str, Any] = {}
-    if quantity:
-        changed["quantities"] = list(quantity)
-    if refit is not None:
-        changed["refit"] = refit
-    if changed:
-        sweep = check_sweep({**sweep.model_dump(), **changed}, where)
+    sweep = _sweep_file(spec, where, {"quantities": quantity or None, "refit": refit})
     outcome = execute_sweep(
         run,
         run_file.parent,
@@ -73,6 +66,13 @@ def sweep_command(
         typer.echo(json.dumps(as_record(outcome), allow_nan=False))
     elif not quiet:
         typer.echo(str(outcome.folder / "sweep.csv"))
+
+
+def _sweep_file(spec: Path | None, where: str, options: dict[str, Any]) -> SweepFile:
+    """The sweep file, or the defaults without one, with the options that were given."""
+    sweep = SweepFile() if spec is None else read_sweep_file(spec)
+    given = {key: value for key, value in options.items() if value is not None}
+    return check_sweep({**sweep.model_dump(), **given}, where) if given else sweep
 
 
 def as_record(outcome: SweepOutcome) -> dict[str, Any]:

@@ -156,8 +156,8 @@ def overlay_figure(
             _overlay_panel(axes, group, base, own, grid, scale)
         for axes in panels[len(groups) :]:
             axes.remove()
-        tallest = max(float(gaussian_kde(cell[3])(grid).max()) for cell in shown)
-        own_peak = float(gaussian_kde(base)(grid).max())
+        tallest = max(float(_density(cell[3], grid).max()) for cell in shown)
+        own_peak = float(_density(base, grid).max())
         panels[0].set_ylim(0.0, 1.05 * min(max(tallest, 1.8 * own_peak), _TALLEST * own_peak))
         for i, axes in enumerate(panels[: len(groups)]):
             if i + across >= len(groups):
@@ -180,7 +180,18 @@ def _overlay_grid(base: Array, quantiles: Sequence[Array]) -> Array:
     low = max(min(low, *(own[0] for own in quantiles)), low - _FARTHEST * reach)
     high = min(max(high, *(own[-1] for own in quantiles)), high + _FARTHEST * reach)
     margin = 0.05 * (high - low)
-    return np.linspace(low - margin, high + margin, _GRID)
+    start = low - margin if low < 0.0 else max(low - margin, 0.0)
+    return np.linspace(start, high + margin, _GRID)
+
+
+def _density(values: Array, grid: Array) -> Array:
+    """Kernel estimate on the grid; what it smears beyond zero from positive values is folded back.
+
+    A positive parameter has no density below zero.
+    """
+    estimate = gaussian_kde(values)
+    folded = estimate(-grid) if values.min() >= 0.0 else 0.0
+    return np.where((values.min() < 0.0) | (grid >= 0.0), estimate(grid) + folded, 0.0)
 
 
 def _overlay_panel(
@@ -192,11 +203,11 @@ def _overlay_panel(
     scale: Scale,
 ) -> None:
     x = grid * scale.factor
-    axes.fill_between(x, gaussian_kde(base)(grid), color="#cfcfcf", lw=0, zorder=1)
+    axes.fill_between(x, _density(base, grid), color="#cfcfcf", lw=0, zorder=1)
     names = short_events([label.removeprefix("without ") for _, _, label, _ in cells])
     for i, (_, kind, label, quantiles) in enumerate(cells):
         axes.plot(
-            x, gaussian_kde(quantiles)(grid), color=_LINES[i % len(_LINES)], lw=1.2,
+            x, _density(quantiles, grid), color=_LINES[i % len(_LINES)], lw=1.2,
             ls="--" if kind == "family" or i >= len(_LINES) else "-",
             label=f"− {names[i]}" if kind == "without" else label,
         )  # fmt: skip
@@ -241,7 +252,7 @@ def _heat(axes: Axes, title: str, part: pd.DataFrame) -> None:
     axes.imshow(values, cmap="PuOr", vmin=-reach, vmax=reach, aspect="auto")
     for (i, j), value in np.ndenumerate(values):
         if np.isfinite(value):
-            dark = abs(value) > 0.65 * reach
+            dark = abs(value) > 0.5 * reach
             text = f"{value:+.0f}".replace("-", "−") if abs(value) >= 0.5 else "0"
             axes.text(
                 j, i, text, ha="center", va="center", fontsize=7.5,

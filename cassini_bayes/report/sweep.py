@@ -109,8 +109,7 @@ def changes_table(sweep: pd.DataFrame) -> Table:
                 Cell(f"{_signed(row['shift_sd'], 2)} ± {row['shift_error']:.2f}"),
                 Cell(f"{row['width_ratio']:.2f} ± {row['width_error']:.2f}"),
                 Cell(str(row["estimate"])),
-                Cell(f"{k:.2f}".replace("-", "−") if np.isfinite(k) else MISSING,
-                     "flag" if k > 0.7 else ""),
+                Cell(_plain(k) if np.isfinite(k) else MISSING, "flag" if k > 0.7 else ""),
             )
         )  # fmt: skip
     return Table(
@@ -138,7 +137,7 @@ def scaling_table(scaling: pd.DataFrame, names: Sequence[str]) -> Table:
                 Cell(f"{worst['sensitivity']:.3f}", "flag" if worst["sensitive"] else ""),
                 Cell(str(worst["quantity"])),
                 Cell(f"{int(part['sensitive'].sum())} of {len(names)}"),
-                Cell(f"{worst['pareto_k']:.2f}".replace("-", "−")),
+                Cell(_plain(worst["pareto_k"])),
             )
         )
     return Table(
@@ -155,6 +154,11 @@ def scaling_table(scaling: pd.DataFrame, names: Sequence[str]) -> Table:
 
 def _signed(value: float, places: int) -> str:
     return f"{value:+.{places}f}".replace("-", "−")
+
+
+def _plain(value: float) -> str:
+    """Two decimals without a sign on nothing."""
+    return f"{round(float(value), 2) + 0.0:.2f}".replace("-", "−")
 
 
 def _address(figure: Figure) -> str:

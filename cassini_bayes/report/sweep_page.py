@@ -49,14 +49,12 @@ def _page(
         name: f"![{name.replace('_', ' ')}]({stem}-{name}.png)" if name in figures else ""
         for name in _SHOWN
     }
-    reported = tables.sweep[tables.sweep["reported"]]
-    per_cell = reported.drop_duplicates(["group", "change"])
-    counts = ", ".join(f"{n} {kind}" for kind, n in per_cell["estimate"].value_counts().items())
-    sentences = "\n".join(f"* {sentence}" for sentence in tables.conflict["sentence"])
     return f"""# {title}
 
-{strongest_sentence(tables.sweep)} Shifts are in posterior standard deviations of the run, ± is one
-Monte Carlo standard error; {len(per_cell)} cells: {counts}. How it is done: [prior
+{strongest_sentence(tables.sweep)}
+
+Shifts are in posterior standard deviations of the run, ± is one Monte Carlo standard error;
+{_counts(tables.sweep)}. How it is done: [prior
 sensitivity](../prior-sensitivity.md). Every cell and quantity: [{stem}.csv]({stem}.csv).
 
 {_markdown(changes_table(tables.sweep))}
@@ -68,14 +66,26 @@ open ones new fits.
 
 {pictures["overlay_1"]}
 
+{names[0]}: density of the posterior (grey) and of those with changed priors; peaks above
+four times the grey one are cut.
+
 ## Which knowledge to buy
 
 {_knowledge_sentences(tables.knowledge)}
 
 {pictures["worth"]}
 
-Above: expected change of each standard deviation if the parameters of a block were known perfectly.
-Below: its change without an event.
+{_evidence(tables, names)}
+Made by `{" ".join(command)}`
+(seed {seed}) with cassini_bayes {__version__}, Python {platform.python_version()}.
+"""
+
+
+def _evidence(tables: SweepTables, names: Sequence[str]) -> str:
+    """The caption of the worth of knowledge, and the sections on conflict and power scaling."""
+    sentences = "\n".join(f"* {sentence}" for sentence in tables.conflict["sentence"])
+    return f"""Above: expected change of each standard deviation if the parameters of a block were
+known perfectly. Below: its change without an event.
 
 ## Do prior and data disagree?
 
@@ -87,10 +97,14 @@ events the data have then been used twice, which makes it lenient).
 ## Power-scaling sensitivity
 
 {_markdown(scaling_table(tables.scaling, names))}
-
-Made by `{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__}, Python
-{platform.python_version()}.
 """
+
+
+def _counts(sweep: pd.DataFrame) -> str:
+    """How many cells were answered in which way."""
+    per_cell = sweep[sweep["reported"]].drop_duplicates(["group", "change"])
+    counts = ", ".join(f"{n} {kind}" for kind, n in per_cell["estimate"].value_counts().items())
+    return f"{len(per_cell)} cells: {counts}"
 
 
 def _knowledge_sentences(knowledge: pd.DataFrame) -> str:

@@ -34,7 +34,7 @@ def components(fit: Fit) -> dict[str, Array]:
     """
     blocks = {block.replace(" ", "_").replace("-", "_"): block for block in BLOCKS}
     found = {
-        blocks.get(str(block), str(block)): values.values.reshape(-1)
+        blocks.get(str(block), str(block).replace("_", " ")): values.values.reshape(-1)
         for block, values in fit.groups["log_prior"].data_vars.items()
     }
     events: dict[str, Array] = {}
