@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammainc, gammaln
+from scipy.interpolate import CubicSpline
 
 from cassini_bayes.statistics import EventStatistics, Layout
 from cassini_bayes.terms import RAD_S_PER_RPM
@@ -25,8 +25,9 @@ EDGES: Final = (32, 64)  # of the bands, in modes: what is slower than T/16, and
 ROWS_PER_MODE: Final = 4
 _INDEPENDENT: Final = 1e-9  # least share of the largest square that a mode of its own has
 _LEAST_SQUARE: Final = 1e-18  # rad²/s²: wheels that were not measured to move at all
-_LOG_RANGE: Final = 14.0  # of the variance of wheel rates that move, over their noise
-_UNDERFLOW: Final = 1e-250
+LOG_MOTION: Final = (-9.0, 34.0)  # range of the log of the wheels' motion over their noise
+_LOG_NOISE: Final = (-32.0, 12.0)  # range of the log of the noise over the measured mean square
+_NODES: Final = 800
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Band:
     values: Array
     vectors: Array
     walk: Array
+    motion: CubicSpline  # of :func:`motion_table`
 
 
 def make_bands(
@@ -68,7 +70,7 @@ def make_bands(
 def _band(layout: Layout, gram: Array, rows: int, walk: Array) -> Band:
     square = gram[0, 0, layout.wheel, layout.wheel]
     values, vectors = np.linalg.eigh(square / max(rows, 1))
-    return Band(rows, np.maximum(values, _LEAST_SQUARE), vectors, walk)
+    return Band(rows, np.maximum(values, _LEAST_SQUARE), vectors, walk, motion_table(rows))
 
 
 def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
@@ -99,35 +101,48 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
 def latent_wheels(band: Band, parameters: Mapping[str, Array]) -> tuple[Array, Array]:
     """Best linear estimate of the true wheel rates in a band, and the wheels' own log density.
 
-    Along every principal axis the R measured rates have variance V = S + σ². Either the wheels do
-    not move in this band, S = 0, or log V is anywhere within e^14 above σ², with even odds. With
-    h = R/2 and x = h V̂/σ², V̂ the mean square, the two have marginal densities
-
-        σ^(−R) e^(−x)   and   (h V̂)^(−h) γ(h, x)/14,
-
-    and in the second E[σ²/V] = γ(h + 1, x)/(x γ(h, x)). Returns the matrix 1 − E[σ²/V] (n, W, W)
-    that takes measured rates to their estimate, and the log density (n,), constants left out.
+    Along every principal axis the R measured rates have variance V = S + σ², and the log of S/σ² is
+    uniform on :data:`LOG_MOTION`: from motion that cannot be told from none to any amount. Returns
+    the matrix E[S/V] (n, W, W) that takes measured rates to their estimate, and the log density
+    (n,), constants left out.
     """
     noise = (parameters["wheel_noise_rpm"][:, None] * RAD_S_PER_RPM) ** 2
-    half = 0.5 * band.rows
-    x = half * band.values / noise
-    still = -half * np.log(noise) - x
-    below = _log_gamma_below(half, x)
-    moving = below + gammaln(half) - half * np.log(half * band.values) - np.log(_LOG_RANGE)
-    total = np.logaddexp(still, moving)
-    noise_share = half / x * np.exp(_log_gamma_below(half + 1.0, x) - below)
-    share = np.exp(moving - total) * (1.0 - np.minimum(noise_share, 1.0))
-    kept = (band.vectors * share[:, None, :]) @ band.vectors.T
-    return kept, total.sum(-1)
+    log_noise = np.clip(np.log(noise / band.values), *_LOG_NOISE)
+    log_density, share = np.moveaxis(band.motion(log_noise), -1, 0)
+    kept = (band.vectors * np.clip(share, 0.0, 1.0)[:, None, :]) @ band.vectors.T
+    return kept, (log_density - 0.5 * band.rows * np.log(band.values)).sum(-1)
 
 
-def _log_gamma_below(a: float, x: Array) -> Array:
-    """Log of the regularised lower incomplete gamma function, far below its bulk as well.
+def motion_table(rows: int) -> CubicSpline:
+    """Log density of R measured rates and share of motion in them, against t = log(σ²/V̂).
 
-    For x ≪ a the first terms of the series x^a e^(−x)/Γ(a+1) (1 + x/(a+1) + …) (DLMF 8.7.1).
+    With V̂ their mean square, h = R/2 and s = S/σ² of density ds/s on e^LOG_MOTION, the density
+    times V̂^h is the integral of exp(−h (t + log(1 + s) + e^(−t)/(1 + s))), and the share is the
+    mean of s/(1 + s). Both depend on R alone. Gauss-Legendre sums over log s: about the peak at
+    s = e^(−t) − 1, whose width in log V is (2/R)^½, and on either side of it.
     """
-    value = gammainc(a, x)
-    below = value < _UNDERFLOW
-    ratio = np.minimum(x, a) / (a + 1.0)
-    series = a * np.log(x) - x - gammaln(a + 1.0) - np.log1p(-ratio)
-    return np.asarray(np.where(below, series, np.log(np.where(below, 1.0, value))))
+    half = 0.5 * max(rows, 1)
+    width = half**-0.5
+    low, high = np.arcsinh(np.array(_LOG_NOISE) / width)
+    t = np.clip(width * np.sinh(np.linspace(low, high, _NODES)), *_LOG_NOISE)[:, None]
+    peak = np.maximum(np.expm1(np.maximum(-t, 0.0)), width)
+    spread = np.minimum(width * (1.0 + peak) / peak, 1.0)
+    inner = [np.clip(np.log(peak) + sign * 12.0 * spread, *LOG_MOTION) for sign in (-1.0, 1.0)]
+    edges = [np.full_like(t, LOG_MOTION[0]), *inner, np.full_like(t, LOG_MOTION[1])]
+    parts = [_legendre(a, b, n) for (a, b), n in zip(pairwise(edges), (48, 160, 48), strict=True)]
+    log_s, weight = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    log_v = np.logaddexp(0.0, log_s)
+    exponent = -half * (t + log_v + np.exp(-t - log_v))
+    top = exponent.max(axis=1, keepdims=True)
+    density = weight * np.exp(exponent - top)
+    total = density.sum(axis=1)
+    moving = (density * np.exp(log_s - log_v)).sum(axis=1)
+    log_density = top[:, 0] + np.log(total / (LOG_MOTION[1] - LOG_MOTION[0]))
+    return CubicSpline(t[:, 0], np.stack([log_density, moving / total], axis=1))
+
+
+def _legendre(low: Array, high: Array, count: int) -> tuple[Array, Array]:
+    """Nodes and weights (T, count) of Gauss-Legendre sums between bounds (T, 1)."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    half = 0.5 * (high - low)
+    return low + half * (1.0 + node), half * weight

@@ -281,8 +281,10 @@ def plain_log_likelihood(
 def plain_bands(times: Array, duration: float) -> list[tuple[Array, Array]]:
     """Projector of every band of rows and the covariance of a unit random walk in it, (n, n)."""
     waves = [np.ones(len(times)) * np.sqrt(duration / 3.0)]
-    for m in range(1, MODES + 1):
-        waves.append(np.cos(m * np.pi * times / duration) * np.sqrt(2 * duration) / (m * np.pi))
+    waves += [
+        np.cos(m * np.pi * times / duration) * np.sqrt(2 * duration) / (m * np.pi)
+        for m in range(1, MODES + 1)
+    ]
     modes, size, _ = np.linalg.svd(np.array(waves).T, full_matrices=False)
     count = len(times) // ROWS_PER_MODE
     edges = [0, *(edge for edge in EDGES if edge < count), count]
@@ -301,17 +303,14 @@ def plain_latent(wheels: Array, rows: int, noise: float) -> tuple[Array, float]:
     squares, axes = np.linalg.eigh(wheels.T @ wheels)
     shares, density = [], 0.0
     for square in squares:
-        # dense in the logarithm above the noise, where the integrand is widest or narrowest
-        u = np.concatenate([[0.0], np.geomspace(1e-7, 60.0, 400_001)])
-        log_v = np.log(noise) + u
+        log_s = np.linspace(-9.0, 34.0, 400_001)
+        log_v = np.log(noise * (1.0 + np.exp(log_s)))
         log_p = -0.5 * rows * log_v - 0.5 * square * np.exp(-log_v)
         top = log_p.max()
         p = np.exp(log_p - top)
-        total = trapezoid(p, u) / 14.0
-        still = np.exp(-0.5 * rows * np.log(noise) - 0.5 * square / noise - top)
-        moving = trapezoid(p * (1.0 - np.exp(-u)), u) / 14.0
-        shares.append(moving / (total + still))
-        density += top + np.log(total + still)
+        total = trapezoid(p, log_s)
+        shares.append(trapezoid(p * (1.0 - noise * np.exp(-log_v)), log_s) / total)
+        density += top + np.log(total / 43.0)
     return axes * shares @ axes.T, density
 
 
