@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from cassini_bayes.delta_v_terms import DeltaVStatistics, delta_v_statistics
 from cassini_bayes.errors import InputError
 from cassini_bayes.joint import sampling_of
+from cassini_bayes.physics import INERTIA_PARAMETERS
+from cassini_bayes.plausibility import MomentumRows, check_momentum, momentum_rows
 from cassini_bayes.priors import Priors
+from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from cassini_bayes.statistics import (
     EventStatistics,
     Layout,
@@ -37,6 +40,7 @@ from cassini_bayes.terms import RAD_S_PER_RPM
 Array = NDArray[np.float64]
 DESCRIPTION: Final = "event.toml"
 _TAIL_BYTES: Final = 65_536
+FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
 _SAME_S: Final = 1e-9
 
 
@@ -111,8 +115,9 @@ def reduce_event(
     Raises
     ------
     InputError
-        Bad telemetry (file, row and column named), another thruster branch than the priors', or
-        too few rows that can be used.
+        Bad telemetry (file, row and column named), a momentum balance that no fault of a
+        spacecraft leaves so wide open (the mistake that would close it is named), another thruster
+        branch than the priors', or too few rows that can be used.
     """
     event = read_event(folder, priors.spacecraft)
     _require_branch(event, priors)
@@ -215,8 +220,9 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
 class _Reading:
     """Streams an event's chunks and keeps what the record of the reading needs."""
 
-    def __init__(self, event: TelemetryEvent) -> None:
+    def __init__(self, event: TelemetryEvent, momentum: MomentumRows) -> None:
         self._event = event
+        self._momentum = momentum
         self.mends = Mends()
         self.rows = 0
         self.start_s, self.end_s = np.nan, np.nan
@@ -231,6 +237,7 @@ class _Reading:
             self.rows += chunk.rows
             self.end_s = float(chunk.time_s[-1])
             self._count(chunk)
+            self._momentum.add(chunk)
             yield samples_of(chunk)
 
     def _count(self, chunk: Chunk) -> None:
@@ -261,9 +268,38 @@ def _reduced(
     event: TelemetryEvent, priors: Priors, sampling: Sampling
 ) -> tuple[EventStatistics, ReadingRecord]:
     layout = Layout(event.wheels, event.thrusters, sampling.couples)
-    reading = _Reading(event)
+    nominal = nominal_values(priors)
+    momentum = momentum_rows(nominal)
+    reading = _Reading(event, momentum)
     statistics = reduce_chunks(event.id, event.kind, reading.samples(priors), layout, sampling)
+    check_momentum(event, momentum, priors.spacecraft, nominal)
     return statistics, reading.record()
+
+
+def nominal_values(priors: Priors) -> dict[str, float]:
+    """Prior means of all parameters; wheels that the priors know nothing of weigh nothing.
+
+    Raises
+    ------
+    InputError
+        Inertia, wheels, or what fires is missing: nothing can be said of the momentum.
+    """
+    spacecraft = priors.spacecraft
+    geometry = spacecraft.geometry[priors.branch]
+    needed = (*INERTIA_PARAMETERS, *CENTRE_OF_MASS, *geometry.parameters, *FIRING_PARAMETERS)
+    priors.require(needed, "telemetry")
+    absent = [
+        name
+        for wheel in spacecraft.wheels
+        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
+    ]
+    nominal = dict.fromkeys(absent, 0.0)
+    for name, prior in priors.parameters.items():
+        if prior.distribution is not None:
+            nominal[name] = prior.distribution.mean()
+        elif prior.fixed is not None:
+            nominal[name] = prior.fixed
+    return nominal
 
 
 def last_time(telemetry: Path) -> float:
