@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from sweep_cases import TOY_NAMES, small_fit, toy_baseline, toy_exact
 from telemetry_cases import made_up_samples, reduced, telemetry_priors
 from totals_cases import flight
@@ -19,6 +20,9 @@ from cassini_bayes.sweep.models import JointSweepModel, TotalsFactory, chosen_na
 from cassini_bayes.sweep.specification import GridTable, GroupTable, SweepFile
 from cassini_bayes.sweep.study import plan
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of, with_family
+from cassini_bayes.sweep.weights import Weights, smoothed_weights
+
+Array = NDArray[np.float64]
 
 CENTRE = "centre of mass"
 
@@ -73,6 +77,24 @@ def test_untrusted_cells_are_fitted_anew_and_trusted_ones_are_not() -> None:
     only = cell_arrays(baseline, wide, "never")
     assert str(only["0.kind"]) == REWEIGHTED
     assert "1.kind" not in only
+
+
+def test_a_chain_stands_in_where_importance_draws_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With no weights trusted the cell is a chain's, and is that of the closed form (4.5 s.e.)."""
+
+    def distrusted(log_ratio: Array) -> Weights:
+        return replace(smoothed_weights(log_ratio), pareto_k=9.0)
+
+    monkeypatch.setattr("cassini_bayes.sweep.cells.smoothed_weights", distrusted)
+    baseline = toy_baseline()
+    wide = Variation(CENTRE, "width", TOY_NAMES, amount=4.0)
+    arrays = cell_arrays(baseline, wide, "auto")
+    before_mean, before_sd = toy_exact(baseline.factory.priors)
+    mean, sd = toy_exact(wide.applied(baseline.factory.priors))
+    assert str(arrays["1.kind"]) == BY_CHAIN
+    shift = arrays["1.shift"] - (mean - before_mean) / before_sd
+    assert (np.abs(shift) < 4.5 * arrays["1.shift_error"]).all()
+    assert (np.abs(arrays["1.width"] - sd / before_sd) < 4.5 * arrays["1.width_error"]).all()
 
 
 def test_cells_do_not_depend_on_the_order_they_are_worked_out_in() -> None:
