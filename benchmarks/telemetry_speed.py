@@ -141,7 +141,7 @@ def same_part(folders: list[Path], noise: bool) -> list[Row]:
     from speed.checks import largest_difference
 
     events = reduced_events(folders[:1], noise)
-    problem = plain.make_problem(model_of(events, noise), events[0], noise)
+    problem = plain.make_problem(model_of(events, noise), events[0])
     return [{"torque_noise": noise, **largest_difference(problem)}]
 
 

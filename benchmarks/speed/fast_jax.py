@@ -25,9 +25,11 @@ def fast_log_posterior(problem: plain.Problem) -> Callable[[Values], Values]:
     terms, model = problem.terms, problem.model
     reduced, pattern = terms.reduced, terms.pattern
     owner = np.repeat(np.arange(len(reduced.start) - 1), np.diff(reduced.start))
-    columns, width = reduced.gram.shape[2], len(reduced.start) - 1
-    gram, projection = jnp.asarray(reduced.gram), jnp.asarray(reduced.projection)
+    columns, width = reduced.slow.shape[1], len(reduced.start) - 1
+    grams = [jnp.asarray(gram) for gram in reduced.grams]
+    slow = jnp.asarray(reduced.slow)
     rows, k = terms.statistics.rows, pattern.thrusters
+    channels = 3 + len(terms.wheel_places)
     mean = np.concatenate(
         [terms.initial_mean_n_m_s, model.torque_mean_n_m, np.zeros(len(pattern.cuts))]
     )
@@ -36,35 +38,34 @@ def fast_log_posterior(problem: plain.Problem) -> Callable[[Values], Values]:
     def log_posterior(z: Values) -> Values:
         parameters = plain.to_parameters(jnp, special, model, z)
         inertia, wheels, arms, taus = plain.physics(jnp, problem, parameters)
-        variance = parameters["rate_noise_rad_s"] ** 2
-        total = jnp.maximum(terms.rate_values, variance)
-        kept = (terms.rate_vectors * (1.0 - variance / total)) @ terms.rate_vectors.T
-        spread = jnp.sum(jnp.log(total) + terms.rate_values / total)
-        noise = (
-            variance * inertia @ kept @ inertia.T
-            + (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2 * wheels @ wheels.T
+        white = (
+            parameters["rate_noise_rad_s"] ** 2 * inertia @ inertia.T
             + parameters["attitude_noise_rad"] ** 2 * terms.spin
         )
-        weights, own_sd = _weights(problem, arms, taus, inertia, inertia @ kept, wheels)
-        chosen = weights[reduced.entries]
-        combine = jnp.zeros((3, columns, width)).at[:, reduced.row, owner].add(chosen.T)
-        values, vectors = jnp.linalg.eigh(noise)
-        precision = (vectors / values) @ vectors.T
-        right = jnp.einsum("cd,cdab,dbl->cal", precision, gram, combine)
-        normal = jnp.einsum("cak,cal->kl", combine, right)
-        scale = rows * (
-            -0.5 * jnp.sum(jnp.log(values))
-            + 0.5 * jnp.linalg.slogdet(wheels @ wheels.T)[1]
-            - 0.5 * spread
-            - 3.0 * np.log(2.0 * np.pi)
+        wheel = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
+        walk = parameters["torque_noise_n_m_s05"] ** 2
+        scale = plain.wheel_log_density(jnp, problem, parameters) + rows * (
+            jnp.linalg.slogdet(inertia)[1] - 0.5 * channels * np.log(2.0 * np.pi)
         )
-        if problem.has_noise:
-            walk = parameters["torque_noise_n_m_s05"] ** 2
-            ratio = walk * terms.mode_values / values[:, None]
-            gain = walk / values[:, None] ** 2 / (1.0 + ratio)
-            seen = jnp.einsum("cam,cak,ce->emk", projection, combine, vectors)
-            normal = normal - jnp.einsum("em,emk,eml->kl", gain, seen, seen)
-            scale = scale - 0.5 * jnp.sum(jnp.log1p(ratio))
+        normal = jnp.zeros((width, width))
+        own, own_sd = _weights(problem, arms, taus)
+        for i, band in enumerate(problem.bands):
+            weights = jnp.concatenate([own, _measured(inertia, wheels @ band.kept)])
+            chosen = weights[reduced.entries]
+            combine = jnp.zeros((3, columns, width)).at[:, reduced.row, owner].add(chosen.T)
+            values, vectors = jnp.linalg.eigh(white + wheel * wheels @ band.kept @ wheels.T)
+            if i == 0:
+                variance = values[:, None] + walk * band.walk
+                seen = jnp.einsum("cam,cak->cmk", slow, combine)
+                turned = jnp.einsum("cmk,ce->emk", seen, vectors)
+                normal = normal + jnp.einsum("emk,eml->kl", turned / variance[..., None], turned)
+                scale = scale - 0.5 * jnp.sum(jnp.log(variance))
+                continue
+            variance = values + walk * jnp.mean(band.walk)
+            precision = (vectors / variance) @ vectors.T
+            right = jnp.einsum("cd,cdab,dbl->cal", precision, grams[i - 1], combine)
+            normal = normal + jnp.einsum("cak,cal->kl", combine, right)
+            scale = scale - 0.5 * band.rows * jnp.sum(jnp.log(variance))
         sd = jnp.concatenate([jnp.full(3, INITIAL_SD_N_M_S), model.torque_sd_n_m, own_sd])
         matrix, vector, constant = _without_own(normal, k, mean, sd)
         common = linear.common_mean_n
@@ -97,14 +98,9 @@ def _without_thrust(problem: plain.Problem, matrix: Values, vector: Values) -> V
 
 
 def _weights(
-    problem: plain.Problem,
-    arms: Values,
-    taus: tuple[Values, Values],
-    inertia: Values,
-    to_latent: Values,
-    wheels: Values,
+    problem: plain.Problem, arms: Values, taus: tuple[Values, Values]
 ) -> tuple[Values, Values]:
-    """Weights (B, 3) of all entries of the pattern, and the prior sd of the cut tails."""
+    """Weights (B, 3) of the unknowns' entries, and the prior sd of the cut tails."""
     terms, layout = problem.terms, problem.terms.statistics.layout
     rise, fall = taus
     _, reference_rise, reference_fall = terms.sampling.pulse_reference_s
@@ -123,7 +119,10 @@ def _weights(
         members = list(layout.couples[place // CUT_PARTS])
         push = problem.model.linear.common_mean_n * lost * jnp.sum(arms[:, members], axis=1)
         parts.append(push[None])
-    offset = (inertia - to_latent) @ terms.mean_rate
-    parts += [to_latent.T, offset[None], wheels.T, jnp.zeros((3, 3))]
     pairs = np.array([terms.statistics.close_pairs[place] for place in pattern.cuts])
     return jnp.concatenate(parts), jnp.asarray(np.sqrt(chance * (1.0 - chance) / pairs))
+
+
+def _measured(inertia: Values, wheels: Values) -> Values:
+    """Weights of the measured momentum's entries: rates, constant, wheels, torque."""
+    return jnp.concatenate([inertia.T, jnp.zeros((1, 3)), wheels.T, jnp.zeros((3, 3))])

@@ -1,10 +1,10 @@
-"""This package's own times: one bias, seven events, many samples, many events."""
+"""Own times of this package: one bias, seven events, many samples, many events."""
 
 from __future__ import annotations
 
 import importlib
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -162,22 +162,15 @@ def importance_row(folders: list[Path]) -> Row:
     return {"importance_wall_s": wall, "importance_ess": ess}
 
 
-def repeated(samples: Samples, times: int) -> Samples:
-    """Telemetry flown again and again: counters and time go on, the rest repeats."""
-
-    def again(values: Array, grows: bool) -> Array:
-        step = (values[-1] - values[0]) if grows else 0.0
-        return np.concatenate([values + i * step for i in range(times)])
-
-    period = samples.time_s[-1] - samples.time_s[0] + 1.0
-    return Samples(
-        np.concatenate([samples.time_s + i * period for i in range(times)]),
-        again(samples.attitude, False),
-        again(samples.rate_rad_s, False),
-        again(samples.wheel_rad_s, False),
-        again(samples.on_time_s, True),
-        again(samples.pulses, True),
-    )
+def denser(samples: Samples, times: int) -> Samples:
+    """The same telemetry sampled ``times`` as often, every value held until the next."""
+    step = np.diff(samples.time_s, append=samples.time_s[-1] + 1.0)
+    part = np.tile(np.arange(times) / times, len(samples))
+    held = {
+        field.name: np.repeat(getattr(samples, field.name), times, axis=0)
+        for field in fields(Samples)
+    }
+    return replace(Samples(**held), time_s=held["time_s"] + part * np.repeat(step, times))
 
 
 def call_time(model: JointModel, repeats: int, points: int = POINTS) -> float:
@@ -194,10 +187,10 @@ def call_time(model: JointModel, repeats: int, points: int = POINTS) -> float:
 
 
 def sample_growth(reduced: Any, samples: Samples, counts: list[int], repeats: int) -> list[Row]:
-    """Time of a likelihood call for telemetry of more and more rows."""
+    """Time of a likelihood call for one stretch of telemetry, sampled more and more often."""
     models = []
     for count in counts:
-        whole = repeated(samples, -(-count // len(samples))).part(0, count)
+        whole = denser(samples.part(0, counts[0]), count // counts[0])
         sampling = replace(reduced.sampling, duration_s=float(whole.time_s[-1]))
         chunks = [whole.part(a, a + 100_000) for a in range(0, count, 100_000)]
         layout = reduced.statistics.layout

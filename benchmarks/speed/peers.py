@@ -70,8 +70,6 @@ class Target:
         self.problem, self.fast = problem, fast
         self.walked = len(problem.model.space.names)
         self.size = self.walked if fast else problem.size
-        # amplitudes of the torque noise are no quantity of interest: they need not be well sampled
-        self.watched = self.walked if fast else problem.size - (96 if problem.has_noise else 0)
         rng = np.random.default_rng(5)
         z = reference_z[rng.permutation(len(reference_z))]
         self.start = z if fast else lifted(problem, z[:600], rng)
@@ -123,23 +121,7 @@ def lifted(problem: plain.Problem, z: Array, rng: np.random.Generator) -> Array:
         (own[:, 3:6] - model.torque_mean_n_m) / model.torque_sd_n_m,
         own[:, 6:] / np.sqrt(probability * (1.0 - probability) / pairs),
     ]
-    points = np.concatenate(parts, axis=1)
-    if not problem.has_noise:
-        return points
-    amplitudes = [_amplitudes(problem, point, rng) for point in points]
-    return np.concatenate([points, np.array(amplitudes)], axis=1)
-
-
-def _amplitudes(problem: plain.Problem, point: Array, rng: np.random.Generator) -> Array:
-    """Amplitudes (96,) of the torque noise drawn given everything else."""
-    parameters, unknowns = plain.unpacked(np, scipy.special, problem, point)
-    residual, noise, _, _ = plain.balance(np, problem, parameters, unknowns)
-    waves = problem.waves * parameters["torque_noise_n_m_s05"]
-    inverse = np.linalg.inv(noise)
-    precision = np.kron(waves.T @ waves, inverse) + np.eye(3 * plain.MODES)
-    factor = np.linalg.cholesky(precision)
-    mean = np.linalg.solve(precision, (waves.T @ residual @ inverse).reshape(-1))
-    return np.asarray(mean + np.linalg.solve(factor.T, rng.standard_normal(len(mean))))
+    return np.concatenate(parts, axis=1)
 
 
 def least_ess(chains: Array) -> float:
@@ -197,9 +179,9 @@ def _ensemble(
         steps = len(chain())
         if steps > 1.5 * checked + 8:
             checked = steps
-            ess = least_ess(np.moveaxis(chain()[..., : target.watched], 0, 1))
+            ess = least_ess(np.moveaxis(chain(), 0, 1))
     draws = chain()
-    ess = least_ess(np.moveaxis(draws[..., : target.watched], 0, 1))
+    ess = least_ess(np.moveaxis(draws, 0, 1))
     return draws[..., : target.walked].reshape(-1, target.walked), ess, f"{len(draws)} steps"
 
 
@@ -227,11 +209,11 @@ def run_nuts(target: Target, clock: Clock) -> tuple[Array, float, str]:
         draws.append(np.asarray(state.z))
         if len(draws) > 1.3 * checked + 100:
             checked = len(draws)
-            ess = least_ess(np.array(draws)[None, :, : target.watched])
+            ess = least_ess(np.array(draws)[None])
     if not draws:
         return np.empty((0, target.walked)), 0.0, f"{count} of {WARM_UP} warm-up steps"
     chain = np.array(draws)[None]
-    ess = least_ess(chain[..., : target.watched])
+    ess = least_ess(chain)
     note = f"{len(draws)} draws after {warm_s:.0f} s of warm-up"
     return chain[0, :, : target.walked], ess, note
 
@@ -307,7 +289,7 @@ def peer_row(
     """One sampler on one form of the posterior."""
     events = reduced_events(folders[:1], noise)
     model = model_of(events, noise)
-    problem = plain.make_problem(model, events[0], noise)
+    problem = plain.make_problem(model, events[0])
     target = Target(problem, fast, reference)
     clock = Clock(budget_s)
     draws, ess, note = PEERS[name](target, clock)

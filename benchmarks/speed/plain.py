@@ -2,12 +2,14 @@
 
 One function for numpy and for JAX: ``xp`` is the array module, ``special`` its special functions.
 All unknowns are sampled, each with an N(0, 1) prior: walked parameters z, the event's thrusts, its
-initial momentum, torque and cut tails, and with torque noise the amplitudes of its cosines.
+initial momentum, torque and cut tails. The wheels' motion has its integral as a table, as ours has;
+the torque noise is a covariance between rows, diagonal in the slow modes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -20,7 +22,9 @@ from cassini_bayes.physics import INERTIA_PARAMETERS
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from cassini_bayes.statistics import Carry, settle
 from cassini_bayes.statistics.columns import CUT_PARTS
+from cassini_bayes.statistics.reduction import MODES
 from cassini_bayes.telemetry import load_event
+from cassini_bayes.telemetry_bands import Band
 from cassini_bayes.telemetry_terms import (
     CONTROL_CYCLE_S,
     INITIAL_SD_N_M_S,
@@ -30,19 +34,21 @@ from cassini_bayes.telemetry_terms import (
 from cassini_bayes.terms import RAD_S_PER_RPM
 
 Values = Any  # arrays of either module
-MODES = 32
+_INDEPENDENT = 1e-9  # least share of the largest square that a mode of its own has
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One bias: the model, and its rows as columns."""
+    """One bias: the model, its rows as columns, and the orthonormal modes of its bands."""
 
     model: JointModel
     terms: TelemetryTerms
     vector: Values  # (3 n, V)
     scalar: Values  # (n, S)
-    waves: Values  # (n, M) scaled cosines, for unit torque noise
-    has_noise: bool
+    modes: Values  # (n, M) orthonormal, the slowest first
+    bands: tuple[Band, ...]
+    places: tuple[slice, ...]  # modes of every band but the last, which is what they leave
+    wheel: Values  # (n, W) estimate of the true wheel rates, band by band
     thrust_factor: Values  # (K, K) of the prior covariance of this event's thrusts
 
     @property
@@ -53,46 +59,106 @@ class Problem:
     @property
     def linear_size(self) -> int:
         """Of these, the ones that our own likelihood integrates out."""
-        k, cuts = self.terms.pattern.thrusters, len(self.terms.pattern.cuts)
-        return k + 6 + cuts + (3 * MODES if self.has_noise else 0)
+        return self.terms.pattern.thrusters + 6 + len(self.terms.pattern.cuts)
 
 
-def make_problem(model: JointModel, event: ReducedEvent, has_noise: bool) -> Problem:
+def make_problem(model: JointModel, event: ReducedEvent) -> Problem:
     """Rows of an event for the plain likelihood."""
     samples = samples_of(load_event(event.event, model.spacecraft))
-    layout = event.statistics.layout
+    layout, terms = event.statistics.layout, model.telemetry[0]
     rows, _ = settle(samples, Carry.start(layout), layout, event.sampling, final=True)
-    n, duration = len(rows.time_s), event.statistics.duration_s
-    order = np.arange(1, MODES + 1)
-    waves = np.cos(np.pi * rows.time_s[:, None] / duration * order)
+    n, offset = len(rows.time_s), len(layout.vector)
+    bands = (terms.slow, *terms.fast)
+    edges = np.cumsum([0, *(band.rows for band in bands[:-1])])
+    modes = slow_modes(rows.time_s, event.statistics.duration_s, int(edges[-1]))
+    places = tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
+    wheel = rows.scalar[:, layout.wheel.start - offset : layout.wheel.stop - offset]
+    parts = [modes[:, place] @ (modes[:, place].T @ wheel) for place in places]
+    parts.append(wheel - sum(parts))
     own, shared = model.linear.own, model.linear.shared
     return Problem(
         model=model,
-        terms=model.telemetry[0],
+        terms=terms,
         vector=rows.vector.reshape(3 * n, -1),
         scalar=rows.scalar,
-        waves=waves * np.sqrt(2.0 * duration) / (order * np.pi),
-        has_noise=has_noise,
+        modes=modes,
+        bands=bands,
+        places=places,
+        wheel=np.sum([part @ band.kept for part, band in zip(parts, bands, strict=True)], axis=0),
         thrust_factor=np.linalg.cholesky(own @ own.T + shared @ shared.T),
     )
+
+
+def slow_modes(time_s: Values, duration_s: float, count: int) -> Values:
+    """Orthonormal modes (n, count) of a random walk about its mean, the largest first."""
+    order = np.arange(1, MODES + 1)
+    waves = np.cos(np.pi * time_s[:, None] / duration_s * order) * np.sqrt(2.0) / order / np.pi
+    constant = np.full((len(time_s), 1), 1.0 / np.sqrt(3.0))
+    modes, sizes, _ = np.linalg.svd(np.concatenate([constant, waves], axis=1), full_matrices=False)
+    assert count <= int(np.sum(sizes**2 > _INDEPENDENT * sizes[0] ** 2))
+    return modes[:, :count]
 
 
 def log_posterior(xp: ModuleType, special: Any, problem: Problem, x: Values) -> Values:
     """Log density of the data and of everything sampled, at one point x."""
     parameters, unknowns = unpacked(xp, special, problem, x)
-    residual, noise, weights, spread = balance(xp, problem, parameters, unknowns)
-    if problem.has_noise:
-        amplitudes = x[-3 * MODES :].reshape(-1, 3)
-        residual = residual - parameters["torque_noise_n_m_s05"] * (problem.waves @ amplitudes)
-    rows = len(problem.scalar)
-    whitened = residual @ xp.linalg.inv(noise)
-    log_likelihood = -0.5 * xp.sum(whitened * residual) + rows * (
-        -0.5 * xp.linalg.slogdet(noise)[1]
-        + 0.5 * xp.linalg.slogdet(weights @ weights.T)[1]
-        - 0.5 * spread
-        - 3.0 * np.log(2.0 * np.pi)
+    inertia, weights, arms, taus = physics(xp, problem, parameters)
+    layout = problem.terms.statistics.layout
+    first = layout.rate.start - len(layout.vector)
+    rate = problem.scalar[:, first : first + 3]
+    measured = rate @ inertia.T + problem.wheel @ weights.T
+    residual = measured - modelled(xp, problem, unknowns, arms, taus)
+    rows, channels = len(problem.scalar), 3 + len(problem.terms.wheel_places)
+    log_likelihood = (
+        wheel_log_density(xp, problem, parameters)
+        + gaussian(xp, problem, parameters, residual, (inertia, weights))
+        + rows * (xp.linalg.slogdet(inertia)[1] - 0.5 * channels * np.log(2.0 * np.pi))
     )
     return log_likelihood - 0.5 * xp.sum(x**2) - 0.5 * len(x) * np.log(2.0 * np.pi)
+
+
+def gaussian(
+    xp: ModuleType,
+    problem: Problem,
+    parameters: dict[str, Values],
+    residual: Values,
+    physical: tuple[Values, Values],
+) -> Values:
+    """Log density of residuals (n, 3), without the factors 2π: every band has its own noise."""
+    inertia, weights = physical
+    walk = parameters["torque_noise_n_m_s05"] ** 2
+    white = (
+        parameters["rate_noise_rad_s"] ** 2 * inertia @ inertia.T
+        + parameters["attitude_noise_rad"] ** 2 * problem.terms.spin
+    )
+    wheel = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
+    amplitude = problem.modes.T @ residual
+    parts = [amplitude[place] for place in problem.places]
+    parts.append(residual - problem.modes @ amplitude)
+    total = 0.0
+    for i, (band, part) in enumerate(zip(problem.bands, parts, strict=True)):
+        values, axes = xp.linalg.eigh(white + wheel * weights @ band.kept @ weights.T)
+        drift = walk * (band.walk if i == 0 else np.mean(band.walk, keepdims=True))
+        variance = values + xp.asarray(drift)[:, None]
+        each = band.rows / len(band.walk) if i == 0 else band.rows
+        total = total - 0.5 * xp.sum((part @ axes) ** 2 / variance)
+        total = total - 0.5 * each * xp.sum(xp.log(variance))
+    return total
+
+
+def wheel_log_density(xp: ModuleType, problem: Problem, parameters: dict[str, Values]) -> Values:
+    """Log density of the measured wheel rates of all bands, from the tables of their integrals."""
+    log_noise = 2.0 * xp.log(parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)
+    total = 0.0
+    for band in problem.bands:
+        knots = band.motion.x
+        t = xp.clip(log_noise - np.log(band.values), knots[0], knots[-1])
+        place = xp.clip(xp.searchsorted(xp.asarray(knots), t, side="right") - 1, 0, len(knots) - 2)
+        step = t - xp.asarray(knots)[place]
+        cubic = xp.asarray(band.motion.c[..., 0])[:, place]
+        found = ((cubic[0] * step + cubic[1]) * step + cubic[2]) * step + cubic[3]
+        total = total + xp.sum(found) - 0.5 * band.rows * np.sum(np.log(band.values))
+    return total
 
 
 def unpacked(
@@ -110,22 +176,17 @@ def unpacked(
     return to_parameters(xp, special, problem.model, x[:d]), unknowns
 
 
-def balance(
-    xp: ModuleType, problem: Problem, parameters: dict[str, Values], unknowns: tuple[Values, ...]
-) -> tuple[Values, Values, Values, Values]:
-    """Residual (n, 3) of every row, its covariance, the wheels' weights, and the rates' density."""
+def modelled(
+    xp: ModuleType,
+    problem: Problem,
+    unknowns: tuple[Values, ...],
+    arms: Values,
+    taus: tuple[Values, Values],
+) -> Values:
+    """Momentum (n, 3) that the unknowns put into every row."""
     terms, layout = problem.terms, problem.terms.statistics.layout
     thrust, start, torque, tails = unknowns
-    inertia, weights, arms, (rise, fall) = physics(xp, problem, parameters)
-    variance = parameters["rate_noise_rad_s"] ** 2
-    total = xp.maximum(terms.rate_values, variance)
-    kept = (terms.rate_vectors * (1.0 - variance / total)) @ terms.rate_vectors.T
-    spread = xp.sum(xp.log(total) + terms.rate_values / total)
-    offset = len(layout.vector)
-    rate = problem.scalar[:, layout.rate.start - offset : layout.rate.stop - offset]
-    wheel = problem.scalar[:, layout.wheel.start - offset : layout.wheel.stop - offset]
-    latent = terms.mean_rate + (rate - terms.mean_rate) @ kept
-    measured = latent @ inertia.T + wheel @ weights.T
+    rise, fall = taus
     _, reference_rise, reference_fall = terms.sampling.pulse_reference_s
     pulse = xp.stack([xp.ones(()), rise - reference_rise, fall - reference_fall])
     fired = (arms.T * thrust[:, None])[:, :, None] * pulse  # (K, axis, pulse column)
@@ -134,19 +195,14 @@ def balance(
     lost = (fall - rise) * xp.exp(-CONTROL_CYCLE_S / fall)
     for i, place in enumerate(terms.pattern.cuts):
         members = list(layout.couples[place // CUT_PARTS])
-        count = problem.scalar[:, layout.cut.start + place - offset]
+        count = problem.scalar[:, layout.cut.start + place - len(layout.vector)]
         sd = np.sqrt(chance * (1.0 - chance) / terms.statistics.close_pairs[place])
         push = -chance * lost * (arms[:, members] @ thrust[np.array(members)])
         push = push + problem.model.linear.common_mean_n * lost * sd * tails[i] * xp.sum(
             arms[:, members], axis=1
         )
         model = model + count[:, None] * push
-    noise = (
-        variance * inertia @ kept @ inertia.T
-        + (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2 * weights @ weights.T
-        + parameters["attitude_noise_rad"] ** 2 * terms.spin
-    )
-    return measured - model, noise, weights, spread
+    return model
 
 
 def physics(xp: ModuleType, problem: Problem, parameters: dict[str, Values]) -> tuple[Any, ...]:
