@@ -230,13 +230,13 @@ def extend(base: Hypothesis, effects: Sequence[Effect], case: Case) -> Hypothesi
         (*old.space.distributions, *(p.distribution for p in parameters)),
         (*old.space.blocks, *("effect" for _ in parameters)),
     )
-    added = tuple(
-        modifier_of(effect, old.spacecraft, old.branch, case.flexible_axis) for effect in effects
-    )
+    setting = (old.spacecraft, old.branch, case.flexible_axis)
+    added = tuple(modifier_of(effect, *setting) for effect in effects)
+    in_rows = tuple(modifier_of(effect, *setting, rows=True) for effect in effects)
     totals = old.totals
     if totals is not None:
         totals = replace(totals, modifiers=(*totals.modifiers, *added))
-    model = replace(old, space=space, totals=totals, modifiers=(*old.modifiers, *added))
+    model = replace(old, space=space, totals=totals, modifiers=(*old.modifiers, *in_rows))
     together = (*base.effects, *effects)
     uses_rates = any(effect.kind in RATE_KINDS for effect in together)
     probability = base.prior_probability if base.effects else 1.0

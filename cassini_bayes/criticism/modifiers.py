@@ -61,10 +61,15 @@ class Setting:
 Change = Callable[[Physics, Parameters, Values, Setting], Physics]
 
 
-def modifier_of(effect: Effect, spacecraft: Spacecraft, branch: str, axis: int = 2) -> Modifier:
-    """The effect as a change of physics that reads its own walked parameters."""
+def modifier_of(
+    effect: Effect, spacecraft: Spacecraft, branch: str, axis: int = 2, *, rows: bool = False
+) -> Modifier:
+    """The effect as a change of physics that reads its own walked parameters.
+
+    ``rows``: the physics is that of telemetry rows, where a pulse's impulse is a turning vector.
+    """
     setting = Setting(spacecraft, branch, effect.target, axis)
-    change = CHANGES[effect.kind]
+    change = {**CHANGES, **(ROW_CHANGES if rows else {})}[effect.kind]
     names = [(parameter.key, parameter.name) for parameter in effect.parameters]
 
     def modify(physics: Physics, parameters: Parameters) -> Physics:
@@ -132,6 +137,21 @@ def _pulse_shape(physics: Physics, _: Parameters, values: Values, setting: Setti
         values["impulse_time_offset_s"][..., None], (*values["impulse_time_offset_s"].shape, size)
     )
     return replace(physics, impulse_offset_s=np.asarray(physics.impulse_offset_s) + offset)
+
+
+def _pulse_shape_in_rows(
+    physics: Physics, parameters: Parameters, values: Values, setting: Setting
+) -> Physics:
+    """The offset as more tail: tails turn with the body after the pulse, counts of pulses do not.
+
+    An offset shorter than all of the tail leaves the rest to the counts.
+    """
+    delay, rise, fall = physics.tau_s
+    offset = values["impulse_time_offset_s"]
+    longer = np.maximum(fall + offset, np.minimum(fall, LEAST_TAU_S))
+    rest = {"impulse_time_offset_s": offset - (longer - fall)}
+    changed = replace(physics, tau_s=(delay, rise, longer))
+    return _pulse_shape(changed, parameters, rest, setting)
 
 
 def _centre(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
@@ -249,3 +269,4 @@ CHANGES: Final[Mapping[str, Change]] = {
     "rate_scale": _rate_scale,
     "flexible_mode": _flexible_mode,
 }
+ROW_CHANGES: Final[Mapping[str, Change]] = {"pulse_shape": _pulse_shape_in_rows}
