@@ -23,6 +23,7 @@ from cassini_bayes.delta_v_terms import (
 )
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import (
+    THRUST_COMMON,
     TORQUES,
     LinearBlock,
     TotalsModel,
@@ -193,6 +194,7 @@ def build_joint_model(
                 f"event {name}", "each event once in a fit", "the same id twice", "rename one"
             )
     spacecraft = priors.spacecraft
+    n_thrusters = len(spacecraft.thruster_names(priors.branch))
     fired = totals is not None or any(event.layout.thrusters for event, _ in statistics)
     names = list(totals.space.names) + list(totals.space.fixed) if totals is not None else []
     if statistics:
@@ -201,6 +203,9 @@ def build_joint_model(
     if fired:
         position_names = spacecraft.geometry[priors.branch].parameters
         names += [*PULSE_PARAMETERS, *CENTRE_PARAMETERS, *position_names]
+    linear = linear_block(priors, n_thrusters) if fired else _no_thrust(n_thrusters)
+    if linear.common_is_walked:
+        names.append(THRUST_COMMON)
     if delta_v:
         names += DELTA_V_PARAMETERS
     names = list(dict.fromkeys(names))
@@ -208,7 +213,6 @@ def build_joint_model(
     space = priors.space(names)
     _refuse_free_delay(space, fired, priors.path)
     means, scales = normal_priors(priors, TORQUES)
-    n_thrusters = len(spacecraft.thruster_names(priors.branch))
     own_names = [
         name
         for wheel in spacecraft.wheels
@@ -220,7 +224,7 @@ def build_joint_model(
         branch=priors.branch,
         space=space,
         specs={name: prior.spec for name, prior in priors.parameters.items()},
-        linear=linear_block(priors, n_thrusters) if fired else _no_thrust(n_thrusters),
+        linear=linear,
         totals=totals,
         telemetry=tuple(
             make_terms(event, sampling, spacecraft, nominal) for event, sampling in statistics
@@ -304,7 +308,7 @@ def collapse_joint(model: JointModel, z: Array) -> JointCollapsed:
     log_likelihood = np.zeros(n)
     common = np.full(n, model.linear.common_mean_n)
     if model.linear.common_is_walked:
-        common = full["thrust_common_n"]
+        common = full[THRUST_COMMON]
     parts: list[ThrustInformation] = []
     if model.totals is not None:
         system = linear_system(model.totals, full)

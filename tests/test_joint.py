@@ -15,6 +15,7 @@ from telemetry_cases import (
     telemetry_priors,
 )
 
+from cassini_bayes.distributions import Distribution
 from cassini_bayes.errors import InputError
 from cassini_bayes.joint import (
     build_joint_model,
@@ -24,6 +25,7 @@ from cassini_bayes.joint import (
     joint_log_posterior,
 )
 from cassini_bayes.physics import physical_inertia
+from cassini_bayes.priors import Priors
 from cassini_bayes.telemetry_calibration import without_jacobian
 from cassini_bayes.warmstart import warm_start
 
@@ -79,6 +81,36 @@ def test_walked_dimension_does_not_grow_with_events() -> None:
     one = model_of([made_up_samples(rng, 40)])
     four = model_of([made_up_samples(rng, 40) for _ in range(4)])
     assert one.space.names == four.space.names
+
+
+def test_a_common_thrust_that_is_not_normal_is_walked() -> None:
+    """Its prior cannot be integrated out; nearly normal it gives what the normal one gives."""
+    rng = np.random.default_rng(11)
+    priors = telemetry_priors()
+    samples = made_up_samples(rng, 40)
+    normal = build_joint_model([reduced(samples, priors)], priors)
+    wide = replace_with_student(priors)
+    walked = build_joint_model([reduced(samples, wide)], wide)
+    assert set(walked.space.names) - set(normal.space.names) == {"thrust_common_n"}
+    z = walked.space.sample(rng, 1)
+    others = [walked.space.names.index(name) for name in normal.space.names]
+    place = walked.space.names.index("thrust_common_n")
+    # the level on a grid, with its prior, against the integral that the model does itself
+    levels = np.linspace(-8.0, 8.0, 4_001)
+    points = np.repeat(z, len(levels), axis=0)
+    points[:, place] = levels
+    log_p = joint_log_likelihood(walked, points) - 0.5 * levels**2 - 0.5 * np.log(2 * np.pi)
+    top = log_p.max()
+    integral = top + np.log(np.exp(log_p - top).sum() * (levels[1] - levels[0]))
+    assert integral == pytest.approx(joint_log_likelihood(normal, z[:, others])[0], abs=1e-2)
+
+
+def replace_with_student(priors: Priors) -> Priors:
+    """The common thrust with a Student-t prior of so many degrees of freedom that it is normal."""
+    prior = priors.parameters["thrust_common_n"].distribution
+    assert prior is not None
+    student = Distribution("t", {"df": 1e7, "loc": prior.mean(), "scale": prior.sd()})
+    return priors.with_distribution("thrust_common_n", student)
 
 
 def test_the_same_event_twice_is_refused() -> None:
