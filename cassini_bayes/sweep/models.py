@@ -149,9 +149,8 @@ class JointSweepModel:
 
     @property
     def walkable(self) -> tuple[str, ...]:
-        """The common thrust, where totals rows stand beside the telemetry that can walk it."""
-        has_rows = self.model.totals is not None
-        return tuple(name for name in self.collapsed if has_rows and name == THRUST_COMMON)
+        """The common thrust."""
+        return tuple(name for name in self.collapsed if name == THRUST_COMMON)
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at z (n, d)."""
