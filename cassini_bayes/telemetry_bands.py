@@ -21,8 +21,8 @@ from cassini_bayes.statistics import EventStatistics, Layout
 from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
-EDGES: Final = (32, 64)  # of the bands, in modes: what is slower than T/16, and octaves
-ROWS_PER_MODE: Final = 4
+EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
+ROWS_PER_MODE: Final = 2
 _INDEPENDENT: Final = 1e-9  # least share of the largest square that a mode of its own has
 _LEAST_SQUARE: Final = 1e-18  # rad²/s²: wheels that were not measured to move at all
 LOG_MOTION: Final = (-9.0, 34.0)  # range of the log of the wheels' motion over their noise
@@ -101,8 +101,8 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
 def latent_wheels(band: Band, parameters: Mapping[str, Array]) -> tuple[Array, Array]:
     """Best linear estimate of the true wheel rates in a band, and the wheels' own log density.
 
-    Along every principal axis the R measured rates have variance V = S + σ², and the log of S/σ² is
-    uniform on :data:`LOG_MOTION`: from motion that cannot be told from none to any amount. Returns
+    Along every principal axis the R measured rates have variance V = S + σ². With even odds there
+    is no motion, S = 0, or the log of S/σ² is uniform on :data:`LOG_MOTION`. Returns
     the matrix E[S/V] (n, W, W) that takes measured rates to their estimate, and the log density
     (n,), constants left out.
     """
@@ -116,9 +116,9 @@ def latent_wheels(band: Band, parameters: Mapping[str, Array]) -> tuple[Array, A
 def motion_table(rows: int) -> CubicSpline:
     """Log density of R measured rates and share of motion in them, against t = log(σ²/V̂).
 
-    With V̂ their mean square, h = R/2 and s = S/σ² of density ds/s on e^LOG_MOTION, the density
-    times V̂^h is the integral of exp(−h (t + log(1 + s) + e^(−t)/(1 + s))), and the share is the
-    mean of s/(1 + s). Both depend on R alone. Gauss-Legendre sums over log s: about the peak at
+    With V̂ their mean square, h = R/2 and s = S/σ² zero or of density ds/s on e^LOG_MOTION, the
+    density times V̂^h is the mean of exp(−h (t + log(1 + s) + e^(−t)/(1 + s))), and the share is
+    that of s/(1 + s). Both depend on R alone. Gauss-Legendre sums over log s: about the peak at
     s = e^(−t) − 1, whose width in log V is (2/R)^½, and on either side of it.
     """
     half = 0.5 * max(rows, 1)
@@ -133,12 +133,12 @@ def motion_table(rows: int) -> CubicSpline:
     log_s, weight = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     log_v = np.logaddexp(0.0, log_s)
     exponent = -half * (t + log_v + np.exp(-t - log_v))
-    top = exponent.max(axis=1, keepdims=True)
-    density = weight * np.exp(exponent - top)
-    total = density.sum(axis=1)
-    moving = (density * np.exp(log_s - log_v)).sum(axis=1)
-    log_density = top[:, 0] + np.log(total / (LOG_MOTION[1] - LOG_MOTION[0]))
-    return CubicSpline(t[:, 0], np.stack([log_density, moving / total], axis=1))
+    still = -half * (t + np.exp(-t))
+    top = np.maximum(exponent.max(axis=1, keepdims=True), still)
+    density = weight * np.exp(exponent - top) / (LOG_MOTION[1] - LOG_MOTION[0])
+    total = 0.5 * (density.sum(axis=1) + np.exp(still - top)[:, 0])
+    moving = 0.5 * (density * np.exp(log_s - log_v)).sum(axis=1)
+    return CubicSpline(t[:, 0], np.stack([top[:, 0] + np.log(total), moving / total], axis=1))
 
 
 def _legendre(low: Array, high: Array, count: int) -> tuple[Array, Array]:

@@ -22,9 +22,9 @@ from cassini_bayes.telemetry_terms import cut_probability
 Array = NDArray[np.float64]
 PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 RPM = 2.0 * np.pi / 60.0
-MODES = 128
-EDGES = (32, 64)
-ROWS_PER_MODE = 4
+MODES = 512
+EDGES = (32, 128)
+ROWS_PER_MODE = 2
 PARTS = 4
 
 
@@ -306,11 +306,12 @@ def plain_latent(wheels: Array, rows: int, noise: float) -> tuple[Array, float]:
         log_s = np.linspace(-9.0, 34.0, 400_001)
         log_v = np.log(noise * (1.0 + np.exp(log_s)))
         log_p = -0.5 * rows * log_v - 0.5 * square * np.exp(-log_v)
-        top = log_p.max()
-        p = np.exp(log_p - top)
-        total = trapezoid(p, log_s)
+        log_still = -0.5 * rows * np.log(noise) - 0.5 * square / noise
+        top = max(log_p.max(), log_still)
+        p = np.exp(log_p - top) / 43.0
+        total = trapezoid(p, log_s) + np.exp(log_still - top)
         shares.append(trapezoid(p * (1.0 - noise * np.exp(-log_v)), log_s) / total)
-        density += top + np.log(total / 43.0)
+        density += top + np.log(0.5 * total)
     return axes * shares @ axes.T, density
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.pulses import PulseShape
+from cassini_bayes.statistics.contraction import turned_into_body
 from cassini_bayes.statistics.rows import Samples, quiet_rows
 
 Array = NDArray[np.float64]
@@ -268,17 +269,12 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
     keep = _usable(now, time, sampling) & new
     rows, body, n = state[keep], attitude[keep], int(keep.sum())
     index = counted.events_before(time[keep])
-    k, p = fired.shape[1:3]
-    thrust = (body[:, None] @ fired[index].reshape(n, k * p, 3, 3)).reshape(n, k, p, 3, 3)
-    vector = np.concatenate(
-        [
-            body @ first.T,
-            body @ torque[keep[new]],
-            # (n, K, pulse column, component, j) -> component, (K, j, pulse column)
-            thrust.transpose(0, 3, 1, 4, 2).reshape(n, 3, 3 * k * p),
-        ],
-        axis=2,
-    )
+    vector = np.empty((n, 3, len(layout.vector)))
+    vector[:, :, layout.initial] = body @ first.T
+    vector[:, :, layout.torque] = body @ torque[keep[new]]
+    # (1 + m, K, pulse column, inertial, j) -> inertial, (K, j, pulse column)
+    inertial = fired.transpose(0, 3, 1, 4, 2).reshape(len(fired), 3, -1)
+    turned_into_body(body, np.ascontiguousarray(inertial), index, vector[:, :, layout.fired])
     context = RowContext(
         time[keep],
         now.rate_rad_s[rows],

@@ -18,14 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.statistics.columns import Carry, Layout, Rows, Sampling, settle
+from cassini_bayes.statistics.columns import (
+    PULSE_COLUMNS,
+    Carry,
+    Layout,
+    Rows,
+    Sampling,
+    settle,
+)
 from cassini_bayes.statistics.rows import Samples
 from cassini_bayes.storage import write_bytes
 
 Array = NDArray[np.float64]
-MODES: Final = 128
+MODES: Final = 512
 _FORMAT: Final = 1
-_BLOCK_ROWS: Final = 4_096
+_BLOCK_ROWS: Final = 4096
 
 
 @dataclass(frozen=True)
@@ -81,30 +88,77 @@ def empty_statistics(
     )
 
 
-def gram_of(rows: Rows, statistics: EventStatistics) -> EventStatistics:
-    """Statistics of some rows alone, on the time scale of ``statistics``."""
-    n, vectors, scalars = len(rows.time_s), rows.vector.shape[2], rows.scalar.shape[1]
-    phase = np.pi * rows.time_s[:, None] / statistics.duration_s
-    modes = np.cos(phase * np.arange(1, MODES + 1))
-    # one symmetric product: half the work of a product per pair of axes, scalars only once
-    everything = np.concatenate([rows.vector.reshape(n, 3 * vectors), rows.scalar, modes], axis=1)
-    inner = everything.T @ everything
-    start = 3 * vectors
-    places = [np.r_[c * vectors : (c + 1) * vectors, start : start + scalars] for c in range(3)]
+def inner_products(rows: Rows, layout: Layout, duration_s: float) -> Array:
+    """Inner products over some rows of all there is: vector columns, scalar columns, cosines.
+
+    Returns (3 V + S + M, 3 V + S + M), the vector columns with their axis first. One symmetric
+    product per kind: half the work of one per pair of axes, scalars and twins only once.
+    """
+    n, scalars = len(rows.time_s), rows.scalar.shape[1]
+    source = _twins(rows.vector, layout)
+    own = np.flatnonzero(source == np.arange(len(source)))
+    vector = rows.vector if len(own) == len(source) else rows.vector[:, :, own]
+    vector = vector.reshape(n, -1)
+    rest = np.empty((n, scalars + MODES))
+    rest[:, :scalars] = rows.scalar
+    cosines(rows.time_s / duration_s, out=rest[:, scalars:])
+    mixed = vector.T @ rest
+    inner = np.block([[vector.T @ vector, mixed], [mixed.T, rest.T @ rest]])
+    place = np.searchsorted(own, source)
+    every = np.r_[
+        (np.arange(3)[:, None] * len(own) + place).reshape(-1),
+        3 * len(own) + np.arange(rest.shape[1]),
+    ]
+    return np.asarray(inner[every[:, None], every])
+
+
+def _twins(vector: Array, layout: Layout) -> NDArray[np.intp]:
+    """For every vector column (V,) the first that is the same: thrusters of a couple often are."""
+    source = np.arange(len(layout.vector))
+    fired = source[layout.fired].reshape(-1, 3 * len(PULSE_COLUMNS))
+    for couple in layout.couples:
+        first = fired[couple[0]]
+        for other in (fired[k] for k in couple[1:]):
+            if np.array_equal(vector[..., first], vector[..., other]):
+                source[other] = first
+    return source
+
+
+def _sorted_out(inner: Array, rows: int, statistics: EventStatistics) -> EventStatistics:
+    """Statistics from :func:`inner_products`, one Gram matrix per pair of axes."""
+    layout = statistics.layout
+    vectors, start = len(layout.vector), 3 * len(layout.vector)
+    mode = slice(start + len(layout.scalar), None)
+    scalar = range(start, mode.start)
+    places = [np.r_[c * vectors : (c + 1) * vectors, scalar] for c in range(3)]
     gram = np.empty_like(statistics.gram)
     for c in range(3):
         for d in range(3):
             gram[c, d] = inner[places[c][:, None], places[d]]
-    mode = slice(start + scalars, None)
-    projection = np.stack([inner[mode, place] for place in places], axis=1)
     return replace(
         statistics,
-        rows=len(rows.time_s),
+        rows=rows,
         gram=gram,
-        projection=projection,
+        projection=np.stack([inner[mode, place] for place in places], axis=1),
         mode_gram=inner[mode, mode],
         close_pairs=np.zeros_like(statistics.close_pairs),
     )
+
+
+def cosines(turn: Array, out: Array) -> None:
+    """cos(m π x) at places x (n,) for m = 1 … M into ``out`` (n, M).
+
+    Powers of e^(iπx), their number doubled again and again: the rounding of seven products, and a
+    fraction of the time of as many cosines.
+    """
+    powers = np.empty((MODES, len(turn)), dtype=np.complex128)
+    powers[0] = np.exp(1j * np.pi * turn)
+    done = 1
+    while done < MODES:
+        more = min(done, MODES - done)
+        np.multiply(powers[:more], powers[done - 1], out=powers[done : done + more])
+        done += more
+    out[:] = powers.real.T
 
 
 def reduce_chunks(
@@ -127,19 +181,15 @@ def reduce_chunks(
         Fewer than ten rows can be used.
     """
     total = empty_statistics(event_id, kind, layout, sampling.duration_s)
-    carry = Carry.start(layout)
-    interval = 0.0
-    previous: Samples | None = None
-    for chunk in _in_blocks(chunks):
-        if previous is not None:
-            rows, carry = settle(previous, carry, layout, sampling, final=False)
-            total = total + gram_of(rows, total)
-            interval = interval or counter_interval(previous)
-        previous = chunk
-    if previous is not None:
-        rows, carry = settle(previous, carry, layout, sampling, final=True)
-        total = total + gram_of(rows, total)
-        interval = interval or counter_interval(previous)
+    carry, used, interval = Carry.start(layout), 0, 0.0
+    inner = np.zeros((2 * len(layout.vector) + layout.size + MODES,) * 2)
+    for chunk, final in _with_end(_in_blocks(chunks)):
+        rows, carry = settle(chunk, carry, layout, sampling, final)
+        if len(rows.time_s) > 0:
+            inner += inner_products(rows, layout, sampling.duration_s)
+            used += len(rows.time_s)
+        interval = interval or counter_interval(chunk)
+    total = _sorted_out(inner, used, total)
     if total.rows < LEAST_ROWS:
         raise InputError(
             f"event {event_id}: telemetry",
@@ -159,6 +209,17 @@ def _in_blocks(chunks: Iterable[Samples]) -> Iterator[Samples]:
         else:
             for start in range(0, len(chunk), _BLOCK_ROWS):
                 yield chunk.part(start, start + _BLOCK_ROWS)
+
+
+def _with_end(blocks: Iterator[Samples]) -> Iterator[tuple[Samples, bool]]:
+    """Every block, and whether it is the last."""
+    previous: Samples | None = None
+    for block in blocks:
+        if previous is not None:
+            yield previous, False
+        previous = block
+    if previous is not None:
+        yield previous, True
 
 
 def counter_interval(samples: Samples) -> float:
