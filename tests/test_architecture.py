@@ -80,6 +80,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
         "campaigns",
         "telemetry_campaign",
         "blind_campaign",
+        "published_diagnosis",
         "perturbation_campaign",
     ),
     ("provenance", "inputs"),

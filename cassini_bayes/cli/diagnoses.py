@@ -1,4 +1,4 @@
-"""`diagnose` and `calibrate blind`: what the simulation gets wrong, and whether that can be found."""
+"""`diagnose`, `diagnose-published` and `calibrate blind`: what the simulation gets wrong."""
 
 from __future__ import annotations
 
@@ -98,3 +98,26 @@ def calibrate_blind_command(
             reporter.count("blind trials", done, total)
     rates: dict[str, Any] = write_results(work, page, seed, ["cassini-bayes", *sys.argv[1:]])
     typer.echo(json.dumps(rates))
+
+
+def diagnose_published_command(
+    page: Annotated[Path, typer.Option("--page", help="Folder of the results.")] = Path(
+        "docs/results"
+    ),
+    priors: Annotated[Path, typer.Option("--priors", help="Priors of the flight biases.")] = Path(
+        "priors/cassini_b_branch_2010.toml"
+    ),
+    totals: Annotated[Path, typer.Option("--totals", help="The flight biases.")] = Path(
+        "cassini_bayes/published/flight_2009_2010.csv"
+    ),
+    seed: Seed = None,
+    quiet: Quiet = False,
+) -> None:
+    """Diagnose the published cases: flight biases, printed thrusts, test bed, A branch."""
+    from cassini_bayes.published_diagnosis import write_published_diagnosis
+
+    reporter = ConsoleReporter(quiet)
+    number = DEFAULT_SEED if seed is None else seed
+    command = ["cassini-bayes", *sys.argv[1:]]
+    found = write_published_diagnosis(page, totals, priors, number, command, reporter.say)
+    typer.echo(json.dumps(found))

@@ -1,4 +1,4 @@
-"""The published cases of papers 000 and 003 as hypotheses on summary estimates (docs/real-cases.md).
+"""The published cases of papers 000 and 003 as hypotheses on summary estimates.
 
 Effects widen one prior of the baseline by ``width`` times five, as the catalogue does.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -192,17 +193,27 @@ class BranchCase:
             ),
         ]
 
-    def pair_causes(self, first: str, width: float = 1.0) -> list[SummaryCause]:
-        """A first deficient thruster and every second one, or a shift."""
-        scale = 0.2 * width
-        pairs = {
-            f"thruster_degraded:{first}+thruster_degraded:{name}": replace(
-                self, degraded=(first, name), deficit_scale=scale
+    def pair_causes(self) -> list[SummaryCause]:
+        """Every two deficits, and every deficit with a shift along Y; prior of both together."""
+        share = CATALOGUED / 2 / len(self.names)
+        shifted = replace(self, cm_sd_m={**self.cm_sd_m, "y": FACTOR * self.cm_sd_m["y"]})
+        deficits = [
+            SummaryCause(
+                f"thruster_degraded:{one}+thruster_degraded:{other}",
+                share**2,
+                replace(self, degraded=(one, other)).predict,
+            )
+            for one, other in combinations(self.names, 2)
+        ]
+        both = [
+            SummaryCause(
+                f"thruster_degraded:{name}+center_of_mass:y",
+                share * CATALOGUED / 4,
+                replace(shifted, degraded=(name,)).predict,
             )
             for name in self.names
-            if name != first
-        }
-        return [SummaryCause(name, 1.0, case.predict) for name, case in pairs.items()]
+        ]
+        return [*deficits, *both]
 
 
 def _corner(name: str, axis: str) -> float:

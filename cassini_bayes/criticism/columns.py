@@ -34,13 +34,17 @@ def shift_column(thruster: str, offset_s: float) -> str:
 
 def telemetry_columns(thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
     """Every column that the catalogue needs and that does not depend on a first fit."""
-    columns = []
+    columns: list[ExtraColumn] = []
     for k, name in enumerate(thrusters):
-        for node in WARMUP_NODES_S:
-            columns.append(ExtraColumn(warmup_column(name, node), partial(_warmup, k, node)))
-        for node in SHIFT_NODES_S:
-            if node != 0.0:
-                columns.append(ExtraColumn(shift_column(name, node), partial(_shifted, k, node)))
+        columns += [
+            ExtraColumn(warmup_column(name, node), partial(_warmup, k, node))
+            for node in WARMUP_NODES_S
+        ]
+        columns += [
+            ExtraColumn(shift_column(name, node), partial(_shifted, k, node))
+            for node in SHIFT_NODES_S
+            if node != 0.0
+        ]
     return tuple(columns)
 
 

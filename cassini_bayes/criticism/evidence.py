@@ -197,7 +197,7 @@ def _best_start(density: LogDensity, base: Mode, tried: Array) -> Array:
 
 
 def _own_axes(density: LogDensity, point: Array, base: Mode, extra: int) -> Array:
-    """Whitening axes (d + extra, d + extra): the baseline's, and the effect's scaled by curvature."""
+    """Whitening axes (d + extra, d + extra): the baseline's; the effect's by curvature."""
     d = len(base.point)
     axes = np.zeros((d + extra, d + extra))
     axes[:d, :d] = base.factor

@@ -2,9 +2,10 @@
 
 At the mode the balance is linear in everything: a row's momentum is columns times unknowns
 (thrusts, initial momentum, torque, cut tails) plus the derivatives with respect to the walked
-parameters times their departure, plus noise. With X all of these columns, whitened, and P their prior precision, the
-innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y. Replicates of y drawn from that same linear model and
-refitted in the same way give every statistic its own reference: a parametric bootstrap.
+parameters times their departure, plus noise. With X all of these columns, whitened, and P their
+prior precision, the innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y. Replicates of y drawn from that
+same linear model and refitted in the same way give every statistic its own reference: a parametric
+bootstrap.
 """
 
 from __future__ import annotations

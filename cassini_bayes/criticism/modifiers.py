@@ -79,7 +79,7 @@ def modifier_of(
     return modify
 
 
-def _factor(physics: Physics, change: Array, setting: Setting) -> Physics:
+def _factor(physics: Physics, change: Array) -> Physics:
     """Thrust factors of all thrusters (n, K) times a change that broadcasts to it."""
     size = physics.arms_m.shape[-1]
     if size == 0:
@@ -88,15 +88,15 @@ def _factor(physics: Physics, change: Array, setting: Setting) -> Physics:
     return replace(physics, thrust_factor=whole * change)
 
 
-def _thrust_scale(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
-    return _factor(physics, values["thrust_factor"][..., None], setting)
+def _thrust_scale(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:
+    return _factor(physics, values["thrust_factor"][..., None])
 
 
 def _degraded(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
     factor = values["thrust_factor"]
     change = np.ones((*factor.shape, len(setting.thrusters)))
     change[..., setting.thruster] = factor
-    return _factor(physics, change, setting)
+    return _factor(physics, change)
 
 
 def _with_extra(physics: Physics, weights: Mapping[str, Array]) -> Physics:
@@ -124,14 +124,14 @@ def _time_offset(physics: Physics, _: Parameters, values: Values, setting: Setti
     return _with_extra(physics, weights)
 
 
-def _tail_off(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
+def _tail_off(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:
     delay, rise, fall = physics.tau_s
     return replace(
         physics, tau_s=(delay, rise, np.maximum(fall + values["tau_fall_s"], LEAST_TAU_S))
     )
 
 
-def _pulse_shape(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
+def _pulse_shape(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:
     size = physics.arms_m.shape[-1]
     offset = np.broadcast_to(
         values["impulse_time_offset_s"][..., None], (*values["impulse_time_offset_s"].shape, size)
@@ -206,7 +206,7 @@ def _misalignment(
     return replace(physics, arms_m=arms)
 
 
-def _external_torque(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
+def _external_torque(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:
     torque = np.stack([values[f"external_torque_{axis}_n_m"] for axis in AXES], axis=-1)
     return replace(physics, steady_torque_n_m=np.asarray(physics.steady_torque_n_m) + torque)
 

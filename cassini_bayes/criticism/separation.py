@@ -10,7 +10,7 @@ BY_KINDS: Final[dict[frozenset[str], str]] = {
         "stays in body axes and goes with its latch valve, a solar torque turns with the Sun"
     ),
     frozenset({"tail_off", "pulse_shape"}): (
-        "biases with pulses of different widths: a tail-off and an offset per pulse differ only there"
+        "pulses of different widths: only there do a tail-off and an offset per pulse differ"
     ),
     frozenset({"tail_off", "thrust_scale"}): (
         "a long firing (delta-V) beside short pulses: thrust counts seconds, tails count pulses"

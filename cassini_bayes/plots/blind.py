@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import matplotlib
 import numpy as np
 import pandas as pd
@@ -21,7 +23,7 @@ def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame) -> Figure:
         sigma = single["sigma"].astype(float).to_numpy()
         named = single["named"].to_numpy(dtype=bool)
         places, shares, counts = [], [], []
-        for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
+        for low, high in pairwise(EDGES):
             inside = (sigma >= low) & (sigma < high)
             if inside.any():
                 places.append(float(np.median(sigma[inside])))

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from cassini_bayes.criticism.innovations import EventRows
@@ -74,4 +75,27 @@ def cause_figure(causes: Sequence[Mapping[str, Any]]) -> Figure:
         right.axvline(0.0, lw=0.8, color=VERDICT_COLOURS["conflict"])
         right.set_xscale("symlog", linthresh=10.0)
         right.set_xlabel("log Bayes factor against none (nats)")
+    return figure
+
+
+def width_figure(probability: pd.DataFrame, most: int = 7) -> Figure:
+    """Probability of causes (rows, most probable first) at prior widths (columns)."""
+    shown = probability.head(most).iloc[::-1]
+    colours = ("#a6c4e0", POSTERIOR, "#d95f02")
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(figsize=(7.4, 0.45 * len(shown) + 1.2), layout="constrained")
+        axes = figure.subplots()
+        places = np.arange(len(shown))
+        for i, width in enumerate(shown.columns):
+            axes.barh(
+                places + 0.25 * (1 - i),
+                shown[width],
+                height=0.24,
+                color=colours[i % len(colours)],
+                label=f"width × {width:g}",
+            )
+        axes.set_yticks(places, [str(name) for name in shown.index])
+        axes.set_xlim(0.0, 1.0)
+        axes.set_xlabel("posterior probability (1)")
+        figure.legend(loc="outside lower center", ncols=3)
     return figure
