@@ -32,7 +32,7 @@ from cassini_bayes.storage import write_bytes
 Array = NDArray[np.float64]
 MODES: Final = 512
 _FORMAT: Final = 1
-_BLOCK_ROWS: Final = 4096
+_BLOCK_ROWS: Final = 4_096
 
 
 @dataclass(frozen=True)
@@ -88,28 +88,64 @@ def empty_statistics(
     )
 
 
-def inner_products(rows: Rows, layout: Layout, duration_s: float) -> Array:
-    """Inner products over some rows of all there is: vector columns, scalar columns, cosines.
+@dataclass(frozen=True)
+class _Inner:
+    """Inner products over rows of vector columns (their axis first), scalar columns and cosines."""
 
-    Returns (3 V + S + M, 3 V + S + M), the vector columns with their axis first. One symmetric
-    product per kind: half the work of one per pair of axes, scalars and twins only once.
-    """
+    columns: Array  # (3 V + S, 3 V + S)
+    mixed: Array  # (M, 3 V + S)
+    modes: Array  # (M, M)
+
+    def gather(self, other: _Inner) -> None:
+        """Add those of other rows in place."""
+        for own, more in zip(
+            (self.columns, self.mixed, self.modes),
+            (other.columns, other.mixed, other.modes),
+            strict=True,
+        ):
+            own += more
+
+
+def _inner_products(rows: Rows, layout: Layout, duration_s: float) -> _Inner:
+    """Inner products over some rows, by symmetric products: scalars and twins only once."""
     n, scalars = len(rows.time_s), rows.scalar.shape[1]
     source = _twins(rows.vector, layout)
     own = np.flatnonzero(source == np.arange(len(source)))
     vector = rows.vector if len(own) == len(source) else rows.vector[:, :, own]
     vector = vector.reshape(n, -1)
-    rest = np.empty((n, scalars + MODES))
-    rest[:, :scalars] = rows.scalar
-    cosines(rows.time_s / duration_s, out=rest[:, scalars:])
-    mixed = vector.T @ rest
-    inner = np.block([[vector.T @ vector, mixed], [mixed.T, rest.T @ rest]])
-    place = np.searchsorted(own, source)
+    waves, to_modes = local_waves(rows.time_s / duration_s)
+    rest = np.concatenate([rows.scalar, waves], axis=1)
+    mixed, inner = vector.T @ rest, rest.T @ rest
+    on_waves = np.concatenate([mixed[:, scalars:], inner[:scalars, scalars:]]).T
+    mixed, scalar = mixed[:, :scalars], inner[:scalars, :scalars]
     every = np.r_[
-        (np.arange(3)[:, None] * len(own) + place).reshape(-1),
-        3 * len(own) + np.arange(rest.shape[1]),
+        (np.arange(3)[:, None] * len(own) + np.searchsorted(own, source)).reshape(-1),
+        3 * len(own) + np.arange(scalars),
     ]
-    return np.asarray(inner[every[:, None], every])
+    columns = np.block([[vector.T @ vector, mixed], [mixed.T, scalar]])
+    modes = inner[scalars:, scalars:]
+    if to_modes is not None:
+        on_waves, modes = to_modes @ on_waves, to_modes @ modes @ to_modes.T
+    return _Inner(columns[every[:, None], every], on_waves[:, every], modes)
+
+
+def _sorted_out(inner: _Inner, rows: int, statistics: EventStatistics) -> EventStatistics:
+    """Statistics with one Gram matrix per pair of axes."""
+    vectors, scalars = len(statistics.layout.vector), len(statistics.layout.scalar)
+    scalar = range(3 * vectors, 3 * vectors + scalars)
+    places = [np.r_[c * vectors : (c + 1) * vectors, scalar] for c in range(3)]
+    gram = np.empty_like(statistics.gram)
+    for c in range(3):
+        for d in range(3):
+            gram[c, d] = inner.columns[places[c][:, None], places[d]]
+    return replace(
+        statistics,
+        rows=rows,
+        gram=gram,
+        projection=np.stack([inner.mixed[:, place] for place in places], axis=1),
+        mode_gram=inner.modes,
+        close_pairs=np.zeros_like(statistics.close_pairs),
+    )
 
 
 def _twins(vector: Array, layout: Layout) -> NDArray[np.intp]:
@@ -124,41 +160,30 @@ def _twins(vector: Array, layout: Layout) -> NDArray[np.intp]:
     return source
 
 
-def _sorted_out(inner: Array, rows: int, statistics: EventStatistics) -> EventStatistics:
-    """Statistics from :func:`inner_products`, one Gram matrix per pair of axes."""
-    layout = statistics.layout
-    vectors, start = len(layout.vector), 3 * len(layout.vector)
-    mode = slice(start + len(layout.scalar), None)
-    scalar = range(start, mode.start)
-    places = [np.r_[c * vectors : (c + 1) * vectors, scalar] for c in range(3)]
-    gram = np.empty_like(statistics.gram)
-    for c in range(3):
-        for d in range(3):
-            gram[c, d] = inner[places[c][:, None], places[d]]
-    return replace(
-        statistics,
-        rows=rows,
-        gram=gram,
-        projection=np.stack([inner[mode, place] for place in places], axis=1),
-        mode_gram=inner[mode, mode],
-        close_pairs=np.zeros_like(statistics.close_pairs),
-    )
+def local_waves(turn: Array) -> tuple[Array, Array | None]:
+    """Functions (n, D) of places x = t/T (n,) that the cosines cos(m π x) are made of, and how.
 
-
-def cosines(turn: Array, out: Array) -> None:
-    """cos(m π x) at places x (n,) for m = 1 … M into ``out`` (n, M).
-
-    Powers of e^(iπx), their number doubled again and again: the rounding of seven products, and a
-    fraction of the time of as many cosines.
+    Returns also the (M, D) matrix that makes the cosines of them, None if they are the cosines.
+    Where many rows span a small part of the event, all cosines are sums of few Chebyshev
+    polynomials, to rounding: with phases of up to ±φ about the middle, polynomial d has a weight of
+    the size of the Bessel function J_d(φ).
     """
-    powers = np.empty((MODES, len(turn)), dtype=np.complex128)
-    powers[0] = np.exp(1j * np.pi * turn)
-    done = 1
-    while done < MODES:
-        more = min(done, MODES - done)
-        np.multiply(powers[:more], powers[done - 1], out=powers[done : done + more])
-        done += more
-    out[:] = powers.real.T
+    middle, half = 0.5 * (turn.min() + turn.max()), 0.5 * (turn.max() - turn.min())
+    phase = np.pi * MODES * half
+    count = int(phase + 9.0 * np.cbrt(phase) + 16.0)
+    order = np.arange(1, MODES + 1)
+    if count >= min(MODES, len(turn)):
+        return np.cos(np.pi * turn[:, None] * order), None
+    node = np.pi * (np.arange(count) + 0.5) / count
+    at_nodes = np.cos(np.pi * order[:, None] * (middle + half * np.cos(node)))
+    weights = 2.0 / count * at_nodes @ np.cos(node[:, None] * np.arange(count))
+    weights[:, 0] *= 0.5
+    x = (turn - middle) / max(half, np.finfo(float).tiny)
+    waves = np.empty((count, len(turn)))
+    waves[0], waves[1] = 1.0, x
+    for d in range(2, count):
+        waves[d] = 2.0 * x * waves[d - 1] - waves[d - 2]
+    return waves.T, weights
 
 
 def reduce_chunks(
@@ -182,11 +207,12 @@ def reduce_chunks(
     """
     total = empty_statistics(event_id, kind, layout, sampling.duration_s)
     carry, used, interval = Carry.start(layout), 0, 0.0
-    inner = np.zeros((2 * len(layout.vector) + layout.size + MODES,) * 2)
+    size = 3 * len(layout.vector) + len(layout.scalar)
+    inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
     for chunk, final in _with_end(_in_blocks(chunks)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
-            inner += inner_products(rows, layout, sampling.duration_s)
+            inner.gather(_inner_products(rows, layout, sampling.duration_s))
             used += len(rows.time_s)
         interval = interval or counter_interval(chunk)
     total = _sorted_out(inner, used, total)
