@@ -38,22 +38,23 @@ def fast_log_posterior(problem: plain.Problem) -> Callable[[Values], Values]:
     def log_posterior(z: Values) -> Values:
         parameters = plain.to_parameters(jnp, special, model, z)
         inertia, wheels, arms, taus = plain.physics(jnp, problem, parameters)
+        kept, log_density = plain.latent_wheels(jnp, problem, parameters)
         white = (
             parameters["rate_noise_rad_s"] ** 2 * inertia @ inertia.T
             + parameters["attitude_noise_rad"] ** 2 * terms.spin
         )
         wheel = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
         walk = parameters["torque_noise_n_m_s05"] ** 2
-        scale = plain.wheel_log_density(jnp, problem, parameters) + rows * (
+        scale = log_density + rows * (
             jnp.linalg.slogdet(inertia)[1] - 0.5 * channels * np.log(2.0 * np.pi)
         )
         normal = jnp.zeros((width, width))
         own, own_sd = _weights(problem, arms, taus)
-        for i, band in enumerate(problem.bands):
-            weights = jnp.concatenate([own, _measured(inertia, wheels @ band.kept)])
+        for i, (band, share) in enumerate(zip(problem.bands, kept, strict=True)):
+            weights = jnp.concatenate([own, _measured(inertia, wheels @ share)])
             chosen = weights[reduced.entries]
             combine = jnp.zeros((3, columns, width)).at[:, reduced.row, owner].add(chosen.T)
-            values, vectors = jnp.linalg.eigh(white + wheel * wheels @ band.kept @ wheels.T)
+            values, vectors = jnp.linalg.eigh(white + wheel * wheels @ share @ wheels.T)
             if i == 0:
                 variance = values[:, None] + walk * band.walk
                 seen = jnp.einsum("cam,cak->cmk", slow, combine)

@@ -48,7 +48,7 @@ class Problem:
     modes: Values  # (n, M) orthonormal, the slowest first
     bands: tuple[Band, ...]
     places: tuple[slice, ...]  # modes of every band but the last, which is what they leave
-    wheel: Values  # (n, W) estimate of the true wheel rates, band by band
+    wheels: tuple[Values, ...]  # (n, W) wheel rates, the part within every band
     thrust_factor: Values  # (K, K) of the prior covariance of this event's thrusts
 
     @property
@@ -74,7 +74,6 @@ def make_problem(model: JointModel, event: ReducedEvent) -> Problem:
     places = tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
     wheel = rows.scalar[:, layout.wheel.start - offset : layout.wheel.stop - offset]
     parts = [modes[:, place] @ (modes[:, place].T @ wheel) for place in places]
-    parts.append(wheel - sum(parts))
     own, shared = model.linear.own, model.linear.shared
     return Problem(
         model=model,
@@ -84,7 +83,7 @@ def make_problem(model: JointModel, event: ReducedEvent) -> Problem:
         modes=modes,
         bands=bands,
         places=places,
-        wheel=np.sum([part @ band.kept for part, band in zip(parts, bands, strict=True)], axis=0),
+        wheels=(*parts, wheel - sum(parts)),
         thrust_factor=np.linalg.cholesky(own @ own.T + shared @ shared.T),
     )
 
@@ -103,15 +102,17 @@ def log_posterior(xp: ModuleType, special: Any, problem: Problem, x: Values) -> 
     """Log density of the data and of everything sampled, at one point x."""
     parameters, unknowns = unpacked(xp, special, problem, x)
     inertia, weights, arms, taus = physics(xp, problem, parameters)
+    kept, log_density = latent_wheels(xp, problem, parameters)
+    latent = xp.concatenate([(weights @ own).T for own in kept])
     layout = problem.terms.statistics.layout
     first = layout.rate.start - len(layout.vector)
     rate = problem.scalar[:, first : first + 3]
-    measured = rate @ inertia.T + problem.wheel @ weights.T
+    measured = rate @ inertia.T + np.concatenate(problem.wheels, axis=1) @ latent
     residual = measured - modelled(xp, problem, unknowns, arms, taus)
     rows, channels = len(problem.scalar), 3 + len(problem.terms.wheel_places)
     log_likelihood = (
-        wheel_log_density(xp, problem, parameters)
-        + gaussian(xp, problem, parameters, residual, (inertia, weights))
+        log_density
+        + gaussian(xp, problem, parameters, residual, (inertia, weights, kept))
         + rows * (xp.linalg.slogdet(inertia)[1] - 0.5 * channels * np.log(2.0 * np.pi))
     )
     return log_likelihood - 0.5 * xp.sum(x**2) - 0.5 * len(x) * np.log(2.0 * np.pi)
@@ -122,10 +123,10 @@ def gaussian(
     problem: Problem,
     parameters: dict[str, Values],
     residual: Values,
-    physical: tuple[Values, Values],
+    physical: tuple[Values, Values, list[Values]],
 ) -> Values:
     """Log density of residuals (n, 3), without the factors 2π: every band has its own noise."""
-    inertia, weights = physical
+    inertia, weights, kept = physical
     walk = parameters["torque_noise_n_m_s05"] ** 2
     white = (
         parameters["rate_noise_rad_s"] ** 2 * inertia @ inertia.T
@@ -136,8 +137,8 @@ def gaussian(
     parts = [amplitude[place] for place in problem.places]
     parts.append(residual - problem.modes @ amplitude)
     total = 0.0
-    for i, (band, part) in enumerate(zip(problem.bands, parts, strict=True)):
-        values, axes = xp.linalg.eigh(white + wheel * weights @ band.kept @ weights.T)
+    for i, (band, own, part) in enumerate(zip(problem.bands, kept, parts, strict=True)):
+        values, axes = xp.linalg.eigh(white + wheel * weights @ own @ weights.T)
         drift = walk * (band.walk if i == 0 else np.mean(band.walk, keepdims=True))
         variance = values + xp.asarray(drift)[:, None]
         each = band.rows / len(band.walk) if i == 0 else band.rows
@@ -146,19 +147,23 @@ def gaussian(
     return total
 
 
-def wheel_log_density(xp: ModuleType, problem: Problem, parameters: dict[str, Values]) -> Values:
-    """Log density of the measured wheel rates of all bands, from the tables of their integrals."""
+def latent_wheels(
+    xp: ModuleType, problem: Problem, parameters: dict[str, Values]
+) -> tuple[list[Values], Values]:
+    """Per band the matrix (W, W) from measured to true wheel rates; their summed log density."""
     log_noise = 2.0 * xp.log(parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)
-    total = 0.0
+    kept, total = [], 0.0
     for band in problem.bands:
-        knots = band.motion.x
-        t = xp.clip(log_noise - np.log(band.values), knots[0], knots[-1])
-        place = xp.clip(xp.searchsorted(xp.asarray(knots), t, side="right") - 1, 0, len(knots) - 2)
-        step = t - xp.asarray(knots)[place]
-        cubic = xp.asarray(band.motion.c[..., 0])[:, place]
+        table, knots = xp.asarray(band.motion.c), xp.asarray(band.motion.x)
+        t = xp.clip(log_noise - np.log(band.values), band.motion.x[0], band.motion.x[-1])
+        place = xp.clip(xp.searchsorted(knots, t, side="right") - 1, 0, len(band.motion.x) - 2)
+        step = (t - knots[place])[:, None]
+        cubic = table[:, place]
         found = ((cubic[0] * step + cubic[1]) * step + cubic[2]) * step + cubic[3]
-        total = total + xp.sum(found) - 0.5 * band.rows * np.sum(np.log(band.values))
-    return total
+        share = xp.clip(found[:, 1], 0.0, 1.0)
+        kept.append((band.vectors * share) @ band.vectors.T)
+        total = total + xp.sum(found[:, 0]) - 0.5 * band.rows * np.sum(np.log(band.values))
+    return kept, total
 
 
 def unpacked(
