@@ -3,6 +3,8 @@
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/flight_2009_2010
+# An environment that has the other samplers as well, for `make bench` alone.
+BENCH_PYTHON := $(BIN)/python
 
 # One BLAS thread: the work is spread over processes, and more threads would only compete.
 export OMP_NUM_THREADS := 1
@@ -53,11 +55,8 @@ docs: $(DEV_READY) ## the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs: docs/_build/html/index.html"
 
-bench: $(DEV_READY) ## the benchmarks, one after the other
-	@set -e; for script in benchmarks/bench_*.py; do \
-		[ -e "$$script" ] || { echo "no benchmarks yet"; break; }; \
-		echo "== $$script"; $(BIN)/python "$$script"; \
-	done
+bench: $(DEV_READY) ## the speed benchmark (other samplers: benchmarks/README.md)
+	$(BENCH_PYTHON) benchmarks/telemetry_speed.py --anew $(ARGS)
 
 lock: $(VENV)-lock/.uv-$(UV_VERSION) ## the lock files anew (versions and hashes of every file)
 	$(COMPILE) --output-file requirements/run.txt

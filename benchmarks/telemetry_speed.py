@@ -1,9 +1,9 @@
 """How fast telemetry is fitted: from data to effective draws, against five other samplers.
 
-Ratios in one run, as a table and a figure in docs/results. Parts that are finished are kept
-(``--parts``), so that a single part can be run again: delete its file. The other samplers (extra
-``bench`` of pyproject.toml) may be missing; then their part says so. Everything runs on one core
-at a time; times are processor time where a busy machine would spoil wall time, and say so.
+Ratios in one run, as a page with tables and a figure. Parts that are finished are kept
+(``--parts``), so that a run can be taken up again or one part repeated: delete its file. The other
+samplers (benchmarks/README.md) may be missing; then they are left out. Everything runs on one core;
+times are processor time where a busy machine would spoil wall time, and say so.
 """
 
 from __future__ import annotations
@@ -46,6 +46,9 @@ def main() -> None:
     if options.core is not None:
         os.sched_setaffinity(0, {options.core})
     folders = event_folders(options.parts / "events")
+    if options.anew:
+        for path in options.parts.glob("*.json"):
+            path.unlink()
     for name, work in parts(folders, options).items():
         if options.only and not any(name.startswith(wanted) for wanted in options.only):
             continue
@@ -60,16 +63,17 @@ def main() -> None:
     found = {
         path.stem: json.loads(path.read_text()) for path in sorted(options.parts.glob("*.json"))
     }
-    if options.page is not None:
-        page.write(options.page, found, options.quick)
-        print(f"page: {options.page}")
+    target = options.page or options.parts / "speed.md"
+    page.write(target, found, options.quick)
+    print(f"page: {target}")
 
 
 def read_options() -> argparse.Namespace:
     """Options of the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="short runs, to see that all works")
-    parser.add_argument("--page", type=Path, help="write table and figure beside this .md file")
+    parser.add_argument("--anew", action="store_true", help="measure finished parts again, too")
+    parser.add_argument("--page", type=Path, help="the .md file (default: with the parts)")
     parser.add_argument("--parts", type=Path, default=None, help="folder of finished parts")
     parser.add_argument("--only", nargs="*", default=[], help="parts whose names begin like this")
     parser.add_argument("--core", type=int, default=None, help="run on this processor core alone")
@@ -99,7 +103,7 @@ def parts(folders: list[Path], options: argparse.Namespace) -> dict[str, Callabl
         suffix = "noise" if noise else "white"
         chosen[f"own-{suffix}"] = partial(own_part, folders, noise, options)
         if any(importlib.util.find_spec(name) is None for name in NEEDED):
-            print("other samplers are not all installed (extra bench): left out")
+            print("other samplers are not all installed (benchmarks/README.md): left out")
             continue
         from speed.peers import PEERS
 
@@ -157,7 +161,7 @@ def events_part(folders: list[Path], quick: bool) -> list[Row]:
     """Time of a likelihood call against the number of joint events."""
     pairs = [(event.statistics, event.sampling) for event in reduced_events(folders[:-1])]
     counts = [1, 2, 4] if quick else [1, 2, 4, 8, 16, 32, 64]
-    return own.event_growth(pairs, counts, 3 if quick else 11)
+    return own.event_growth(pairs, counts, 3 if quick else 5)
 
 
 def reduction_part(folders: list[Path], options: argparse.Namespace) -> list[Row]:

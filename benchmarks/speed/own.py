@@ -137,7 +137,7 @@ def least_ess(fitted: Sampled) -> tuple[float, str]:
     """Smallest bulk or tail effective size of the stored draws, walked and collapsed alike."""
     model, z = fitted.model, fitted.z
     assert isinstance(model, JointModel)
-    m, n, d = z.shape
+    m, n, _ = z.shape
     walkers = fitted.chains.z.shape[2]
     drawn = draw_all(model, fitted.flat_z, np.random.default_rng(0))
     parts = {"torque": drawn.torque_n_m.reshape(len(drawn.torque_n_m), -1)}

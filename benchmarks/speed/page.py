@@ -92,11 +92,12 @@ def _fits(found: Found) -> str:
     return (
         "## From event folders to effective draws\n\n"
         + _table(header, lines)
-        + "\n\n`fit` with its default settings (four ensembles), from CSV files to the assembled fit. "
-        "The first time is when the criterion on effective sizes held first, at one of the sampler's "
-        "checks; the second includes the rest of the stop rule (length of 50 autocorrelation times, "
-        "these settled to 5 %, R-hat), the draws of everything collapsed, their own sizes, and the "
-        "fit's tables. Aims: 10 s and 60 s to ESS 2,000."
+        + "\n\n`fit` with its default settings (four ensembles), from CSV files to the assembled "
+        "fit. The first time is when the criterion on effective sizes held first, at one of the "
+        "sampler's checks; the second includes the rest of the stop rule (length of 50 "
+        "autocorrelation times, these settled to 5 %, R-hat), the draws of everything collapsed, "
+        "their own sizes, and the fit's tables. Aims: 10 s and 60 s of wall time to ESS 2,000 on "
+        "two cores."
     )
 
 
@@ -132,13 +133,13 @@ def _samplers(found: Found) -> str:
     return "## The same posterior by other samplers\n\n" + "\n\n".join(
         [
             "One bias of about 1,200 rows. *Plain* is the density of every row with nothing "
-            "integrated out, in numpy over all rows at once (in JAX for NUTS); *fast* is ours, handed "
-            "over (a copy in JAX for NUTS). ESS is the smallest bulk or tail size over all walked "
-            "parameters (on the plain likelihood also thrusts, momentum, torque and tails). Time "
+            "integrated out, in numpy over all rows at once (in JAX for NUTS); *fast* is ours, "
+            "handed over (a copy in JAX for NUTS). ESS is the smallest bulk or tail size over all "
+            "walked parameters (on the plain likelihood also thrusts, momentum, torque, tails). Time "
             "starts with the data and ends with the ESS; compilation apart, ours with reading, "
             "reduction and warm start. To be on the safe side the chains of emcee, zeus and NUTS "
-            "begin at draws of the posterior, so they pay for no search, and figures of short chains "
-            "flatter them. `<` marks a nested sampler or a warm-up not done within its time: the "
+            "begin at draws of the posterior, so they pay for no search, and figures of short "
+            "chains flatter them. `<` marks a nested sampler or a warm-up not done within its time: the "
             "bound is 2,000 over that time.",
             *text,
         ]
@@ -202,8 +203,8 @@ def _calls(found: Found) -> str:
         text.append(
             table + f"\n\nCost per event from {min(each) * CORE:.1f} to {max(each) * CORE:.1f} µs; "
             f"from two events on it varies by {max(each[1:]) / min(each[1:]) - 1:.0%}, with the "
-            f"first {max(each) / min(each) - 1:.0%} (aim 20 %). The events are six different biases, "
-            "repeated under other names."
+            f"first {max(each) / min(each) - 1:.0%} (aim 20 %). The events are six different "
+            "biases, repeated under other names."
         )
     return "\n\n".join(text)
 
