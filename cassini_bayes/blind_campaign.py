@@ -246,7 +246,8 @@ def _failures(table: pd.DataFrame) -> str:
     odd = table[(table["stratum"] == "uncatalogued") & (table["first"] != "unknown")]
     return "\n".join(
         f"| {r['index']} | {r['stratum']} | {r['hidden']} | "
-        f"{str(r['sigma']).replace('nan', '–')} | {r['first']} | {r['probability']:.3f} | {r['confounded_with']} |"
+        f"{str(r['sigma']).replace('nan', '–')} | {r['first']} | {r['probability']:.3f} | "
+        f"{r['confounded_with']} |"
         for r in pd.concat([wrong, odd]).to_dict(orient="records")
     )
 

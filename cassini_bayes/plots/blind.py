@@ -13,6 +13,8 @@ from cassini_bayes.plots.style import INK, POSTERIOR, STYLE
 
 EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 20.0, 50.0, np.inf)
 
+TICKS = (0, 1, 2, 3, 5, 10, 30, 100)
+
 
 def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame) -> Figure:
     """Power against size in σ, reliability of stated probabilities, p-values on null events."""
@@ -31,11 +33,13 @@ def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame) -> Figure:
                 counts.append(int(inside.sum()))
         power.plot(places, shares, "o-", color=POSTERIOR)
         for x, y, n in zip(places, shares, counts, strict=True):
-            power.annotate(str(n), (x, y), textcoords="offset points", xytext=(4, -10), fontsize=7)
+            power.annotate(str(n), (x, y), textcoords="offset points", xytext=(4, 5), fontsize=7)
         power.set_xscale("symlog", linthresh=1.0)
+        power.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
+        power.set_xlim(0.0, max(12.0, 1.3 * max(places, default=0.0)))
         power.set_xlabel("size (σ of the data)")
         power.set_ylabel("named first, group counts (fraction)")
-        power.set_ylim(-0.03, 1.05)
+        power.set_ylim(-0.03, 1.08)
         power.set_title("power (number of trials)", loc="left")
         stated.plot([0, 1], [0, 1], lw=0.8, color=INK)
         if len(reliability):
