@@ -54,15 +54,16 @@ def contract(
         for k in range(width):
             gathered[:] = 0.0
             for b in range(start[k], start[k + 1]):
-                for d in range(3):
-                    weight = weights[i, b, d]
-                    if weight == 0.0:
-                        continue
-                    for c in range(3):
-                        factor = precision[i, c, d] * weight
-                        line = gram[d, c, row[b]]
-                        for a in range(size):
-                            gathered[c, a] += factor * line[a]
+                u, v, w = weights[i, b, 0], weights[i, b, 1], weights[i, b, 2]
+                for c in range(3):
+                    by_x, by_y, by_z = (
+                        precision[i, c, 0] * u,
+                        precision[i, c, 1] * v,
+                        precision[i, c, 2] * w,
+                    )
+                    x, y, z = gram[0, c, row[b]], gram[1, c, row[b]], gram[2, c, row[b]]
+                    for a in range(size):
+                        gathered[c, a] += by_x * x[a] + by_y * y[a] + by_z * z[a]
             for other in range(k + 1):
                 value = 0.0
                 for b in range(start[other], start[other + 1]):
