@@ -134,13 +134,13 @@ def _samplers(found: Found) -> str:
         [
             "One bias of about 1,200 rows. *Plain* is the density of every row with nothing "
             "integrated out, in numpy over all rows at once (in JAX for NUTS); *fast* is ours, "
-            "handed over (a copy in JAX for NUTS). ESS is the smallest bulk or tail size over all "
-            "walked parameters (on the plain likelihood also thrusts, momentum, torque, tails). Time "
-            "starts with the data and ends with the ESS; compilation apart, ours with reading, "
-            "reduction and warm start. To be on the safe side the chains of emcee, zeus and NUTS "
-            "begin at draws of the posterior, so they pay for no search, and figures of short "
-            "chains flatter them. `<` marks a nested sampler or a warm-up not done within its time: the "
-            "bound is 2,000 over that time.",
+            "handed over (a copy in JAX for NUTS). ESS is the smallest bulk or tail size over "
+            "all walked parameters (on the plain likelihood also thrusts, momentum, torque, "
+            "tails). Time starts with the data and ends with the ESS; compilation apart, ours "
+            "with reading, reduction and warm start. To be on the safe side the chains of "
+            "emcee, zeus and NUTS begin at draws of the posterior, so they pay for no search, "
+            "and figures of short chains flatter them. `<` marks a nested sampler or a warm-up "
+            "not done within its time: the bound is 2,000 over that time.",
             *text,
         ]
     )
