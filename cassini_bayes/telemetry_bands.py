@@ -63,7 +63,11 @@ def make_bands(
         bands.append(_band(statistics.layout, gram, stop - start, walk[start:stop]))
         grams.append(gram)
         rest = rest - gram
-    bands.append(_band(statistics.layout, rest, statistics.rows - len(walk), np.zeros(1)))
+    rows = statistics.rows - len(walk)
+    # Σ 1/m² over the cosines that are not there, all of their variance on the rows that are left
+    beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
+    left = np.array([beyond * statistics.rows / max(rows, 1)])
+    bands.append(_band(statistics.layout, rest, rows, left))
     return bands[0], tuple(bands[1:]), modes[..., : bands[0].rows], (*grams[1:], rest)
 
 
@@ -102,9 +106,9 @@ def latent_wheels(band: Band, parameters: Mapping[str, Array]) -> tuple[Array, A
     """Best linear estimate of the true wheel rates in a band, and the wheels' own log density.
 
     Along every principal axis the R measured rates have variance V = S + σ². With even odds there
-    is no motion, S = 0, or the log of S/σ² is uniform on :data:`LOG_MOTION`. Returns
-    the matrix E[S/V] (n, W, W) that takes measured rates to their estimate, and the log density
-    (n,), constants left out.
+    is no motion, S = 0, or the log of S/σ² is uniform on :data:`LOG_MOTION`. Returns the matrix
+    E[S/V] (n, W, W) that takes measured rates to their estimate, and the log density (n,),
+    constants left out.
     """
     noise = (parameters["wheel_noise_rpm"][:, None] * RAD_S_PER_RPM) ** 2
     log_noise = np.clip(np.log(noise / band.values), *_LOG_NOISE)

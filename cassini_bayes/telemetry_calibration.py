@@ -52,6 +52,7 @@ EFFORTS: Final = ((15.0, 1, 2_500), (6.0, 3, 6_000), (5.0, 4, 12_000))
 # Some forty autocorrelation times of several hundred walkers: enough for 999 draws.
 CHAIN_STEPS: Final = 300
 MOST_RPM: Final = 1_000.0
+TAKEOVER_S: Final = 30.0
 MODEL_CODE: Final = (
     "distributions",
     "delta_v_terms",
@@ -268,9 +269,10 @@ def samples_of(event: SimulatedEvent) -> tuple[Samples, tuple[str, ...]]:
 
 
 def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Generator) -> Samples:
-    """Telemetry whose wheels have also taken up the momentum of a white torque, as much as is true.
+    """Telemetry with the momentum of a white torque in it, as much as is true.
 
-    The simulation knows no such torque. Its momentum is conserved in inertial axes, as all is.
+    The simulation knows no such torque. Its momentum, conserved in inertial axes, goes to the
+    body's rates first, from where the wheels take it over with the controller's time constant.
     """
     plan = event.plan
     density = plan.parameters["torque_noise_n_m_s05"]
@@ -286,8 +288,24 @@ def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Ge
     inertial = np.cumsum(np.einsum("nab,na->nb", to_body, kicks), axis=0)
     momentum = np.full((len(samples), 3), np.nan)
     momentum[known] = np.einsum("nab,nb->na", to_body, inertial)
-    taken = np.linalg.pinv(physics.wheel_weights[:, places]) @ momentum.T
-    return replace(samples, wheel_rad_s=samples.wheel_rad_s + taken.T)
+    by_wheels = np.full_like(momentum, np.nan)
+    by_wheels[known] = _taken_over(momentum[known], steps**2 / TAKEOVER_S)
+    wheels = by_wheels @ np.linalg.pinv(physics.wheel_weights[:, places]).T
+    rates = (momentum - by_wheels) @ np.linalg.inv(physics.inertia_kg_m2).T
+    return replace(
+        samples,
+        rate_rad_s=samples.rate_rad_s + rates,
+        wheel_rad_s=samples.wheel_rad_s + wheels,
+    )
+
+
+def _taken_over(momentum: Array, steps: Array) -> Array:
+    """A first-order lag of momentum (n, 3); ``steps`` (n,) are times between rows over τ."""
+    taken = np.zeros_like(momentum)
+    for i, share in enumerate(-np.expm1(-steps)):
+        before = taken[i - 1] if i > 0 else np.zeros(3)
+        taken[i] = before + share * (momentum[i] - before)
+    return taken
 
 
 def log_density_of(model: JointModel, variant: Variant) -> LogDensity:

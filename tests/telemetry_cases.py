@@ -89,7 +89,8 @@ def reduced(
     layout = Layout((1, 2, 4), names, sampling.couples)
     edges = np.linspace(0, len(samples), chunks + 1).astype(int)
     parts = [samples.part(a, b) for a, b in pairwise(edges)]
-    return reduce_chunks(event_id, "bias", parts, layout, sampling), sampling
+    kind = "bias" if fires else "slew"
+    return reduce_chunks(event_id, kind, parts, layout, sampling), sampling
 
 
 def model_of(events: list[Samples]) -> JointModel:
@@ -295,7 +296,8 @@ def plain_bands(times: Array, duration: float) -> list[tuple[Array, Array]]:
             variance = np.full_like(variance, variance.mean())
         bands.append((own @ own.T, own * variance @ own.T))
     rest = np.eye(len(times)) - modes[:, :count] @ modes[:, :count].T
-    return [*bands, (rest, np.zeros_like(rest))]
+    beyond = 2 * duration / np.pi**2 / (count - 0.5) * len(times) / (len(times) - count)
+    return [*bands, (rest, beyond * rest)]
 
 
 def plain_latent(wheels: Array, rows: int, noise: float) -> tuple[Array, float]:

@@ -105,21 +105,23 @@ def test_the_judgement_is_over_all_variants_together() -> None:
 
 
 def test_torque_noise_walks_in_inertial_axes() -> None:
-    """Wheels gain the momentum of a white torque: variance density² t, none at zero density."""
+    """Wheels and body gain the momentum of a white torque, of variance density² t together."""
     campaign = TelemetryCampaign(SCENARIO, PRIORS, 4, VARIANTS[2])
     priors = campaign.priors().with_fixed("torque_noise_n_m_s05", 1e-3)
     event = campaign.simulate(priors, np.random.default_rng(3)).events[0]
     samples, _ = samples_of(event)
-    weights = physics_of(
+    physics = physics_of(
         event.plan.spacecraft,
         "",
         {name: np.asarray(value) for name, value in event.plan.parameters.items()},
         fires=False,
-    ).wheel_weights[:, [0, 1, 3]]
+    )
+    weights = physics.wheel_weights[:, [0, 1, 3]]
     end, half = [], []
     for seed in range(200):
         noisy = with_torque_noise(samples, event, np.random.default_rng(seed))
         gained = (noisy.wheel_rad_s - samples.wheel_rad_s) @ weights.T
+        gained += (noisy.rate_rad_s - samples.rate_rad_s) @ physics.inertia_kg_m2
         end.append(gained[-1])
         half.append(gained[len(gained) // 4])
     # 600 values: relative standard error of a variance 0.058
