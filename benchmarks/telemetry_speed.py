@@ -78,6 +78,7 @@ def read_options() -> argparse.Namespace:
     parser.add_argument("--only", nargs="*", default=[], help="parts whose names begin like this")
     parser.add_argument("--core", type=int, default=None, help="run on this processor core alone")
     parser.add_argument("--budget", type=float, default=60.0, help="seconds for each peer")
+    parser.add_argument("--steps", type=int, default=5_000, help="most steps of the whole fits")
     parser.add_argument("--long", action="store_true", help="1e8 rows of reduction as well")
     options = parser.parse_args()
     if options.parts is None:
@@ -94,8 +95,10 @@ def parts(folders: list[Path], options: argparse.Namespace) -> dict[str, Callabl
         "calls-samples": partial(samples_part, folders, quick),
         "calls-events": partial(events_part, folders, quick),
         "reduction": partial(reduction_part, folders, options),
-        "fit-one": lambda: [own.fit_row(folders[:1], "one bias", quick)],
-        "fit-seven": lambda: [own.fit_row(folders, "six biases and a slew set", quick)],
+        "fit-one": lambda: [own.fit_row(folders[:1], "one bias", options.steps, quick)],
+        "fit-seven": lambda: [
+            own.fit_row(folders, "six biases and a slew set", options.steps, quick)
+        ],
     }
     if options.long:
         chosen["reduction-long"] = lambda: [reduction.reduce_row(folders[0], 10**8)]

@@ -46,13 +46,13 @@ class Stages:
         return time.perf_counter() - self._began[0], time.process_time() - self._began[1]
 
 
-def fit_row(folders: list[Path], label: str, quick: bool = False) -> Row:
+def fit_row(folders: list[Path], label: str, most_steps: int, quick: bool = False) -> Row:
     """From event folders to a fit with the effective draws asked for, stage by stage."""
     stages = Stages()
     events = reduced_events(folders)
     model = model_of(events)
     read = stages.now()
-    settings = SamplerSettings(target_ess=100 if quick else TARGET)
+    settings = SamplerSettings(target_ess=100 if quick else TARGET, max_steps=most_steps)
     if quick:
         settings = replace(settings, first_check=40, max_steps=60)
     fitted = fit_model(model, settings, events=events, progress=stages.note)
