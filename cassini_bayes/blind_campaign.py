@@ -15,7 +15,7 @@ from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
 from cassini_bayes import __version__
-from cassini_bayes.criticism.blind import STRATA, Blind, run_trial, trial_file
+from cassini_bayes.criticism.blind import STRATA, Blind, code_digest, is_done, run_trial
 from cassini_bayes.plots import encode
 from cassini_bayes.plots.blind import blind_figure, confusion_figure
 from cassini_bayes.storage import write_bytes, write_text
@@ -37,8 +37,9 @@ DETECTED_NATS: Final = 12.5
 def run_campaign(
     campaign: Blind, trials: int, folder: Path, jobs: int
 ) -> Iterator[tuple[int, int]]:
-    """Run the trials that are not yet in ``folder``; yields (done, total) as they finish."""
-    missing = [i for i in range(trials) if not trial_file(folder, i).exists()]
+    """Run the trials that this code has not left in ``folder``; yields (done, total)."""
+    code = code_digest()
+    missing = [i for i in range(trials) if not is_done(campaign, i, folder, code)]
     done = trials - len(missing)
     yield done, trials
     with ProcessPoolExecutor(max_workers=jobs) as pool:

@@ -68,18 +68,8 @@ NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
 KEPT_CAUSES: Final = 8
 NEWTON_STEPS: Final = 3
 SHIFT: Final = 5e-3  # prior scales: small enough for the noise levels to stay where they are
-DIAGNOSIS_CODE: Final = (
-    "blind.py",
-    "catalogue.py",
-    "columns.py",
-    "effects.toml",
-    "evidence.py",
-    "extended.py",
-    "innovations.py",
-    "kinematics.py",
-    "modifiers.py",
-    "naming.py",
-)
+NO_DIAGNOSIS: Final = ("cli", "plots", "report", "templates")
+"""Folders of the package whose code no verdict depends on."""
 _LEAST_FACTOR: Final = 0.15
 
 
@@ -473,11 +463,13 @@ def _sizes(
 
 
 def code_digest() -> str:
-    """SHA-256 over the modules and the catalogue that a verdict depends on."""
-    folder = Path(__file__).parent
+    """SHA-256 over the package's modules and tables that a verdict can depend on."""
+    root = Path(__file__).parents[1]
     total = hashlib.sha256()
-    for name in DIAGNOSIS_CODE:
-        total.update((folder / name).read_bytes())
+    for path in sorted([*root.rglob("*.py"), *root.rglob("*.toml")]):
+        place = path.relative_to(root)
+        if place.parts[0] not in NO_DIAGNOSIS:
+            total.update(place.as_posix().encode() + b"\0" + path.read_bytes())
     return total.hexdigest()[:16]
 
 
@@ -486,8 +478,15 @@ def trial_file(folder: Path, index: int) -> Path:
     return folder / f"trial_{index:04d}.json"
 
 
-def run_trial(campaign: Blind, index: int, folder: Path) -> None:
-    """Run a trial and keep its record, unless it is there."""
+def is_done(campaign: Blind, index: int, folder: Path, code: str) -> bool:
+    """Whether the trial's record is there and was made by this campaign and code."""
     path = trial_file(folder, index)
     if not path.exists():
-        write_text(path, json.dumps(trial(campaign, index)) + "\n")
+        return False
+    found = json.loads(path.read_text(encoding="utf-8"))
+    return bool(found["seed"] == campaign.seed and found["code"] == code)
+
+
+def run_trial(campaign: Blind, index: int, folder: Path) -> None:
+    """Run a trial and keep its record."""
+    write_text(trial_file(folder, index), json.dumps(trial(campaign, index)) + "\n")

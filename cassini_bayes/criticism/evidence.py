@@ -25,6 +25,9 @@ LEAST_CURVATURE: Final = 0.05
 RIDGE_ROUNDS: Final = 2
 FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
 LEAST_RIDGE: Final = 1e-6
+FAR_MOVED: Final = 3.0  # baseline standard deviations along an axis
+RENEWALS: Final = 4
+OWN_START: Final = 0.1
 STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
 WORTH_A_SEARCH: Final = -1.0  # nats of log density against the baseline's mode
 DRAWS: Final = 1_000
@@ -149,7 +152,25 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
         point = climb(density, point, axes)
         axes = _along_ridges(density, point, axes, d)
     inner = _own_rows(density, point, axes, d)
-    return _mode(density, point, _cholesky(axes @ _inverse_factor(inner)))
+    mode = _mode(density, point, _cholesky(axes @ _inverse_factor(inner)))
+    moved = np.abs(np.linalg.solve(base.factor, point[:d] - base.point)).max()
+    return _renewed(density, mode, base) if moved > FAR_MOVED else mode
+
+
+def _renewed(density: LogDensity, mode: Mode, base: Mode) -> Mode:
+    """Mode and its whole curvature anew, where the nuisances went far from the baseline's mode.
+
+    Their curvature there is not the baseline's: near a bound of its prior a parameter hardly moves.
+    """
+    d, size = len(base.point), len(mode.point)
+    point, factor = mode.point, OWN_START * np.eye(size)
+    factor[:d, :d] = OWN_START * base.factor
+    for _ in range(RENEWALS):
+        _, matrix = curvature(density, point, factor)
+        factor = factor @ _inverse_factor(matrix)
+    point = climb(density, point, factor)
+    _, matrix = curvature(density, point, factor)
+    return _mode(density, point, _cholesky(factor @ _inverse_factor(matrix)))
 
 
 def _along_ridges(density: LogDensity, point: Array, axes: Array, d: int) -> Array:

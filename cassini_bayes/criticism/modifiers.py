@@ -139,19 +139,16 @@ def _pulse_shape(physics: Physics, _: Parameters, values: Values, __: Setting) -
     return replace(physics, impulse_offset_s=np.asarray(physics.impulse_offset_s) + offset)
 
 
-def _pulse_shape_in_rows(
-    physics: Physics, parameters: Parameters, values: Values, setting: Setting
-) -> Physics:
-    """The offset as more tail: tails turn with the body after the pulse, counts of pulses do not.
+def _pulse_shape_in_rows(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:
+    """More impulse as a longer tail, less as a slower rise: both turn with the body later.
 
-    An offset shorter than all of the tail leaves the rest to the counts.
+    Counts of pulses do not: they stand in the body axes of the row that shows them.
     """
     delay, rise, fall = physics.tau_s
     offset = values["impulse_time_offset_s"]
-    longer = np.maximum(fall + offset, np.minimum(fall, LEAST_TAU_S))
-    rest = {"impulse_time_offset_s": offset - (longer - fall)}
-    changed = replace(physics, tau_s=(delay, rise, longer))
-    return _pulse_shape(changed, parameters, rest, setting)
+    return replace(
+        physics, tau_s=(delay, rise + np.maximum(-offset, 0.0), fall + np.maximum(offset, 0.0))
+    )
 
 
 def _centre(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
