@@ -36,13 +36,14 @@ class Band:
 
     ``values`` (W,) are the measured wheel rates' mean squares, rad²/s², along the principal axes
     ``vectors`` (W, W); ``walk`` (R,) or (1,) are the variances of a unit random walk's modes, s.
+    ``motion`` is None where wheels move by any amount at all frequencies.
     """
 
     rows: int
     values: Array
     vectors: Array
     walk: Array
-    motion: CubicSpline  # of :func:`motion_table`
+    motion: CubicSpline | None  # of :func:`motion_table`
 
 
 def make_bands(
@@ -50,31 +51,36 @@ def make_bands(
 ) -> tuple[Band, tuple[Band, ...], Array, tuple[Array, ...]]:
     """Split an event's rows into bands.
 
+    In slews the wheels are what turns the body, at every frequency that the controller has: nothing
+    is said of them in any band, and next to nothing lost, the rates being far above their noise.
+
     Returns the slow band, the fast bands (octaves of the faster modes, and all that no mode
     explains), all columns' coordinates (3, A, M) on the slow modes, and the Gram matrices
     (3, 3, A, A) of the fast bands.
     """
     walk, modes = turned_modes(statistics)
+    turning = statistics.kind == "slew"
     edges = [0, *(edge for edge in EDGES if edge < len(walk)), len(walk)]
     bands, grams, rest = [], [], statistics.gram
     for start, stop in pairwise(edges):
         part = modes[..., start:stop]
         gram = np.einsum("cam,dbm->cdab", part, part)
-        bands.append(_band(statistics.layout, gram, stop - start, walk[start:stop]))
+        bands.append(_band(statistics.layout, gram, stop - start, walk[start:stop], turning))
         grams.append(gram)
         rest = rest - gram
     rows = statistics.rows - len(walk)
     # Σ 1/m² over the cosines that are not there, all of their variance on the rows that are left
     beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
     left = np.array([beyond * statistics.rows / max(rows, 1)])
-    bands.append(_band(statistics.layout, rest, rows, left))
+    bands.append(_band(statistics.layout, rest, rows, left, turning))
     return bands[0], tuple(bands[1:]), modes[..., : bands[0].rows], (*grams[1:], rest)
 
 
-def _band(layout: Layout, gram: Array, rows: int, walk: Array) -> Band:
+def _band(layout: Layout, gram: Array, rows: int, walk: Array, turning: bool) -> Band:
     square = gram[0, 0, layout.wheel, layout.wheel]
     values, vectors = np.linalg.eigh(square / max(rows, 1))
-    return Band(rows, np.maximum(values, _LEAST_SQUARE), vectors, walk, motion_table(rows))
+    motion = None if turning else motion_table(rows)
+    return Band(rows, np.maximum(values, _LEAST_SQUARE), vectors, walk, motion)
 
 
 def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
@@ -108,8 +114,11 @@ def latent_wheels(band: Band, parameters: Mapping[str, Array]) -> tuple[Array, A
     Along every principal axis the R measured rates have variance V = S + σ². With even odds there
     is no motion, S = 0, or the log of S/σ² is uniform on :data:`LOG_MOTION`. Returns the matrix
     E[S/V] (n, W, W) that takes measured rates to their estimate, and the log density (n,),
-    constants left out.
+    constants left out; in slews all is motion, and the density flat.
     """
+    if band.motion is None:
+        n = len(parameters["wheel_noise_rpm"])
+        return np.broadcast_to(np.eye(len(band.values)), (n, *band.vectors.shape)), np.zeros(n)
     noise = (parameters["wheel_noise_rpm"][:, None] * RAD_S_PER_RPM) ** 2
     log_noise = np.clip(np.log(noise / band.values), *_LOG_NOISE)
     log_density, share = np.moveaxis(band.motion(log_noise), -1, 0)

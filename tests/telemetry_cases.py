@@ -230,7 +230,9 @@ def plain_log_likelihood(
         y = np.array(rows.rates) @ inertia
         total = np.zeros((3 * n, 3 * n))
         for share, drift in plain_bands(np.array(rows.times), sampling.duration_s):
-            kept, density = plain_latent(share @ wheels, round(np.trace(share)), wheel_noise)
+            kept, density = np.eye(3), 0.0
+            if fires:
+                kept, density = plain_latent(share @ wheels, round(np.trace(share)), wheel_noise)
             y = y + share @ wheels @ (weights @ kept).T
             total += np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
             total += values["torque_noise_n_m_s05"] ** 2 * np.kron(drift, np.eye(3))
