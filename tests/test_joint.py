@@ -40,7 +40,7 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
         made_up_samples(rng, 300),  # enough for all bands
     ]
     model = model_of(events)
-    for z in 0.7 * model.space.sample(rng, 2):
+    for z in 0.5 * model.space.sample(rng, 2):
         parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
         plain = plain_log_likelihood(model, events, parameters)
         assert joint_log_likelihood(model, z[None])[0] == pytest.approx(plain, rel=1e-9)
