@@ -64,7 +64,7 @@ def main() -> None:
         path.stem: json.loads(path.read_text()) for path in sorted(options.parts.glob("*.json"))
     }
     target = options.page or options.parts / "speed.md"
-    page.write(target, found, options.quick)
+    page.write(target, found, options.quick, options.note)
     print(f"page: {target}")
 
 
@@ -74,6 +74,7 @@ def read_options() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="short runs, to see that all works")
     parser.add_argument("--anew", action="store_true", help="measure finished parts again, too")
     parser.add_argument("--page", type=Path, help="the .md file (default: with the parts)")
+    parser.add_argument("--note", default="", help="a sentence for the head of the page")
     parser.add_argument("--parts", type=Path, default=None, help="folder of finished parts")
     parser.add_argument("--only", nargs="*", default=[], help="parts whose names begin like this")
     parser.add_argument("--core", type=int, default=None, help="run on this processor core alone")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,30 +12,30 @@ from matplotlib.figure import Figure
 
 from cassini_bayes.plots.style import STYLE
 from cassini_bayes.storage import write_bytes, write_text
+from speed.aims import aims
+from speed.tables import Found, Row, rows_of, table
 
-Row = dict[str, Any]
-Found = Mapping[str, Any]
 TARGET = 2_000
 CORE = 1e6
 
 
-def write(path: Path, found: Found, quick: bool) -> None:
+def write(path: Path, found: Found, quick: bool, note: str = "") -> None:
     """Write the page, its figure and its CSV."""
     if not found:
         raise SystemExit("no part is finished")
     title = "# Speed of fitting telemetry" + (" (quick run)" if quick else "")
-    sections = [title, _head(found, path), _fits(found), _samplers(found), _calls(found)]
+    sections = [
+        title,
+        _head(found, path),
+        aims(found),
+        _fits(found),
+        _samplers(found),
+        _calls(found),
+    ]
     sections += [_reduction(found), _notes(found)]
     write_text(path, "\n\n".join(section for section in sections if section) + "\n")
     write_bytes(path.with_suffix(".png"), _figure(found))
     write_text(path.with_suffix(".csv"), _csv(found))
-
-
-def rows_of(found: Found, beginning: str) -> list[Row]:
-    """Rows of all finished parts whose names begin like this."""
-    return [
-        row for name, part in found.items() if name.startswith(beginning) for row in part["rows"]
-    ]
 
 
 def _head(found: Found, path: Path) -> str:
@@ -46,7 +45,7 @@ def _head(found: Found, path: Path) -> str:
     return (
         f"Made by `python benchmarks/telemetry_speed.py --page {path.as_posix()}` with version "
         f"{one['version']} on {one['date']}; seed 20101. {one['processor']}, Python "
-        f"{one['python']}; {packages}. One core at a time, one thread. The machine was shared: its "
+        f"{one['python']}; {packages}. One thread. The machine was shared: its "
         f"load was {min(loads):.1f} to {max(loads):.1f} on {one['cores']} cores, so times are "
         "**processor seconds** of that one core unless they say wall; on an idle machine the two "
         f"agree.\n\n![Effective draws per second of every sampler, and the cost of a likelihood "
@@ -62,12 +61,6 @@ def _packages(found: Found) -> dict[str, str]:
         for name, number in part["circumstances"]["packages"].items()
         if number != "not installed"
     }
-
-
-def _table(header: Iterable[str], lines: Iterable[Iterable[str]]) -> str:
-    names = list(header)
-    text = ["| " + " | ".join(names) + " |", "|" + "---|" * len(names)]
-    return "\n".join(text + ["| " + " | ".join(line) + " |" for line in lines])
 
 
 def _fits(found: Found) -> str:
@@ -91,7 +84,7 @@ def _fits(found: Found) -> str:
     ]  # fmt: skip
     return (
         "## From event folders to effective draws\n\n"
-        + _table(header, lines)
+        + table(header, lines)
         + "\n\n`fit` with its default settings (four ensembles), from CSV files to the assembled "
         "fit. The first time is when the criterion on effective sizes held first, at one of the "
         "sampler's checks; the second includes the rest of the stop rule (length of 50 "
@@ -130,7 +123,7 @@ def _samplers(found: Found) -> str:
         ]  # fmt: skip
         lines += [_peer_line(row, rate) for row in peers]
         word = "with" if noise else "without"
-        text.append(f"### {word.capitalize()} torque noise\n\n" + _table(header, lines))
+        text.append(f"### {word.capitalize()} torque noise\n\n" + table(header, lines))
         text.append(_verdict(peers, ours))
     if not text:
         return ""
@@ -200,8 +193,8 @@ def _calls(found: Found) -> str:
             (f"{r['rows']:,}", f"{r['call_s'] * CORE:.1f}", f"{r['call_s'] / first:.2f}")
             for r in samples
         ]
-        table = _table(("rows of telemetry", "µs per point", "against the first"), lines)
-        text.append("## Cost of a likelihood call\n\nOne bias; aim 1.1 at 10⁶ rows.\n\n" + table)
+        whole = table(("rows of telemetry", "µs per point", "against the first"), lines)
+        text.append("## Cost of a likelihood call\n\nOne bias; aim 1.1 at 10⁶ rows.\n\n" + whole)
     if events:
         lines = [
             (
@@ -211,9 +204,9 @@ def _calls(found: Found) -> str:
             for r in events
         ]  # fmt: skip
         each = [r["call_s"] / r["events"] for r in events]
-        table = _table(("joint events", "walked", "µs per point", "µs per point and event"), lines)
+        whole = table(("joint events", "walked", "µs per point", "µs per point and event"), lines)
         text.append(
-            table + f"\n\nCost per event from {min(each) * CORE:.1f} to {max(each) * CORE:.1f} µs; "
+            whole + f"\n\nCost per event from {min(each) * CORE:.1f} to {max(each) * CORE:.1f} µs; "
             f"from two events on it varies by {max(each[1:]) / min(each[1:]) - 1:.0%}, with the "
             f"first {max(each) / min(each) - 1:.0%} (aim 20 %). The events are six different "
             "biases, repeated under other names."
@@ -234,9 +227,7 @@ def _reduction(found: Found) -> str:
     ]  # fmt: skip
     header = ("step", "rows", "processor time (s)", "rows per second and core", "peak memory (MiB)")
     return (
-        "## Reduction\n\n"
-        + _table(header, lines)
-        + "\n\nPeak memory is that of the whole process, "
+        "## Reduction\n\n" + table(header, lines) + "\n\nPeak memory is that of the whole process, "
         "interpreter and libraries included. Rows of the reduction are made up on the fly, "
         "chunks of 100,000 at a time. Aim: 200,000 rows per second and core."
     )
@@ -254,7 +245,7 @@ def _notes(found: Found) -> str:
     return (
         "## The same posterior\n\nLargest relative differences from our log posterior over five "
         "points drawn about the prior's centre. The plain density is Gaussian in everything that "
-        "we integrate out, so its integral is exact.\n\n" + _table(("torque noise", *names), lines)
+        "we integrate out, so its integral is exact.\n\n" + table(("torque noise", *names), lines)
     )
 
 
