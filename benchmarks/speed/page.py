@@ -27,6 +27,7 @@ def write(path: Path, found: Found, quick: bool, note: str = "") -> None:
     sections = [
         title,
         _head(found, path),
+        note,
         aims(found),
         _fits(found),
         _samplers(found),
