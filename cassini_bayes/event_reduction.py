@@ -288,11 +288,7 @@ def nominal_values(priors: Priors) -> dict[str, float]:
     geometry = spacecraft.geometry[priors.branch]
     needed = (*INERTIA_PARAMETERS, *CENTRE_OF_MASS, *geometry.parameters, *FIRING_PARAMETERS)
     priors.require(needed, "telemetry")
-    absent = [
-        name
-        for wheel in spacecraft.wheels
-        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
-    ]
+    absent = [name for wheel in spacecraft.wheels for name in wheel.parameters]
     nominal = dict.fromkeys(absent, 0.0)
     for name, prior in priors.parameters.items():
         if prior.distribution is not None:

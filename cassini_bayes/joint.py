@@ -213,11 +213,7 @@ def build_joint_model(
     space = priors.space(names)
     _refuse_free_delay(space, fired, priors.path)
     means, scales = normal_priors(priors, TORQUES)
-    own_names = [
-        name
-        for wheel in spacecraft.wheels
-        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
-    ]
+    own_names = [name for wheel in spacecraft.wheels for name in wheel.parameters]
     nominal = {**dict.fromkeys(own_names, 0.0), **_centre(space)}
     model = JointModel(
         spacecraft=spacecraft,
@@ -287,7 +283,7 @@ def _wheel_names(
         name
         for wheel in priors.spacecraft.wheels
         if wheel.number in used
-        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
+        for name in wheel.parameters
     ]
 
 

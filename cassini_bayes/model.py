@@ -188,7 +188,7 @@ def build_model(
             name
             for wheel in spacecraft.wheels
             if (wheel.number in priors.wheels) == prime
-            for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
+            for name in wheel.parameters
         ]
         for prime in (True, False)
     )

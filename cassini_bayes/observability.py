@@ -29,7 +29,7 @@ from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryTerms,
     balance_weights,
-    cut_probability,
+    cut_tail_sd,
     noise_covariance,
 )
 from cassini_bayes.terms import RAD_S_PER_RPM
@@ -198,19 +198,13 @@ def _columns(model: JointModel, terms: TelemetryTerms, weights: Array) -> Array:
     walked = (residual[1 : d + 1] - residual[d + 1 :]) / (2.0 * STEP)
     thrust = -by_owner[0, :k]
     sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), model.torque_sd_n_m])
-    tails = _tail_sd(terms)
+    tails = cut_tail_sd(terms)
     own = -by_owner[0, k:last] * np.concatenate([sd, tails])[:, None, None]
     parts = [walked]
     if k:
         parts.append(np.einsum("kca,kq->qca", thrust, model.linear.shared))
         parts.append(np.einsum("kca,kq->qca", thrust, model.linear.own))
     return np.concatenate([*parts, own])
-
-
-def _tail_sd(terms: TelemetryTerms) -> Array:
-    probability = cut_probability(terms.statistics.counter_interval_s)
-    counts = terms.statistics.close_pairs[list(terms.pattern.cuts)]
-    return np.asarray(np.sqrt(probability * (1.0 - probability)) / np.sqrt(counts))
 
 
 def _whitened(

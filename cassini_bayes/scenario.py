@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cassini_bayes.errors import InputError
 from cassini_bayes.events import TotalsEvent, write_totals
 from cassini_bayes.priors import ZERO_CENTRED, Priors, read_priors
@@ -31,10 +34,13 @@ from cassini_bayes.simulation import (
     truth_fields,
     truth_text,
 )
+from cassini_bayes.statistics import Samples
 from cassini_bayes.storage import write_text
+from cassini_bayes.terms import RAD_S_PER_RPM
 
 TRUTH_FILE: Final = "truth.json"
 TOTALS_FILE: Final = "totals.csv"
+MOST_RPM: Final = 1_000.0  # of wheel rates drawn anew
 
 
 class Reporter(Protocol):
@@ -70,6 +76,34 @@ class Simulation:
             for event in self.events
             if event.plan.event.kind == "bias"
         )
+
+
+def draw_wheel_rates(events: Iterable[dict[str, Any]], rng: np.random.Generator) -> None:
+    """Give the events of a scenario's document other wheel rates, uniform within ±1,000 rpm."""
+    for event in events:
+        for key in ("from_rpm", "to_rpm"):
+            if key in event:
+                event[key] = [float(x) for x in rng.uniform(-MOST_RPM, MOST_RPM, 3)]
+
+
+def simulated_samples(event: SimulatedEvent) -> tuple[Samples, tuple[str, ...]]:
+    """A simulated event's telemetry as samples, wheel rates in rad/s, and its thrusters' names."""
+    columns = event.telemetry.columns
+    rows = len(event.telemetry.time_s)
+    thrusters = tuple(name for name in event.motion.pulses if f"pulses_{name}" in columns)
+
+    def stacked(names: list[str]) -> NDArray[np.float64]:
+        return np.stack([columns[name] for name in names], 1) if names else np.empty((rows, 0))
+
+    wheels = [event.plan.spacecraft.wheel(number).name for number in event.plan.wheel_numbers]
+    return Samples(
+        np.asarray(event.telemetry.time_s),
+        stacked(["q1", "q2", "q3", "q4"]),
+        stacked([f"rate_{axis}_rad_s" for axis in "xyz"]),
+        RAD_S_PER_RPM * stacked([f"{name}_rpm" for name in wheels]),
+        stacked([f"on_time_{name}_s" for name in thrusters]),
+        stacked([f"pulses_{name}" for name in thrusters]),
+    ), thrusters
 
 
 def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> Truth:

@@ -32,12 +32,16 @@ from cassini_bayes.physics import physics_of
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.ranks import rank
 from cassini_bayes.sampling import SamplerSettings, sample
-from cassini_bayes.scenario import Simulation, simulate_file
+from cassini_bayes.scenario import (
+    Simulation,
+    draw_wheel_rates,
+    simulate_file,
+    simulated_samples,
+)
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.statistics import EventStatistics, Layout, Samples, Sampling, reduce_chunks
 from cassini_bayes.statistics.columns import direction_cosines
 from cassini_bayes.storage import digest
-from cassini_bayes.terms import RAD_S_PER_RPM
 from cassini_bayes.warmstart import warm_start
 
 Array = NDArray[np.float64]
@@ -51,7 +55,6 @@ RANK_DRAWS: Final = 999
 EFFORTS: Final = ((15.0, 1, 2_500), (6.0, 3, 6_000), (5.0, 4, 12_000))
 # Some forty autocorrelation times of several hundred walkers: enough for 999 draws.
 CHAIN_STEPS: Final = 300
-MOST_RPM: Final = 1_000.0
 TAKEOVER_S: Final = 30.0
 MODEL_CODE: Final = (
     "distributions",
@@ -190,10 +193,7 @@ class TelemetryCampaign:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
         document["telemetry"] |= self.variant.telemetry
         document["event"] = [e for e in document["event"] if e["id"] in self.variant.events]
-        for event in document["event"]:
-            for key in ("from_rpm", "to_rpm"):
-                if key in event:
-                    event[key] = [float(x) for x in rng.uniform(-MOST_RPM, MOST_RPM, 3)]
+        draw_wheel_rates(document["event"], rng)
         scenario = scenario_of(document, path.parent, str(path))
         return simulate_file(scenario, int(rng.integers(2**62)), priors=priors)
 
@@ -231,7 +231,7 @@ def joint_model_of(
     """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
     reduced = []
     for event in simulation.events:
-        samples, thrusters = samples_of(event)
+        samples, thrusters = simulated_samples(event)
         samples = with_torque_noise(samples, event, rng)
         duration = float(samples.time_s[-1])
         sampling = sampling_of(priors, thrusters, duration, "first_order")
@@ -246,26 +246,6 @@ def _statistics(
 ) -> EventStatistics:
     layout = Layout(tuple(event.plan.wheel_numbers), thrusters, sampling.couples)
     return reduce_chunks(event.plan.event.id, event.plan.event.kind, [samples], layout, sampling)
-
-
-def samples_of(event: SimulatedEvent) -> tuple[Samples, tuple[str, ...]]:
-    """A simulated event's telemetry as samples, and the names of its thrusters."""
-    columns = event.telemetry.columns
-    rows = len(event.telemetry.time_s)
-    thrusters = tuple(name for name in event.motion.pulses if f"pulses_{name}" in columns)
-
-    def stacked(names: list[str]) -> Array:
-        return np.stack([columns[name] for name in names], 1) if names else np.empty((rows, 0))
-
-    wheels = [event.plan.spacecraft.wheel(number).name for number in event.plan.wheel_numbers]
-    return Samples(
-        np.asarray(event.telemetry.time_s),
-        stacked(["q1", "q2", "q3", "q4"]),
-        stacked([f"rate_{axis}_rad_s" for axis in "xyz"]),
-        RAD_S_PER_RPM * stacked([f"{name}_rpm" for name in wheels]),
-        stacked([f"on_time_{name}_s" for name in thrusters]),
-        stacked([f"pulses_{name}" for name in thrusters]),
-    ), thrusters
 
 
 def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Generator) -> Samples:

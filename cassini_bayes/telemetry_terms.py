@@ -401,13 +401,18 @@ def _weights(
                     on_time = factor[:, thruster] * np.asarray(physics.extra[name])
                     weights[:, cuts + i] = on_time[:, None] * arm
         couples = terms.statistics.layout.couples
-        counts = terms.statistics.close_pairs
-        spread = np.sqrt(probability * (1.0 - probability))
+        own_sd[:] = cut_tail_sd(terms)
         for i, place in enumerate(pattern.cuts):
             members = list(couples[place // CUT_PARTS])
             weights[:, own + 6 + i] = thrust_n * lost[:, None] * arms[..., members].sum(-1)
-            own_sd[:, i] = spread / np.sqrt(counts[place])
     return weights, own_sd
+
+
+def cut_tail_sd(terms: TelemetryTerms) -> Array:
+    """Prior sd (S,) of the share of n close pairs whose tail was cut: (p (1 − p)/n)^½."""
+    probability = cut_probability(terms.statistics.counter_interval_s)
+    pairs = terms.statistics.close_pairs[list(terms.pattern.cuts)]
+    return np.asarray(np.sqrt(probability * (1.0 - probability)) / np.sqrt(pairs))
 
 
 def pulse_weights(sampling: Sampling, physics: Physics) -> Array:

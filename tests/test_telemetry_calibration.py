@@ -9,6 +9,7 @@ import pytest
 
 from cassini_bayes.physics import physics_of
 from cassini_bayes.ranks import Ranks
+from cassini_bayes.scenario import simulated_samples
 from cassini_bayes.telemetry_calibration import (
     CONTROLS,
     VARIANTS,
@@ -16,7 +17,6 @@ from cassini_bayes.telemetry_calibration import (
     flat_draws,
     flat_truth,
     joint_model_of,
-    samples_of,
     with_torque_noise,
 )
 from cassini_bayes.telemetry_campaign import QUICK, REPETITIONS, judge
@@ -109,7 +109,7 @@ def test_torque_noise_walks_in_inertial_axes() -> None:
     campaign = TelemetryCampaign(SCENARIO, PRIORS, 4, VARIANTS[2])
     priors = campaign.priors().with_fixed("torque_noise_n_m_s05", 1e-3)
     event = campaign.simulate(priors, np.random.default_rng(3)).events[0]
-    samples, _ = samples_of(event)
+    samples, _ = simulated_samples(event)
     physics = physics_of(
         event.plan.spacecraft,
         "",

@@ -21,6 +21,7 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from cassini_bayes.joint import collapse_joint, draw_joint, joint_log_posterior
+from cassini_bayes.telemetry_terms import cut_tail_sd
 from speed import plain
 from speed.problem import model_of, reduced_events
 
@@ -114,14 +115,12 @@ def lifted(problem: plain.Problem, z: Array, rng: np.random.Generator) -> Array:
     assert drawn.thrusts is not None  # a bias fires
     thrust = drawn.thrusts.thrust_n[:, 0] - model.linear.common_mean_n
     own = drawn.own[0]
-    probability = plain.cut_probability(terms.statistics.counter_interval_s)
-    pairs = np.array([terms.statistics.close_pairs[place] for place in terms.pattern.cuts])
     parts = [
         z,
         np.linalg.solve(problem.thrust_factor, thrust.T).T,
         (own[:, :3] - terms.initial_mean_n_m_s) / plain.INITIAL_SD_N_M_S,
         (own[:, 3:6] - model.torque_mean_n_m) / model.torque_sd_n_m,
-        own[:, 6:] / np.sqrt(probability * (1.0 - probability) / pairs),
+        own[:, 6:] / cut_tail_sd(terms),
     ]
     return np.concatenate(parts, axis=1)
 

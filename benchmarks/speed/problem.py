@@ -12,7 +12,7 @@ import numpy as np
 from cassini_bayes.event_reduction import ReducedEvent, reduce_event
 from cassini_bayes.joint import JointModel, build_joint_model
 from cassini_bayes.priors import Priors, read_priors
-from cassini_bayes.scenario import simulate_file, write_simulation
+from cassini_bayes.scenario import draw_wheel_rates, simulate_file, write_simulation
 from cassini_bayes.simulation import scenario_of
 
 ROOT = Path(__file__).parents[2]
@@ -20,7 +20,6 @@ SCENARIO = ROOT / "runs/scenarios/calibration.toml"
 PRIORS = ROOT / "priors/cassini_b_branch_telemetry.toml"
 PULSE_SHAPE = "first_order"
 SEED = 20101
-MOST_RPM = 1_000.0
 BIASES = 6
 NOISE = "torque_noise_n_m_s05"
 
@@ -40,9 +39,7 @@ def event_folders(folder: Path) -> list[Path]:
         events = {event["id"]: event for event in document["event"]}
         rng = np.random.default_rng(SEED)
         biases = [dict(events["bias-1"], id=name) for name in names[:BIASES]]
-        for bias in biases[1:]:
-            for key in ("from_rpm", "to_rpm"):
-                bias[key] = [float(x) for x in rng.uniform(-MOST_RPM, MOST_RPM, 3)]
+        draw_wheel_rates(biases[1:], rng)
         document["event"] = [*biases, events["slews"]]
         scenario = scenario_of(document, SCENARIO.parent, str(SCENARIO))
         write_simulation(simulate_file(scenario, SEED, priors=priors_of()), folder)

@@ -41,11 +41,15 @@ from cassini_bayes.criticism.naming import (
 )
 from cassini_bayes.parameter_space import ParameterSpace
 from cassini_bayes.priors import Priors, read_priors
-from cassini_bayes.scenario import Simulation, draw_truth, simulate_file
+from cassini_bayes.scenario import (
+    Simulation,
+    draw_truth,
+    draw_wheel_rates,
+    simulate_file,
+    simulated_samples,
+)
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
-from cassini_bayes.statistics import Samples
 from cassini_bayes.storage import write_text
-from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
 # name, number of trials in a full campaign
@@ -62,7 +66,6 @@ SIGMAS: Final[Mapping[str, tuple[float, float]]] = {
     "faint": (2.0, 3.0),
     "two": (5.0, 10.0),
 }
-MOST_RPM: Final = 1_000.0
 LARGEST_IN_PRIOR_SCALES: Final = 4.0
 NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
 KEPT_CAUSES: Final = 8
@@ -95,10 +98,7 @@ class Blind:
         """The scenario with wheel rates of this trial."""
         document = tomllib.loads(self.scenario.read_text(encoding="utf-8"))
         document["event"] = [e for e in document["event"] if e["id"] in self.events]
-        for event in document["event"]:
-            for key in ("from_rpm", "to_rpm"):
-                if key in event:
-                    event[key] = [float(x) for x in rng.uniform(-MOST_RPM, MOST_RPM, 3)]
+        draw_wheel_rates(document["event"], rng)
         return document
 
 
@@ -111,22 +111,7 @@ def stratum_of(index: int) -> str:
 
 def source_of(event: SimulatedEvent) -> TelemetrySource:
     """A simulated event's telemetry as rows, wheel rates in rad/s."""
-    columns = event.telemetry.columns
-    rows = len(event.telemetry.time_s)
-    thrusters = tuple(name for name in event.motion.pulses if f"pulses_{name}" in columns)
-
-    def stacked(names: Sequence[str]) -> Array:
-        return np.stack([columns[name] for name in names], 1) if names else np.empty((rows, 0))
-
-    wheels = [event.plan.spacecraft.wheel(number).name for number in event.plan.wheel_numbers]
-    samples = Samples(
-        np.asarray(event.telemetry.time_s),
-        stacked(["q1", "q2", "q3", "q4"]),
-        stacked([f"rate_{axis}_rad_s" for axis in "xyz"]),
-        RAD_S_PER_RPM * stacked([f"{name}_rpm" for name in wheels]),
-        stacked([f"on_time_{name}_s" for name in thrusters]),
-        stacked([f"pulses_{name}" for name in thrusters]),
-    )
+    samples, thrusters = simulated_samples(event)
     kind, numbers = event.plan.event.kind, tuple(event.plan.wheel_numbers)
     return TelemetrySource(event.plan.event.id, kind, numbers, thrusters, samples)
 
@@ -151,7 +136,7 @@ def truth_of(
 
 
 @dataclass(frozen=True)
-class Path1:
+class Growth:
     """A way to make an effect grow: parameter values null + s × direction."""
 
     effect: Effect
@@ -166,7 +151,7 @@ class Path1:
         }
 
 
-def draw_path(effect: Effect, rng: np.random.Generator) -> Path1:
+def draw_path(effect: Effect, rng: np.random.Generator) -> Growth:
     """A direction drawn like the prior: s = 1 is one prior scale."""
     direction, constant = {}, {}
     for parameter in effect.parameters:
@@ -186,10 +171,10 @@ def draw_path(effect: Effect, rng: np.random.Generator) -> Path1:
     if effect.kind == "thrust_warmup":
         scale = float(effect.parameters[0].distribution.keywords["scale"])
         direction = {"warmup_deficit": scale}
-    return Path1(effect, direction, constant)
+    return Growth(effect, direction, constant)
 
 
-def sensitivity(case: Case, catalogue: Catalogue, base: Mode, path: Path1) -> float:
+def sensitivity(case: Case, catalogue: Catalogue, base: Mode, path: Growth) -> float:
     """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
     none = none_hypothesis(case, catalogue)
     values = [_marginal(case, none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
@@ -197,7 +182,7 @@ def sensitivity(case: Case, catalogue: Catalogue, base: Mode, path: Path1) -> fl
     return float(np.sqrt(bend)) if bend > 0 else 0.0
 
 
-def _marginal(case: Case, none: Any, base: Mode, path: Path1, s: float) -> float:
+def _marginal(case: Case, none: Any, base: Mode, path: Growth, s: float) -> float:
     """Log marginal density at a fixed effect, the nuisances integrated out about the mode."""
     extended = extend(none, [path.effect], case)
     values = path.values(s)
@@ -220,7 +205,7 @@ def _marginal(case: Case, none: Any, base: Mode, path: Path1, s: float) -> float
 
 def hide(
     effect: Effect,
-    path: Path1,
+    path: Growth,
     s: float,
     truth: Mapping[str, float],
     sigma: float,
@@ -312,7 +297,7 @@ def _flexible(
     frequency = float(10.0 ** rng.uniform(-2.0, -0.5))
     damping, axis = float(rng.choice([0.0, 0.001, 0.003])), int(rng.integers(3))
     shown = flexible_case(case, Oscillation(frequency, damping, axis, 0.0))
-    path = Path1(effect, {"cosine_rad_s": 1e-5, "sine_rad_s": 0.0}, {})
+    path = Growth(effect, {"cosine_rad_s": 1e-5, "sine_rad_s": 0.0}, {})
     rate = sensitivity(shown, catalogue, base, path)
     if stratum == "prior":
         s = float(np.hypot(*rng.standard_normal(2)))

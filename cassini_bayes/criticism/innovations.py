@@ -25,7 +25,7 @@ from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryTerms,
     balance_weights,
-    cut_probability,
+    cut_tail_sd,
     noise_covariance,
 )
 
@@ -157,7 +157,7 @@ def linearise(
         own = unknown[:, :, k:]
         shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
         apart = unknown[:, :, :k] @ model.linear.own if k else unknown[:, :, :0]
-        sd = _own_sd(terms, physics, model.torque_sd_n_m)
+        sd = _own_sd(terms, model.torque_sd_n_m)
         blocks.append((shared, np.concatenate([apart, own], axis=2)))
         own_precision.append(np.concatenate([np.ones(apart.shape[2]), sd**-2]))
         targets.append(target)
@@ -173,13 +173,9 @@ def _slope(terms: TelemetryTerms, rows: Rows, difference: Array, at: Array) -> A
     return np.asarray(changed[:, :, :-1] @ at - changed[:, :, -1])
 
 
-def _own_sd(terms: TelemetryTerms, physics: Physics, torque_sd: Array) -> Array:
-    cuts = terms.pattern.cuts
-    probability = cut_probability(terms.statistics.counter_interval_s)
-    counts = terms.statistics.close_pairs[list(cuts)] if cuts else np.zeros(0)
-    del physics
-    tails = np.sqrt(probability * (1.0 - probability)) / np.sqrt(np.maximum(counts, 1.0))
-    return np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE), tails])
+def _own_sd(terms: TelemetryTerms, torque_sd: Array) -> Array:
+    sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
+    return np.concatenate([sd, cut_tail_sd(terms)])
 
 
 def _stacked(

@@ -74,7 +74,7 @@ def _document(learned: Learned, request: BiasRequest, draw: int) -> dict[str, An
         name
         for wheel in model.spacecraft.wheels
         if wheel.number in wheels
-        for name in (wheel.inertia_parameter, *(wheel.tilt_parameters or ()))
+        for name in wheel.parameters
     }
     wanted = ("tau_", "cm_", "inertia_", "thruster_")
     truth: dict[str, Any] = {

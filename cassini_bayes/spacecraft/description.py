@@ -47,6 +47,11 @@ class Wheel:
     inertia_parameter: str
     tilt_parameters: tuple[str, str] | None
 
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of its parameters: spin inertia, and the tilts of its axis if it has any."""
+        return (self.inertia_parameter, *(self.tilt_parameters or ()))
+
     @cached_property
     def tilt_axes(self) -> Array:
         """The directions of u and v as rows (2, 3): e1 = unit(ẑ × a), e2 = a × e1.
