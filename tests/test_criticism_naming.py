@@ -16,7 +16,6 @@ from cassini_bayes.criticism.blind import source_of
 from cassini_bayes.criticism.catalogue import read_catalogue
 from cassini_bayes.criticism.diagnosis import catalogue_of
 from cassini_bayes.criticism.extended import Case, prepare
-from cassini_bayes.criticism.innovations import p_value
 from cassini_bayes.criticism.naming import (
     Verdict,
     effect_draws,
@@ -24,6 +23,7 @@ from cassini_bayes.criticism.naming import (
     name_causes,
     weighted_interval,
 )
+from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.symptoms import find_symptoms
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.scenario import simulate_file

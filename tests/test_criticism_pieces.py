@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from cassini_bayes.criticism.cases import a_branch, flight_2004, fsds
 from cassini_bayes.criticism.catalogue import read_catalogue
 from cassini_bayes.criticism.columns import WARMUP_NODES_S, hat_weights, lagrange_weights
 from cassini_bayes.criticism.evidence import baseline_mode
-from cassini_bayes.criticism.innovations import Linear, p_value
 from cassini_bayes.criticism.kinematics import rate_information, rotation_vectors
 from cassini_bayes.criticism.modifiers import modifier_of
 from cassini_bayes.criticism.naming import weighted_interval
@@ -139,23 +137,6 @@ def test_laplace_is_exact_for_a_normal() -> None:
     mode = baseline_mode(density, 3)
     wanted = 1.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(precision)[1]
     assert mode.log_evidence == pytest.approx(wanted, abs=1e-3)
-
-
-def test_p_value_is_uniform_on_the_model_and_small_off_it() -> None:
-    """Data of the linear model give uniform p-values; a slow drift gives small ones."""
-    rng = np.random.default_rng(11)
-    time = np.arange(150.0)
-    columns = rng.standard_normal((450, 5))
-    found = []
-    for _ in range(60):
-        target = columns @ rng.standard_normal(5) + rng.standard_normal(450)
-        linear = Linear(target, columns, np.ones(5), (150,))
-        found.append(p_value(linear, [time], rng, 99))
-    values = np.sort(np.array(found))
-    gap = np.abs(values - (np.arange(60) + 0.5) / 60).max()
-    assert gap < 0.21  # Kolmogorov-Smirnov at one percent
-    drift = np.repeat(0.8 * np.cos(np.pi * time / 150.0), 3)
-    assert p_value(replace(linear, target=linear.target + drift), [time], rng, 99) < 0.05
 
 
 def test_weighted_interval_of_a_normal() -> None:

@@ -29,7 +29,6 @@ from cassini_bayes.criticism.extended import (
     none_hypothesis,
     prepare,
 )
-from cassini_bayes.criticism.innovations import p_value
 from cassini_bayes.criticism.naming import (
     Oscillation,
     Verdict,
@@ -39,6 +38,7 @@ from cassini_bayes.criticism.naming import (
     name_causes,
     weighted_interval,
 )
+from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.parameter_space import ParameterSpace
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.scenario import (

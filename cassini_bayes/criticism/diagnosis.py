@@ -13,7 +13,7 @@ from cassini_bayes.criticism.catalogue import Catalogue, read_catalogue
 from cassini_bayes.criticism.evidence import Weighed, extended_mode
 from cassini_bayes.criticism.extended import Case, compact, extend, none_hypothesis
 from cassini_bayes.criticism.gain import LEAST_EVENTS, HeldOut, case_of, held_out
-from cassini_bayes.criticism.innovations import EventRows, innovations, p_value
+from cassini_bayes.criticism.innovations import EventRows, innovations
 from cassini_bayes.criticism.naming import (
     NEAR_NATS,
     Verdict,
@@ -22,6 +22,7 @@ from cassini_bayes.criticism.naming import (
     name_causes,
     weighted_interval,
 )
+from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.separation import separating_measurement
 from cassini_bayes.criticism.symptoms import find_symptoms
 from cassini_bayes.spacecraft import couples

@@ -1,11 +1,9 @@
-"""Row by row: the baseline's innovations, what can be fitted away, and a calibrated p-value.
+"""Row by row: the baseline's innovations, and what can be fitted away.
 
 At the mode the balance is linear in everything: a row's momentum is columns times unknowns
 (thrusts, initial momentum, torque, cut tails) plus the derivatives with respect to the walked
 parameters times their departure, plus noise. With X all of these columns, whitened, and P their
-prior precision, the innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y. Replicates of y drawn from that
-same linear model and refitted in the same way give every statistic its own reference: a parametric
-bootstrap.
+prior precision, the innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y.
 """
 
 from __future__ import annotations
@@ -30,8 +28,6 @@ from cassini_bayes.telemetry_terms import (
 )
 
 Array = NDArray[np.float64]
-MODES: Final = 16
-REPLICATES: Final = 200
 SMOOTHED_ROWS: Final = 31
 _STEP: Final = 1e-3
 _WIDE: Final = 1e-12
@@ -124,9 +120,12 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
 
 
 def linearise(
-    case: Case, hypothesis: Hypothesis, z: Array
+    case: Case, hypothesis: Hypothesis, z: Array, *, smooth_channels: bool = True
 ) -> tuple[Linear, list[Rows], list[Array]]:
-    """The whitened linear model at z (d,), the rows of every event and its noise factors."""
+    """The whitened linear model at z (d,), the rows of every event and its noise factors.
+
+    ``smooth_channels``: slopes see running means of the channels; not for channels without noise.
+    """
     model = hypothesis.model
     d = len(z)
     points = np.vstack([z, z + _STEP * np.eye(d), z - _STEP * np.eye(d)])
@@ -140,7 +139,7 @@ def linearise(
         weights = balance_weights(terms, physics, thrust)
         noise = noise_covariance(terms, physics, parameters)[0]
         factor = np.linalg.cholesky(noise)
-        smooth = smoothed(rows, terms.statistics.layout)
+        smooth = smoothed(rows, terms.statistics.layout) if smooth_channels else rows
         centre = _columns(terms, rows, weights[0])
         k = terms.pattern.thrusters
         mean = np.concatenate([np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m])
@@ -237,35 +236,6 @@ def innovations(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, l
             )
         )
     return linear, result
-
-
-def slow_statistic(linear: Linear, left: Array, times: Sequence[Array]) -> Array:
-    """Σ over events, axes and the slowest cosines of squared normalised projections, (r,)."""
-    total = np.zeros(left.shape[1])
-    place = 0
-    for n, time in zip(linear.rows, times, strict=True):
-        own = left[place : place + 3 * n].reshape(n, 3, -1)
-        place += 3 * n
-        phase = np.pi * (time - time[0]) / max(time[-1] - time[0], 1e-9)
-        modes = np.cos(phase[:, None] * np.arange(1, MODES + 1))
-        norms = (modes**2).sum(0)
-        seen = np.einsum("nm,nar->mar", modes, own) ** 2 / norms[:, None, None]
-        total += seen.sum((0, 1))
-    return total
-
-
-def p_value(
-    linear: Linear, times: Sequence[Array], rng: np.random.Generator, replicates: int = REPLICATES
-) -> float:
-    """Refitted parametric bootstrap of the slow statistic: uniform where the model is true."""
-    m, p = linear.columns.shape
-    found = slow_statistic(linear, fitted_away(linear, linear.target)[:, None], times)[0]
-    # the initial momentum's wide prior is only numerical: it is fitted away in replicates too
-    sd = 1.0 / np.sqrt(linear.precision)
-    draws = linear.columns @ (sd[:, None] * rng.standard_normal((p, replicates)))
-    draws += rng.standard_normal((m, replicates))
-    null = slow_statistic(linear, fitted_away(linear, draws), times)
-    return float((1.0 + (null >= found).sum()) / (replicates + 1.0))
 
 
 def strongest_oscillation(rows: Sequence[EventRows]) -> tuple[float, int, float, int]:
