@@ -24,12 +24,13 @@ from cassini_bayes.joint_draws import full_parameters, joint_physics
 from cassini_bayes.model import TotalsModel, linear_system
 from cassini_bayes.physics import Physics
 from cassini_bayes.spacecraft import thruster_directions
-from cassini_bayes.telemetry_bands import Band, latent_wheels
+from cassini_bayes.telemetry_bands import Band
 from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryTerms,
     balance_weights,
     cut_tail_sd,
+    event_system,
     noise_covariance,
 )
 from cassini_bayes.terms import RAD_S_PER_RPM
@@ -114,10 +115,21 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
     physics = joint_physics(model, full) if model.telemetry else None
     for place, terms in enumerate(model.telemetry, start=first):
         assert physics is not None  # there is telemetry
-        nominal = {name: values[:1] for name, values in full.items()}
         index = _index(places, place)
-        for band, gram in zip((terms.slow, *terms.fast), (None, *terms.reduced.grams), strict=True):
-            kept, _ = latent_wheels(band, nominal)
+        system = event_system(
+            terms,
+            physics,
+            full,
+            model.linear.common_mean_n,
+            model.torque_mean_n_m,
+            model.torque_sd_n_m,
+        )
+        nominal = {name: values[:1] for name, values in full.items()}
+        bands = zip(
+            (terms.slow, *terms.fast), (None, *terms.reduced.grams), system.kept, strict=True
+        )
+        for band, gram, estimate in bands:
+            kept = estimate[:1]
             weights = balance_weights(terms, physics, model.linear.common_mean_n, kept)
             columns = _columns(model, terms, weights)
             noise = noise_covariance(terms, physics, full, kept)[0]

@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 ROWS_PER_MODE: Final = 2
 _INDEPENDENT: Final = 1e-9  # least share of the largest square that a mode of its own has
-_LEAST_SQUARE: Final = 1e-18  # rad²/s²: wheels that were not measured to move at all
+_LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured to move at all
+_LEAST_SPREAD: Final = 1e-14
 LOG_MOTION: Final = (-9.0, 34.0)  # range of the log of the wheels' motion over their noise
 _LOG_NOISE: Final = (-32.0, 12.0)  # range of the log of the noise over the measured mean square
 _NODES: Final = 800
@@ -69,16 +70,18 @@ def make_bands(
         grams.append(gram)
         rest = rest - gram
     rows = statistics.rows - len(walk)
-    # Σ 1/m² over the cosines that are not there, all of their variance on the rows that are left
-    beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
-    left = np.array([beyond * statistics.rows / max(rows, 1)])
-    bands.append(_band(statistics.layout, rest, rows, left, turning))
-    return bands[0], tuple(bands[1:]), modes[..., : bands[0].rows], (*grams[1:], rest)
+    if rows > 0:
+        # Σ 1/m² over the cosines that are not there: all of their variance on the rows left
+        beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
+        left = np.array([beyond * statistics.rows / rows])
+        bands.append(_band(statistics.layout, rest, rows, left, turning))
+        grams.append(rest)
+    return bands[0], tuple(bands[1:]), modes[..., : bands[0].rows], tuple(grams[1:])
 
 
 def _band(layout: Layout, gram: Array, rows: int, walk: Array, turning: bool) -> Band:
     square = gram[0, 0, layout.wheel, layout.wheel]
-    values, vectors = np.linalg.eigh(square / max(rows, 1))
+    values, vectors = np.linalg.eigh(square / rows)
     motion = None if turning else motion_table(rows)
     return Band(rows, np.maximum(values, _LEAST_SQUARE), vectors, walk, motion)
 
@@ -109,7 +112,7 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
 
 
 def latent_wheels(band: Band, parameters: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Best linear estimate of the true wheel rates in a band, and the wheels' own log density.
+    """Best linear estimate of the true wheel rates of the slow band, and their own log density.
 
     Along every principal axis the R measured rates have variance V = S + σ². With even odds there
     is no motion, S = 0, or the log of S/σ² is uniform on :data:`LOG_MOTION`. Returns the matrix
@@ -120,21 +123,74 @@ def latent_wheels(band: Band, parameters: Mapping[str, Array]) -> tuple[Array, A
         n = len(parameters["wheel_noise_rpm"])
         return np.broadcast_to(np.eye(len(band.values)), (n, *band.vectors.shape)), np.zeros(n)
     noise = (parameters["wheel_noise_rpm"][:, None] * RAD_S_PER_RPM) ** 2
-    log_noise = np.clip(np.log(noise / band.values), *_LOG_NOISE)
-    log_density, share = np.moveaxis(band.motion(log_noise), -1, 0)
-    kept = (band.vectors * np.clip(share, 0.0, 1.0)[:, None, :]) @ band.vectors.T
-    return kept, (log_density - 0.5 * band.rows * np.log(band.values)).sum(-1)
+    log_density, spread = _looked_up(band, band.values / noise)
+    kept = (band.vectors * (1.0 - spread)[:, None, :]) @ band.vectors.T
+    return kept, (log_density - 0.5 * band.rows * np.log(noise)).sum(-1)
+
+
+def estimated_wheels(
+    band: Band, moments: Array, other: Array, weights: Array, noise: Array
+) -> tuple[Array, Array]:
+    """Best estimate of the true wheel rates of a fast band, and the log density of the band.
+
+    The wheels are seen twice: measured, and through the momentum that everything else lacks,
+    u = H ρ + e. The mean squares of both together say how much of it is motion
+    (docs/telemetry-likelihood.md §3).
+
+    Parameters
+    ----------
+    moments
+        (n, 3 + W, 3 + W) mean products of u, N m s, and the measured rates, rad/s.
+    other
+        (n, 3, 3) covariance of e.
+    weights
+        (n, 3, W) H, momentum per wheel rate.
+    noise
+        (n,) variance of measured wheel rates.
+
+    Returns
+    -------
+    The matrix (n, W, W) that takes measured rates to their estimate, and the log density (n,) of
+    u and ρ_m beyond their quadratic form at that estimate; constants left out.
+    """
+    wheels, half = weights.shape[-1], 0.5 * band.rows
+    each = np.eye(wheels) / noise[:, None, None]
+    by_other = np.swapaxes(np.linalg.solve(other, weights), -1, -2)
+    factor = np.linalg.cholesky(each + by_other @ weights)
+    # of unit noise: what both say of the wheels together
+    together = np.linalg.solve(factor, np.concatenate([by_other, each], axis=-1))
+    squares, axes = np.linalg.eigh(together @ moments @ np.swapaxes(together, -1, -2))
+    log_density, spread = _looked_up(band, squares)
+    axes = np.linalg.solve(np.swapaxes(factor, -1, -2), axes)
+    motion = (axes * ((1.0 - spread) / spread)[:, None, :]) @ np.swapaxes(axes, -1, -2)
+    kept = np.linalg.solve(motion + np.eye(wheels) * noise[:, None, None], motion)
+    kept = 0.5 * (kept + np.swapaxes(kept, -1, -2))
+    explained = np.maximum(squares, _LEAST_SQUARE) * spread
+    own = np.einsum("nab,nba->n", np.eye(wheels) - kept, moments[:, 3:, 3:]) / noise
+    log_total = log_density.sum(-1) + half * (
+        explained.sum(-1) - own - np.linalg.slogdet(other)[1] - wheels * np.log(noise)
+    )
+    return kept, log_total
+
+
+def _looked_up(band: Band, squares: Array) -> tuple[Array, Array]:
+    """Log density of measured rates, and E[1/(1 + s)], by their mean squares over the noise."""
+    assert band.motion is not None
+    log_square = np.log(np.maximum(squares, _LEAST_SQUARE))
+    log_density, explained = np.moveaxis(band.motion(np.clip(-log_square, *_LOG_NOISE)), -1, 0)
+    spread = np.clip(explained * np.exp(-log_square), _LEAST_SPREAD, 1.0)
+    return log_density - 0.5 * band.rows * log_square, spread
 
 
 def motion_table(rows: int) -> CubicSpline:
-    """Log density of R measured rates and share of motion in them, against t = log(σ²/V̂).
+    """Log density of R measured rates and E[V̂/(σ² (1 + s))], against t = log(σ²/V̂).
 
     With V̂ their mean square, h = R/2 and s = S/σ² zero or of density ds/s on e^LOG_MOTION, the
-    density times V̂^h is the mean of exp(−h (t + log(1 + s) + e^(−t)/(1 + s))), and the share is
-    that of s/(1 + s). Both depend on R alone. Gauss-Legendre sums over log s: about the peak at
-    s = e^(−t) − 1, whose width in log V is (2/R)^½, and on either side of it.
+    density times V̂^h is the mean of exp(−h (t + log(1 + s) + e^(−t)/(1 + s))). Both depend on R
+    alone. Gauss-Legendre sums over log s: about the peak at s = e^(−t) − 1, whose width in log V
+    is (2/R)^½, and on either side of it.
     """
-    half = 0.5 * max(rows, 1)
+    half = 0.5 * rows
     width = half**-0.5
     low, high = np.arcsinh(np.array(_LOG_NOISE) / width)
     t = np.clip(width * np.sinh(np.linspace(low, high, _NODES)), *_LOG_NOISE)[:, None]
@@ -150,8 +206,10 @@ def motion_table(rows: int) -> CubicSpline:
     top = np.maximum(exponent.max(axis=1, keepdims=True), still)
     density = weight * np.exp(exponent - top) / (LOG_MOTION[1] - LOG_MOTION[0])
     total = 0.5 * (density.sum(axis=1) + np.exp(still - top)[:, 0])
-    moving = 0.5 * (density * np.exp(log_s - log_v)).sum(axis=1)
-    return CubicSpline(t[:, 0], np.stack([top[:, 0] + np.log(total), moving / total], axis=1))
+    still_share = np.exp(still - top)[:, 0] / (2.0 * total)
+    moving = (density * np.exp(-log_v)).sum(axis=1) / (2.0 * total)
+    explained = np.exp(-t[:, 0]) * (still_share + moving)
+    return CubicSpline(t[:, 0], np.stack([top[:, 0] + np.log(total), explained], axis=1))
 
 
 def _legendre(low: Array, high: Array, count: int) -> tuple[Array, Array]:

@@ -19,9 +19,16 @@ from numpy.typing import NDArray
 
 from cassini_bayes.physics import Physics, physics_of
 from cassini_bayes.spacecraft import Spacecraft
-from cassini_bayes.statistics import EventStatistics, Layout, Sampling, contract, explained_by_modes
+from cassini_bayes.statistics import (
+    EventStatistics,
+    Layout,
+    Sampling,
+    contract,
+    explained_by_modes,
+    moments,
+)
 from cassini_bayes.statistics.columns import CUT_PARTS
-from cassini_bayes.telemetry_bands import Band, latent_wheels, make_bands
+from cassini_bayes.telemetry_bands import Band, estimated_wheels, latent_wheels, make_bands
 from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
@@ -29,6 +36,7 @@ Places = NDArray[np.int64]
 INITIAL_SD_N_M_S: Final = 10.0
 CONTROL_CYCLE_S: Final = 0.125
 _CLOSE_S: Final = 0.4
+_THRUST_SPREAD: Final = 0.3  # of thrusts about their level, where slow modes place them
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,7 @@ class Reduced:
     entries: Places
     row: Places
     start: Places
+    wheels: Places  # (W,) columns of the wheel rates
     grams: tuple[Array, ...]  # (3, 3, A', A') of the fast bands
     slow: Array  # (3, A', M) coordinates on the slow modes
 
@@ -114,6 +123,7 @@ class EventSystem:
     log_scale: Array
     own_sd: Array  # (n, U)
     own_mean: Array  # (U,)
+    kept: tuple[Array, ...]  # (n, W, W) of every band, the slow one first
 
 
 def cut_probability(counter_interval_s: float) -> float:
@@ -162,7 +172,14 @@ def make_terms(
         fast=fast,
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
-        reduced=Reduced(everything, pattern.row, pattern.start, grams, slow_modes),
+        reduced=Reduced(
+            everything,
+            pattern.row,
+            pattern.start,
+            np.arange(layout.wheel.start, layout.wheel.stop),
+            grams,
+            slow_modes,
+        ),
     )
 
 
@@ -188,6 +205,7 @@ def without_idle_columns(
         entries=entries,
         row=np.searchsorted(columns, pattern.row[entries]),
         start=np.concatenate([[0], np.cumsum(counts)]),
+        wheels=np.searchsorted(columns, full.wheels),
         grams=tuple(
             np.ascontiguousarray(gram[:, :, columns[:, None], columns]) for gram in full.grams
         ),
@@ -256,47 +274,98 @@ def event_system(
     torque_mean, torque_sd
         (3,) prior of the event's steady torque, N m.
     """
-    pattern, rows = terms.pattern, terms.statistics.rows
+    n, k, reduced = len(physics.inertia_kg_m2), terms.pattern.thrusters, terms.reduced
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    n = len(physics.inertia_kg_m2)
-    reduced = terms.reduced
-    weights, own_sd = _weights(terms, physics, n, thrust_n)
-    measured = slice(pattern.start[-2], None)
+    weights, cut_sd = _weights(terms, physics, n, thrust_n)
+    known_sd = np.broadcast_to([INITIAL_SD_N_M_S] * 3 + list(torque_sd), (n, 6))
+    own_sd = np.concatenate([known_sd, cut_sd], axis=1)
+    own_mean = np.concatenate([terms.initial_mean_n_m_s, torque_mean, np.zeros(cut_sd.shape[1])])
+    walk = parameters["torque_noise_n_m_s05"] ** 2
 
-    walk = parameters["torque_noise_n_m_s05"][:, None] ** 2
-    log_scale = np.zeros(n)
-    width = len(reduced.start) - 1
-    normal = np.zeros((n, width, width))
-    for band, gram in zip((terms.slow, *terms.fast), (None, *reduced.grams), strict=True):
-        if band.rows == 0:
-            continue
-        kept, log_density = latent_wheels(band, parameters)
-        weights[:, measured] = _measured_weights(terms, physics, wheels @ kept)
-        used = np.ascontiguousarray(weights[:, reduced.entries])
-        values, vectors = np.linalg.eigh(noise_covariance(terms, physics, parameters, kept))
-        variance = values[:, :, None] + (walk * band.walk)[:, None, :]
-        if gram is None:
-            normal = normal + explained_by_modes(
-                reduced.slow, reduced.row, reduced.start, used, vectors, 1.0 / variance
-            )
-        else:
-            variance = variance.mean(-1, keepdims=True)
-            precision = (vectors / variance[:, None, :, 0]) @ np.swapaxes(vectors, -1, -2)
-            normal = normal + contract(gram, reduced.row, reduced.start, used, precision)
-        each = band.rows / variance.shape[-1]
-        log_scale += log_density - 0.5 * each * np.log(variance).sum((-2, -1))
+    kept, log_density = latent_wheels(terms.slow, parameters)
+    estimates = [kept]
+    used = _at_estimate(terms, physics, weights, wheels @ kept)
+    values, vectors = np.linalg.eigh(noise_covariance(terms, physics, parameters, kept))
+    variance = values[:, :, None] + (walk[:, None] * terms.slow.walk)[:, None, :]
+    normal = explained_by_modes(
+        reduced.slow, reduced.row, reduced.start, used, vectors, 1.0 / variance
+    )
+    log_scale = log_density - 0.5 * np.log(variance).sum((-2, -1))
+
+    prior = (np.r_[np.full(k, thrust_n), own_mean], own_sd, _THRUST_SPREAD * thrust_n)
+    lacking = _lacking_momentum(terms, physics, weights, normal, prior)
+    for band, gram in zip(terms.fast, reduced.grams, strict=True):
+        kept, covariance, log_density = _fast_band(terms, band, gram, physics, parameters, lacking)
+        estimates.append(kept)
+        used = _at_estimate(terms, physics, weights, wheels @ kept)
+        precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+        normal = normal + contract(gram, reduced.row, reduced.start, used, precision)
+        log_scale = log_scale + log_density
 
     channels = 3 + len(terms.wheel_places)
     jacobian = np.linalg.slogdet(_by_rate(physics))[1]
+    rows = terms.statistics.rows
     log_scale = log_scale + rows * (jacobian - 0.5 * channels * np.log(2.0 * np.pi))
-    return EventSystem(
-        normal=normal,
-        log_scale=log_scale,
-        own_sd=np.concatenate(
-            [np.broadcast_to([INITIAL_SD_N_M_S] * 3 + list(torque_sd), (n, 6)), own_sd], axis=1
-        ),
-        own_mean=np.concatenate([terms.initial_mean_n_m_s, torque_mean, np.zeros(own_sd.shape[1])]),
-    )
+    return EventSystem(normal, log_scale, own_sd, own_mean, tuple(estimates))
+
+
+def _fast_band(
+    terms: TelemetryTerms,
+    band: Band,
+    gram: Array,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    lacking: Array,
+) -> tuple[Array, Array, Array]:
+    """Estimate of the wheels (n, W, W), covariance of a row (n, 3, 3) and log density (n,)."""
+    n, wheels = len(lacking), physics.wheel_weights[..., list(terms.wheel_places)]
+    drift = parameters["torque_noise_n_m_s05"] ** 2 * band.walk.mean()
+    by_drift = drift[:, None, None] * np.eye(3)
+    if band.motion is None:
+        kept = np.broadcast_to(np.eye(wheels.shape[-1]), (n, *band.vectors.shape))
+        covariance = noise_covariance(terms, physics, parameters, kept) + by_drift
+        return kept, covariance, -0.5 * band.rows * np.linalg.slogdet(covariance)[1]
+    still = np.zeros((n, *band.vectors.shape))
+    other = noise_covariance(terms, physics, parameters, still) + by_drift
+    seen = moments(gram, terms.reduced.wheels, lacking) / band.rows
+    noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
+    kept, log_density = estimated_wheels(band, seen, other, wheels, noise)
+    return kept, noise_covariance(terms, physics, parameters, kept) + by_drift, log_density
+
+
+def _lacking_momentum(
+    terms: TelemetryTerms,
+    physics: Physics,
+    weights: Array,
+    normal: Array,
+    prior: tuple[Array, Array, float],
+) -> Array:
+    """Column weights (n, 3, A') of the momentum that all but the wheels leaves to them.
+
+    Unknowns are taken where the slow band and their priors (mean (P,), sd of the own ones (n, U),
+    sd of thrusts) have them: good enough to tell how much the wheels move at higher frequencies.
+    """
+    n, reduced = len(normal), terms.reduced
+    mean, own_sd, thrust_sd = prior
+    sd = np.concatenate([np.full((n, terms.pattern.thrusters), thrust_sd), own_sd], axis=1)
+    to_all = normal[:, :-1, :-1]
+    precision = sd[:, :, None] * to_all * sd[:, None, :] + np.eye(len(mean))
+    target = sd * (normal[:, :-1, -1] - to_all @ mean)
+    at = mean + sd * np.linalg.solve(precision, target[..., None])[..., 0]
+    still = np.zeros((n, 3, len(terms.wheel_places)))
+    used = _at_estimate(terms, physics, weights, still)
+    owner = np.repeat(np.arange(len(reduced.start) - 1), np.diff(reduced.start))
+    signed = used * np.concatenate([at, np.full((n, 1), -1.0)], axis=1)[:, owner, None]
+    lacking = np.zeros((n, 3, reduced.slow.shape[1]))
+    for entry, column in enumerate(reduced.row):
+        lacking[:, :, column] += signed[:, entry]
+    return lacking
+
+
+def _at_estimate(terms: TelemetryTerms, physics: Physics, weights: Array, wheels: Array) -> Array:
+    """Weights (n, B', 3) of the entries used, the measured momentum with ``wheels`` (n, 3, W)."""
+    weights[:, terms.pattern.start[-2] :] = _measured_weights(terms, physics, wheels)
+    return np.ascontiguousarray(weights[:, terms.reduced.entries])
 
 
 def balance_weights(

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
+from scipy.linalg import sqrtm
 from scipy.stats import multivariate_normal
 
 from cassini_bayes.joint import JointModel, build_joint_model, sampling_of
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
 from cassini_bayes.statistics import EventStatistics, Layout, Samples, Sampling, reduce_chunks
-from cassini_bayes.telemetry_terms import cut_probability
+from cassini_bayes.telemetry_terms import TelemetryTerms, cut_probability
 
 Array = NDArray[np.float64]
 PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
@@ -209,7 +210,6 @@ def plain_log_likelihood(
     cosines) becomes covariance between rows.
     """
     linear = model.linear
-    thrusters = linear.shared.shape[0]
     means, blocks, shared, constant = [], [], [], 0.0
     values = dict.fromkeys(model.absent_wheel_parameters, 0.0) | dict(parameters)
     inertia = inertia_tensor(values)
@@ -227,42 +227,33 @@ def plain_log_likelihood(
         white = values["rate_noise_rad_s"] ** 2 * inertia @ inertia
         white = white + values["attitude_noise_rad"] ** 2 * spin
         wheels, wheel_noise = np.array(rows.wheels), (values["wheel_noise_rpm"] * RPM) ** 2
+        own, columns, mean = _unknowns(model, terms, samples, rows, arms, tau)
+        drift_square = values["torque_noise_n_m_s05"] ** 2
         y = np.array(rows.rates) @ inertia
+        lacking = y
         total = np.zeros((3 * n, 3 * n))
-        for share, drift in plain_bands(np.array(rows.times), sampling.duration_s):
-            kept, density = np.eye(3), 0.0
-            if fires:
-                kept, density = plain_latent(share @ wheels, round(np.trace(share)), wheel_noise)
-            y = y + share @ wheels @ (weights @ kept).T
-            total += np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
-            total += values["torque_noise_n_m_s05"] ** 2 * np.kron(drift, np.eye(3))
+        for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
+            size = round(np.trace(share))
+            if not fires:
+                kept, density = np.eye(3), 0.0
+            elif band == 0:
+                kept, density = plain_latent(share @ wheels, size, wheel_noise)
+            else:
+                other = white + drift_square * np.trace(drift) / size * np.eye(3)
+                both = np.concatenate([share @ lacking, share @ wheels], axis=1)
+                kept, density = plain_estimate(both, size, other, weights, wheel_noise)
+            added = share @ wheels @ (weights @ kept).T
+            own_noise = np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
+            own_noise += drift_square * np.kron(drift, np.eye(3))
+            if band == 0:
+                known = (share @ y + added, share, own_noise)
+                lacking = _lacking(known, own, columns, mean, linear.common_mean_n) - y
+            y = y + added
+            total += own_noise
             constant += density
         # the density of the rates is that of the balance times |det I| per row; three wheel rates
         constant += n * (np.linalg.slogdet(inertia)[1] - 1.5 * np.log(2 * np.pi))
-        starts = (np.array(rows.bodies) @ _first_body(samples).T).transpose(2, 0, 1)
-        own = [10.0 * start.reshape(-1) for start in starts]
-        own += [
-            sd * np.array(rows.torques)[:, :, axis].reshape(-1)
-            for axis, sd in enumerate(model.torque_sd_n_m)
-        ]
-        mean = (np.array(rows.bodies) @ _first_body(samples).T) @ terms.initial_mean_n_m_s
-        mean = mean + np.array(rows.torques) @ model.torque_mean_n_m
-        columns = np.zeros((3 * n, thrusters))
         if fires:
-            chance = cut_probability(float(np.median(np.diff(samples.time_s))))
-            lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
-            counts = np.array(rows.cuts)  # (n, G, PARTS)
-            for k in range(thrusters):
-                couple = next(g for g, c in enumerate(sampling.couples) if k in c)
-                cut = chance * lost * counts[:, couple].sum(1)[:, None] * arms[:, k]
-                columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
-            for g, couple in enumerate(sampling.couples):
-                arm = arms[:, list(couple)].sum(1)
-                for part in range(PARTS):
-                    if rows.totals[g, part] > 0:
-                        sd = np.sqrt(chance * (1 - chance) / rows.totals[g, part])
-                        step = linear.common_mean_n * lost * sd
-                        own.append(step * (counts[:, g, part][:, None] * arm).reshape(-1))
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
             total = total + columns @ linear.own @ linear.own.T @ columns.T
         total = total + np.array(own).T @ np.array(own)
@@ -281,8 +272,65 @@ def plain_log_likelihood(
     return float(log_density) + constant
 
 
-def plain_bands(times: Array, duration: float) -> list[tuple[Array, Array]]:
+def _unknowns(
+    model: JointModel,
+    terms: TelemetryTerms,
+    samples: Samples,
+    rows: PlainRows,
+    arms: Array,
+    tau: tuple[float, ...],
+) -> tuple[list[Array], Array, Array]:
+    """Columns of unit-variance unknowns and of thrusts (3 n, K); mean (n, 3) of the former."""
+    n, thrusters = len(rows.times), arms.shape[1]
+    start = np.array(rows.bodies) @ _first_body(samples).T
+    own = [10.0 * start[:, :, axis].reshape(-1) for axis in range(3)]
+    own += [
+        sd * np.array(rows.torques)[:, :, axis].reshape(-1)
+        for axis, sd in enumerate(model.torque_sd_n_m)
+    ]
+    mean = start @ terms.initial_mean_n_m_s + np.array(rows.torques) @ model.torque_mean_n_m
+    columns = np.zeros((3 * n, thrusters))
+    if samples.on_time_s.shape[1] == 0:
+        return own, columns, mean
+    chance = cut_probability(float(np.median(np.diff(samples.time_s))))
+    lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
+    counts = np.array(rows.cuts)  # (n, G, PARTS)
+    couples = terms.sampling.couples
+    for k in range(thrusters):
+        couple = next(g for g, c in enumerate(couples) if k in c)
+        cut = chance * lost * counts[:, couple].sum(1)[:, None] * arms[:, k]
+        columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
+    for g, members in enumerate(couples):
+        arm = arms[:, list(members)].sum(1)
+        for part in range(PARTS):
+            if rows.totals[g, part] > 0:
+                sd = np.sqrt(chance * (1 - chance) / rows.totals[g, part])
+                step = model.linear.common_mean_n * lost * sd
+                own.append(step * (counts[:, g, part][:, None] * arm).reshape(-1))
+    return own, columns, mean
+
+
+def _lacking(
+    slow: tuple[Array, Array, Array], own: list[Array], columns: Array, mean: Array, thrust: float
+) -> Array:
+    """What thrusters, torque and start deliver (n, 3), the unknowns placed by the slow band."""
+    y, share, noise = slow
+    n = len(y)
+    design = np.concatenate([0.3 * thrust * columns, np.array(own).T], axis=1)
+    before = mean.reshape(-1) + thrust * columns.sum(1)
+    seen = np.kron(share, np.eye(3))
+    inverse = np.linalg.pinv(noise, rcond=1e-13, hermitian=True)
+    projected = seen @ design
+    gain = projected.T @ inverse
+    at = np.linalg.solve(
+        gain @ projected + np.eye(design.shape[1]), gain @ (y.reshape(-1) - seen @ before)
+    )
+    return np.asarray((before + design @ at).reshape(n, 3))
+
+
+def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array]]:
     """Projector of every band of rows and the covariance of a unit random walk in it, (n, n)."""
+    duration = float(samples.time_s[-1])
     waves = [np.ones(len(times)) * np.sqrt(duration / 3.0)]
     waves += [
         np.cos(m * np.pi * times / duration) * np.sqrt(2 * duration) / (m * np.pi)
@@ -317,6 +365,39 @@ def plain_latent(wheels: Array, rows: int, noise: float) -> tuple[Array, float]:
         shares.append(trapezoid(p * (1.0 - noise * np.exp(-log_v)), log_s) / total)
         density += top + np.log(0.5 * total)
     return axes * shares @ axes.T, density
+
+
+def plain_estimate(
+    both: Array, rows: int, other: Array, weights: Array, noise: float
+) -> tuple[Array, float]:
+    """Matrix from measured to estimated wheel rates in a fast band, and the band's own density.
+
+    ``both`` (n, 6): the momentum that all but the wheels lacks, and the measured wheel rates.
+    """
+    lacks, wheels = both[:, :3], both[:, 3:]
+    inverse = np.linalg.inv(other)
+    precision = np.eye(3) / noise + weights.T @ inverse @ weights
+    root = np.real(sqrtm(precision))
+    best = (wheels / noise + lacks @ inverse @ weights) @ np.linalg.inv(precision)
+    squares, axes = np.linalg.eigh(root @ best.T @ best @ root)
+    spreads, density = [], 0.0
+    for square in squares:
+        log_s = np.linspace(-9.0, 34.0, 400_001)
+        log_p = -0.5 * rows * np.log1p(np.exp(log_s)) - 0.5 * square / (1.0 + np.exp(log_s))
+        top = max(log_p.max(), -0.5 * square)
+        p, still = np.exp(log_p - top) / 43.0, np.exp(-0.5 * square - top)
+        total = trapezoid(p, log_s) + still
+        spreads.append((trapezoid(p / (1.0 + np.exp(log_s)), log_s) + still) / total)
+        density += top + np.log(0.5 * total) + 0.5 * square * spreads[-1]
+    turned = np.linalg.inv(root) @ axes
+    motion = turned * (1.0 / np.array(spreads) - 1.0) @ turned.T
+    both_ways = np.linalg.inv(motion + noise * np.eye(3))
+    kept = motion @ both_ways
+    balance = other + noise * weights @ weights.T
+    left = other + noise * weights @ kept @ weights.T
+    dets = [np.linalg.slogdet(matrix)[1] for matrix in (left, precision, balance)]
+    density += 0.5 * rows * (dets[0] + dets[1] - dets[2])
+    return kept, density - 0.5 * float(np.trace(both_ways @ wheels.T @ wheels))
 
 
 def _first_body(samples: Samples) -> Array:

@@ -10,7 +10,7 @@ from cassini_bayes.statistics.columns import (
     Sampling,
     settle,
 )
-from cassini_bayes.statistics.contraction import contract, explained_by_modes
+from cassini_bayes.statistics.contraction import contract, explained_by_modes, moments
 from cassini_bayes.statistics.reduction import (
     EventStatistics,
     load_statistics,
@@ -30,6 +30,7 @@ __all__ = [
     "contract",
     "explained_by_modes",
     "load_statistics",
+    "moments",
     "reduce_chunks",
     "save_statistics",
     "settle",

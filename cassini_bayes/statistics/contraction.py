@@ -75,6 +75,48 @@ def contract(
 
 
 @_compiled
+def moments(gram: Array, places: Places, weights: Array) -> Array:  # pragma: no cover - compiled
+    """Inner products of one new vector column and some scalar ones, (n, 3 + W, 3 + W).
+
+    Parameters
+    ----------
+    gram
+        (3, 3, A, A) from :class:`EventStatistics`.
+    places
+        (W,) columns that are scalars.
+    weights
+        (n, 3, A) of the new column y_c(t) = Σ_a w[c, a] C_c,a(t).
+    """
+    n, size, scalars = weights.shape[0], gram.shape[2], places.size
+    result = np.empty((n, 3 + scalars, 3 + scalars))
+    gathered = np.empty(size)
+    for i in range(n):
+        for c in range(3):
+            for d in range(c + 1):
+                gathered[:] = 0.0
+                for b in range(size):
+                    weight = weights[i, c, b]
+                    if weight == 0.0:
+                        continue
+                    line = gram[c, d, b]
+                    for a in range(size):
+                        gathered[a] += weight * line[a]
+                value = 0.0
+                for a in range(size):
+                    value += weights[i, d, a] * gathered[a]
+                result[i, c, d] = value
+                result[i, d, c] = value
+                if d == 0:
+                    for j in range(scalars):
+                        result[i, c, 3 + j] = gathered[places[j]]
+                        result[i, 3 + j, c] = gathered[places[j]]
+        for j in range(scalars):
+            for k in range(scalars):
+                result[i, 3 + j, 3 + k] = gram[0, 0, places[j], places[k]]
+    return result
+
+
+@_compiled
 def turned_into_body(
     body: Array, inertial: Array, index: Places, out: Array
 ) -> None:  # pragma: no cover - compiled
