@@ -57,6 +57,7 @@ from cassini_bayes.telemetry_terms import (
     TelemetryTerms,
     event_system,
     make_terms,
+    merged_bands,
     without_idle_columns,
 )
 
@@ -242,10 +243,15 @@ def without_idle(model: JointModel) -> JointModel:
     points = model.space.sample(np.random.default_rng(0), _POINTS)
     physics = _physics(model, _full(model, points))
     thrust = model.linear.common_mean_n
-    return replace(
-        model,
-        telemetry=tuple(without_idle_columns(t, physics, thrust) for t in model.telemetry),
-    )
+    telemetry = tuple(without_idle_columns(t, physics, thrust) for t in model.telemetry)
+    return replace(model, telemetry=telemetry)
+
+
+def with_equal_bands_merged(model: JointModel) -> JointModel:
+    """The model with a slew's bands as one where no torque noise tells them apart."""
+    if model.space.fixed.get("torque_noise_n_m_s05") != 0.0:
+        return model
+    return replace(model, telemetry=tuple(merged_bands(terms) for terms in model.telemetry))
 
 
 def _full(model: JointModel, z: Array) -> dict[str, Array]:

@@ -214,6 +214,23 @@ def without_idle_columns(
     return replace(terms, reduced=reduced)
 
 
+def merged_bands(terms: TelemetryTerms) -> TelemetryTerms:
+    """The same event with its fast bands as one, if they differ only in torque noise.
+
+    For models without torque noise: where all that the wheels show is motion, as in slews, rows of
+    all frequencies have the same weights and the same covariance.
+    """
+    if len(terms.fast) < 2 or any(band.motion is not None for band in terms.fast):
+        return terms
+    first, rows = terms.fast[0], sum(band.rows for band in terms.fast)
+    reduced = terms.reduced
+    return replace(
+        terms,
+        fast=(replace(first, rows=rows, walk=np.zeros(1)),),
+        reduced=replace(reduced, grams=(np.sum(reduced.grams, axis=0),)),
+    )
+
+
 def _initial_gram(statistics: EventStatistics) -> Array:
     first = statistics.layout.initial
     return np.asarray(sum(statistics.gram[c, c, first, first] for c in range(3)))
@@ -293,7 +310,8 @@ def event_system(
     log_scale = log_density - 0.5 * np.log(variance).sum((-2, -1))
 
     prior = (np.r_[np.full(k, thrust_n), own_mean], own_sd, _THRUST_SPREAD * thrust_n)
-    lacking = _lacking_momentum(terms, physics, weights, normal, prior)
+    judged = any(band.motion is not None for band in terms.fast)
+    lacking = _lacking_momentum(terms, physics, weights, normal, prior) if judged else None
     for band, gram in zip(terms.fast, reduced.grams, strict=True):
         kept, covariance, log_density = _fast_band(terms, band, gram, physics, parameters, lacking)
         estimates.append(kept)
@@ -315,13 +333,13 @@ def _fast_band(
     gram: Array,
     physics: Physics,
     parameters: Mapping[str, Array],
-    lacking: Array,
+    lacking: Array | None,
 ) -> tuple[Array, Array, Array]:
     """Estimate of the wheels (n, W, W), covariance of a row (n, 3, 3) and log density (n,)."""
-    n, wheels = len(lacking), physics.wheel_weights[..., list(terms.wheel_places)]
+    n, wheels = len(physics.inertia_kg_m2), physics.wheel_weights[..., list(terms.wheel_places)]
     drift = parameters["torque_noise_n_m_s05"] ** 2 * band.walk.mean()
     by_drift = drift[:, None, None] * np.eye(3)
-    if band.motion is None:
+    if band.motion is None or lacking is None:
         kept = np.broadcast_to(np.eye(wheels.shape[-1]), (n, *band.vectors.shape))
         covariance = noise_covariance(terms, physics, parameters, kept) + by_drift
         return kept, covariance, -0.5 * band.rows * np.linalg.slogdet(covariance)[1]

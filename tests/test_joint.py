@@ -23,6 +23,7 @@ from cassini_bayes.joint import (
     draw_joint,
     joint_log_likelihood,
     joint_log_posterior,
+    with_equal_bands_merged,
 )
 from cassini_bayes.physics import physical_inertia
 from cassini_bayes.priors import Priors
@@ -44,6 +45,24 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
         parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
         plain = plain_log_likelihood(model, events, parameters)
         assert joint_log_likelihood(model, z[None])[0] == pytest.approx(plain, rel=1e-9)
+
+
+def test_bands_alike_are_merged_without_a_change() -> None:
+    """Without torque noise a slew's bands as one give the plain likelihood; with it they stay."""
+    rng = np.random.default_rng(14)
+    events = [made_up_samples(rng, 60), made_up_samples(rng, 300, fires=False)]
+    free = telemetry_priors()
+    priors = free.with_fixed("torque_noise_n_m_s05", 0.0)
+    statistics = [reduced(samples, priors, f"e{i}") for i, samples in enumerate(events)]
+    model = build_joint_model(statistics, priors)
+    merged = with_equal_bands_merged(model)
+    assert [len(terms.fast) for terms in merged.telemetry] == [len(model.telemetry[0].fast), 1]
+    z = 0.5 * model.space.sample(rng, 1)
+    parameters = {name: float(v) for name, v in model.space.to_parameters(z[0]).items()}
+    plain = plain_log_likelihood(merged, events, parameters)
+    assert joint_log_likelihood(merged, z)[0] == pytest.approx(plain, rel=1e-9)
+    noisy = build_joint_model(statistics, free)
+    assert with_equal_bands_merged(noisy) is noisy
 
 
 def test_draws_have_the_conditional_moments() -> None:

@@ -27,6 +27,7 @@ from cassini_bayes.joint import (
     build_joint_model,
     joint_log_posterior,
     sampling_of,
+    with_equal_bands_merged,
     without_idle,
 )
 from cassini_bayes.model import TotalsModel
@@ -252,5 +253,5 @@ def extend(base: Hypothesis, effects: Sequence[Effect], case: Case) -> Hypothesi
 
 
 def compact(hypothesis: Hypothesis) -> Hypothesis:
-    """The same hypothesis without columns that have no weight in it: faster calls."""
-    return replace(hypothesis, model=without_idle(hypothesis.model))
+    """The same hypothesis without columns that have no weight and bands that are alike: faster."""
+    return replace(hypothesis, model=with_equal_bands_merged(without_idle(hypothesis.model)))
