@@ -15,7 +15,8 @@ from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
 from cassini_bayes import __version__
-from cassini_bayes.criticism.blind import STRATA, Blind, code_digest, is_done, run_trial
+from cassini_bayes.criticism.blind import STRATA, code_digest, is_done, run_trial
+from cassini_bayes.criticism.blind_flights import Blind
 from cassini_bayes.plots import encode
 from cassini_bayes.plots.blind import blind_figure, confusion_figure
 from cassini_bayes.storage import write_bytes, write_text

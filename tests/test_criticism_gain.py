@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cassini_bayes.criticism.blind import source_of
+from cassini_bayes.criticism.blind_flights import source_of
 from cassini_bayes.criticism.diagnosis import catalogue_of
 from cassini_bayes.criticism.extended import Case, prepare
 from cassini_bayes.criticism.gain import HeldOut, held_out

@@ -89,7 +89,7 @@ def calibrate_blind_command(
 ) -> None:
     """Hide effects in simulated telemetry and count how often the diagnosis finds them."""
     from cassini_bayes.blind_campaign import run_campaign, write_results
-    from cassini_bayes.criticism.blind import Blind
+    from cassini_bayes.criticism.blind_flights import Blind
 
     reporter = ConsoleReporter(quiet)
     campaign = Blind(scenario, priors, seed, tuple(events.split(",")))
