@@ -18,6 +18,7 @@ from cassini_bayes.joint import JointModel, joint_log_posterior
 from cassini_bayes.joint_draws import draw_all
 from cassini_bayes.joint_result import build_joint_fit
 from cassini_bayes.model import TotalsModel
+from cassini_bayes.parallel import in_parts
 from cassini_bayes.posterior import log_posterior
 from cassini_bayes.result import Fit, build_fit, draws_of
 from cassini_bayes.sampling import (
@@ -101,6 +102,7 @@ def fit_model(
     store: CheckpointStore | None = None,
     say: Callable[[str], None] | None = None,
     progress: Callable[[ProgressReport], None] | None = None,
+    threads: int = 1,
 ) -> Sampled:
     """Sample the posterior of a model until the stop rule holds, and assemble the fit.
 
@@ -118,6 +120,8 @@ def fit_model(
         Where finished blocks are kept, to go on from after a kill.
     say, progress
         Told about stages and sampling progress.
+    threads
+        For the likelihood; the draws do not depend on it.
 
     Raises
     ------
@@ -135,37 +139,14 @@ def fit_model(
             "keep more draws, or ask for a smaller target_ess",
         )
     tell = say or (lambda _: None)
-    log_density_of = log_density(model)
     tell(
         f"{_count(event_ids(model))}, {len(model.space.names)} walked and "
         f"{collapsed_size(model)} collapsed parameters"
     )
-    warm = _warm_start(model, settings.seed, store)
-    tell(
-        f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
-        f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
-    )
-    moves = settings
-    if warm.draws.pareto_k > WORST_PARETO_K and settings.independence_share > FALLBACK_INDEPENDENCE:
-        moves = replace(settings, independence_share=FALLBACK_INDEPENDENCE)
-        tell(
-            f"the proposal is poor (Pareto k̂ > {WORST_PARETO_K}): falling back on differential "
-            f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
+    with in_parts(log_density(model), threads) as density_of:
+        warm, chains = _sampled(
+            model, density_of, settings, draws_per_ensemble, store, tell, progress
         )
-
-    def wants_more(chains: Chains) -> bool:
-        z, _ = chains.thinned(draws_per_ensemble)
-        walkers = chains.z.shape[2]
-        return _derived_ess(model, z, walkers, settings.seed) < settings.target_ess
-
-    chains = sample(
-        log_density_of,
-        warm.proposal,
-        moves,
-        store=store,
-        progress=progress,
-        more=wants_more,
-    )
     z, density = chains.thinned(draws_per_ensemble)
     tell(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
     attributes: dict[str, str | float | int] = {
@@ -187,6 +168,45 @@ def fit_model(
     else:
         fit = build_fit(model, z, density, rng, attributes, prior_draws)
     return Sampled(model, settings, fit, z, warm, chains)
+
+
+def _sampled(
+    model: Model,
+    density_of: LogDensity,
+    settings: SamplerSettings,
+    draws_per_ensemble: int,
+    store: CheckpointStore | None,
+    tell: Callable[[str], None],
+    progress: Callable[[ProgressReport], None] | None,
+) -> tuple[WarmStart, Chains]:
+    """Warm start and ensembles, the moves chosen by what the warm start is worth."""
+    warm = _warm_start(density_of, len(model.space.names), settings.seed, store)
+    tell(
+        f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
+        f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
+    )
+    moves = settings
+    if warm.draws.pareto_k > WORST_PARETO_K and settings.independence_share > FALLBACK_INDEPENDENCE:
+        moves = replace(settings, independence_share=FALLBACK_INDEPENDENCE)
+        tell(
+            f"the proposal is poor (Pareto k̂ > {WORST_PARETO_K}): falling back on differential "
+            f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
+        )
+
+    def wants_more(chains: Chains) -> bool:
+        z, _ = chains.thinned(draws_per_ensemble)
+        walkers = chains.z.shape[2]
+        return _derived_ess(model, z, walkers, settings.seed) < settings.target_ess
+
+    chains = sample(
+        density_of,
+        warm.proposal,
+        moves,
+        store=store,
+        progress=progress,
+        more=wants_more,
+    )
+    return warm, chains
 
 
 def log_density(model: Model) -> LogDensity:
@@ -234,7 +254,9 @@ def collapsed_size(model: Model) -> int:
     return int(model.linear.shared.shape[1]) + thrusts + torques + starts_and_tails
 
 
-def _warm_start(model: Model, seed: int, store: CheckpointStore | None) -> WarmStart:
+def _warm_start(
+    density_of: LogDensity, dimension: int, seed: int, store: CheckpointStore | None
+) -> WarmStart:
     """The warm start: from its checkpoint, or computed and stored."""
     stored = store.load("warmstart") if store else None
     if stored is not None:
@@ -253,7 +275,7 @@ def _warm_start(model: Model, seed: int, store: CheckpointStore | None) -> WarmS
             ),
         )
     rng = _stream(seed, _WARM_START)
-    warm = warm_start(log_density(model), len(model.space.names), rng)
+    warm = warm_start(density_of, dimension, rng)
     if store is None:
         return warm
     draws = warm.draws

@@ -6,6 +6,7 @@ A run folder holds ``resolved.toml`` and ``provenance.json`` (written before sam
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from collections.abc import Mapping, Sequence
@@ -167,6 +168,7 @@ def execute(
         store=CheckpointStore(folder / "checkpoint", provenance.identity),
         say=reporter.say,
         progress=reporter.progress,
+        threads=len(os.sched_getaffinity(0)),
     )
     save_fit(sampled.fit, folder / "fit.nc")
     reporter.say("tables")

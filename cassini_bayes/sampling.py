@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import emcee
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.errors import CassiniBayesError, InputError
+from cassini_bayes.parallel import in_lock_step
 from cassini_bayes.warmstart import LogDensity, Proposal
 
 Array = NDArray[np.float64]
@@ -238,7 +240,6 @@ def sample(
     walkers = settings.walkers_for(d)
     checked = _checked(log_density)
     seeds = np.random.SeedSequence(settings.seed).spawn(settings.ensembles)
-    samplers = [_ensemble(checked, proposal, walkers, d, settings) for _ in seeds]
     states = [_start(checked, proposal, walkers, seed) for seed in seeds]
     blocks: list[Array] = []
     densities: list[Array] = []
@@ -250,10 +251,8 @@ def sample(
         began = time.monotonic()
         stored = store.load(f"block_{block:04d}") if store else None
         if stored is None:
-            results = [
-                _advance(sampler, state, goal - step)
-                for sampler, state in zip(samplers, states, strict=True)
-            ]
+            advance = partial(_advance, proposal=proposal, steps=goal - step, settings=settings)
+            results = in_lock_step(checked, [partial(advance, state=state) for state in states])
             states = [result[0] for result in results]
             arrays = _pack(states, results)
             fresh_steps += goal - step
@@ -357,9 +356,15 @@ def _start(
 
 
 def _advance(
-    sampler: emcee.EnsembleSampler, state: emcee.State, steps: int
+    log_density: LogDensity,
+    *,
+    state: emcee.State,
+    proposal: Proposal,
+    steps: int,
+    settings: SamplerSettings,
 ) -> tuple[emcee.State, Array, Array, float]:
-    sampler.reset()
+    walkers, d = state.coords.shape
+    sampler = _ensemble(log_density, proposal, walkers, d, settings)
     end = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
     return (
         end,

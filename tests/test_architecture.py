@@ -53,6 +53,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("result", "warmstart", "inertia"),
     ("joint_draws",),
     ("joint_result", "time_series", "observability"),
+    ("parallel",),
     ("sampling",),
     ("fitting",),
     ("scenario", "ranks"),

@@ -8,7 +8,7 @@ cosines. The weights are sparse: entry b says that column ``row[b]`` enters new 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -18,15 +18,22 @@ Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+# nogil: other threads may evaluate other points meanwhile
+OPTIONS: Final[dict[str, Any]] = {
+    "error_model": "numpy",
+    "fastmath": {"reassoc", "contract"},
+    "nogil": True,
+}
+
 
 def _compiled(function: Function) -> Function:
     try:
         return cast(
             Function,
-            njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})(function),
+            njit(cache=True, **OPTIONS)(function),
         )
     except RuntimeError:  # the package's folder cannot be written: compile in every process
-        return cast(Function, njit(error_model="numpy", fastmath={"reassoc", "contract"})(function))
+        return cast(Function, njit(**OPTIONS)(function))
 
 
 @_compiled

@@ -1,0 +1,133 @@
+"""Log densities on several threads: batches cut into parts, ensembles advanced in lock-step.
+
+The likelihood spends its time in compiled code that lets other threads run, and costs less per
+point in large batches. Neither the cut nor the order of what is evaluated together depends on the
+number of threads, so results do not either.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LogDensity = Callable[[Array], Array]
+Result = TypeVar("Result")
+PART: Final = 200  # points: large enough for vectors, small enough for the processor's cache
+
+
+class _OtherFailedError(Exception):
+    """Another ensemble failed: this one need not go on."""
+
+
+@contextmanager
+def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
+    """The log density with batches (n, d) cut into parts of :data:`PART` points, on threads."""
+    if threads < 2:
+        yield lambda z: _joined([log_density(part) for part in _parts(z)])
+        return
+    with ThreadPoolExecutor(threads, thread_name_prefix="likelihood") as pool:
+        yield lambda z: _joined(list(pool.map(log_density, _parts(z))))
+
+
+def _parts(z: Array) -> list[Array]:
+    return np.array_split(z, max(1, -(-len(z) // PART)))
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+class LockStep:
+    """A log density shared by several walks: what they ask for is evaluated as one batch.
+
+    Each walk calls :meth:`of` its place from a thread of its own and waits there until all the
+    others that have not ended ask as well. So what is evaluated together depends on the walks
+    alone, not on how fast their threads are.
+    """
+
+    def __init__(self, log_density: LogDensity, walks: int) -> None:
+        self._log_density = log_density
+        self._walking = walks
+        self._asked: dict[int, Array] = {}
+        self._answers: dict[int, Array] = {}
+        self._failed: BaseException | None = None
+        self._turn = threading.Condition()
+
+    def of(self, place: int) -> LogDensity:
+        """The log density as one walk calls it."""
+
+        def evaluate(z: Array) -> Array:
+            with self._turn:
+                self._asked[place] = z
+                self._evaluate_if_all_ask()
+                self._turn.wait_for(lambda: place in self._answers or self._failed is not None)
+                if place not in self._answers:
+                    raise _OtherFailedError
+                return self._answers.pop(place)
+
+        return evaluate
+
+    def end(self, failure: BaseException | None = None) -> None:
+        """A walk has ended; after a failure all others end, too."""
+        with self._turn:
+            self._walking -= 1
+            self._failed = self._failed or failure
+            self._evaluate_if_all_ask()
+            self._turn.notify_all()
+
+    def _evaluate_if_all_ask(self) -> None:
+        if self._failed is not None or not self._asked or len(self._asked) < self._walking:
+            return
+        places = sorted(self._asked)
+        batch = [self._asked.pop(place) for place in places]
+        edges = np.cumsum([len(z) for z in batch])[:-1]
+        try:
+            values = self._log_density(np.concatenate(batch))
+        except BaseException as failure:
+            self._failed = failure
+            self._turn.notify_all()
+            raise
+        self._answers.update(zip(places, np.split(values, edges), strict=True))
+        self._turn.notify_all()
+
+
+def in_lock_step(
+    log_density: LogDensity, walks: Sequence[Callable[[LogDensity], Result]]
+) -> list[Result]:
+    """Run walks side by side, each given the shared log density, and return their results.
+
+    Raises
+    ------
+    Whatever the first walk that failed raised.
+    """
+    shared = LockStep(log_density, len(walks))
+
+    def run(place: int) -> Result:
+        try:
+            result = walks[place](shared.of(place))
+        except BaseException as failure:
+            shared.end(failure)
+            raise
+        shared.end()
+        return result
+
+    with ThreadPoolExecutor(len(walks), thread_name_prefix="ensemble") as pool:
+        try:
+            futures = [pool.submit(run, place) for place in range(len(walks))]
+            for future in futures:
+                future.exception()
+        except BaseException as failure:  # interrupted from outside: let the threads end
+            shared.end(failure)
+            raise
+    for future in futures:
+        failed = future.exception()
+        if failed is not None and not isinstance(failed, _OtherFailedError):
+            raise failed
+    return [future.result() for future in futures]
