@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cassini_bayes.criticism.blind import source_of
+from cassini_bayes.criticism.blind_flights import source_of
 from cassini_bayes.criticism.catalogue import read_catalogue
+from cassini_bayes.criticism.correlations import show
 from cassini_bayes.criticism.diagnosis import catalogue_of
 from cassini_bayes.criticism.extended import Case, prepare
 from cassini_bayes.criticism.naming import (
@@ -93,7 +94,8 @@ def test_nothing_hidden_gives_none_and_something_strange_gives_unknown() -> None
     pulse |= {"centre_s": 600.0, "width_s": 150.0}
     odd = verdict_of(flown(SEED + 1, [{"name": "atmospheric_torque", "parameters": pulse}]))
     assert odd.best.name == "unknown"
-    assert find_symptoms(odd.rows, odd.case.sources[0].thrusters)
+    assert odd.linear is not None
+    assert find_symptoms(odd.rows, show(odd.linear, odd.rows, np.random.default_rng(3)))
 
 
 def test_catalogue_probabilities_add_up() -> None:

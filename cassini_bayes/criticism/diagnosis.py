@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.criticism.catalogue import Catalogue, read_catalogue
+from cassini_bayes.criticism.correlations import Shown, show
 from cassini_bayes.criticism.evidence import Weighed, extended_mode
 from cassini_bayes.criticism.extended import Case, compact, extend, none_hypothesis
 from cassini_bayes.criticism.gain import LEAST_EVENTS, HeldOut, case_of, held_out
-from cassini_bayes.criticism.innovations import EventRows, innovations
+from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
 from cassini_bayes.criticism.naming import (
     NEAR_NATS,
     Verdict,
@@ -24,7 +25,7 @@ from cassini_bayes.criticism.naming import (
 )
 from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.separation import separating_measurement
-from cassini_bayes.criticism.symptoms import find_symptoms
+from cassini_bayes.criticism.symptoms import Symptom, find_symptoms
 from cassini_bayes.spacecraft import couples
 
 Array = NDArray[np.float64]
@@ -37,11 +38,15 @@ MOST_RESCALED: Final = 6
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """A verdict with its symptoms, gain and the record that is written."""
+    """A verdict with its symptoms, gain and the record that is written.
+
+    ``shown`` are tests of the innovations before and after extension, None without telemetry.
+    """
 
     verdict: Verdict
     extended: Weighed
     extended_rows: tuple[EventRows, ...]
+    shown: tuple[Shown, Shown] | None
     record: dict[str, Any]
 
 
@@ -68,13 +73,16 @@ def diagnose(
     """
     verdict = name_causes(case, catalogue, rng, say=say)
     extended = verdict.pair if verdict.pair is not None else verdict.best
-    p, extended_p, extended_rows = _p_values(verdict, extended, rng)
+    linear, extended_rows = _extended_innovations(verdict, extended)
+    p, extended_p = _p_values(verdict, linear, rng)
+    shown = _shown(verdict, linear, extended_rows, rng.spawn(1)[0])
     base_score, own_score = None, None
     if measure_gain and len(case.sources) >= LEAST_EVENTS and case.totals is None:
         base_score = held_out(verdict, verdict.none, say)
         own_score = base_score if extended is verdict.none else held_out(verdict, extended, say)
-    thrusters = _thrusters(case)
-    symptoms = find_symptoms(verdict.rows, thrusters) if _is_discrepant(verdict) else ()
+    symptoms: tuple[Symptom, ...] = ()
+    if shown is not None and _is_discrepant(verdict):
+        symptoms = find_symptoms(verdict.rows, shown[0])
     record = {
         "format": 1,
         "events": _event_ids(case),
@@ -82,6 +90,7 @@ def diagnose(
         "discrepant": _is_discrepant(verdict),
         "p_value": p,
         "symptoms": [asdict(symptom) for symptom in symptoms],
+        "closure": [] if shown is None else _closure(*shown),
         "causes": _cause_records(verdict, rng),
         "extended": {
             "causes": _names(extended),
@@ -94,7 +103,7 @@ def diagnose(
         else float(verdict.pair.log_evidence - verdict.best.log_evidence),
         "separation": _separation(verdict),
     }
-    return Diagnosis(verdict, extended, extended_rows, record)
+    return Diagnosis(verdict, extended, extended_rows, shown, record)
 
 
 def catalogue_of(case: Case, path: Any = None) -> Catalogue:
@@ -112,27 +121,58 @@ def _event_ids(case: Case) -> list[str]:
     return [*rows, *(source.id for source in case.sources)]
 
 
-def _thrusters(case: Case) -> tuple[str, ...]:
-    return next((source.thrusters for source in case.sources if source.thrusters), ())
-
-
 def _names(weighed: Weighed) -> list[str]:
     if weighed.name == "none":
         return []
     return [effect.name for effect in weighed.hypothesis.effects] or [weighed.name]
 
 
-def _p_values(
-    verdict: Verdict, extended: Weighed, rng: np.random.Generator
-) -> tuple[float | None, float | None, tuple[EventRows, ...]]:
-    """p-values of the baseline and the extended model, and the latter's innovations."""
-    if verdict.linear is None:
-        return None, None, ()
-    p = p_value(verdict.linear, [own.time_s for own in verdict.rows], rng)
-    if extended is verdict.none or extended.name == "unknown":
-        return p, p, verdict.rows
+def _extended_innovations(
+    verdict: Verdict, extended: Weighed
+) -> tuple[Linear | None, tuple[EventRows, ...]]:
+    """Linear model and innovations of the extended model: the baseline's where it adds no cause."""
+    if verdict.linear is None or not extended.hypothesis.effects:
+        return verdict.linear, verdict.rows
     linear, rows = innovations(case_of(verdict, extended), extended.hypothesis, extended.mode.point)
-    return p, p_value(linear, [own.time_s for own in rows], rng), tuple(rows)
+    return linear, tuple(rows)
+
+
+def _p_values(
+    verdict: Verdict, extended: Linear | None, rng: np.random.Generator
+) -> tuple[float | None, float | None]:
+    """p-values of the baseline and the extended model."""
+    if verdict.linear is None or extended is None:
+        return None, None
+    times = [own.time_s for own in verdict.rows]
+    p = p_value(verdict.linear, times, rng)
+    return p, p if extended is verdict.linear else p_value(extended, times, rng)
+
+
+def _shown(
+    verdict: Verdict,
+    extended: Linear | None,
+    rows: tuple[EventRows, ...],
+    rng: np.random.Generator,
+) -> tuple[Shown, Shown] | None:
+    if verdict.linear is None or extended is None:
+        return None
+    before = show(verdict.linear, verdict.rows, rng)
+    return before, before if extended is verdict.linear else show(extended, rows, rng)
+
+
+def _closure(before: Shown, after: Shown) -> list[dict[str, Any]]:
+    """Momentum at the end against the start, N m s, with 1 σ if the model is true."""
+    return [
+        {
+            "event": old.event,
+            "axis": old.axis,
+            "baseline_n_m_s": old.value,
+            "baseline_sd_n_m_s": old.sd,
+            "extended_n_m_s": new.value,
+            "extended_sd_n_m_s": new.sd,
+        }
+        for old, new in zip(before.closure, after.closure, strict=True)
+    ]
 
 
 def _rmse(rows: tuple[EventRows, ...]) -> float | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -37,8 +38,8 @@ _WIDE: Final = 1e-12
 class EventRows:
     """One event's innovations at the mode of a hypothesis.
 
-    ``white`` (n, 3) are standardised along the noise's principal axes turned back to body axes,
-    ``residual_n_m_s`` (n, 3) the same in momentum.
+    ``residual_n_m_s`` (n, 3) is momentum about body axes, ``white`` (n, 3) the same whitened:
+    ``residual_n_m_s = white @ noise_factor.T`` with the lower factor (3, 3) of a row's noise.
     """
 
     event: str
@@ -48,6 +49,10 @@ class EventRows:
     rate_rad_s: Array
     wheel_rad_s: Array
     on_time_s: Array  # (n, K)
+    wheels: tuple[int, ...]  # numbers of the columns of wheel_rad_s
+    thrusters: tuple[str, ...]
+    noise_factor: Array
+    attitude: Array  # (n, 4) Euler parameters, scalar last
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,22 @@ class Linear:
     columns: Array
     precision: Array
     rows: tuple[int, ...]  # of every event, three values each
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """Where every event's values are in ``target``."""
+        ends = 3 * np.cumsum([0, *self.rows])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    def gram(self) -> Array:
+        """XᵀX + P (p, p), summed over events on the columns that each of them has."""
+        total = np.diag(self.precision)
+        for part in self.parts:
+            own = self.columns[part]
+            kept = np.flatnonzero(np.any(own, axis=0))
+            own = own[:, kept]
+            total[np.ix_(kept, kept)] += own.T @ own
+        return total
 
 
 def event_rows(case: Case, place: int) -> Rows:
@@ -207,8 +228,7 @@ def _stacked(
 
 def fitted_away(linear: Linear, target: Array) -> Array:
     """Innovations (m, …) of one or more targets (m, …): what the prior and fit leave."""
-    gram = linear.columns.T @ linear.columns + np.diag(linear.precision)
-    answer = np.linalg.solve(gram, linear.columns.T @ target)
+    answer = np.linalg.solve(linear.gram(), linear.columns.T @ target)
     return np.asarray(target - linear.columns @ answer)
 
 
@@ -233,6 +253,10 @@ def innovations(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, l
                 samples.rate_rad_s[at],
                 samples.wheel_rad_s[at],
                 samples.on_time_s[at] if samples.on_time_s.shape[1] else np.zeros((n, 0)),
+                source.wheels,
+                source.thrusters,
+                factor,
+                samples.attitude[at],
             )
         )
     return linear, result

@@ -5,44 +5,140 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
+import numpy as np
+import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes import __version__
+from cassini_bayes.criticism.correlations import POINTWISE, Shown
 from cassini_bayes.criticism.diagnosis import Diagnosis
+from cassini_bayes.criticism.discrepancy import Curve, verdict_curves
 from cassini_bayes.plots import Figure, encode, save_figures
-from cassini_bayes.plots.criticism import cause_figure, innovation_figure
+from cassini_bayes.plots.criticism import (
+    cause_figure,
+    correlation_figure,
+    discrepancy_figure,
+    innovation_figure,
+    whiteness_figure,
+)
 from cassini_bayes.storage import write_text
 
 MOST_CAUSES: Final = 12
+CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "causes": "Causes, most probable first: posterior probability and evidence.",
+        "innovations": "Measured less predicted momentum after fitting, in body axes.",
+        "discrepancy": "Discrepancy: torque that the baseline lacks, integrated from the first "
+        "row, about body axes, as unknown infers it. Where the band holds zero nothing need be "
+        "missing. What thrusts can take up in a bias widens the band.",
+        "correlation": "What the innovations go with. Each value is standard normal if the model "
+        "is true; a driver that the model can take up itself has no test.",
+        "whiteness": "Whiteness: autocorrelation of the innovations, less what fitting makes of "
+        "white noise.",
+    }
+)
 
 
-def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """Figures by name: ``causes``, and ``innovations`` where there is telemetry."""
-    figures = {"causes": cause_figure(diagnosis.record["causes"])}
-    rows, after = diagnosis.verdict.rows, diagnosis.extended_rows
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the report with what it shows; the name is that of its file."""
+
+    name: str
+    caption: str
+    figure: Figure
+
+
+def diagnosis_pictures(diagnosis: Diagnosis, curves: Sequence[Curve]) -> list[Picture]:
+    """``causes``; with telemetry ``innovations``, ``discrepancy``, ``correlation_1`` … too."""
+    rows = diagnosis.verdict.rows
     changed = bool(diagnosis.extended.hypothesis.effects)
-    innovations = innovation_figure(rows, after if changed else ())
-    if innovations is not None:
-        figures["innovations"] = innovations
-    return figures
+    pictures = [
+        Picture("causes", CAPTIONS["causes"], cause_figure(diagnosis.record["causes"])),
+        *_optional(
+            "innovations", innovation_figure(rows, diagnosis.extended_rows if changed else ())
+        ),
+        *_optional("discrepancy", discrepancy_figure(curves)),
+    ]
+    if diagnosis.shown is None:
+        return pictures
+    before, after = diagnosis.shown[0], diagnosis.shown[1] if changed else None
+    for i, own in enumerate(rows, start=1):
+        figure = correlation_figure(own.event, before, after)
+        pictures.append(Picture(f"correlation_{i}", CAPTIONS["correlation"], figure))
+    return [*pictures, *_optional("whiteness", whiteness_figure(before, after))]
+
+
+def _optional(name: str, figure: Figure | None) -> list[Picture]:
+    return [] if figure is None else [Picture(name, CAPTIONS[name], figure)]
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: Path, name: str) -> None:
-    """Write ``diagnosis.json``, ``figures/`` and ``report.html``.
+    """Write ``diagnosis.json``, tables, ``figures/`` and ``report.html``.
+
+    ``discrepancy.csv`` and ``correlation.csv`` hold what the figures of those names show.
 
     Raises
     ------
     InputError
         The folder cannot be written.
     """
-    figures = diagnosis_figures(diagnosis)
-    write_text(folder / "diagnosis.json", diagnosis_json(diagnosis.record))
-    save_figures(figures, folder / "figures")
-    write_text(folder / "report.html", render_diagnosis(diagnosis.record, figures, name))
+    curves = verdict_curves(diagnosis.verdict, np.random.default_rng(diagnosis.record["seed"]))
+    if diagnosis.shown is not None:
+        write_text(folder / "discrepancy.csv", curve_table(curves).to_csv(index=False))
+        table = driver_table(*diagnosis.shown)
+        write_text(folder / "correlation.csv", table.to_csv(index=False))
+    write_record(diagnosis.record, diagnosis_pictures(diagnosis, curves), folder, name, curves)
+
+
+def write_record(
+    record: Mapping[str, Any],
+    pictures: Sequence[Picture],
+    folder: Path,
+    name: str,
+    curves: Sequence[Curve] = (),
+) -> None:
+    """Write ``diagnosis.json``, ``figures/`` and ``report.html`` of any diagnosis."""
+    write_text(folder / "diagnosis.json", diagnosis_json(record))
+    save_figures({own.name: own.figure for own in pictures}, folder / "figures")
+    write_text(folder / "report.html", render_diagnosis(record, pictures, name, curves))
+
+
+def curve_table(curves: Sequence[Curve]) -> pd.DataFrame:
+    """Discrepancy curves row by row: N m s about body axes, 90 % central intervals."""
+    return pd.concat(
+        pd.DataFrame(
+            {"event": curve.event, "time_s": curve.time_s}
+            | {
+                f"{axis}_{what}_n_m_s": getattr(curve, what)[:, c]
+                for c, axis in enumerate("xyz")
+                for what in ("mean", "low", "high")
+            }
+        )
+        for curve in curves
+    )
+
+
+def driver_table(before: Shown, after: Shown) -> pd.DataFrame:
+    """Standardised correlations with every driver, σ, and their bands' half-widths."""
+    later = {(t.event, t.axis, t.driver): t.z for t in after.drivers}
+    return pd.DataFrame(
+        {
+            "event": t.event,
+            "axis": t.axis,
+            "driver": t.driver,
+            "baseline_z": t.z,
+            "extended_z": later.get((t.event, t.axis, t.driver), np.nan),
+            "single_95_z": POINTWISE,
+            "family_95_z": before.family_z,
+        }
+        for t in before.drivers
+    )
 
 
 def diagnosis_json(record: Mapping[str, Any]) -> str:
@@ -125,7 +221,32 @@ def _cause_row(cause: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str,
     }
 
 
-def render_diagnosis(record: Mapping[str, Any], figures: Mapping[str, Figure], name: str) -> str:
+def _closure_rows(record: Mapping[str, Any], curves: Sequence[Curve]) -> list[dict[str, str]]:
+    """End-point closure before and after, and the inferred unexplained momentum at the end."""
+    missing = {
+        (curve.event, axis): (curve.mean[-1, c], curve.low[-1, c], curve.high[-1, c])
+        for curve in curves
+        for c, axis in enumerate("xyz")
+    }
+    rows = []
+    for own in record["closure"]:
+        cells = {"event": own["event"], "axis": own["axis"].upper(), "missing": "–"}
+        for model in ("baseline", "extended"):
+            value, sd = own[f"{model}_n_m_s"], own[f"{model}_sd_n_m_s"]
+            cells[model] = f"{value:+.4f} ± {sd:.4f} ({value / sd:+.1f} σ)"
+        if (own["event"], own["axis"]) in missing:
+            mean, low, high = missing[own["event"], own["axis"]]
+            cells["missing"] = f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]"
+        rows.append(cells)
+    return rows
+
+
+def render_diagnosis(
+    record: Mapping[str, Any],
+    pictures: Sequence[Picture],
+    name: str,
+    curves: Sequence[Curve] = (),
+) -> str:
     """The page as HTML; every text is escaped."""
     environment = Environment(
         loader=PackageLoader("cassini_bayes", "templates"),
@@ -143,12 +264,15 @@ def render_diagnosis(record: Mapping[str, Any], figures: Mapping[str, Figure], n
         "heldout_rmse_nms": "held-out RMS residual (N m s)",
         "heldout_coverage_90": "coverage of held-out 90 % central intervals (1)",
     }
-    pictures = [{"name": key, "address": _address(figure)} for key, figure in figures.items()]
     return environment.get_template("diagnosis.html.jinja").render(
         name=name,
         sentences=sentences(record),
         symptoms=record["symptoms"],
-        pictures=pictures,
+        pictures=[
+            {"name": own.name, "caption": own.caption, "address": _address(own.figure)}
+            for own in pictures
+        ],
+        closure=_closure_rows(record, curves),
         causes=[_cause_row(cause, record) for cause in record["causes"][:MOST_CAUSES]],
         separation=record["separation"],
         extended_name=", ".join(after["causes"]) or "none",
