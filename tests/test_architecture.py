@@ -68,7 +68,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
         "trend",
         "sweep",
     ),
-    ("telemetry_baselines", "perturbation_coverage"),
+    ("telemetry_baselines", "perturbation_coverage", "blind_rates"),
     ("inertia_baselines",),
     ("review",),
     ("joint_review",),

@@ -8,15 +8,11 @@ from typing import Any
 
 import pytest
 
-from cassini_bayes.blind_campaign import (
-    first,
-    interval,
-    named,
-    rates,
-    read_trials,
-    reliability,
-    write_results,
-)
+from cassini_bayes import blind_campaign
+from cassini_bayes.blind_campaign import read_trials, run_campaign, write_results
+from cassini_bayes.blind_rates import first, interval, named, rates, reliability
+from cassini_bayes.criticism.blind import is_done, run_trial, trial_file
+from cassini_bayes.criticism.blind_flights import Blind
 
 
 def record(index: int, stratum: str, hidden: str | None, said: str, **other: Any) -> dict[str, Any]:
@@ -41,6 +37,9 @@ def record(index: int, stratum: str, hidden: str | None, said: str, **other: Any
         "sizes": [size] if hidden else [],
         "pair": None,
         "p_value": 0.4,
+        "oracle_rank": 0 if hidden else None,
+        "oracle_expected": 0.8 if hidden else None,
+        "wall_s": 12.5,
         "cpu_prepare_s": 2.0,
         "cpu_diagnose_s": 10.0,
     } | other
@@ -71,12 +70,13 @@ def test_rates_are_counted_by_part() -> None:
     assert table.loc["clear: named first (confounded group counts)", "hits"] == 2
     assert table.loc["clear: named first, name alone", "hits"] == 1
     assert table.loc["null: causes[0] is not none", "hits"] == 1
-    assert table.loc["uncatalogued, detected: unknown first", "hits"] == 1
+    assert table.loc["uncatalogued: unknown first", "hits"] == 1
     assert table.loc["two: both named", "hits"] == 1
+    assert table.loc["faint: the oracle, on the same data", "trials"] == 0
     low, high = interval(2, 3)
     assert table.loc["clear: named first (confounded group counts)", "low_95"] == low
     assert high < 1.0
-    assert reliability(RECORDS)["right"].to_list() == [1.0]
+    assert reliability(RECORDS)["right"].to_list() == [1.0, 1.0]  # its bin, and all
 
 
 def test_page_lists_failures_and_claims_no_goal_on_few_trials(tmp_path: Path) -> None:
@@ -105,3 +105,47 @@ def test_rate_of_no_trials_is_open() -> None:
     assert interval(0, 0) == (0.0, 1.0)
     assert rates(RECORDS[:1]).set_index("rate").loc["two: both named", "trials"] == 0
     assert interval(5, 5)[0] == pytest.approx(0.025 ** (1 / 5))
+
+
+def test_failed_trial_is_a_miss_with_its_message(tmp_path: Path) -> None:
+    """A trial that raises is recorded once with its message, and counts as a miss."""
+    campaign = Blind(tmp_path / "no such scenario.toml", tmp_path / "no priors.toml", 5, ("a",))
+    for index in range(3):
+        run_trial(campaign, index, tmp_path)
+    found = json.loads(trial_file(tmp_path, 0).read_text())
+    assert "no priors.toml" in found["error"]
+    assert is_done(campaign, 0, tmp_path, found["code"])
+    assert not is_done(campaign, 0, tmp_path, "another code")
+    assert not is_done(campaign, 4, tmp_path, found["code"])
+    mixed = [*RECORDS[2:4], {"index": 9, "stratum": "clear", "error": "ValueError: bad"}]
+    table = rates(mixed).set_index("rate")
+    assert table.loc["clear: named first (confounded group counts)", "value"] == 2 / 3
+    assert table.loc["all: trial failed", "hits"] == 1
+
+
+def test_half_written_and_foreign_records_are_not_done(tmp_path: Path) -> None:
+    """A record cut in half, of another seed or of other events is done again."""
+    campaign = Blind(Path("s"), Path("p"), 5, ("a",))
+    whole = {"seed": 5, "code": "abc", "events": ["a"]}
+    for text, done in (
+        (json.dumps(whole), True),
+        (json.dumps(whole)[:-3], False),
+        (json.dumps(whole | {"seed": 6}), False),
+        (json.dumps(whole | {"events": ["b"]}), False),
+    ):
+        trial_file(tmp_path, 0).write_text(text)
+        assert is_done(campaign, 0, tmp_path, "abc") is done
+
+
+def test_campaign_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is there is not done again, by one process or two; what is missing is done once."""
+    campaign = Blind(tmp_path / "no scenario.toml", tmp_path / "no priors.toml", 5, ("a",))
+    assert list(run_campaign(campaign, 3, tmp_path, 2))[-1] == (3, 3)
+    before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.glob("trial_*")}
+    trial_file(tmp_path, 1).unlink()
+    assert list(run_campaign(campaign, 3, tmp_path, 1)) == [(2, 3), (3, 3)]
+    after = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.glob("trial_*")}
+    assert {n: b for n, (b, _) in after.items()} == {n: b for n, (b, _) in before.items()}
+    assert [n for n in after if after[n][1] != before[n][1]] == ["trial_0001.json"]
+    monkeypatch.setattr(blind_campaign, "code_digest", lambda: "other code")
+    assert next(run_campaign(campaign, 3, tmp_path, 1)) == (0, 3)

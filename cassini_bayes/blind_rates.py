@@ -1,0 +1,235 @@
+"""What the trials of a blind campaign add up to: rates with intervals, calibration, confusion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import beta
+
+Record = dict[str, Any]
+NAMED: Final = 0.5
+BEST: Final = 3
+LEAST_SIGMA: Final = 5.0
+FAINT: Final = "faint: among the three best real causes"
+ORACLE: Final = "faint: the oracle, on the same data"
+COVERAGE: Final = "prior: 90 % intervals of the size hold it"
+ORACLE_MARGIN: Final = 0.10
+GOALS: Final[Mapping[str, float]] = {
+    "clear: named first (confounded group counts)": 0.95,
+    "null: causes[0] is not none": 0.05,
+    "uncatalogued: unknown first": 0.90,
+    "two: both named": 0.80,
+    COVERAGE: 0.90,
+}
+EDGES: Final = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0 + 1e-9)
+STATED: Final = (
+    "stated_from",
+    "stated_to",
+    "trials",
+    "mean_stated",
+    "right",
+    "low_95",
+    "high_95",
+    "inside",
+)
+
+
+def interval(hits: int, n: int) -> tuple[float, float]:
+    """Clopper-Pearson 95 % interval of a rate."""
+    if n == 0:
+        return 0.0, 1.0
+    low = 0.0 if hits == 0 else float(beta.ppf(0.025, hits, n - hits + 1))
+    high = 1.0 if hits == n else float(beta.ppf(0.975, hits + 1, n - hits))
+    return low, high
+
+
+def failed(record: Record) -> bool:
+    """Whether an exception ended the trial."""
+    return "error" in record
+
+
+def first(record: Record) -> str:
+    """Name of the most probable cause."""
+    return str(record["causes"][0]["name"])
+
+
+def named(record: Record) -> bool:
+    """Whether the first cause is (one of) the hidden, or is confounded with it, or rightly none."""
+    if failed(record):
+        return False
+    hidden = [h["name"] for h in record["hidden"]]
+    if not hidden:
+        return first(record) == "none"
+    group = {first(record), *record["confounded_with"]}
+    return first(record) != "none" and any(name in group for name in hidden)
+
+
+def alone(record: Record) -> bool:
+    """Whether the first cause is the hidden one itself, or rightly none."""
+    if failed(record):
+        return False
+    return first(record) in ([h["name"] for h in record["hidden"]] or ["none"])
+
+
+def _among_best(record: Record) -> bool:
+    if failed(record):
+        return False
+    rank = record["rank_of_truth"][0]
+    return rank is not None and rank < BEST
+
+
+def _both(record: Record) -> bool:
+    if failed(record) or record["pair"] is None:
+        return False
+    return {h["name"] for h in record["hidden"]} == set(str(record["pair"]).split("+"))
+
+
+def _counts(records: Sequence[Record]) -> dict[str, list[bool]]:
+    """Hits of every rate. A trial that failed is a miss, and a false alarm where none is hidden."""
+
+    def of(stratum: str) -> list[Record]:
+        return [r for r in records if r["stratum"] == stratum]
+
+    null, clear, faint, two, prior = map(of, ("null", "clear", "faint", "two", "prior"))
+    other = [r for r in of("uncatalogued") if failed(r) or r["hidden"][0]["sigma"] >= LEAST_SIGMA]
+    sizes = [s for r in prior if not failed(r) for s in r["sizes"]]
+    judged = [r for r in faint if not failed(r)]
+    return {
+        "clear: named first (confounded group counts)": [named(r) for r in clear],
+        "clear: named first, name alone": [alone(r) for r in clear],
+        FAINT: [_among_best(r) for r in faint],
+        ORACLE: [r["oracle_rank"] < BEST for r in judged],
+        "null: causes[0] is not none": [not named(r) for r in null],
+        "null: P(none) < 0.5": [failed(r) or r["probability_of_none"] < NAMED for r in null],
+        "uncatalogued: unknown first": [not failed(r) and first(r) == "unknown" for r in other],
+        "two: both named": [_both(r) for r in two],
+        "two: one of them first (group counts)": [named(r) for r in two],
+        "prior: truth first (none included, group counts)": [named(r) for r in prior],
+        COVERAGE: [bool(s["covers"]) for s in sizes],
+        "all: trial failed": [failed(r) for r in records],
+    }
+
+
+def rates(records: Sequence[Record]) -> pd.DataFrame:
+    """Every headline rate with its count, binomial 95 % interval, goal, and whether it is reached.
+
+    A goal is reached where the interval reaches it: from below, for false alarms from above, for
+    coverage from either side. The goal of faint trials is the oracle's rate less ten points.
+    """
+    counts = _counts(records)
+    values = {name: float(np.mean(hits)) if hits else float("nan") for name, hits in counts.items()}
+    goals = {**GOALS, FAINT: values[ORACLE] - ORACLE_MARGIN}
+    rows = []
+    for name, hits in counts.items():
+        low, high = interval(sum(hits), len(hits))
+        goal = goals.get(name, float("nan"))
+        rows.append(
+            {
+                "rate": name,
+                "hits": sum(hits),
+                "trials": len(hits),
+                "value": values[name],
+                "low_95": low,
+                "high_95": high,
+                "goal": goal,
+                "reached": "" if np.isnan(goal) else str(_reached(name, low, high, goal)),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _reached(name: str, low: float, high: float, goal: float) -> bool:
+    below, above = name.startswith("null"), name == COVERAGE
+    if above:
+        return low <= goal <= high
+    return low <= goal if below else high >= goal
+
+
+def expected_by_oracle(records: Sequence[Record]) -> float:
+    """Mean over faint trials of how often the oracle expects the cause among the three best."""
+    found = [r["oracle_expected"] for r in records if r["stratum"] == "faint" and not failed(r)]
+    return float(np.mean(found)) if found else float("nan")
+
+
+def reliability(records: Sequence[Record]) -> pd.DataFrame:
+    """Stated probability of the first cause against how often it was right, prior stratum.
+
+    ``inside``: the mean stated one is in the binomial 95 % interval. The last row holds all trials.
+    """
+    chosen = [r for r in records if r["stratum"] == "prior" and not failed(r)]
+    stated = np.array([r["causes"][0]["probability"] for r in chosen])
+    right = np.array([alone(r) for r in chosen], dtype=bool)
+    bins = [*pairwise(EDGES), (EDGES[0], EDGES[-1])]
+    rows = []
+    for low, high in bins:
+        inside = (stated >= low) & (stated < high)
+        if not inside.any():
+            continue
+        band = interval(int(right[inside].sum()), int(inside.sum()))
+        mean = float(stated[inside].mean())
+        numbers = (int(inside.sum()), mean, float(right[inside].mean()), *band)
+        rows.append((low, min(high, 1.0), *numbers, bool(band[0] <= mean <= band[1])))
+    return pd.DataFrame(rows, columns=list(STATED))
+
+
+def confusion(records: Sequence[Record]) -> pd.DataFrame:
+    """Hidden kind (rows) against first named kind (columns), one hidden effect or none."""
+    single = [r for r in records if not failed(r) and len(r["hidden"]) <= 1]
+    pairs = [
+        (
+            r["hidden"][0]["name"].partition(":")[0] if r["hidden"] else "none",
+            first(r).partition(":")[0],
+        )
+        for r in single
+    ]
+    return pd.crosstab(
+        pd.Series([a for a, _ in pairs], name="hidden"),
+        pd.Series([b for _, b in pairs], name="named"),
+    )
+
+
+def trial_table(records: Sequence[Record]) -> pd.DataFrame:
+    """One row per trial that did not fail; nothing that changes from run to run."""
+    return pd.DataFrame(
+        [
+            {
+                "index": r["index"],
+                "stratum": r["stratum"],
+                "hidden": "+".join(h["name"] for h in r["hidden"]) or "none",
+                "sigma": "+".join(f"{h['sigma']:.2f}" for h in r["hidden"]),
+                "first": first(r),
+                "probability": round(r["causes"][0]["probability"], 5),
+                "log_bayes_factor": round(r["causes"][0]["log_bayes_factor"], 2),
+                "probability_of_truth": "+".join(f"{p:.5f}" for p in r["probability_of_truth"]),
+                "probability_of_none": round(r["probability_of_none"], 5),
+                "probability_of_unknown": round(r["probability_of_unknown"], 5),
+                "confounded_with": " ".join(r["confounded_with"]),
+                "named": named(r),
+                "rank_of_truth": "+".join(str(rank) for rank in r["rank_of_truth"]),
+                "oracle_rank": "" if r["oracle_rank"] is None else str(r["oracle_rank"]),
+                "oracle_expected": r["oracle_expected"],
+                "pair": r["pair"] or "",
+                "p_value": r["p_value"],
+                "size_covered": " ".join(str(int(s["covers"])) for s in r["sizes"]),
+                "code": r["code"],
+            }
+            for r in records
+            if not failed(r)
+        ]
+    )
+
+
+def timing_table(records: Sequence[Record]) -> pd.DataFrame:
+    """Seconds of every trial: of one core, and by the clock."""
+    return pd.DataFrame(
+        [
+            {key: round(r[key], 1) if key != "index" else r[key] for key in keys}
+            for r in records
+            if not failed(r)
+            for keys in [("index", "cpu_prepare_s", "cpu_diagnose_s", "wall_s")]
+        ]
+    )
