@@ -7,7 +7,8 @@ inertial-to-body rotation. Its integral about each body axis is
 
 a random walk, as ``unknown`` has it, with s_m ∝ 1/m, or a slow drift with s_m ∝ 1/m², either with
 spread a T^½ at the end. Whitened, y = X β + G w + noise, w ~ N(0, a² Λ). With β integrated out,
-V⁻¹ = 1 − X (XᵀX + P)⁻¹ Xᵀ, and the eigenvalues κ, vectors U of Λ^½ Gᵀ V⁻¹ G Λ^½, b = Uᵀ Λ^½ Gᵀ V⁻¹ y:
+V⁻¹ = 1 − X (XᵀX + P)⁻¹ Xᵀ, the eigenvalues κ and vectors U of Λ^½ Gᵀ V⁻¹ G Λ^½, and
+b = Uᵀ Λ^½ Gᵀ V⁻¹ y:
 
     log p(y | a) = ½ Σ_j [a² b_j²/(1 + a² κ_j) − log(1 + a² κ_j)] + constant,
     η_j | a, y ~ N(a² b_j/(1 + a² κ_j), a²/(1 + a² κ_j)),   w = Λ^½ U η.

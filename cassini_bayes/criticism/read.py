@@ -6,7 +6,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cassini_bayes.criticism.extended import Case, TelemetrySource, prepare
-from cassini_bayes.event_reduction import is_event_folder, samples_of
+from cassini_bayes.event_reduction import (
+    ReducedEvent,
+    is_event_folder,
+    reduce_event,
+    samples_of,
+)
 from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.model import build_model
 from cassini_bayes.priors import Priors, read_priors
@@ -50,6 +55,12 @@ def read_case(
     if say is not None:
         say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
     return prepare(sources, priors, totals)
+
+
+def reduced_events(references: Sequence[str], priors: Priors) -> list[ReducedEvent]:
+    """Records of the event folders among the references, in order, as a fit has them."""
+    folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
+    return [reduce_event(folder, priors, "first_order") for folder in folders]
 
 
 def read_source(folder: Path, priors: Priors) -> TelemetrySource:

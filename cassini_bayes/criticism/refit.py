@@ -1,33 +1,116 @@
-"""The extended model as an ordinary model: sampled with emcee, its table written."""
+"""The extended model as an ordinary model: sampled with emcee, written as a fit and a table."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from cassini_bayes import __version__
+from cassini_bayes.criticism.catalogue import Effect, EffectParameter
 from cassini_bayes.criticism.diagnosis import Diagnosis
-from cassini_bayes.criticism.evidence import DOF
+from cassini_bayes.criticism.evidence import DOF, Weighed
+from cassini_bayes.criticism.extended import Hypothesis
 from cassini_bayes.criticism.naming import effect_values, weighted_interval
+from cassini_bayes.event_reduction import ReducedEvent
+from cassini_bayes.joint import JointModel
+from cassini_bayes.joint_result import build_joint_fit
+from cassini_bayes.parameters import ParameterSpec
+from cassini_bayes.result import Fit, save_fit
 from cassini_bayes.sampling import SamplerSettings, sample
 from cassini_bayes.storage import write_text
 from cassini_bayes.warmstart import Proposal
 
-DRAWS = 4_000
+Array = NDArray[np.float64]
+DRAWS: Final = 1_000  # of every ensemble
+_LINEAR: Final = 7  # stream of the draws of what is integrated out
+
+
+def effect_variable(effect: Effect, parameter: EffectParameter) -> str:
+    """Name in ``fit.nc`` of an effect's parameter: cause and key, ``thruster_leak_z3_leak_n``."""
+    return f"{effect.name.replace(':', '_')}_{parameter.key}"
+
+
+def with_effect_specs(hypothesis: Hypothesis) -> JointModel:
+    """The hypothesis's model with unit and meaning of the effects' parameters."""
+    specs = {
+        p.name: ParameterSpec(p.name, p.unit, "effect", f"{effect.name}: {p.key}{_kind(p)}")
+        for effect in hypothesis.effects
+        for p in effect.parameters
+    }
+    return replace(hypothesis.model, specs={**hypothesis.model.specs, **specs})
+
+
+def _kind(parameter: EffectParameter) -> str:
+    return ", departure from the baseline's" if parameter.is_departure else ""
+
+
+def _renamed(fit: Fit, weighed: Weighed, z: Array) -> Fit:
+    """Effect parameters under their own names; departures keep theirs beside the value."""
+    names, values = {}, {}
+    found = effect_values(weighed, z.reshape(-1, z.shape[2]))
+    for effect in weighed.hypothesis.effects:
+        for p in effect.parameters:
+            name = effect_variable(effect, p)
+            names[p.name] = f"{name}_departure" if p.is_departure else name
+            if p.is_departure:
+                meta = {"units": p.unit, "long_name": f"{effect.name}: {p.key}"}
+                values[name] = (("chain", "draw"), found[p.key].reshape(z.shape[:2]), meta)
+    groups = dict(fit.groups)
+    for group in ("posterior", "prior"):
+        groups[group] = groups[group].rename(names)
+    groups["posterior"] = groups["posterior"].assign(values)
+    return Fit(groups, fit.attributes)
 
 
 def fit_extended(
-    diagnosis: Diagnosis, folder: Path, seed: int, say: Callable[[str], None]
+    diagnosis: Diagnosis,
+    events: Sequence[ReducedEvent],
+    folder: Path,
+    seed: int,
+    say: Callable[[str], None],
 ) -> pd.DataFrame:
-    """Sample the extended model and write ``summary.csv`` of its walked and effect parameters."""
+    """Sample the extended model; write ``fit.nc`` and ``summary.csv``.
+
+    Effect parameters are variables of ``fit.nc`` like all others (:func:`effect_variable`).
+
+    Parameters
+    ----------
+    diagnosis
+        What was found.
+    events
+        Its telemetry events in order, for what a fit records of them.
+    folder, seed, say
+        Where to write, the sampler's seed, told how far it got.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written.
+    """
     weighed = diagnosis.extended
     proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
     settings = SamplerSettings(target_ess=1_000, seed=seed)
     say(f"sampling {weighed.name}, {weighed.hypothesis.dimension} dimensions")
     chains = sample(weighed.hypothesis.log_density, proposal, settings)
-    z, _ = chains.thinned(DRAWS)
+    z, density = chains.thinned(DRAWS)
+    attributes: dict[str, str | float | int] = {
+        "created_by": f"cassini_bayes {__version__}",
+        "model": "baseline without torque noise, extended by a diagnosis",
+        "causes": weighed.name,
+        "seed": seed,
+        "log_evidence": float(weighed.log_evidence),
+        "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
+    }
+    rng = np.random.default_rng((seed, _LINEAR))
+    model = with_effect_specs(weighed.hypothesis)
+    fit, _ = build_joint_fit(model, events, z, density, rng, attributes)
+    save_fit(_renamed(fit, weighed, z), folder / "fit.nc")
     flat = z.reshape(-1, weighed.hypothesis.dimension)
     parameters = weighed.hypothesis.model.space.to_parameters(flat)
     own = {p.name for e in weighed.hypothesis.effects for p in e.parameters}

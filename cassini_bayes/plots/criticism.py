@@ -11,6 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, ScalarFormatter
 
 from cassini_bayes.criticism.correlations import (
     POINTWISE,
@@ -101,6 +102,8 @@ def correlation_figure(event: str, before: Shown, after: Shown | None) -> Figure
             panel.set_xscale("symlog", linthresh=10.0, linscale=3.0)
             panel.set_ylim(-0.7, len(names) - 0.3)
             panel.set_xlabel("standardised correlation (σ)")
+            panel.xaxis.set_major_locator(FixedLocator([-100, -10, -5, 0, 5, 10, 100]))
+            panel.xaxis.set_major_formatter(ScalarFormatter())
         limit = 1.3 * max(10.0, *_largest((before, after), event))
         panels[0].set_xlim(-limit, limit)
         panels[0].set_yticks(list(places.values()), names)
