@@ -12,9 +12,9 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 
 from cassini_bayes.statistics.columns import CUT_PARTS
-from cassini_bayes.telemetry_terms import CONTROL_CYCLE_S, INITIAL_SD_N_M_S, cut_probability
-from cassini_bayes.terms import RAD_S_PER_RPM
+from cassini_bayes.telemetry_terms import CONTROL_CYCLE_S, cut_probability
 from speed import plain
+from speed.wheel_motion import fast_motion, mean_walk, slow_motion
 
 jax.config.update("jax_enable_x64", True)
 Values = Any
@@ -27,48 +27,42 @@ def fast_log_posterior(problem: plain.Problem) -> Callable[[Values], Values]:
     owner = np.repeat(np.arange(len(reduced.start) - 1), np.diff(reduced.start))
     columns, width = reduced.slow.shape[1], len(reduced.start) - 1
     grams = [jnp.asarray(gram) for gram in reduced.grams]
-    slow = jnp.asarray(reduced.slow)
+    slow_modes = jnp.asarray(reduced.slow)
     rows, k = terms.statistics.rows, pattern.thrusters
     channels = 3 + len(terms.wheel_places)
-    mean = np.concatenate(
-        [terms.initial_mean_n_m_s, model.torque_mean_n_m, np.zeros(len(pattern.cuts))]
-    )
+    mean, sd = plain.slow_prior(problem)
     linear = model.linear
+
+    def combined(own: Values, inertia: Values, wheels: Values) -> Values:
+        """Columns to unknowns and measured momentum, (3, A', P)."""
+        chosen = jnp.concatenate([own, _measured(inertia, wheels)])[reduced.entries]
+        return jnp.zeros((3, columns, width)).at[:, reduced.row, owner].add(chosen.T)
 
     def log_posterior(z: Values) -> Values:
         parameters = plain.to_parameters(jnp, special, model, z)
         inertia, wheels, arms, taus = plain.physics(jnp, problem, parameters)
-        kept, log_density = plain.latent_wheels(jnp, problem, parameters)
-        white = (
-            parameters["rate_noise_rad_s"] ** 2 * inertia @ inertia.T
-            + parameters["attitude_noise_rad"] ** 2 * terms.spin
-        )
-        wheel = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
-        walk = parameters["torque_noise_n_m_s05"] ** 2
-        scale = log_density + rows * (
-            jnp.linalg.slogdet(inertia)[1] - 0.5 * channels * np.log(2.0 * np.pi)
-        )
-        normal = jnp.zeros((width, width))
-        own, own_sd = _weights(problem, arms, taus)
-        for i, (band, share) in enumerate(zip(problem.bands, kept, strict=True)):
-            weights = jnp.concatenate([own, _measured(inertia, wheels @ share)])
-            chosen = weights[reduced.entries]
-            combine = jnp.zeros((3, columns, width)).at[:, reduced.row, owner].add(chosen.T)
-            values, vectors = jnp.linalg.eigh(white + wheel * wheels @ share @ wheels.T)
-            if i == 0:
-                variance = values[:, None] + walk * band.walk
-                seen = jnp.einsum("cam,cak->cmk", slow, combine)
-                turned = jnp.einsum("cmk,ce->emk", seen, vectors)
-                normal = normal + jnp.einsum("emk,eml->kl", turned / variance[..., None], turned)
-                scale = scale - 0.5 * jnp.sum(jnp.log(variance))
-                continue
-            variance = values + walk * jnp.mean(band.walk)
-            precision = (vectors / variance) @ vectors.T
-            right = jnp.einsum("cd,cdab,dbl->cal", precision, grams[i - 1], combine)
+        noise = plain.noise_of(parameters, inertia, problem)
+        scale = rows * (jnp.linalg.slogdet(inertia)[1] - 0.5 * channels * np.log(2.0 * np.pi))
+        own = _weights(problem, arms, taus)
+        kept, log_density = slow_motion(jnp, terms.slow, noise.wheel)
+        axes, variance = plain.slow_noise(jnp, problem, noise, wheels, kept)
+        combine = combined(own, inertia, wheels @ kept)
+        seen = jnp.einsum("cam,cak->cmk", slow_modes, combine)
+        turned = jnp.einsum("cmk,ce->mek", seen, axes)
+        normal = jnp.einsum("mek,mel->kl", turned / variance[..., None], turned)
+        scale = scale + log_density - 0.5 * jnp.sum(jnp.log(variance))
+        placed = jnp.append(_placed(normal, mean, sd), -1.0)
+        lacking = combined(own, inertia, jnp.zeros_like(wheels)) @ placed
+        for band, gram in zip(terms.fast, grams, strict=True):
+            moments = _moments(gram, lacking, reduced.wheels) / band.rows
+            other = noise.white + noise.walk * mean_walk(band) * jnp.eye(3)
+            kept, log_density = fast_motion(jnp, band, moments, other, wheels, noise.wheel)
+            precision = jnp.linalg.inv(other + noise.wheel * wheels @ kept @ wheels.T)
+            combine = combined(own, inertia, wheels @ kept)
+            right = jnp.einsum("cd,cdab,dbl->cal", precision, gram, combine)
             normal = normal + jnp.einsum("cak,cal->kl", combine, right)
-            scale = scale - 0.5 * band.rows * jnp.sum(jnp.log(variance))
-        sd = jnp.concatenate([jnp.full(3, INITIAL_SD_N_M_S), model.torque_sd_n_m, own_sd])
-        matrix, vector, constant = _without_own(normal, k, mean, sd)
+            scale = scale + log_density
+        matrix, vector, constant = _without_own(normal, k, mean[k:], sd[k:])
         common = linear.common_mean_n
         by_common = matrix.sum(-1)
         constant = constant + scale + common * vector.sum() - 0.5 * common**2 * by_common.sum()
@@ -76,6 +70,20 @@ def fast_log_posterior(problem: plain.Problem) -> Callable[[Values], Values]:
         return constant + _without_thrust(problem, matrix, vector - common * by_common) + prior
 
     return log_posterior
+
+
+def _placed(normal: Values, mean: Values, sd: Values) -> Values:
+    """The unknowns (P,) where the slow band and their priors have them."""
+    to_all = normal[:-1, :-1]
+    precision = sd[:, None] * to_all * sd + jnp.eye(len(mean))
+    return mean + sd * jnp.linalg.solve(precision, sd * (normal[:-1, -1] - to_all @ mean))
+
+
+def _moments(gram: Values, lacking: Values, wheels: Values) -> Values:
+    """Inner products (3 + W, 3 + W) of the lacking momentum and the measured wheel rates."""
+    momentum = jnp.einsum("ca,cdab,db->cd", lacking, gram, lacking)
+    mixed = jnp.einsum("ca,caj->cj", lacking, gram[:, 0][..., wheels])
+    return jnp.block([[momentum, mixed], [mixed.T, gram[0, 0][wheels[:, None], wheels]]])
 
 
 def _without_own(normal: Values, k: int, mean: Values, sd: Values) -> tuple[Values, Values, Values]:
@@ -98,10 +106,8 @@ def _without_thrust(problem: plain.Problem, matrix: Values, vector: Values) -> V
     return 0.5 * shift @ shift - jnp.sum(jnp.log(jnp.diag(lower)))
 
 
-def _weights(
-    problem: plain.Problem, arms: Values, taus: tuple[Values, Values]
-) -> tuple[Values, Values]:
-    """Weights (B, 3) of the unknowns' entries, and the prior sd of the cut tails."""
+def _weights(problem: plain.Problem, arms: Values, taus: tuple[Values, Values]) -> Values:
+    """Weights (B, 3) of the unknowns' entries."""
     terms, layout = problem.terms, problem.terms.statistics.layout
     rise, fall = taus
     _, reference_rise, reference_fall = terms.sampling.pulse_reference_s
@@ -120,8 +126,7 @@ def _weights(
         members = list(layout.couples[place // CUT_PARTS])
         push = problem.model.linear.common_mean_n * lost * jnp.sum(arms[:, members], axis=1)
         parts.append(push[None])
-    pairs = np.array([terms.statistics.close_pairs[place] for place in pattern.cuts])
-    return jnp.concatenate(parts), jnp.asarray(np.sqrt(chance * (1.0 - chance) / pairs))
+    return jnp.concatenate(parts)
 
 
 def _measured(inertia: Values, wheels: Values) -> Values:

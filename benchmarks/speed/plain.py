@@ -3,7 +3,8 @@
 One function for numpy and for JAX: ``xp`` is the array module, ``special`` its special functions.
 All unknowns are sampled, each with an N(0, 1) prior: walked parameters z, the event's thrusts, its
 initial momentum, torque and cut tails. The wheels' motion has its integral as a table, as ours has;
-the torque noise is a covariance between rows, diagonal in the slow modes.
+at the faster frequencies it is told from what the slow rows' best unknowns leave to the wheels, as
+in ours. The torque noise is a covariance between rows, diagonal in the slow modes.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import scipy.special
 
 from cassini_bayes.distributions import Distribution
 from cassini_bayes.event_reduction import ReducedEvent, samples_of
@@ -30,11 +32,23 @@ from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryTerms,
     cut_probability,
+    cut_tail_sd,
 )
 from cassini_bayes.terms import RAD_S_PER_RPM
+from speed.wheel_motion import fast_motion, mean_walk, slow_motion
 
 Values = Any  # arrays of either module
 _INDEPENDENT = 1e-9  # least share of the largest square that a mode of its own has
+_THRUST_SPREAD = 0.3  # of thrusts about their level, where the slow rows place them
+
+
+@dataclass(frozen=True)
+class Slow:
+    """Coordinates of the rows on the modes of the slow band."""
+
+    vector: Values  # (3 M, V)
+    counts: Values  # (M, C)
+    rate: Values  # (M, 3)
 
 
 @dataclass(frozen=True)
@@ -44,11 +58,13 @@ class Problem:
     model: JointModel
     terms: TelemetryTerms
     vector: Values  # (3 n, V)
-    scalar: Values  # (n, S)
+    counts: Values  # (n, C) of pulses that may have cut tails
+    rate: Values  # (n, 3)
+    slow: Slow
     modes: Values  # (n, M) orthonormal, the slowest first
     bands: tuple[Band, ...]
     places: tuple[slice, ...]  # modes of every band but the last, which is what they leave
-    wheels: tuple[Values, ...]  # (n, W) wheel rates, the part within every band
+    wheels: tuple[Values, ...]  # wheel rates per band, on its modes (M, W), the last on rows (n, W)
     thrust_factor: Values  # (K, K) of the prior covariance of this event's thrusts
 
     @property
@@ -72,18 +88,26 @@ def make_problem(model: JointModel, event: ReducedEvent) -> Problem:
     edges = np.cumsum([0, *(band.rows for band in bands[:-1])])
     modes = slow_modes(rows.time_s, event.statistics.duration_s, int(edges[-1]))
     places = tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
-    wheel = rows.scalar[:, layout.wheel.start - offset : layout.wheel.stop - offset]
-    parts = [modes[:, place] @ (modes[:, place].T @ wheel) for place in places]
+    rate, wheel = (
+        rows.scalar[:, part.start - offset : part.stop - offset]
+        for part in (layout.rate, layout.wheel)
+    )
+    counts = rows.scalar[:, [layout.cut.start + place - offset for place in terms.pattern.cuts]]
+    vector = rows.vector.reshape(n, -1)
+    slow = modes[:, places[0]].T
+    amplitude = modes.T @ wheel
     own, shared = model.linear.own, model.linear.shared
     return Problem(
         model=model,
         terms=terms,
-        vector=rows.vector.reshape(3 * n, -1),
-        scalar=rows.scalar,
+        vector=vector.reshape(3 * n, -1),
+        counts=counts,
+        rate=rate,
+        slow=Slow((slow @ vector).reshape(3 * len(slow), -1), slow @ counts, slow @ rate),
         modes=modes,
         bands=bands,
         places=places,
-        wheels=(*parts, wheel - sum(parts)),
+        wheels=(*(amplitude[place] for place in places), wheel - modes @ amplitude),
         thrust_factor=np.linalg.cholesky(own @ own.T + shared @ shared.T),
     )
 
@@ -101,113 +125,165 @@ def slow_modes(time_s: Values, duration_s: float, count: int) -> Values:
 def log_posterior(xp: ModuleType, special: Any, problem: Problem, x: Values) -> Values:
     """Log density of the data and of everything sampled, at one point x."""
     parameters, unknowns = unpacked(xp, special, problem, x)
-    inertia, weights, arms, taus = physics(xp, problem, parameters)
-    kept, log_density = latent_wheels(xp, problem, parameters)
-    latent = xp.concatenate([(weights @ own).T for own in kept])
-    layout = problem.terms.statistics.layout
-    first = layout.rate.start - len(layout.vector)
-    rate = problem.scalar[:, first : first + 3]
-    measured = rate @ inertia.T + np.concatenate(problem.wheels, axis=1) @ latent
-    residual = measured - modelled(xp, problem, unknowns, arms, taus)
-    rows, channels = len(problem.scalar), 3 + len(problem.terms.wheel_places)
-    log_likelihood = (
-        log_density
-        + gaussian(xp, problem, parameters, residual, (inertia, weights, kept))
-        + rows * (xp.linalg.slogdet(inertia)[1] - 0.5 * channels * np.log(2.0 * np.pi))
+    inertia, wheels, arms, taus = physics(xp, problem, parameters)
+    columns = column_weights(xp, problem, arms, taus)
+    noise = noise_of(parameters, inertia, problem)
+    kept, log_density = slow_motion(xp, problem.bands[0], noise.wheel)
+    first = slow_noise(xp, problem, noise, wheels, kept)
+    placed = placed_by_slow_rows(xp, problem, columns, first, (inertia, wheels @ kept))
+    measured = problem.rate @ inertia.T
+    residual = measured - modelled(problem, columns, unknowns)
+    lacking = modelled(problem, columns, placed) - measured
+    both = xp.concatenate([residual, lacking], axis=1)
+    amplitude = problem.modes.T @ both
+    parts = [amplitude[place] for place in problem.places[1:]]
+    parts.append(both - problem.modes @ amplitude)
+    slow = amplitude[problem.places[0], :3] + problem.wheels[0] @ (wheels @ kept).T
+    log_likelihood = log_density - quadratic(xp, slow, first) - 0.5 * xp.sum(xp.log(first[1]))
+    for band, rates, part in zip(problem.bands[1:], problem.wheels[1:], parts, strict=True):
+        log_likelihood = log_likelihood + _fast_band(xp, band, noise, wheels, rates, part)
+    rows, channels = len(problem.rate), 3 + wheels.shape[1]
+    log_likelihood = log_likelihood + rows * (
+        xp.linalg.slogdet(inertia)[1] - 0.5 * channels * np.log(2.0 * np.pi)
     )
     return log_likelihood - 0.5 * xp.sum(x**2) - 0.5 * len(x) * np.log(2.0 * np.pi)
 
 
-def gaussian(
+@dataclass(frozen=True)
+class Noise:
+    """Noise of rows: covariance (3, 3) but for the wheels, (N m s)²; variances of the others."""
+
+    white: Values
+    wheel: Values  # rad²/s²
+    walk: Values  # (N m)² s
+
+
+def noise_of(parameters: dict[str, Values], inertia: Values, problem: Problem) -> Noise:
+    """Noise levels as variances."""
+    return Noise(
+        white=parameters["rate_noise_rad_s"] ** 2 * inertia @ inertia.T
+        + parameters["attitude_noise_rad"] ** 2 * problem.terms.spin,
+        wheel=(parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2,
+        walk=parameters["torque_noise_n_m_s05"] ** 2,
+    )
+
+
+def slow_noise(
+    xp: ModuleType, problem: Problem, noise: Noise, wheels: Values, kept: Values
+) -> tuple[Values, Values]:
+    """Principal axes (3, 3) of the slow band's noise, and its variances along them, (M, 3)."""
+    values, axes = xp.linalg.eigh(noise.white + noise.wheel * wheels @ kept @ wheels.T)
+    return axes, values + noise.walk * xp.asarray(problem.bands[0].walk)[:, None]
+
+
+def quadratic(xp: ModuleType, residual: Values, noise: tuple[Values, Values]) -> Values:
+    """Half the sum of squares of residuals (n, 3) over their noise, by axes and variances."""
+    axes, variance = noise
+    return 0.5 * xp.sum((residual @ axes) ** 2 / variance)
+
+
+def _fast_band(
+    xp: ModuleType, band: Band, noise: Noise, wheels: Values, rates: Values, part: Values
+) -> Values:
+    """Log density of one fast band; ``part`` is the residual and what lacks, wheels apart."""
+    residual, lacking = part[:, :3], part[:, 3:]
+    seen = xp.concatenate([lacking, xp.asarray(rates)], axis=1)
+    other = noise.white + noise.walk * mean_walk(band) * np.eye(3)
+    moments = seen.T @ seen / band.rows
+    kept, log_density = fast_motion(xp, band, moments, other, wheels, noise.wheel)
+    values, axes = xp.linalg.eigh(other + noise.wheel * wheels @ kept @ wheels.T)
+    # the determinants are within the motion's density
+    return log_density - quadratic(xp, residual + rates @ (wheels @ kept).T, (axes, values))
+
+
+def placed_by_slow_rows(
     xp: ModuleType,
     problem: Problem,
-    parameters: dict[str, Values],
-    residual: Values,
-    physical: tuple[Values, Values, list[Values]],
+    columns: tuple[Values, Values],
+    noise: tuple[Values, Values],
+    measured: tuple[Values, Values],
 ) -> Values:
-    """Log density of residuals (n, 3), without the factors 2π: every band has its own noise."""
-    inertia, weights, kept = physical
-    walk = parameters["torque_noise_n_m_s05"] ** 2
-    white = (
-        parameters["rate_noise_rad_s"] ** 2 * inertia @ inertia.T
-        + parameters["attitude_noise_rad"] ** 2 * problem.terms.spin
-    )
-    wheel = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
-    amplitude = problem.modes.T @ residual
-    parts = [amplitude[place] for place in problem.places]
-    parts.append(residual - problem.modes @ amplitude)
-    total = 0.0
-    for i, (band, own, part) in enumerate(zip(problem.bands, kept, parts, strict=True)):
-        values, axes = xp.linalg.eigh(white + wheel * weights @ own @ weights.T)
-        drift = walk * (band.walk if i == 0 else np.mean(band.walk, keepdims=True))
-        variance = values + xp.asarray(drift)[:, None]
-        each = band.rows / len(band.walk) if i == 0 else band.rows
-        total = total - 0.5 * xp.sum((part @ axes) ** 2 / variance)
-        total = total - 0.5 * each * xp.sum(xp.log(variance))
-    return total
+    """The unknowns (P,) where the slow rows and their priors have them.
+
+    ``measured`` are the weights of rates and wheel rates in the measured momentum.
+    """
+    axes, variance = noise
+    by_vector, by_count = columns
+    slow, modes = problem.slow, len(problem.slow.rate)
+    design = (slow.vector @ by_vector).reshape(modes, 3, -1)
+    design = design + xp.tensordot(xp.asarray(slow.counts), by_count, axes=1)
+    mean, sd = slow_prior(problem)
+    target = slow.rate @ measured[0].T + problem.wheels[0] @ measured[1].T - design @ mean
+    turned = xp.swapaxes(axes.T @ design, 1, 2) * sd[:, None]  # (M, P, 3)
+    weighted = turned / variance[:, None, :]
+    precision = xp.tensordot(weighted, turned, axes=((0, 2), (0, 2))) + np.eye(len(sd))
+    pull = xp.tensordot(weighted, target @ axes, axes=((0, 2), (0, 1)))
+    return mean + sd * xp.linalg.solve(precision, pull)
 
 
-def latent_wheels(
-    xp: ModuleType, problem: Problem, parameters: dict[str, Values]
-) -> tuple[list[Values], Values]:
-    """Per band the matrix (W, W) from measured to true wheel rates; their summed log density."""
-    log_noise = 2.0 * xp.log(parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)
-    kept, total = [], 0.0
-    for band in problem.bands:
-        table, knots = xp.asarray(band.motion.c), xp.asarray(band.motion.x)
-        t = xp.clip(log_noise - np.log(band.values), band.motion.x[0], band.motion.x[-1])
-        place = xp.clip(xp.searchsorted(knots, t, side="right") - 1, 0, len(band.motion.x) - 2)
-        step = (t - knots[place])[:, None]
-        cubic = table[:, place]
-        found = ((cubic[0] * step + cubic[1]) * step + cubic[2]) * step + cubic[3]
-        share = xp.clip(found[:, 1], 0.0, 1.0)
-        kept.append((band.vectors * share) @ band.vectors.T)
-        total = total + xp.sum(found[:, 0]) - 0.5 * band.rows * np.sum(np.log(band.values))
-    return kept, total
+def slow_prior(problem: Problem) -> tuple[Values, Values]:
+    """Mean and sd (P,) of thrusts, initial momentum, torque and tails for the slow rows."""
+    model, terms = problem.model, problem.terms
+    common, k = model.linear.common_mean_n, terms.pattern.thrusters
+    tails = np.zeros(len(terms.pattern.cuts))
+    mean = [np.full(k, common), terms.initial_mean_n_m_s, model.torque_mean_n_m, tails]
+    sd = [np.full(k, _THRUST_SPREAD * common), np.full(3, INITIAL_SD_N_M_S), model.torque_sd_n_m]
+    return np.concatenate(mean), np.concatenate([*sd, cut_tail_sd(terms)])
 
 
 def unpacked(
     xp: ModuleType, special: Any, problem: Problem, x: Values
-) -> tuple[dict[str, Values], tuple[Values, ...]]:
-    """Parameters, and (thrusts, initial momentum, torque, cut tails) at a point."""
+) -> tuple[dict[str, Values], Values]:
+    """Parameters, and the unknowns (P,): thrusts, initial momentum, torque, cut tails."""
     d, k = len(problem.model.space.names), problem.terms.pattern.thrusters
     white = x[d:]
-    unknowns = (
-        problem.model.linear.common_mean_n + problem.thrust_factor @ white[:k],
-        problem.terms.initial_mean_n_m_s + INITIAL_SD_N_M_S * white[k : k + 3],
-        problem.model.torque_mean_n_m + problem.model.torque_sd_n_m * white[k + 3 : k + 6],
-        white[k + 6 : k + 6 + len(problem.terms.pattern.cuts)],
+    unknowns = xp.concatenate(
+        [
+            problem.model.linear.common_mean_n + problem.thrust_factor @ white[:k],
+            problem.terms.initial_mean_n_m_s + INITIAL_SD_N_M_S * white[k : k + 3],
+            problem.model.torque_mean_n_m + problem.model.torque_sd_n_m * white[k + 3 : k + 6],
+            cut_tail_sd(problem.terms) * white[k + 6 :],
+        ]
     )
     return to_parameters(xp, special, problem.model, x[:d]), unknowns
 
 
-def modelled(
-    xp: ModuleType,
-    problem: Problem,
-    unknowns: tuple[Values, ...],
-    arms: Values,
-    taus: tuple[Values, Values],
-) -> Values:
+def modelled(problem: Problem, columns: tuple[Values, Values], unknowns: Values) -> Values:
     """Momentum (n, 3) that the unknowns put into every row."""
+    by_vector, by_count = columns
+    fired = (problem.vector @ (by_vector @ unknowns)).reshape(-1, 3)
+    return fired + problem.counts @ (by_count @ unknowns)
+
+
+def column_weights(
+    xp: ModuleType, problem: Problem, arms: Values, taus: tuple[Values, Values]
+) -> tuple[Values, Values]:
+    """Weights of the unknowns on the vector columns (V, P) and on the counts (C, 3, P)."""
     terms, layout = problem.terms, problem.terms.statistics.layout
-    thrust, start, torque, tails = unknowns
+    k, cuts = terms.pattern.thrusters, len(terms.pattern.cuts)
     rise, fall = taus
     _, reference_rise, reference_fall = terms.sampling.pulse_reference_s
     pulse = xp.stack([xp.ones(()), rise - reference_rise, fall - reference_fall])
-    fired = (arms.T * thrust[:, None])[:, :, None] * pulse  # (K, axis, pulse column)
-    model = (problem.vector @ xp.concatenate([start, torque, fired.reshape(-1)])).reshape(-1, 3)
-    chance = cut_probability(terms.statistics.counter_interval_s)
+    fired = (arms.T[:, :, None] * pulse).reshape(k, 9)  # (K, axis and pulse column)
+    fired = (fired[:, :, None] * np.eye(k)[:, None, :]).reshape(9 * k, k)
+    by_vector = xp.block(
+        [[np.zeros((6, k)), np.eye(6, 6 + cuts)], [fired, np.zeros((9 * k, 6 + cuts))]]
+    )
     lost = (fall - rise) * xp.exp(-CONTROL_CYCLE_S / fall)
+    chance = cut_probability(terms.statistics.counter_interval_s)
+    members = np.zeros((cuts, k))
     for i, place in enumerate(terms.pattern.cuts):
-        members = list(layout.couples[place // CUT_PARTS])
-        count = problem.scalar[:, layout.cut.start + place - len(layout.vector)]
-        sd = np.sqrt(chance * (1.0 - chance) / terms.statistics.close_pairs[place])
-        push = -chance * lost * (arms[:, members] @ thrust[np.array(members)])
-        push = push + problem.model.linear.common_mean_n * lost * sd * tails[i] * xp.sum(
-            arms[:, members], axis=1
-        )
-        model = model + count[:, None] * push
-    return model
+        members[i, list(layout.couples[place // CUT_PARTS])] = 1.0
+    tails = problem.model.linear.common_mean_n * lost * (members @ arms.T)
+    by_count = xp.concatenate(
+        [
+            -chance * lost * arms * members[:, None, :],
+            np.zeros((cuts, 3, 6)),
+            tails[:, :, None] * np.eye(cuts)[:, None, :],
+        ],
+        axis=2,
+    )
+    return by_vector, by_count
 
 
 def physics(xp: ModuleType, problem: Problem, parameters: dict[str, Values]) -> tuple[Any, ...]:
@@ -242,22 +318,31 @@ def to_parameters(xp: ModuleType, special: Any, model: JointModel, z: Values) ->
 
 
 def _quantile(xp: ModuleType, special: Any, prior: Distribution, z: Values) -> Values:
-    """Quantile of a normal, a log-normal, or a normal with a lower bound."""
+    """Quantile of a normal or a log-normal, either one with bounds."""
     keywords = prior.keywords
-    if prior.is_normal:
-        return prior.mean() + prior.sd() * z
+    assert prior.name in ("norm", "lognorm")
+    low, high = (_unbounded(prior, bound) for bound in (prior.low, prior.high))
+    y = z
+    if low is not None or high is not None:
+        # the tail that is farther from 1 keeps the digits
+        below = special.ndtr(z) * _ndtr(high, 1.0) + special.ndtr(-z) * _ndtr(low, 0.0)
+        above = special.ndtr(-z) * _ndtr(low, 1.0, -1.0) + special.ndtr(z) * _ndtr(high, 0.0, -1.0)
+        y = xp.where(z < 0.0, special.ndtri(below), -special.ndtri(above))
     if prior.name == "lognorm":
-        return keywords.get("loc", 0.0) + keywords["scale"] * xp.exp(keywords["s"] * z)
-    assert prior.name == "norm"
-    assert prior.high is None
-    bound = (prior.low - keywords["loc"]) / keywords["scale"]
-    below, above = _ndtr(bound), _ndtr(-bound)
-    low = special.ndtri(below * special.ndtr(-z) + special.ndtr(z))
-    high = -special.ndtri(above * special.ndtr(-z))
-    return keywords["loc"] + keywords["scale"] * xp.where(z < 0.0, low, high)
+        return keywords.get("loc", 0.0) + keywords["scale"] * xp.exp(keywords["s"] * y)
+    return keywords.get("loc", 0.0) + keywords.get("scale", 1.0) * y
 
 
-def _ndtr(value: float) -> float:
-    from scipy.special import ndtr
+def _unbounded(prior: Distribution, bound: float | None) -> float | None:
+    """Standard-normal coordinate of a bound in the distribution without bounds."""
+    if bound is None:
+        return None
+    value = (bound - prior.keywords.get("loc", 0.0)) / prior.keywords.get("scale", 1.0)
+    if prior.name == "norm":
+        return value
+    return float(np.log(value) / prior.keywords["s"]) if value > 0.0 else None
 
-    return float(ndtr(value))
+
+def _ndtr(value: float | None, otherwise: float, sign: float = 1.0) -> float:
+    """Standard-normal probability below ``sign`` times a bound, or what no bound means."""
+    return otherwise if value is None else float(scipy.special.ndtr(sign * value))
