@@ -374,10 +374,9 @@ def _lacking_momentum(
     used = _at_estimate(terms, physics, weights, still)
     owner = np.repeat(np.arange(len(reduced.start) - 1), np.diff(reduced.start))
     signed = used * np.concatenate([at, np.full((n, 1), -1.0)], axis=1)[:, owner, None]
-    lacking = np.zeros((n, 3, reduced.slow.shape[1]))
-    for entry, column in enumerate(reduced.row):
-        lacking[:, :, column] += signed[:, entry]
-    return lacking
+    scatter = np.zeros((len(reduced.row), reduced.slow.shape[1]))
+    scatter[np.arange(len(reduced.row)), reduced.row] = 1.0
+    return np.asarray(np.swapaxes(signed, -1, -2) @ scatter)
 
 
 def _at_estimate(terms: TelemetryTerms, physics: Physics, weights: Array, wheels: Array) -> Array:
