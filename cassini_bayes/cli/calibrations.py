@@ -75,7 +75,7 @@ def calibrate_sbc_command(
     quick: Annotated[
         bool, typer.Option("--quick", help="15 repetitions of every variant, 40 joint ones.")
     ] = False,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_261_121,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_261_122,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
     quiet: Quiet = False,
 ) -> None:
