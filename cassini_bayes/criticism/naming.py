@@ -17,7 +17,9 @@ from cassini_bayes.criticism.evidence import (
     Weighed,
     baseline_mode,
     extended_mode,
+    has_moved,
     refined_mode,
+    renewed,
     sampled,
 )
 from cassini_bayes.criticism.extended import (
@@ -38,6 +40,7 @@ from cassini_bayes.criticism.innovations import (
 
 Array = NDArray[np.float64]
 NEAR_NATS: Final = 10.0
+RENEWED_NATS: Final = 40.0
 MOST_SAMPLED: Final = 6
 SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
@@ -142,11 +145,12 @@ def name_causes(
     full = none_hypothesis(case, catalogue)
     for i, effect in enumerate(effects):
         hypothesis = compact(extend(full, [effect], case))
-        weighed.append(_by_laplace(hypothesis, extended_mode(hypothesis, base)))
+        weighed.append(_by_laplace(hypothesis, extended_mode(hypothesis, base, renew=False)))
         if (i + 1) % 10 == 0:
             tell(f"{i + 1} of {len(effects)} causes weighed")
     if oscillation is not None and "flexible_mode" in catalogue.names:
         weighed.append(_flexible(case, catalogue, oscillation, base))
+    weighed = _renew_near(weighed, base)
     weighed = _sample_near(weighed, rng)
     weighed, log_probabilities = _ranked(weighed)
     verdict = Verdict(
@@ -216,6 +220,17 @@ def flexible_case(case: Case, oscillation: Oscillation) -> Case:
         for source, (_, sampling) in zip(case.sources, case.statistics, strict=True)
     )
     return replace(case, statistics=statistics, flexible_axis=oscillation.axis)
+
+
+def _renew_near(weighed: Sequence[Weighed], base: Mode) -> list[Weighed]:
+    """The curvature anew where nuisances moved far, for hypotheses not too far from the best."""
+    least = max(_score(w) for w in weighed) - RENEWED_NATS
+    return [
+        _by_laplace(w.hypothesis, renewed(w.hypothesis, w.mode, base))
+        if w.hypothesis.effects and _score(w) > least and has_moved(w.mode, base)
+        else w
+        for w in weighed
+    ]
 
 
 def _sample_near(weighed: Sequence[Weighed], rng: np.random.Generator) -> list[Weighed]:
