@@ -14,14 +14,18 @@ import pytest
 from scipy.stats import kstest
 
 from cassini_bayes.criticism.blind_flights import source_of
+from cassini_bayes.criticism.cases import flight_2004
 from cassini_bayes.criticism.correlations import Shown, family_band, show
 from cassini_bayes.criticism.diagnosis import Diagnosis, catalogue_of
 from cassini_bayes.criticism.discrepancy import Curve, verdict_curves
+from cassini_bayes.criticism.estimates import diagnose_estimates, estimate_case, read_estimates
 from cassini_bayes.criticism.extended import Case, prepare
 from cassini_bayes.criticism.innovations import fitted_away
 from cassini_bayes.criticism.naming import Verdict, name_causes
 from cassini_bayes.criticism.refit import fit_extended
+from cassini_bayes.criticism.summaries import weigh_summaries
 from cassini_bayes.criticism.symptoms import find_symptoms
+from cassini_bayes.errors import InputError
 from cassini_bayes.priors import read_priors
 from cassini_bayes.result import read_fit
 from cassini_bayes.scenario import simulate_file
@@ -136,6 +140,42 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     assert float(found.mean()) == pytest.approx(LEAK_N, abs=3.0 * float(found.std()))
     assert "thruster_leak_z3_leak_n" in fit.groups["prior"]
     assert {"thrust_n", "inertia_xx_kg_m2"} <= set(fit.groups["posterior"])
+
+
+TABLE_2 = ROOT / "priors" / "cassini_a_branch_2004_estimates.csv"
+
+
+def test_estimates_of_table_2_weigh_like_the_published_case() -> None:
+    """The example file gives the probabilities of the published case (b), built another way."""
+    priors = read_priors(ROOT / "priors" / "cassini_a_branch_2004_estimates.toml")
+    rows = read_estimates(TABLE_2, priors.spacecraft.thruster_names(priors.branch))
+    record = diagnose_estimates(estimate_case(rows, priors), np.random.default_rng(1))
+    found = {cause["name"]: cause["probability"] for cause in record["causes"]}
+    other = flight_2004()
+    wanted = weigh_summaries(
+        other.estimate_n, other.sd_n, other.causes(), np.random.default_rng(2), 200_000
+    )
+    assert sum(found.values()) == pytest.approx(1.0)
+    for verdict_ in wanted:
+        assert found[verdict_.name] == pytest.approx(verdict_.probability, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("0.82,", "much,", "row 7, column thrust_n"),
+        ("0.125,no", "0.125;0.25,no", "row 5, column on_time_per_pulse_s"),
+        ("all,0.80", "q9,0.80", "row 5, column thruster"),
+        ("pulses,on", "pulse,on", "row 1"),
+    ],
+)
+def test_bad_estimates_are_refused(tmp_path: Path, old: str, new: str, told: str) -> None:
+    """File, row and column of a bad cell are named in one line."""
+    path = tmp_path / "estimates.csv"
+    path.write_text(TABLE_2.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=told) as caught:
+        read_estimates(path, ("z1a",))
+    assert "\n" not in str(caught.value)
 
 
 def reduced(own: Verdict) -> list[Any]:

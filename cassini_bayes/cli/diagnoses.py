@@ -16,7 +16,10 @@ DEFAULT_SEED = 1
 
 
 def diagnose_command(
-    events: Annotated[list[str], typer.Argument(help="Event folders, totals CSV or file.csv:ID.")],
+    events: Annotated[
+        list[str],
+        typer.Argument(help="Event folders, totals CSV or file.csv:ID; or estimates CSV."),
+    ],
     priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     effects: Annotated[
@@ -36,15 +39,20 @@ def diagnose_command(
     import numpy as np
 
     from cassini_bayes.criticism.diagnosis import catalogue_of, diagnose
+    from cassini_bayes.criticism.estimates import is_estimates
     from cassini_bayes.criticism.read import read_case
     from cassini_bayes.report.diagnosis import diagnosis_json, write_diagnosis
 
     if (out / "diagnosis.json").exists() and not force:
         raise InputError(str(out), "a new folder", "an existing diagnosis", "add --force")
     reporter = ConsoleReporter(quiet)
+    number = DEFAULT_SEED if seed is None else seed
+    if any(is_estimates(Path(event)) for event in events):
+        estimated = _diagnose_estimates(events, priors, out, number)
+        typer.echo(diagnosis_json(estimated).rstrip() if as_json else str(out / "report.html"))
+        return
     case = read_case(events, priors, source, reporter.say)
     catalogue = catalogue_of(case, effects)
-    number = DEFAULT_SEED if seed is None else seed
     result = diagnose(
         case,
         catalogue,
@@ -65,6 +73,33 @@ def diagnose_command(
         typer.echo(diagnosis_json(result.record).rstrip())
     elif not quiet:
         typer.echo(str(out / "report.html"))
+
+
+def _diagnose_estimates(
+    references: list[str], priors: Path, out: Path, seed: int
+) -> dict[str, Any]:
+    """Weigh published thrusts and write their diagnosis; the record."""
+    import numpy as np
+
+    from cassini_bayes.criticism.estimates import (
+        diagnose_estimates,
+        estimate_case,
+        is_estimates,
+        read_estimates,
+    )
+    from cassini_bayes.priors import read_priors
+    from cassini_bayes.report.diagnosis import cause_picture, write_record
+
+    other = [reference for reference in references if not is_estimates(Path(reference))]
+    if other:
+        raise InputError(other[0], "estimates alone", "another input", "diagnose it on its own")
+    read = read_priors(priors)
+    thrusters = read.spacecraft.thruster_names(read.branch)
+    rows = [row for reference in references for row in read_estimates(Path(reference), thrusters)]
+    record = diagnose_estimates(estimate_case(rows, read), np.random.default_rng(seed))
+    record |= {"seed": seed, "command": ["cassini-bayes", *sys.argv[1:]]}
+    write_record(record, [cause_picture(record)], out, out.name)
+    return record
 
 
 def calibrate_blind_command(

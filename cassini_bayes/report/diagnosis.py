@@ -59,7 +59,7 @@ def diagnosis_pictures(diagnosis: Diagnosis, curves: Sequence[Curve]) -> list[Pi
     rows = diagnosis.verdict.rows
     changed = bool(diagnosis.extended.hypothesis.effects)
     pictures = [
-        Picture("causes", CAPTIONS["causes"], cause_figure(diagnosis.record["causes"])),
+        cause_picture(diagnosis.record),
         *_optional(
             "innovations", innovation_figure(rows, diagnosis.extended_rows if changed else ())
         ),
@@ -72,6 +72,11 @@ def diagnosis_pictures(diagnosis: Diagnosis, curves: Sequence[Curve]) -> list[Pi
         figure = correlation_figure(own.event, before, after)
         pictures.append(Picture(f"correlation_{i}", CAPTIONS["correlation"], figure))
     return [*pictures, *_optional("whiteness", whiteness_figure(before, after))]
+
+
+def cause_picture(record: Mapping[str, Any]) -> Picture:
+    """Probability and evidence of the causes of a record."""
+    return Picture("causes", CAPTIONS["causes"], cause_figure(record["causes"]))
 
 
 def _optional(name: str, figure: Figure | None) -> list[Picture]:
