@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cassini_bayes.blind_campaign import interval
+from cassini_bayes.blind_rates import interval
 from cassini_bayes.criticism.blind import STRATA, stratum_of
 from cassini_bayes.criticism.cases import a_branch, flight_2004, fsds
 from cassini_bayes.criticism.catalogue import read_catalogue
