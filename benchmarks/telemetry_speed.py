@@ -37,6 +37,7 @@ from cassini_bayes.telemetry import load_event
 
 Row = dict[str, Any]
 NEEDED = ("jax", "numpyro", "dynesty", "nautilus", "zeus")
+LONG = ("reduction-long", "reduction-file")  # minutes each, so kept until asked for again
 PACKAGES = ("emcee", "zeus-mcmc", "numpyro", "jax", "dynesty", "nautilus-sampler", "numpy")
 
 
@@ -48,7 +49,8 @@ def main() -> None:
     folders = event_folders(options.parts / "events")
     if options.anew:
         for path in options.parts.glob("*.json"):
-            path.unlink()
+            if options.long or path.stem not in LONG:
+                path.unlink()
     for name, work in parts(folders, options).items():
         if options.only and not any(name.startswith(wanted) for wanted in options.only):
             continue
@@ -80,7 +82,7 @@ def read_options() -> argparse.Namespace:
     parser.add_argument("--core", type=int, default=None, help="run on this processor core alone")
     parser.add_argument("--budget", type=float, default=60.0, help="seconds for each peer")
     parser.add_argument("--steps", type=int, default=5_000, help="most steps of the whole fits")
-    parser.add_argument("--long", action="store_true", help="1e8 rows of reduction as well")
+    parser.add_argument("--long", action="store_true", help="1e8 rows and a 10 GB file as well")
     options = parser.parse_args()
     if options.parts is None:
         options.parts = ROOT / "build" / ("speed-quick" if options.quick else "speed")
@@ -102,7 +104,9 @@ def parts(folders: list[Path], options: argparse.Namespace) -> dict[str, Callabl
         ],
     }
     if options.long:
+        scratch = options.parts / "scratch"
         chosen["reduction-long"] = lambda: [reduction.reduce_row(folders[0], 10**8)]
+        chosen["reduction-file"] = lambda: [reduction.file_row(folders[-1], 1e10, scratch)]
     for noise in (True, False):
         suffix = "noise" if noise else "white"
         chosen[f"own-{suffix}"] = partial(own_part, folders, noise, options)

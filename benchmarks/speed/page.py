@@ -230,8 +230,28 @@ def _reduction(found: Found) -> str:
     return (
         "## Reduction\n\n" + table(header, lines) + "\n\nPeak memory is that of the whole process, "
         "interpreter and libraries included. Rows of the reduction are made up on the fly, "
-        "chunks of 100,000 at a time. Aim: 200,000 rows per second and core."
+        "chunks of 100,000 at a time. Aim: 200,000 rows per second and core." + _long(found)
     )
+
+
+def _long(found: Found) -> str:
+    """What the long parts are, which a run of the benchmark takes over from an earlier one."""
+    text = ""
+    if "reduction-long" in found:
+        part = found["reduction-long"]
+        text += (
+            f"\n\n10⁸ rows, three years at 1 Hz, were streamed once (`--long`, "
+            f"{part['circumstances']['date']}, load {part['circumstances']['load']:.1f}), in "
+            f"{part['rows'][0]['peak_mib']:.0f} MiB."
+        )
+    if "reduction-file" in found:
+        row = found["reduction-file"]["rows"][0]
+        text += (
+            f"\n\nThe large file is a slew set written {row['rows'] // 3_601:,} times over, read "
+            "once for its hash and once, row by row and checked, into Gram matrices, as `fit` "
+            "does."
+        )
+    return text
 
 
 def _notes(found: Found) -> str:

@@ -12,14 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.event_reduction import samples_of
+from cassini_bayes.event_reduction import reduce_event, samples_of
 from cassini_bayes.statistics import Samples, reduce_chunks
 from cassini_bayes.telemetry import load_event, read_chunks, read_event
-from speed.problem import priors_of, reduced_events
+from speed.problem import PULSE_SHAPE, priors_of, reduced_events
 
 Row = dict[str, Any]
 CHUNK = 100_000
 MIB = 1024.0
+GAP_S = 100
 
 
 def reduce_row(folder: Path, rows: int) -> Row:
@@ -78,6 +79,52 @@ def _passes(block: Samples, passes: int) -> Iterator[Samples]:
             on_time_s=block.on_time_s + i * on_time,
             pulses=block.pulses + i * pulses,
         )
+
+
+def file_row(folder: Path, size: float, scratch: Path) -> Row:
+    """From one large CSV file of slews (bytes) to Gram matrices: the way that ``fit`` takes it."""
+    scratch.mkdir(parents=True, exist_ok=True)
+    write_slews(folder, size, scratch)
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        row: Row = pool.apply(_reduce_file, (scratch,))
+    (scratch / "telemetry.csv").unlink()
+    return row
+
+
+def write_slews(folder: Path, size: float, scratch: Path) -> None:
+    """The telemetry of a slew set again and again, time going on, until there are enough bytes.
+
+    Slews have no counters, and one momentum: rows fit each other at any time, with a gap for the
+    way back to the first attitude.
+    """
+    lines = (folder / "telemetry.csv").read_text().splitlines()
+    assert lines[0].startswith("time_s,")
+    body = [line.partition(",")[2] for line in lines[1:]]
+    written = turns = 0
+    with (scratch / "telemetry.csv").open("w", encoding="utf-8") as stream_out:
+        stream_out.write(lines[0] + "\n")
+        while written < size:
+            first = turns * (len(body) + GAP_S)
+            block = "".join([f"{first + i},{cells}\n" for i, cells in enumerate(body)])
+            stream_out.write(block)
+            written, turns = written + len(block), turns + 1
+    (scratch / "event.toml").write_text((folder / "event.toml").read_text())
+
+
+def _reduce_file(folder: Path) -> Row:
+    began = time.process_time(), time.perf_counter()
+    reduced = reduce_event(folder, priors_of(), PULSE_SHAPE)
+    processor, wall = time.process_time() - began[0], time.perf_counter() - began[1]
+    size = (folder / "telemetry.csv").stat().st_size
+    return {
+        "step": f"a CSV file of {size / 1e9:.2g} GB, from disk to Gram matrices",
+        "rows": reduced.reading.rows,
+        "bytes": size,
+        "processor_s": processor,
+        "wall_s": wall,
+        "rows_per_s": reduced.reading.rows / processor,
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MIB,
+    }
 
 
 def reading_row(folder: Path, rows: int, scratch: Path) -> Row:
