@@ -23,7 +23,7 @@ from scipy.special import log_ndtr, logsumexp
 from cassini_bayes.criticism.blind_sizes import NULL_VALUES
 from cassini_bayes.criticism.catalogue import AXES, Catalogue, Effect
 from cassini_bayes.criticism.evidence import Mode
-from cassini_bayes.criticism.extended import RATE_KINDS, Case, extend, none_hypothesis
+from cassini_bayes.criticism.extended import RATE_KINDS, Case, Hypothesis, extend, none_hypothesis
 from cassini_bayes.criticism.innovations import fitted_away, linearise
 from cassini_bayes.distributions import Distribution
 
@@ -146,7 +146,8 @@ def classifier(
         if own_case is None:
             continue
         for sign in (1.0, -1.0) if effect.kind in KINKED else (0.0,):
-            columns.append(_columns(own_case, catalogue, base, effect, sign, hidden))
+            own_none = none if own_case is case else none_hypothesis(own_case, catalogue)
+            columns.append(_columns(own_case, own_none, base, effect, sign, hidden))
             first = sum(part.shape[1] for part in columns[:-1])
             sides.append(_side(effect, sign, first))
     every = np.concatenate(columns, axis=1)
@@ -189,7 +190,7 @@ def _side(effect: Effect, sign: float, first: int) -> Side:
 
 def _columns(
     case: Case,
-    catalogue: Catalogue,
+    none: Hypothesis,
     base: Mode,
     effect: Effect,
     sign: float,
@@ -207,9 +208,7 @@ def _columns(
         middle = _null(p.key) + sign * KINK * scale
         plain.append(replace(p, distribution=Distribution("norm", {"loc": middle, "scale": scale})))
         rest.append(0.0)
-    extended = extend(
-        none_hypothesis(case, catalogue), [replace(effect, parameters=tuple(plain))], case
-    )
+    extended = extend(none, [replace(effect, parameters=tuple(plain))], case)
     linear, _, _ = linearise(case, extended, np.concatenate([base.point, rest]))
     d = len(base.point)
     sized = [i for i, p in enumerate(effect.parameters) if p.distribution.name != "lognorm"]
