@@ -132,7 +132,7 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     own = verdict(True)
     leak = next(w for w in own.weighed if w.name == "thruster_leak:z3")
     diagnosis = cast(Diagnosis, SimpleNamespace(extended=leak))
-    fit_extended(diagnosis, reduced(own), tmp_path, 1, lambda _: None)
+    fit_extended(diagnosis, reduced(own), tmp_path, 1, lambda _: None, target_ess=200)
     fit = read_fit(tmp_path / "fit.nc")
     found = fit.groups["posterior"]["thruster_leak_z3_leak_n"]
     assert found.attrs["units"] == "N"

@@ -74,6 +74,7 @@ def fit_extended(
     folder: Path,
     seed: int,
     say: Callable[[str], None],
+    target_ess: int = 1_000,
 ) -> pd.DataFrame:
     """Sample the extended model; write ``fit.nc`` and ``summary.csv``.
 
@@ -87,6 +88,8 @@ def fit_extended(
         Its telemetry events in order, for what a fit records of them.
     folder, seed, say
         Where to write, the sampler's seed, told how far it got.
+    target_ess
+        Effective draws of every walked parameter to stop at.
 
     Raises
     ------
@@ -95,7 +98,7 @@ def fit_extended(
     """
     weighed = diagnosis.extended
     proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
-    settings = SamplerSettings(target_ess=1_000, seed=seed)
+    settings = SamplerSettings(target_ess=target_ess, seed=seed)
     say(f"sampling {weighed.name}, {weighed.hypothesis.dimension} dimensions")
     chains = sample(weighed.hypothesis.log_density, proposal, settings)
     z, density = chains.thinned(DRAWS)
