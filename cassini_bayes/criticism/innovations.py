@@ -189,8 +189,12 @@ def linearise(
 
 def _slope(terms: TelemetryTerms, rows: Rows, difference: Array, at: Array) -> Array:
     """Change of what the unknowns predict less the measured momentum, (n, 3)."""
-    changed = _columns(terms, rows, difference)
-    return np.asarray(changed[:, :, :-1] @ at - changed[:, :, -1])
+    pattern, vectors = terms.pattern, rows.vector.shape[2]
+    share = np.repeat(np.r_[at, -1.0], np.diff(pattern.start))
+    weights = np.zeros((vectors + rows.scalar.shape[1], 3))
+    np.add.at(weights, pattern.row, share[:, None] * difference)
+    turned = np.einsum("nca,ac->nc", rows.vector, weights[:vectors])
+    return np.asarray(turned + rows.scalar @ weights[vectors:])
 
 
 def _own_sd(terms: TelemetryTerms, torque_sd: Array) -> Array:
