@@ -36,6 +36,8 @@ def record(index: int, stratum: str, hidden: str | None, said: str, **other: Any
         "rank_of_truth": [0 if said == hidden else 4],
         "sizes": [size] if hidden else [],
         "pair": None,
+        "pair_first_like": [],
+        "pair_second_like": [],
         "p_value": 0.4,
         "oracle_rank": 0 if hidden else None,
         "oracle_expected": 0.8 if hidden else None,
@@ -71,7 +73,8 @@ def test_rates_are_counted_by_part() -> None:
     assert table.loc["clear: named first, name alone", "hits"] == 1
     assert table.loc["null: causes[0] is not none", "hits"] == 1
     assert table.loc["uncatalogued: unknown first", "hits"] == 1
-    assert table.loc["two: both named", "hits"] == 1
+    assert table.loc["two: both named, names alone", "hits"] == 1
+    assert table.loc["two: both named (confounded groups count)", "hits"] == 1
     assert table.loc["faint: the oracle, on the same data", "trials"] == 0
     low, high = interval(2, 3)
     assert table.loc["clear: named first (confounded group counts)", "low_95"] == low
@@ -103,7 +106,7 @@ def test_page_lists_failures_and_claims_no_goal_on_few_trials(tmp_path: Path) ->
 def test_rate_of_no_trials_is_open() -> None:
     """No trials leave the whole interval."""
     assert interval(0, 0) == (0.0, 1.0)
-    assert rates(RECORDS[:1]).set_index("rate").loc["two: both named", "trials"] == 0
+    assert rates(RECORDS[:1]).set_index("rate").loc["two: both named, names alone", "trials"] == 0
     assert interval(5, 5)[0] == pytest.approx(0.025 ** (1 / 5))
 
 
@@ -149,3 +152,16 @@ def test_campaign_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.M
     assert [n for n in after if after[n][1] != before[n][1]] == ["trial_0001.json"]
     monkeypatch.setattr(blind_campaign, "code_digest", lambda: "other code")
     assert next(run_campaign(campaign, 3, tmp_path, 1)) == (0, 3)
+
+
+def test_a_pair_counts_by_its_groups_one_for_each() -> None:
+    """Both hidden causes must each be in a group of their own; one group for both is a miss."""
+    hidden = {"hidden": [{"name": n, "parameters": {}, "sigma": 6.0} for n in ("leak", "tail_off")]}
+    wrong = record(1, "two", "leak", "leak", pair="leak+pulse_shape") | hidden
+    like = wrong | {"pair_second_like": ["tail_off"]}
+    same = wrong | {"pair_first_like": ["tail_off"]}
+    found = [
+        rates([r]).set_index("rate").loc["two: both named (confounded groups count)", "hits"]
+        for r in (wrong, like, same)
+    ]
+    assert found == [0, 1, 0]

@@ -205,7 +205,9 @@ def _record(verdict: Verdict, hidden: Sequence[Hidden], rng: np.random.Generator
         "pair": None if verdict.pair is None else verdict.pair.name,
         "pair_gain": None
         if verdict.pair is None
-        else float(verdict.pair.log_evidence - verdict.best.log_evidence),
+        else float(verdict.pair.log_evidence - verdict.best_cause.log_evidence),
+        "pair_first_like": list(verdict.confounded_with(verdict.best_cause.name)),
+        "pair_second_like": list(verdict.pair_alike),
         "p_value": p,
     }
 

@@ -100,7 +100,8 @@ def diagnose(
         "sensitivity": _sensitivity(verdict),
         "second_cause_nats": None
         if verdict.pair is None
-        else float(verdict.pair.log_evidence - verdict.best.log_evidence),
+        else float(verdict.pair.log_evidence - verdict.best_cause.log_evidence),
+        "second_cause_like": list(verdict.pair_alike),
         "separation": _separation(verdict),
     }
     return Diagnosis(verdict, extended, extended_rows, shown, record)

@@ -64,7 +64,8 @@ class Verdict:
     """Everything weighed, most probable first, with probabilities that add up to one.
 
     ``innovations`` and ``linear`` are the baseline's at its mode (None without telemetry);
-    ``pair`` is the best two causes together where the second one earned its place.
+    ``pair`` is the best two causes together where the second one earned its place, ``pair_alike``
+    names the seconds that gain as much beside the same first.
     """
 
     case: Case
@@ -77,6 +78,7 @@ class Verdict:
     linear: Linear | None
     rows: tuple[EventRows, ...]
     pair: Weighed | None
+    pair_alike: tuple[str, ...] = ()
 
     @property
     def probabilities(self) -> dict[str, float]:
@@ -88,6 +90,11 @@ class Verdict:
     def best(self) -> Weighed:
         """The most probable hypothesis."""
         return self.weighed[0]
+
+    @property
+    def best_cause(self) -> Weighed:
+        """The most probable real cause: what a second one is looked for beside."""
+        return next(w for w in self.weighed if w.hypothesis.effects)
 
     def confounded_with(self, name: str) -> tuple[str, ...]:
         """Real causes whose evidence is within three nats of a named one's."""
@@ -165,9 +172,10 @@ def name_causes(
         tuple(rows),
         None,
     )
-    if pairs and verdict.best.hypothesis.effects:
-        tell(f"looking for a second cause beside {verdict.best.name}")
-        verdict = replace(verdict, pair=second_cause(verdict, rng))
+    if pairs and verdict.best is not verdict.none:
+        tell(f"looking for a second cause beside {verdict.best_cause.name}")
+        pair, alike = second_cause(verdict, rng)
+        verdict = replace(verdict, pair=pair, pair_alike=alike)
     return verdict
 
 
@@ -255,24 +263,37 @@ def _ranked(weighed: Sequence[Weighed]) -> tuple[list[Weighed], Array]:
     return [weighed[i] for i in order], scores[order] - float(logsumexp(scores))
 
 
-def second_cause(verdict: Verdict, rng: np.random.Generator) -> Weighed | None:
-    """The best pair with the winner, if it gains four nats over the winner alone."""
-    best, catalogue = verdict.best, verdict.catalogue
+def second_cause(
+    verdict: Verdict, rng: np.random.Generator
+) -> tuple[Weighed | None, tuple[str, ...]]:
+    """The best pair with the best cause, if the second one earns its place, and seconds like it.
+
+    It has to gain four nats over the first cause alone; where ``unknown`` is more probable than any
+    cause, the pair has to be more probable than ``unknown`` as well.
+    """
+    best, catalogue = verdict.best_cause, verdict.catalogue
     (first,) = best.hypothesis.effects
     case = verdict.case
     if first.kind == "flexible_mode":
-        return None
+        return None, ()
     full = extend(none_hypothesis(case, catalogue), [first], case)
     base = best.mode if best.z is not None else refined_mode(best.hypothesis, best.mode)
-    found: Weighed | None = None
+    tried = []
     for effect in _others(catalogue, first):
         hypothesis = compact(extend(full, [effect], case))
-        weighed = _by_laplace(hypothesis, extended_mode(hypothesis, base))
-        if found is None or weighed.log_evidence > found.log_evidence:
-            found = weighed
-    if found is None or found.log_evidence < best.log_evidence + SECOND_CAUSE_NATS:
-        return None
-    return sampled(found, rng)
+        tried.append(_by_laplace(hypothesis, extended_mode(hypothesis, base)))
+    found = max(tried, key=lambda weighed: weighed.log_evidence)
+    if found.log_evidence < best.log_evidence + SECOND_CAUSE_NATS:
+        return None, ()
+    pair = sampled(found, rng)
+    if not verdict.best.hypothesis.effects and _score(pair) < _score(verdict.best):
+        return None, ()
+    alike = [
+        weighed.hypothesis.effects[-1].name
+        for weighed in tried
+        if weighed is not found and found.log_evidence - weighed.log_evidence < CONFOUNDED_NATS
+    ]
+    return pair, tuple(alike)
 
 
 def _others(catalogue: Catalogue, first: Effect) -> list[Effect]:
