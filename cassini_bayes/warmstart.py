@@ -175,7 +175,7 @@ def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
 def _narrowed(factor: Array) -> Array:
     """Lower factor of a covariance no axis of which is wider than the prior's curvature allows."""
     values, vectors = np.linalg.eigh(factor @ factor.T)
-    return _lower(vectors * np.sqrt(np.clip(values, 0.0, 1.0 / LEAST_CURVATURE)))
+    return lower_factor(vectors * np.sqrt(np.clip(values, 0.0, 1.0 / LEAST_CURVATURE)))
 
 
 def _covariance_factor(curvature: Array, least: float) -> Array:
@@ -184,10 +184,10 @@ def _covariance_factor(curvature: Array, least: float) -> Array:
     The prior alone has curvature one in z; far less is finite-difference noise or a saddle.
     """
     values, vectors = np.linalg.eigh(curvature)
-    return _lower(vectors / np.sqrt(np.maximum(values, least)))
+    return lower_factor(vectors / np.sqrt(np.maximum(values, least)))
 
 
-def _lower(root: Array) -> Array:
+def lower_factor(root: Array) -> Array:
     """Lower factor of root rootᵀ (d, d), whose squared scales may differ by more than 1e16."""
     upper = np.linalg.qr(root.T, mode="r")
     signs = np.where(np.diagonal(upper) < 0.0, -1.0, 1.0)

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from cassini_bayes.criticism.extended import Hypothesis
 from cassini_bayes.errors import CassiniBayesError
-from cassini_bayes.warmstart import Proposal, importance, refined
+from cassini_bayes.warmstart import Proposal, importance, lower_factor, refined
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
@@ -94,7 +94,7 @@ def curvature(log_density: LogDensity, point: Array, axes: Array) -> tuple[float
 def _inverse_factor(matrix: Array, least: float = LEAST_CURVATURE) -> Array:
     """Lower factor of the inverse of a symmetric matrix with its eigenvalues kept positive."""
     values, vectors = np.linalg.eigh(matrix)
-    return np.asarray(np.linalg.cholesky((vectors / np.maximum(values, least)) @ vectors.T))
+    return lower_factor(vectors / np.sqrt(np.maximum(values, least)))
 
 
 def climb(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -> Array:
@@ -152,17 +152,12 @@ def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
         step = inverse @ (inverse.T @ gradient)
         gain = 0.5 * float(gradient @ step)
         if gain < GAIN_LEFT and WHITE[0] < bends[0] and bends[-1] < WHITE[1]:
-            factor = _cholesky(axes @ inverse)
+            factor = lower_factor(axes @ inverse)
             return _mode_of(value + gain, point + axes @ step, factor)
-        axes = _cholesky(axes @ inverse)
+        axes = lower_factor(axes @ inverse)
         if left:
             point = climb(log_density, point, axes)
     return _mode(log_density, point, axes)
-
-
-def _cholesky(factor: Array) -> Array:
-    """Lower factor of the same covariance."""
-    return np.asarray(np.linalg.cholesky(factor @ factor.T), dtype=np.float64)
 
 
 def _mode(log_density: LogDensity, point: Array, factor: Array) -> Mode:
@@ -277,7 +272,7 @@ def _by_newton(density: LogDensity, point: Array, axes: Array, rows: _Rows) -> M
         own, ridge = rows.ridge()
         clear = np.linalg.eigvalsh(ridge)[0] > CLEAR * np.linalg.eigvalsh(own)[0]
         if gain < GAIN_LEFT and clear:
-            factor = _cholesky(axes @ _inverse_factor(rows.inner))
+            factor = lower_factor(axes @ _inverse_factor(rows.inner))
             return _mode_of(rows.value + gain, point + axes @ step, factor)
         point, axes = point + axes @ step, _along_ridge(rows, axes)
         following = _own_rows(density, point, axes, rows.baseline)
@@ -295,7 +290,7 @@ def _searched(density: LogDensity, point: Array, axes: Array, d: int) -> Mode:
     for _ in range(RIDGE_ROUNDS):
         axes = _along_ridge(_own_rows(density, point, axes, d), axes)
     inner = _own_rows(density, point, axes, d).inner
-    return _mode(density, point, _cholesky(axes @ _inverse_factor(inner)))
+    return _mode(density, point, lower_factor(axes @ _inverse_factor(inner)))
 
 
 def _along_ridge(rows: _Rows, axes: Array) -> Array:
