@@ -8,7 +8,7 @@ number of threads, so results do not either.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Final, TypeVar
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 PART: Final = 200  # points: large enough for vectors, small enough for the processor's cache
 
@@ -34,6 +35,21 @@ def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
         return
     with ThreadPoolExecutor(threads, thread_name_prefix="likelihood") as pool:
         yield lambda z: _joined(list(pool.map(log_density, _parts(z))))
+
+
+def on_threads(
+    function: Callable[[Item], Result], items: Iterable[Item], threads: int
+) -> list[Result]:
+    """Results of independent pieces of work, in order.
+
+    Raises
+    ------
+    Whatever the first piece that failed raised.
+    """
+    if threads < 2:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(threads, thread_name_prefix="work") as pool:
+        return list(pool.map(function, items))
 
 
 def _parts(z: Array) -> list[Array]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cassini_bayes.parallel import PART, LogDensity, in_lock_step, in_parts
+from cassini_bayes.parallel import PART, LogDensity, in_lock_step, in_parts, on_threads
 
 Array = NDArray[np.float64]
 
@@ -94,3 +94,22 @@ def test_a_failure_ends_all_walks_with_its_own_error(where: str) -> None:
     walks = [partial(walk, start=0.5, steps=3), failing]
     with pytest.raises(ValueError, match=f"no {where} here"):
         in_lock_step(breaks, walks)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_pieces_come_back_in_order(threads: int) -> None:
+    """Independent pieces give the same list on any number of threads."""
+    assert on_threads(lambda item: item**2, range(20), threads) == [i**2 for i in range(20)]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_piece_that_fails_raises_its_error(threads: int) -> None:
+    """The error of a piece is not lost on a thread."""
+
+    def fails(item: int) -> int:
+        if item == 3:
+            raise ValueError("piece three")
+        return item
+
+    with pytest.raises(ValueError, match="piece three"):
+        on_threads(fails, range(6), threads)

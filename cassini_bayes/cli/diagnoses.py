@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -59,6 +60,7 @@ def diagnose_command(
         np.random.default_rng(number),
         measure_gain=gain,
         say=reporter.say,
+        threads=len(os.sched_getaffinity(0)),
     )
     result.record["seed"] = number
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]

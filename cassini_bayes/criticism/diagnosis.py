@@ -26,6 +26,7 @@ from cassini_bayes.criticism.naming import (
 from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.separation import separating_measurement
 from cassini_bayes.criticism.symptoms import Symptom, find_symptoms
+from cassini_bayes.parallel import on_threads
 from cassini_bayes.spacecraft import couples
 
 Array = NDArray[np.float64]
@@ -57,6 +58,7 @@ def diagnose(
     *,
     measure_gain: bool = True,
     say: Say | None = None,
+    threads: int = 1,
 ) -> Diagnosis:
     """Show, name, extend and measure; returns everything for JSON and report.
 
@@ -70,16 +72,20 @@ def diagnose(
         Whether to hold events out (takes as many more fits as there are events, twice).
     say
         Told how far it got.
+    threads
+        On which causes, widths and held-out events are worked side by side.
     """
-    verdict = name_causes(case, catalogue, rng, say=say)
+    verdict = name_causes(case, catalogue, rng, say=say, threads=threads)
     extended = verdict.pair if verdict.pair is not None else verdict.best
     linear, extended_rows = _extended_innovations(verdict, extended)
     p, extended_p = _p_values(verdict, linear, rng)
     shown = _shown(verdict, linear, extended_rows, rng.spawn(1)[0])
     base_score, own_score = None, None
     if measure_gain and len(case.sources) >= LEAST_EVENTS and case.totals is None:
-        base_score = held_out(verdict, verdict.none, say)
-        own_score = base_score if extended is verdict.none else held_out(verdict, extended, say)
+        base_score = held_out(verdict, verdict.none, say, threads)
+        own_score = (
+            base_score if extended is verdict.none else held_out(verdict, extended, say, threads)
+        )
     symptoms: tuple[Symptom, ...] = ()
     if shown is not None and _is_discrepant(verdict):
         symptoms = find_symptoms(verdict.rows, shown[0])
@@ -97,7 +103,7 @@ def diagnose(
             **_fit_record(extended, own_score, extended_rows),
         },
         "gain": _gain(base_score, own_score, extended_p),
-        "sensitivity": _sensitivity(verdict),
+        "sensitivity": _sensitivity(verdict, threads),
         "second_cause_nats": None
         if verdict.pair is None
         else float(verdict.pair.log_evidence - verdict.best_cause.log_evidence),
@@ -262,7 +268,7 @@ def _summary(values: Array, weights: Array) -> dict[str, Any]:
     return {"mean": mean, "sd": sd, "hdi_90": list(weighted_interval(values, weights))}
 
 
-def _sensitivity(verdict: Verdict) -> dict[str, dict[str, float]]:
+def _sensitivity(verdict: Verdict, threads: int) -> dict[str, dict[str, float]]:
     """Probabilities with every effect's prior half and twice as wide, for causes near the best.
 
     Causes further than ten nats from the best keep their evidence.
@@ -271,21 +277,26 @@ def _sensitivity(verdict: Verdict) -> dict[str, dict[str, float]]:
     near = [
         w for w in verdict.weighed if w.hypothesis.effects and w.log_evidence > best - NEAR_NATS
     ][:MOST_RESCALED]
-    base = verdict.none.mode
+    base, none = verdict.none.mode, none_hypothesis(verdict.case, verdict.catalogue)
+
+    def change(item: tuple[Weighed, float]) -> float:
+        weighed, width = item
+        case = case_of(verdict, weighed)
+        full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)
+        effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
+        hypothesis = compact(extend(full, effects, case))
+        return extended_mode(hypothesis, base).log_evidence - weighed.mode.log_evidence
+
+    changes = on_threads(change, [(w, width) for width in WIDTHS for w in near], threads)
     result = {}
-    for width in WIDTHS:
+    for i, width in enumerate(WIDTHS):
         scores = {
             w.name: w.log_evidence
             - w.hypothesis.log_penalty
             + float(np.log(w.hypothesis.prior_probability))
             for w in verdict.weighed
         }
-        for weighed in near:
-            case = case_of(verdict, weighed)
-            full = none_hypothesis(case, verdict.catalogue)
-            effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
-            hypothesis = compact(extend(full, effects, case))
-            changed = extended_mode(hypothesis, base).log_evidence - weighed.mode.log_evidence
+        for weighed, changed in zip(near, changes[i * len(near) :], strict=False):
             scores[weighed.name] += changed
         values = np.array(list(scores.values()))
         shares = np.exp(values - values.max())

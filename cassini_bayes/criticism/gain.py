@@ -23,7 +23,6 @@ from cassini_bayes.criticism.evidence import (
 )
 from cassini_bayes.criticism.extended import (
     Case,
-    Hypothesis,
     compact,
     extend,
     none_hypothesis,
@@ -31,6 +30,7 @@ from cassini_bayes.criticism.extended import (
 )
 from cassini_bayes.criticism.innovations import Linear, linearise
 from cassini_bayes.criticism.naming import Verdict, flexible_case
+from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
 FIRST_SHARE: Final = 0.1  # of an event's rows, which give its initial momentum
@@ -67,32 +67,37 @@ def case_of(verdict: Verdict, weighed: Weighed, case: Case | None = None) -> Cas
     return used
 
 
-def _mode_without(verdict: Verdict, weighed: Weighed, case: Case) -> tuple[Hypothesis, Mode]:
-    """The hypothesis and its mode on a smaller case."""
+def _mode_without(verdict: Verdict, weighed: Weighed, case: Case) -> Mode:
+    """The mode of the hypothesis on a smaller case."""
     if weighed.name == "unknown":
         unknown = compact(unknown_hypothesis(case, verdict.catalogue))
-        return unknown, baseline_mode(unknown.log_density, unknown.dimension)
+        return baseline_mode(unknown.log_density, unknown.dimension)
     none = compact(none_hypothesis(case, verdict.catalogue))
     base = baseline_mode(none.log_density, none.dimension)
     if not weighed.hypothesis.effects:
-        return none, base
+        return base
     needed = case_of(verdict, weighed, case)
     full = none_hypothesis(needed, verdict.catalogue)
     hypothesis = compact(extend(full, weighed.hypothesis.effects, needed))
-    return hypothesis, refined_mode(hypothesis, extended_mode(hypothesis, base))
+    return refined_mode(hypothesis, extended_mode(hypothesis, base))
 
 
 def held_out(
-    verdict: Verdict, weighed: Weighed, say: Callable[[str], None] | None = None
+    verdict: Verdict,
+    weighed: Weighed,
+    say: Callable[[str], None] | None = None,
+    threads: int = 1,
 ) -> HeldOut:
     """Every telemetry event of the verdict's case held out in turn."""
     events = [source.id for source in verdict.case.sources]
-    scores = []
-    for event in events:
-        _, mode = _mode_without(verdict, weighed, verdict.case.without(event))
-        scores.append(weighed.mode.log_evidence - mode.log_evidence)
+
+    def score(event: str) -> float:
+        mode = _mode_without(verdict, weighed, verdict.case.without(event))
         if say is not None:
             say(f"{weighed.name}: {event} held out")
+        return weighed.mode.log_evidence - mode.log_evidence
+
+    scores = on_threads(score, events, threads)
     case = case_of(verdict, weighed)
     linear, rows, factors = linearise(case, weighed.hypothesis, weighed.mode.point)
     centre = -weighed.mode.point

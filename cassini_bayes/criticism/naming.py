@@ -37,6 +37,7 @@ from cassini_bayes.criticism.innovations import (
     innovations,
     strongest_oscillation,
 )
+from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
 NEAR_NATS: Final = 10.0
@@ -117,6 +118,7 @@ def name_causes(
     *,
     pairs: bool = True,
     say: Say | None = None,
+    threads: int = 1,
 ) -> Verdict:
     """Weigh ``none``, ``unknown`` and every cause of the catalogue.
 
@@ -132,6 +134,8 @@ def name_causes(
         Whether to look for a second cause.
     say
         Told how far it got.
+    threads
+        On which causes are weighed side by side; the verdict does not depend on it.
     """
     tell = say if say is not None else _silent
     none = compact(none_hypothesis(case, catalogue))
@@ -150,15 +154,21 @@ def name_causes(
     oscillation = find_oscillation(rows) if rows else None
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     full = none_hypothesis(case, catalogue)
-    for i, effect in enumerate(effects):
+    done: list[str] = []
+
+    def weigh(effect: Effect) -> Weighed:
         hypothesis = compact(extend(full, [effect], case))
-        weighed.append(_by_laplace(hypothesis, extended_mode(hypothesis, base, renew=False)))
-        if (i + 1) % 10 == 0:
-            tell(f"{i + 1} of {len(effects)} causes weighed")
+        found = _by_laplace(hypothesis, extended_mode(hypothesis, base, renew=False))
+        done.append(effect.name)
+        if len(done) % 10 == 0:
+            tell(f"{len(done)} of {len(effects)} causes weighed")
+        return found
+
+    weighed += on_threads(weigh, effects, threads)
     if oscillation is not None and "flexible_mode" in catalogue.names:
         weighed.append(_flexible(case, catalogue, oscillation, base))
-    weighed = _renew_near(weighed, base)
-    weighed = _sample_near(weighed, rng)
+    weighed = _renew_near(weighed, base, threads)
+    weighed = _sample_near(weighed, rng, threads)
     weighed, log_probabilities = _ranked(weighed)
     verdict = Verdict(
         case,
@@ -174,7 +184,7 @@ def name_causes(
     )
     if pairs and verdict.best is not verdict.none:
         tell(f"looking for a second cause beside {verdict.best_cause.name}")
-        pair, alike = second_cause(verdict, rng)
+        pair, alike = second_cause(verdict, rng, threads)
         verdict = replace(verdict, pair=pair, pair_alike=alike)
     return verdict
 
@@ -230,23 +240,31 @@ def flexible_case(case: Case, oscillation: Oscillation) -> Case:
     return replace(case, statistics=statistics, flexible_axis=oscillation.axis)
 
 
-def _renew_near(weighed: Sequence[Weighed], base: Mode) -> list[Weighed]:
+def _renew_near(weighed: Sequence[Weighed], base: Mode, threads: int) -> list[Weighed]:
     """The curvature anew where nuisances moved far, for hypotheses not too far from the best."""
     least = max(_score(w) for w in weighed) - RENEWED_NATS
-    return [
-        _by_laplace(w.hypothesis, renewed(w.hypothesis, w.mode, base))
-        if w.hypothesis.effects and _score(w) > least and has_moved(w.mode, base)
-        else w
-        for w in weighed
-    ]
+
+    def renew(w: Weighed) -> Weighed:
+        if not w.hypothesis.effects or _score(w) <= least or not has_moved(w.mode, base):
+            return w
+        return _by_laplace(w.hypothesis, renewed(w.hypothesis, w.mode, base))
+
+    return on_threads(renew, weighed, threads)
 
 
-def _sample_near(weighed: Sequence[Weighed], rng: np.random.Generator) -> list[Weighed]:
+def _sample_near(
+    weighed: Sequence[Weighed], rng: np.random.Generator, threads: int
+) -> list[Weighed]:
     """Importance-sampled evidence for the hypotheses nearest the best."""
     scores = [_score(w) for w in weighed]
     order = np.argsort(scores)[::-1]
     near = [i for i in order if scores[i] > scores[order[0]] - NEAR_NATS][:MOST_SAMPLED]
-    return [sampled(w, rng) if i in near else w for i, w in enumerate(weighed)]
+    own = dict(zip(near, rng.spawn(len(near)), strict=True))
+    return on_threads(
+        lambda i: sampled(weighed[i], own[i]) if i in own else weighed[i],
+        range(len(weighed)),
+        threads,
+    )
 
 
 def _score(weighed: Weighed) -> float:
@@ -264,7 +282,7 @@ def _ranked(weighed: Sequence[Weighed]) -> tuple[list[Weighed], Array]:
 
 
 def second_cause(
-    verdict: Verdict, rng: np.random.Generator
+    verdict: Verdict, rng: np.random.Generator, threads: int = 1
 ) -> tuple[Weighed | None, tuple[str, ...]]:
     """The best pair with the best cause, if the second one earns its place, and seconds like it.
 
@@ -278,10 +296,12 @@ def second_cause(
         return None, ()
     full = extend(none_hypothesis(case, catalogue), [first], case)
     base = best.mode if best.z is not None else refined_mode(best.hypothesis, best.mode)
-    tried = []
-    for effect in _others(catalogue, first):
+
+    def weigh(effect: Effect) -> Weighed:
         hypothesis = compact(extend(full, [effect], case))
-        tried.append(_by_laplace(hypothesis, extended_mode(hypothesis, base)))
+        return _by_laplace(hypothesis, extended_mode(hypothesis, base))
+
+    tried = on_threads(weigh, _others(catalogue, first), threads)
     found = max(tried, key=lambda weighed: weighed.log_evidence)
     if found.log_evidence < best.log_evidence + SECOND_CAUSE_NATS:
         return None, ()
