@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -38,10 +39,12 @@ from cassini_bayes.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, r
 from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
+Say = Callable[[str], None]
 DESCRIPTION: Final = "event.toml"
 _TAIL_BYTES: Final = 65_536
 FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
 _SAME_S: Final = 1e-9
+_TELL_S: Final = 5.0  # between lines of progress
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ def reduce_event(
     priors: Priors,
     pulse_shape: str,
     cache: Path | None = None,
-    say: Callable[[str], None] | None = None,
+    say: Say | None = None,
 ) -> ReducedEvent:
     """Read an event folder and reduce its telemetry, or take the reduction from the cache.
 
@@ -126,10 +129,10 @@ def reduce_event(
     key = reduction_key(event, sampling)
     found = _cached(cache, key)
     if found is None:
-        statistics, reading = _reduced(event, priors, sampling)
+        statistics, reading = _reduced(event, priors, sampling, say)
         if abs(reading.end_s - guess) > _SAME_S:  # the file's tail did not tell
             sampling = sampling_of(priors, event.thrusters, reading.end_s, pulse_shape)
-            statistics, reading = _reduced(event, priors, sampling)
+            statistics, reading = _reduced(event, priors, sampling, say)
     else:
         statistics, reading = found
         sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
@@ -220,8 +223,12 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
 class _Reading:
     """Streams an event's chunks and keeps what the record of the reading needs."""
 
-    def __init__(self, event: TelemetryEvent, momentum: MomentumRows) -> None:
+    def __init__(
+        self, event: TelemetryEvent, momentum: MomentumRows, until_s: float, say: Say | None
+    ) -> None:
         self._event = event
+        self._until_s, self._say = until_s, say
+        self._began = self._told = time.monotonic()
         self._momentum = momentum
         self.mends = Mends()
         self.rows = 0
@@ -237,8 +244,22 @@ class _Reading:
             self.rows += chunk.rows
             self.end_s = float(chunk.time_s[-1])
             self._count(chunk)
+
             self._momentum.add(chunk)
             yield samples_of(chunk)
+            self._tell()
+
+    def _tell(self) -> None:
+        """A line every few seconds: how far it is, by the time that the file's tail has."""
+        now = time.monotonic()
+        if self._say is None or now - self._told < _TELL_S:
+            return
+        self._told = now
+        share = min((self.end_s - self.start_s) / max(self._until_s - self.start_s, 1e-9), 1.0)
+        left = (now - self._began) * (1.0 / max(share, 1e-9) - 1.0)
+        self._say(
+            f"{self._event.id}: {self.rows:,} rows read, {share:.0%} of the time, {left:.0f} s left"
+        )
 
     def _count(self, chunk: Chunk) -> None:
         counters = np.stack([chunk.on_time_s, chunk.pulses])
@@ -265,12 +286,12 @@ class _Reading:
 
 
 def _reduced(
-    event: TelemetryEvent, priors: Priors, sampling: Sampling
+    event: TelemetryEvent, priors: Priors, sampling: Sampling, say: Say | None
 ) -> tuple[EventStatistics, ReadingRecord]:
     layout = Layout(event.wheels, event.thrusters, sampling.couples)
     nominal = nominal_values(priors)
     momentum = momentum_rows(nominal)
-    reading = _Reading(event, momentum)
+    reading = _Reading(event, momentum, sampling.duration_s, say)
     statistics = reduce_chunks(event.id, event.kind, reading.samples(priors), layout, sampling)
     check_momentum(event, momentum, priors.spacecraft, nominal)
     return statistics, reading.record()
