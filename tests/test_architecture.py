@@ -57,12 +57,11 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("sampling",),
     ("fitting",),
     ("scenario", "ranks"),
-    ("bias_comparison",),
+    ("bias_comparison", "prediction"),
     (
         "baselines",
         "sensitivity",
         "criticism",
-        "prediction",
         "calibration",
         "telemetry_calibration",
         "trend",

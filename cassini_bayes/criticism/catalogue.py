@@ -67,6 +67,7 @@ class UnknownPrior:
 
     torque_noise: Distribution
     hold_rate_factor: float
+    on_time_noise_s: Distribution | None = None  # of every printed on-time; None: not given
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,8 @@ def read_catalogue(
     wheels
         Numbers of the wheels that the events use.
     inputs
-        ``telemetry``, ``totals`` or both: effects that only other inputs show are left out.
+        ``telemetry``, ``totals`` or both, or ``on_times``: effects that only other inputs show are
+        left out.
 
     Raises
     ------
@@ -161,7 +163,20 @@ def read_catalogue(
                 },
             ),
             float(unknown["hold_rate_factor"]),
+            _on_time_noise(unknown),
         ),
+    )
+
+
+def _on_time_noise(unknown: Mapping[str, Any]) -> Distribution | None:
+    if "on_time_noise_median_s" not in unknown:
+        return None
+    return Distribution(
+        "lognorm",
+        {
+            "s": float(unknown["on_time_noise_log_sd"]),
+            "scale": float(unknown["on_time_noise_median_s"]),
+        },
     )
 
 

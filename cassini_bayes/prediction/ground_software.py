@@ -121,28 +121,29 @@ def wheel_momentum_n_m_s(inputs: GroundInputs, wheels: tuple[int, ...], rates_rp
 
 
 def ideal_on_times(steps: Array, torque: Array, layout: PairLayout) -> Array:
-    """On-times (N, K) ≥ 0 of every sample from momentum steps (N, 3) and torques (3, K) N m."""
-    found = np.zeros((len(steps), torque.shape[1]))
+    """On-times (…, N, K) ≥ 0 of samples from momentum steps (…, N, 3), torques (…, 3, K) N m."""
+    found = np.zeros((*steps.shape[:-1], torque.shape[-1]))
     left = steps.copy()
     c = layout.couple_axis
     for unit, sign in zip(layout.units[:2], (-1.0, 1.0), strict=True):
-        pair = torque[:, list(unit)].sum(1)
-        seconds = np.maximum(sign * steps[:, c], 0.0) / (sign * pair[c])
-        found[:, list(unit)] += seconds[:, None]
-        left = left - seconds[:, None] * pair
+        pair = torque[..., list(unit)].sum(-1)
+        seconds = np.maximum(sign * steps[..., c], 0.0) / (sign * pair[..., c, None])
+        found[..., list(unit)] += seconds[..., None]
+        left = left - seconds[..., None] * pair[..., None, :]
     ring = layout.ring.ravel()
-    axes = list(layout.ring_axes)
-    least = np.full(len(steps), np.inf)
-    best = np.zeros((len(steps), len(ring)))
+    axes = np.array(layout.ring_axes)
+    least = np.full(steps.shape[:-1], np.inf)
+    best = np.zeros((*steps.shape[:-1], len(ring)))
     for pair_of_ring in combinations(range(len(ring)), 2):
-        columns = [ring[i] for i in pair_of_ring]
-        seconds = np.linalg.solve(torque[np.ix_(axes, columns)], left[:, axes].T).T
-        better = (seconds >= -1e-12).all(1) & (seconds.sum(1) < least)
-        least = np.where(better, seconds.sum(1), least)
+        columns = ring[list(pair_of_ring)]
+        inverse = np.linalg.inv(torque[..., axes[:, None], columns])
+        seconds = left[..., axes] @ np.swapaxes(inverse, -1, -2)
+        better = (seconds >= -1e-12).all(-1) & (seconds.sum(-1) < least)
+        least = np.where(better, seconds.sum(-1), least)
         trial = np.zeros_like(best)
-        trial[:, list(pair_of_ring)] = np.maximum(seconds, 0.0)
+        trial[..., list(pair_of_ring)] = np.maximum(seconds, 0.0)
         best[better] = trial[better]
-    found[:, ring] += best
+    found[..., ring] += best
     return found
 
 
