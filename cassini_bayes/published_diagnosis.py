@@ -2,28 +2,48 @@
 
 (a) the eight flight biases as totals rows; (b) five thrusts of paper 000 Table 2; (c) the test-bed
 case of paper 000; (d) thrusts of the A branch, paper 003 Table 1. Every case is weighed at half,
-once and twice the default width of its effects' priors.
+once and twice the default width of its effects' priors. Where there are three events or estimates,
+each is left out in turn to measure what the best cause gains.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from cassini_bayes import __version__
-from cassini_bayes.criticism.cases import BranchCase, PulseCase, a_branch, flight_2004, fsds
-from cassini_bayes.criticism.diagnosis import catalogue_of, diagnose
+from cassini_bayes.criticism.cases import (
+    UNKNOWN,
+    BranchCase,
+    PulseCase,
+    a_branch,
+    flight_2004,
+    fsds,
+)
+from cassini_bayes.criticism.diagnosis import Diagnosis, catalogue_of, diagnose
+from cassini_bayes.criticism.extended import Case
 from cassini_bayes.criticism.read import read_case
-from cassini_bayes.criticism.summaries import SummaryVerdict, weigh_summaries
+from cassini_bayes.criticism.summaries import (
+    SummaryCause,
+    SummaryVerdict,
+    leave_out,
+    untrusted,
+    weigh_summaries,
+)
+from cassini_bayes.criticism.totals_gain import held_out_totals
+from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.plots import encode
 from cassini_bayes.plots.criticism import width_figure
 from cassini_bayes.storage import write_bytes, write_text
 
+Array = NDArray[np.float64]
 WIDTHS: Final = (0.5, 1.0, 2.0)
 NAME: Final = "diagnosis-published"
 TITLES: Final[Mapping[str, str]] = {
@@ -32,15 +52,16 @@ TITLES: Final[Mapping[str, str]] = {
     "c": "Test-bed case (paper 000)",
     "d": "A-branch thrusts (paper 003, Table 1)",
 }
-UNSURE_NATS: Final = 0.3
-NOT_MEASURABLE: Final = (
-    "Held-out gain: not measurable (summary estimates, no telemetry to predict)."
-)
+LEAST_EVENTS: Final = 3
+PAIR_DRAWS: Final = 40_000
 
 
 @dataclass(frozen=True)
 class Weighing:
-    """One case: probabilities by width and cause, and the causes' sizes at default width."""
+    """One case: probabilities by width and cause, and the causes' sizes at default width.
+
+    ``details`` are paragraphs and tables after the table of causes.
+    """
 
     key: str
     probability: pd.DataFrame  # index cause, columns WIDTHS
@@ -48,6 +69,7 @@ class Weighing:
     log_evidence_se: Mapping[str, float]
     sizes: Mapping[str, str]
     remains: str
+    details: str = ""
 
     @property
     def first(self) -> str:
@@ -65,37 +87,107 @@ def weigh_summary_case(key: str, case: PulseCase | BranchCase, seed: int) -> Wei
     }
     table = pd.DataFrame({w: {v.name: v.probability for v in own} for w, own in found.items()})
     middle = found[1.0]
-    none = next(v.log_evidence for v in middle if v.name == "none")
+    none = _log_evidence(middle, "none")
     best = middle[0]
-    left = ", ".join(f"{value:+.3f}" for value in best.residual_n)
-    rms = float(np.sqrt((best.residual_n**2).mean()))
     share = float(np.abs(best.residual_n / case.estimate_n).max())
+    rms = float(np.sqrt((best.residual_n**2).mean()))
     return Weighing(
         key,
         table.sort_values(1.0, ascending=False),
         {v.name: v.log_evidence - none for v in middle},
         {v.name: v.log_evidence_se for v in middle},
         {v.name: _sizes(v.parameters) for v in middle},
-        f"After `{best.name}`: {left} N remain (estimate less posterior mean prediction; RMS "
-        f"{rms:.3f} N, at most {100 * share:.1f} % of an estimate). {NOT_MEASURABLE}",
+        f"After `{best.name}`: {_left(best)} N remain (estimate less posterior mean prediction; "
+        f"RMS {rms:.3f} N, at most {100 * share:.1f} % of an estimate).",
+        f"{summary_gain(case, middle, seed)}\n\n{_draws([*chain(*found.values())])}",
     )
 
 
-def pair_sentence(case: BranchCase, single: Weighing, seed: int, draws: int = 200_000) -> str:
-    """What the best two causes together gain over the first alone, prior probability included."""
-    rng = np.random.default_rng(seed)
-    pairs = weigh_summaries(case.estimate_n, case.sd_n, case.pair_causes(), rng, draws)
-    best = pairs[0]
-    none = case.causes()[:1]
-    base = weigh_summaries(case.estimate_n, case.sd_n, none, rng, draws)[0].log_evidence
-    gain = best.log_evidence - base
-    left = ", ".join(f"{value:+.3f}" for value in best.residual_n)
+def _log_evidence(verdicts: Sequence[SummaryVerdict], name: str) -> float:
+    return next(v.log_evidence for v in verdicts if v.name == name)
+
+
+def _left(verdict: SummaryVerdict) -> str:
+    return ", ".join(f"{value:+.3f}" for value in verdict.residual_n)
+
+
+def _draws(verdicts: Sequence[SummaryVerdict]) -> str:
+    """How well the draws cover the posteriors of all hypotheses."""
+    fewest = min(v.effective_draws for v in verdicts)
+    worst = max(v.pareto_k for v in verdicts)
+    text = (
+        f"Draws of every hypothesis: at least {fewest:.0f} effective, Pareto k̂ {worst:.2f} or less."
+    )
+    doubt = untrusted(verdicts)
+    return f"{text} **{doubt}**" if doubt else text
+
+
+def summary_gain(
+    case: PulseCase | BranchCase, verdicts: Sequence[SummaryVerdict], seed: int
+) -> str:
+    """What the most probable cause gains over ``none`` on estimates that were left out."""
+    if len(case.estimate_n) < LEAST_EVENTS:
+        return f"Held-out gain: not measurable (fewer than {LEAST_EVENTS} estimates)."
+    causes: dict[str, SummaryCause] = {cause.name: cause for cause in case.causes()}
+    named = next(v.name for v in verdicts if v.name not in ("none", "unknown"))
+    scores = {
+        name: leave_out(case.estimate_n, case.sd_n, causes[name], np.random.default_rng(seed))
+        for name in ("none", named, "unknown")
+    }
+    base = scores.pop("none")
+    texts = [
+        gain_text(
+            name,
+            own.log_scores - base.log_scores,
+            f"RMS residual {own.rmse_n:.3f} N against {base.rmse_n:.3f} N",
+        )
+        for name, own in scores.items()
+    ]
+    return f"Held out, each of {len(case.estimate_n)} estimates in turn: {'; '.join(texts)}."
+
+
+def gain_text(name: str, differences: Array, residual: str) -> str:
+    """Sum of log score differences with its standard error, in words."""
+    total = float(differences.sum())
+    error = float(np.sqrt(len(differences)) * differences.std(ddof=1))
+    verdict = "gain" if total > 2.0 * error else "no gain"
     return (
-        f"Two causes together: the best is `{best.name}`, {gain:+.1f} ± "
-        f"{best.log_evidence_se:.1f} nats against `none` "
-        f"({gain - single.log_bayes_factor[single.first]:+.1f} against `{single.first}`): "
-        f"{_sizes(best.parameters)}. It leaves {left} N."
+        f"`{name}` {total:+.1f} ± {error:.1f} nats against `none` (sum of log scores, one standard "
+        f"error), {residual}: {verdict}"
     )
+
+
+def pair_table(case: BranchCase, seed: int) -> str:
+    """The best two causes together at every width, beside the best single hypothesis."""
+    rows, weighed = [], []
+    for width in WIDTHS:
+        rng = np.random.default_rng(seed)
+        pairs = weigh_summaries(
+            case.estimate_n, case.sd_n, case.pair_causes(width), rng, PAIR_DRAWS
+        )
+        singles = weigh_summaries(
+            case.estimate_n, case.sd_n, case.causes(width)[:2], rng, PAIR_DRAWS
+        )
+        weighed += pairs
+        best = pairs[0]
+        prior = {cause.name: cause.prior_probability for cause in case.pair_causes(width)}
+        gain = best.log_evidence - _log_evidence(singles, "none")
+        beyond = best.log_evidence - _log_evidence(singles, "unknown")
+        odds = beyond + float(np.log(prior[best.name] / UNKNOWN))
+        rows.append(
+            f"| {width:g} | `{best.name}` | {gain:+.1f} | {beyond:+.1f} | {odds:+.1f} | "
+            f"{_sizes(best.parameters)} | {_left(best)} |"
+        )
+    lines = "\n".join(rows)
+    return f"""Two causes together, the best of {len(weighed) // len(WIDTHS)} pairs at every width
+(log Bayes factors and log posterior odds in nats; N are the estimates less the posterior mean
+prediction):
+
+| width | pair | against `none` | against `unknown` | odds against `unknown` | mean ± 1 sd | N |
+| --- | --- | --- | --- | --- | --- | --- |
+{lines}
+
+{_draws(weighed)}"""
 
 
 def _sizes(parameters: Mapping[str, tuple[float, float]]) -> str:
@@ -110,7 +202,9 @@ def weigh_flight(
 ) -> Weighing:
     """Causes of the flight biases at every width, by the machinery of ``diagnose``."""
     case = read_case([str(totals)], priors, "flight", say)
-    record = diagnose(case, catalogue_of(case), np.random.default_rng(seed), say=say).record
+    catalogue = catalogue_of(case)
+    found = diagnose(case, catalogue, np.random.default_rng(seed), say=say)
+    record = found.record
     causes = record["causes"]
     table = pd.DataFrame(
         {
@@ -131,7 +225,32 @@ def weigh_flight(
         {c["name"]: c["log_bayes_factor"] for c in causes},
         {c["name"]: float("nan") for c in causes},
         {c["name"]: _catalogue_sizes(c["parameters"]) for c in causes},
-        f"{remains} Held-out gain: not measurable (leaving out is built for telemetry events).",
+        remains,
+        flight_gain(case, read_totals(str(totals), case.priors.spacecraft, "flight"), found, seed),
+    )
+
+
+def flight_gain(case: Case, rows: Sequence[TotalsEvent], found: Diagnosis, seed: int) -> str:
+    """What the best cause and ``unknown`` gain over ``none`` on totals rows that were left out."""
+    verdict = found.verdict
+    if len(rows) < LEAST_EVENTS:
+        return f"Held-out gain: not measurable (fewer than {LEAST_EVENTS} events)."
+    unknown = next(weighed for weighed in verdict.weighed if weighed.name == "unknown")
+    base, *scores = (
+        held_out_totals(case, rows, verdict.catalogue, weighed, np.random.default_rng(seed))
+        for weighed in (verdict.none, verdict.best_cause, unknown)
+    )
+    texts = [
+        gain_text(
+            name,
+            own.log_scores - base.log_scores,
+            f"RMS residual momentum {own.rmse_n_m_s:.3f} N m s against {base.rmse_n_m_s:.3f} N m s",
+        )
+        for name, own in zip((verdict.best_cause.name, "unknown"), scores, strict=True)
+    ]
+    return (
+        f"Held out, each of {len(rows)} events in turn: {'; '.join(texts)}. Central 90 % intervals "
+        f"of `none` hold {100 * base.coverage_90:.0f} % of the {3 * len(rows)} held-out components."
     )
 
 
@@ -154,8 +273,8 @@ def write_published_diagnosis(
         weigh_summary_case("c", fsds(), seed),
     ]
     branch = weigh_summary_case("d", a_branch(), seed)
-    pairs = pair_sentence(a_branch(), branch, seed)
-    weighings.append(replace(branch, remains=f"{branch.remains} {pairs}"))
+    pairs = pair_table(a_branch(), seed)
+    weighings.append(replace(branch, details=f"{branch.details}\n\n{pairs}"))
     frame = pd.concat([_table(weighing) for weighing in weighings])
     write_text(folder / f"{NAME}.csv", frame.to_csv(index=False))
     for weighing in weighings:
@@ -183,7 +302,7 @@ def _table(weighing: Weighing) -> pd.DataFrame:
 
 
 def verdict_sentence(weighing: Weighing) -> str:
-    """First cause, its probability, whether it is the same at other widths, and how sure."""
+    """First cause, its probability, and whether it is the same at other widths."""
     table = weighing.probability
     firsts = {width: str(table[width].idxmax()) for width in WIDTHS}
     text = f"Most probable: `{weighing.first}` ({table[1.0].max():.2f})."
@@ -193,10 +312,6 @@ def verdict_sentence(weighing: Weighing) -> str:
         text += f" This depends on the prior width of the effects: {changed}."
     else:
         text += " The same at half and at double width."
-    near = [n for n in table.index[:6] if weighing.log_evidence_se[n] > UNSURE_NATS]
-    if near:
-        named = ", ".join(f"`{n}`" for n in near)
-        text += f" The evidence of {named} is uncertain by more than {UNSURE_NATS:g} nats."
     return text
 
 
@@ -213,6 +328,8 @@ def _section(weighing: Weighing) -> str:
 | cause | width × 0.5 | × 1 | × 2 | log Bayes factor (nats) | posterior mean ± 1 sd |
 | --- | --- | --- | --- | --- | --- |
 {rows}
+
+{weighing.details}
 
 ![Probability of causes at three prior widths]({NAME}-{weighing.key}.png)
 """

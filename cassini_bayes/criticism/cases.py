@@ -13,7 +13,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.criticism.summaries import Prediction, SummaryCause, pulse_ratio
+from cassini_bayes.criticism.summaries import (
+    Prediction,
+    SummaryCause,
+    positive_normal,
+    pulse_ratio,
+)
 from cassini_bayes.published import a_branch_thrusts, bias_thrusts
 from cassini_bayes.pulses import PULSE_SHAPES
 
@@ -48,12 +53,12 @@ class PulseCase:
         """Number of estimates."""
         return len(self.estimate_n)
 
-    def predict(self, rng: np.random.Generator, n: int) -> Prediction:
-        """Draws from the prior of what would have been estimated."""
-        thrust = 1.0 + self.thrust_sd * rng.standard_normal(n)
-        fall = np.abs(self.fall_s + self.fall_sd_s * rng.standard_normal(n))
-        offset = self.offset_sd_s * rng.standard_normal(n)
-        scale = 1.0 + self.scale_sd * rng.standard_normal(n)
+    def predict(self, z: Array) -> Prediction:
+        """What would have been estimated at standard normals (n, 4)."""
+        thrust = 1.0 + self.thrust_sd * z[:, 0]
+        fall = positive_normal(z[:, 1], self.fall_s, self.fall_sd_s)
+        offset = self.offset_sd_s * z[:, 2]
+        scale = 1.0 + self.scale_sd * z[:, 3]
         ratio = pulse_ratio(PULSE_SHAPES[self.shape], self.widths_s, self.counts, RISE_S, fall)
         ratio = ratio + offset * self.counts.sum() / (self.widths_s @ self.counts)
         estimate = np.repeat((self.thrust_n * thrust * scale * ratio)[:, None], self.events, axis=1)
@@ -69,6 +74,10 @@ class PulseCase:
             },
         )
 
+    def as_cause(self, name: str, prior_probability: float) -> SummaryCause:
+        """These priors as a hypothesis."""
+        return SummaryCause(name, prior_probability, 4, self.predict)
+
     def causes(self, width: float = 1.0) -> list[SummaryCause]:
         """``none``, ``unknown`` and what may be wrong with such estimates."""
         wide = FACTOR * width
@@ -82,9 +91,9 @@ class PulseCase:
             changed["pulse_shape, first-order closed form"] = replace(self, shape="first_order")
         share = CATALOGUED / len(changed)
         return [
-            SummaryCause("none", NONE, self.predict),
-            SummaryCause("unknown", UNKNOWN, replace(self, event_sd=0.15).predict),
-            *(SummaryCause(name, share, case.predict) for name, case in changed.items()),
+            self.as_cause("none", NONE),
+            replace(self, event_sd=0.15).as_cause("unknown", UNKNOWN),
+            *(case.as_cause(name, share) for name, case in changed.items()),
         ]
 
 
@@ -148,23 +157,27 @@ class BranchCase:
     lx_m: float = 1.234
     ly_m: float = 1.580
 
-    def predict(self, rng: np.random.Generator, n: int) -> Prediction:
-        """Draws from the prior of what would have been estimated."""
-        common = self.common_n + self.common_sd_n * rng.standard_normal(n)
-        factor = np.ones((n, len(self.names)))
+    def predict(self, z: Array) -> Prediction:
+        """What would have been estimated at standard normals (n, 3 + degraded thrusters)."""
+        common = self.common_n + self.common_sd_n * z[:, 0]
+        factor = np.ones((len(z), len(self.names)))
         parameters: dict[str, Array] = {"common_n": common}
-        for name in self.degraded:
-            deficit = np.minimum(np.abs(self.deficit_scale * rng.standard_normal(n)), 0.9)
+        for name, own in zip(self.degraded, z.T[3:], strict=True):
+            deficit = np.minimum(positive_normal(own, 0.0, self.deficit_scale), 0.9)
             factor[:, self.names.index(name)] *= 1.0 - deficit
             parameters[f"thrust_factor[{name}]"] = 1.0 - deficit
-        for axis, arm in (("x", self.lx_m), ("y", self.ly_m)):
-            shift = self.cm_sd_m[axis] * rng.standard_normal(n)
+        for axis, arm, own in (("x", self.lx_m, z[:, 1]), ("y", self.ly_m, z[:, 2])):
+            shift = self.cm_sd_m[axis] * own
             parameters[f"cm_{axis} shift (m)"] = shift
             for k, name in enumerate(self.names):
                 sign = _corner(name, axis)
                 factor[:, k] *= 1.0 - sign * shift / arm
         estimate = common[:, None] * factor
         return Prediction(estimate, self.individual_sd * estimate, parameters)
+
+    def as_cause(self, name: str, prior_probability: float) -> SummaryCause:
+        """These priors as a hypothesis."""
+        return SummaryCause(name, prior_probability, 3 + len(self.degraded), self.predict)
 
     def causes(self, width: float = 1.0) -> list[SummaryCause]:
         """``none``, ``unknown``, single deficits, c.m. shifts."""
@@ -181,35 +194,26 @@ class BranchCase:
             for axis in ("x", "y")
         }
         return [
-            SummaryCause("none", NONE, self.predict),
-            SummaryCause("unknown", UNKNOWN, replace(self, individual_sd=0.15).predict),
-            *(
-                SummaryCause(name, CATALOGUED / 2 / len(changed), case.predict)
-                for name, case in changed.items()
-            ),
-            *(
-                SummaryCause(name, CATALOGUED / 2 / len(shifts), case.predict)
-                for name, case in shifts.items()
-            ),
+            self.as_cause("none", NONE),
+            replace(self, individual_sd=0.15).as_cause("unknown", UNKNOWN),
+            *(case.as_cause(n, CATALOGUED / 2 / len(changed)) for n, case in changed.items()),
+            *(case.as_cause(n, CATALOGUED / 2 / len(shifts)) for n, case in shifts.items()),
         ]
 
-    def pair_causes(self) -> list[SummaryCause]:
+    def pair_causes(self, width: float = 1.0) -> list[SummaryCause]:
         """Every two deficits, and every deficit with a shift along Y; prior of both together."""
         share = CATALOGUED / 2 / len(self.names)
-        shifted = replace(self, cm_sd_m={**self.cm_sd_m, "y": FACTOR * self.cm_sd_m["y"]})
+        weak = replace(self, deficit_scale=0.2 * width)
+        shifted = replace(weak, cm_sd_m={**self.cm_sd_m, "y": FACTOR * width * self.cm_sd_m["y"]})
         deficits = [
-            SummaryCause(
-                f"thruster_degraded:{one}+thruster_degraded:{other}",
-                share**2,
-                replace(self, degraded=(one, other)).predict,
+            replace(weak, degraded=(one, other)).as_cause(
+                f"thruster_degraded:{one}+thruster_degraded:{other}", share**2
             )
             for one, other in combinations(self.names, 2)
         ]
         both = [
-            SummaryCause(
-                f"thruster_degraded:{name}+center_of_mass:y",
-                share * CATALOGUED / 4,
-                replace(shifted, degraded=(name,)).predict,
+            replace(shifted, degraded=(name,)).as_cause(
+                f"thruster_degraded:{name}+center_of_mass:y", share * CATALOGUED / 4
             )
             for name in self.names
         ]

@@ -8,6 +8,7 @@ k what all estimates share (geometry, inertia), ε the event's own departure.
 from __future__ import annotations
 
 import csv
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,9 @@ from cassini_bayes.criticism.summaries import (
     Prediction,
     SummaryCause,
     SummaryVerdict,
+    positive_normal,
     pulse_ratio,
+    untrusted,
     weigh_summaries,
 )
 from cassini_bayes.errors import InputError
@@ -166,14 +169,15 @@ class EstimateCase:
         """Thrusters that rows name."""
         return tuple(sorted({row.thruster for row in self.rows} - {ALL}))
 
-    def predict(self, rng: np.random.Generator, n: int) -> Prediction:
-        """Draws from the prior of what would have been estimated."""
-        common = self.thrust_n + self.thrust_sd_n * rng.standard_normal(n)
-        fall = np.abs(self.fall_s + self.fall_sd_s * rng.standard_normal(n))
-        scale = 1.0 + self.scale_sd * rng.standard_normal(n)
-        offset = self.offset_sd_s * rng.standard_normal(n)
-        factor = 1.0 - np.minimum(np.abs(self.deficit_sd * rng.standard_normal(n)), 0.9)
-        own = {name: self.individual_sd_n * rng.standard_normal(n) for name in self.named}
+    def predict(self, z: Array) -> Prediction:
+        """What would have been estimated at standard normals (n, 5 + named thrusters)."""
+        common = self.thrust_n + self.thrust_sd_n * z[:, 0]
+        fall = positive_normal(z[:, 1], self.fall_s, self.fall_sd_s)
+        scale = 1.0 + self.scale_sd * z[:, 2]
+        offset = self.offset_sd_s * z[:, 3]
+        factor = 1.0 - np.minimum(positive_normal(z[:, 4], 0.0, self.deficit_sd), 0.9)
+        departures = self.individual_sd_n * z.T[5:]
+        own = dict(zip(self.named, departures, strict=True))
         columns = []
         for row in self.rows:
             thrust = common + own.get(row.thruster, 0.0)
@@ -193,6 +197,10 @@ class EstimateCase:
         widths, counts = np.array(row.widths_s), np.array(row.pulses)
         ratio = pulse_ratio(PULSE_SHAPES[self.shape], widths, counts, self.rise_s, fall)
         return np.asarray(ratio + offset * counts.sum() / (widths @ counts))
+
+    def as_cause(self, name: str, prior_probability: float) -> SummaryCause:
+        """These priors as a hypothesis."""
+        return SummaryCause(name, prior_probability, 5 + len(self.named), self.predict)
 
     def causes(self, width: float = 1.0) -> list[SummaryCause]:
         """``none``, ``unknown`` and what may be wrong with such estimates."""
@@ -216,10 +224,10 @@ class EstimateCase:
         }
         share = CATALOGUED / (len(changed) + bool(weak))
         return [
-            SummaryCause("none", NONE, self.predict),
-            SummaryCause("unknown", UNKNOWN, replace(self, event_sd=UNKNOWN_SD).predict),
-            *(SummaryCause(name, share, case.predict) for name, case in changed.items()),
-            *(SummaryCause(name, share / len(weak), case.predict) for name, case in weak.items()),
+            self.as_cause("none", NONE),
+            replace(self, event_sd=UNKNOWN_SD).as_cause("unknown", UNKNOWN),
+            *(case.as_cause(name, share) for name, case in changed.items()),
+            *(case.as_cause(name, share / len(weak)) for name, case in weak.items()),
         ]
 
 
@@ -257,10 +265,16 @@ def estimate_case(rows: Sequence[Estimate], priors: Priors) -> EstimateCase:
 
 
 def diagnose_estimates(case: EstimateCase, rng: np.random.Generator) -> dict[str, Any]:
-    """The record of ``diagnosis.json`` for estimates: causes, sensitivity; gain not measurable."""
+    """The record of ``diagnosis.json`` for estimates: causes, sensitivity; gain not measurable.
+
+    Warns of hypotheses whose draws do not cover their posterior.
+    """
     estimate = np.array([row.thrust_n for row in case.rows])
     sd = np.array([row.sd_n for row in case.rows])
     found = {w: weigh_summaries(estimate, sd, case.causes(w), rng) for w in WIDTHS}
+    doubt = untrusted([verdict for own in found.values() for verdict in own])
+    if doubt:
+        warnings.warn(doubt, RuntimeWarning, stacklevel=2)
     middle = found[1.0]
     none = next(v for v in middle if v.name == "none")
     return {
@@ -311,6 +325,8 @@ def _cause_record(verdict: SummaryVerdict, none: SummaryVerdict) -> dict[str, An
         "probability": verdict.probability,
         "log_bayes_factor": verdict.log_evidence - none.log_evidence,
         "log_evidence_se": verdict.log_evidence_se,
+        "effective_draws": verdict.effective_draws,
+        "pareto_k": verdict.pareto_k,
         "parameters": {
             key: {"mean": mean, "sd": sd, "hdi_90": [mean - 1.645 * sd, mean + 1.645 * sd]}
             for key, (mean, sd) in verdict.parameters.items()
