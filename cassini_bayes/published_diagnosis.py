@@ -1,7 +1,8 @@
 """Diagnosis of published data: the flight wheel biases and printed thrusts, as a page with figures.
 
 (a) the eight flight biases as totals rows; (b) five thrusts of paper 000 Table 2; (c) the test-bed
-case of paper 000; (d) thrusts of the A branch, paper 003 Table 1. Every case is weighed at half,
+case of paper 000; (d) thrusts of the A branch, paper 003 Table 1; (e) on-times of the eight flight
+biases against the ideal calculation of paper 001. Every case is weighed at half,
 once and twice the default width of its effects' priors. Where there are three events or estimates,
 each is left out in turn to measure what the best cause gains.
 """
@@ -29,11 +30,13 @@ from cassini_bayes.criticism.cases import (
 )
 from cassini_bayes.criticism.diagnosis import Diagnosis, catalogue_of, diagnose
 from cassini_bayes.criticism.extended import Case
+from cassini_bayes.criticism.on_time_report import OnTimeFindings, on_time_findings
 from cassini_bayes.criticism.read import read_case
 from cassini_bayes.criticism.summaries import (
     SummaryCause,
     SummaryVerdict,
     leave_out,
+    summed,
     untrusted,
     weigh_summaries,
 )
@@ -41,6 +44,7 @@ from cassini_bayes.criticism.totals_gain import held_out_totals
 from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.plots import encode
 from cassini_bayes.plots.criticism import width_figure
+from cassini_bayes.plots.on_times import on_time_figure
 from cassini_bayes.storage import write_bytes, write_text
 
 Array = NDArray[np.float64]
@@ -51,6 +55,7 @@ TITLES: Final[Mapping[str, str]] = {
     "b": "Five flight biases of 2004 (paper 000, Table 2)",
     "c": "Test-bed case (paper 000)",
     "d": "A-branch thrusts (paper 003, Table 1)",
+    "e": "On-times of the eight flight biases, predicted by the ideal calculation of paper 001",
 }
 LEAST_EVENTS: Final = 3
 PAIR_DRAWS: Final = 40_000
@@ -148,8 +153,7 @@ def summary_gain(
 
 def gain_text(name: str, differences: Array, residual: str) -> str:
     """Sum of log score differences with its standard error, in words."""
-    total = float(differences.sum())
-    error = float(np.sqrt(len(differences)) * differences.std(ddof=1))
+    total, error = summed(differences)
     verdict = "gain" if total > 2.0 * error else "no gain"
     return (
         f"`{name}` {total:+.1f} ± {error:.1f} nats against `none` (sum of log scores, one standard "
@@ -275,13 +279,31 @@ def write_published_diagnosis(
     branch = weigh_summary_case("d", a_branch(), seed)
     pairs = pair_table(a_branch(), seed)
     weighings.append(replace(branch, details=f"{branch.details}\n\n{pairs}"))
+    on_times = on_time_findings(totals, priors, seed, say)
+    weighings.append(_on_time_weighing(on_times))
     frame = pd.concat([_table(weighing) for weighing in weighings])
     write_text(folder / f"{NAME}.csv", frame.to_csv(index=False))
     for weighing in weighings:
-        picture = width_figure(weighing.probability)
+        picture = (
+            on_time_figure(on_times.probability, on_times.log_bayes_factor, on_times.points)
+            if weighing.key == "e"
+            else width_figure(weighing.probability)
+        )
         write_bytes(folder / f"{NAME}-{weighing.key}.png", encode(picture, "png"))
     write_text(folder / f"{NAME}.md", _page(weighings, seed, command))
     return {weighing.key: weighing.first for weighing in weighings}
+
+
+def _on_time_weighing(found: OnTimeFindings) -> Weighing:
+    return Weighing(
+        "e",
+        found.probability,
+        found.log_bayes_factor,
+        found.log_evidence_se,
+        found.sizes,
+        found.remains,
+        found.details,
+    )
 
 
 def _table(weighing: Weighing) -> pd.DataFrame:

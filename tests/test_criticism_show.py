@@ -158,6 +158,8 @@ def test_estimates_of_table_2_weigh_like_the_published_case() -> None:
     assert sum(found.values()) == pytest.approx(1.0)
     for verdict_ in wanted:
         assert found[verdict_.name] == pytest.approx(verdict_.probability, abs=0.01)
+    # none is first: nothing is added, nothing gained
+    assert (record["gain"]["elpd_diff"], record["gain"]["verdict"]) == (0.0, "no gain")
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.criticism.summaries import (
+    LeftOut,
     Prediction,
     SummaryCause,
     SummaryVerdict,
+    leave_out,
     positive_normal,
     pulse_ratio,
+    summed,
     untrusted,
     weigh_summaries,
 )
@@ -43,6 +46,7 @@ FACTOR: Final = 5.0
 NONE, UNKNOWN, CATALOGUED = 0.5, 0.05, 0.45
 DEFICIT, OFFSET_S, UNKNOWN_SD = 0.2, 0.04, 0.15
 WIDTHS: Final = (0.5, 1.0, 2.0)
+LEAST_ESTIMATES: Final = 3
 LEAST_THRUST_SD, LEAST_TAIL_SD_S, LEAST_SHARED_SD = 0.02, 0.002, 0.004
 
 
@@ -265,7 +269,7 @@ def estimate_case(rows: Sequence[Estimate], priors: Priors) -> EstimateCase:
 
 
 def diagnose_estimates(case: EstimateCase, rng: np.random.Generator) -> dict[str, Any]:
-    """The record of ``diagnosis.json`` for estimates: causes, sensitivity; gain not measurable.
+    """The record of ``diagnosis.json`` for estimates: causes, sensitivity, gain if three or more.
 
     Warns of hypotheses whose draws do not cover their posterior.
     """
@@ -277,10 +281,15 @@ def diagnose_estimates(case: EstimateCase, rng: np.random.Generator) -> dict[str
         warnings.warn(doubt, RuntimeWarning, stacklevel=2)
     middle = found[1.0]
     none = next(v for v in middle if v.name == "none")
+    causes = {cause.name: cause for cause in case.causes()}
+    base, own = None, None
+    if len(estimate) >= LEAST_ESTIMATES:
+        base = leave_out(estimate, sd, causes["none"], rng)
+        own = base if middle[0] is none else leave_out(estimate, sd, causes[middle[0].name], rng)
     return {
         "format": 1,
         "events": [row.id for row in case.rows],
-        "baseline": _fit_record(none),
+        "baseline": _fit_record(none, base),
         "discrepant": none.probability < 0.5,
         "p_value": None,
         "symptoms": [],
@@ -288,16 +297,9 @@ def diagnose_estimates(case: EstimateCase, rng: np.random.Generator) -> dict[str
         "causes": [_cause_record(v, none) for v in middle],
         "extended": {
             "causes": [] if middle[0] is none else [middle[0].name],
-            **_fit_record(middle[0]),
+            **_fit_record(middle[0], own),
         },
-        "gain": {
-            "elpd_diff": None,
-            "elpd_diff_se": None,
-            "heldout_rmse_ratio": None,
-            "still_discrepant": None,
-            "p_value": None,
-            "verdict": "held-out gain: not measurable",
-        },
+        "gain": _gain(base, own),
         "sensitivity": {
             f"{w:g}": {v.name: v.probability for v in found[w]} for w in WIDTHS if w != 1.0
         },
@@ -306,13 +308,36 @@ def diagnose_estimates(case: EstimateCase, rng: np.random.Generator) -> dict[str
     }
 
 
-def _fit_record(verdict: SummaryVerdict) -> dict[str, Any]:
+def _gain(base: LeftOut | None, own: LeftOut | None) -> dict[str, Any]:
+    """Difference of the held-out log scores, with its standard error over estimates."""
+    nothing = {"still_discrepant": None, "p_value": None}
+    if base is None or own is None:
+        return {
+            "elpd_diff": None,
+            "elpd_diff_se": None,
+            "heldout_rmse_ratio": None,
+            "verdict": "held-out gain: not measurable",
+            **nothing,
+        }
+    total, error = summed(own.log_scores - base.log_scores)
     return {
-        "elpd": None,
-        "elpd_se": None,
+        "elpd_diff": total,
+        "elpd_diff_se": error,
+        "heldout_rmse_ratio": own.rmse_n / base.rmse_n,
+        "verdict": "gain" if total > 2.0 * error else "no gain",
+        **nothing,
+    }
+
+
+def _fit_record(verdict: SummaryVerdict, score: LeftOut | None) -> dict[str, Any]:
+    total, error = (None, None) if score is None else summed(score.log_scores)
+    return {
+        "elpd": total,
+        "elpd_se": error,
         "rmse_nms": None,
         "rmse_n": float(np.sqrt((verdict.residual_n**2).mean())),
         "heldout_rmse_nms": None,
+        "heldout_rmse_n": None if score is None else score.rmse_n,
         "heldout_coverage_90": None,
         "log_evidence": verdict.log_evidence,
     }
