@@ -353,7 +353,7 @@ def _section(weighing: Weighing) -> str:
 
 {weighing.details}
 
-![Probability of causes at three prior widths]({NAME}-{weighing.key}.png)
+![Causes of case ({weighing.key})]({NAME}-{weighing.key}.png)
 """
 
 

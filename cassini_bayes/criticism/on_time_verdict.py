@@ -68,11 +68,21 @@ class Weighed:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Each event predicted from the others: log scores (E,), residuals (E, U) s, 90 % coverage."""
+    """Each event predicted from the others: log scores (E,), residuals and sd (E, U) s."""
 
     log_score: Array
     residual_s: Array
-    coverage: float
+    sd_s: Array
+
+    @property
+    def half_width_s(self) -> Array:
+        """Half widths (E, U) of central 90 % prediction intervals."""
+        return np.asarray(norm.ppf(0.5 + COVERAGE / 2) * self.sd_s)
+
+    @property
+    def coverage(self) -> float:
+        """Share of the on-times within those intervals."""
+        return float((np.abs(self.residual_s) <= self.half_width_s).mean())
 
     @property
     def rmse_s(self) -> float:
@@ -86,7 +96,8 @@ class OnTimeVerdict:
 
     ``weighed`` by name at default width; ``probability`` by width and name. ``second`` is the best
     pair with the first cause (None where the first is no cause of the catalogue), ``second_alike``
-    the causes whose pairs are within 3 nats of it. ``p_value`` is that of the baseline's χ² under
+    the causes whose pairs are within 3 nats of it, ``pair_nats`` what each gains beside the first
+    (log evidence by linearisation). ``p_value`` is that of the baseline's χ² under
     its linearised prior prediction.
     """
 
@@ -95,6 +106,7 @@ class OnTimeVerdict:
     probability: Mapping[float, Mapping[str, float]]
     second: Weighed | None
     second_alike: tuple[str, ...]
+    pair_nats: Mapping[str, float]
     p_value: float
 
     @property
@@ -105,9 +117,7 @@ class OnTimeVerdict:
     @property
     def second_nats(self) -> float:
         """Log evidence that the second cause gains; NaN without one."""
-        if self.second is None:
-            return float("nan")
-        return self.second.fit.log_evidence - self.weighed[self.first].fit.log_evidence
+        return max(self.pair_nats.values(), default=float("nan"))
 
     def log_bayes_factor(self, name: str) -> float:
         """Log evidence against ``none``, nats."""
@@ -164,6 +174,7 @@ def weigh_on_times(
         dict(sorted(probability.items())),
         second,
         alike,
+        {w.own.effects[1].name: w.fit.log_evidence - middle[first].fit.log_evidence for w in pairs},
         float(chi2.sf(none.chi_square, case.seen_s.size)),
     )
 
@@ -299,14 +310,13 @@ def sizes(found: Weighed, rng: np.random.Generator) -> dict[str, Array]:
 def held_out(case: OnTimeCase, found: Weighed) -> HeldOut:
     """Every event predicted from the others by a hypothesis."""
     y = case.seen_s
-    scores, residuals, inside = [], [], []
+    scores, residuals, sds = [], [], []
     for event in range(len(y)):
         mean, covariance = predict_left_out(y, found.own.model, event, found.fit.mode)
         scores.append(normal_log_density(y[event], mean, covariance)[0])
         residuals.append(y[event] - mean)
-        half = norm.ppf(0.5 + COVERAGE / 2) * np.sqrt(np.diagonal(covariance))
-        inside.append(np.abs(residuals[-1]) <= half)
-    return HeldOut(np.array(scores), np.array(residuals), float(np.mean(inside)))
+        sds.append(np.sqrt(np.diagonal(covariance)))
+    return HeldOut(np.array(scores), np.array(residuals), np.array(sds))
 
 
 def score_difference(before: HeldOut, after: HeldOut) -> tuple[float, float]:
