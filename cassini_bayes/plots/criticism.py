@@ -25,6 +25,7 @@ from cassini_bayes.criticism.innovations import EventRows
 from cassini_bayes.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
 
 MOST_CAUSES: Final = 12
+UNSEEN: Final = 0.005  # a probability whose bar is too short to be seen
 EXTENDED: Final = "#d95f02"
 SINGLE_BAND: Final = "#d2d2d2"
 FAMILY_BAND: Final = "#ececec"
@@ -223,6 +224,8 @@ def width_figure(probability: pd.DataFrame, most: int = 7) -> Figure:
                 color=colours[i % len(colours)],
                 label=f"width × {width:g}",
             )
+        for place in places[shown.to_numpy().max(axis=1) < UNSEEN]:
+            axes.text(0.005, place, f"below {UNSEEN:g}", va="center", fontsize=7, color="#777777")
         axes.set_yticks(places, [str(name) for name in shown.index])
         axes.set_xlim(0.0, 1.0)
         axes.set_xlabel("posterior probability (1)")
