@@ -58,7 +58,6 @@ TITLES: Final[Mapping[str, str]] = {
     "e": "On-times of the eight flight biases, predicted by the ideal calculation of paper 001",
 }
 LEAST_EVENTS: Final = 3
-PAIR_DRAWS: Final = 40_000
 
 
 @dataclass(frozen=True)
@@ -166,12 +165,8 @@ def pair_table(case: BranchCase, seed: int) -> str:
     rows, weighed = [], []
     for width in WIDTHS:
         rng = np.random.default_rng(seed)
-        pairs = weigh_summaries(
-            case.estimate_n, case.sd_n, case.pair_causes(width), rng, PAIR_DRAWS
-        )
-        singles = weigh_summaries(
-            case.estimate_n, case.sd_n, case.causes(width)[:2], rng, PAIR_DRAWS
-        )
+        pairs = weigh_summaries(case.estimate_n, case.sd_n, case.pair_causes(width), rng)
+        singles = weigh_summaries(case.estimate_n, case.sd_n, case.causes(width)[:2], rng)
         weighed += pairs
         best = pairs[0]
         prior = {cause.name: cause.prior_probability for cause in case.pair_causes(width)}
