@@ -161,10 +161,11 @@ def estimated_wheels(
     together = np.linalg.solve(factor, np.concatenate([by_other, each], axis=-1))
     squares, axes = np.linalg.eigh(together @ moments @ np.swapaxes(together, -1, -2))
     log_density, spread = _looked_up(band, squares)
+    # K = S (S + σ²)⁻¹ for S = X (1/q − 1) Xᵀ, q the spread: well conditioned for any q in 0 … 1
     axes = np.linalg.solve(np.swapaxes(factor, -1, -2), axes)
-    motion = (axes * ((1.0 - spread) / spread)[:, None, :]) @ np.swapaxes(axes, -1, -2)
-    kept = np.linalg.solve(motion + np.eye(wheels) * noise[:, None, None], motion)
-    kept = 0.5 * (kept + np.swapaxes(kept, -1, -2))
+    moving = axes * np.sqrt((1.0 - spread) / noise[:, None])[:, None, :]
+    inner = np.swapaxes(moving, -1, -2) @ moving + spread[:, :, None] * np.eye(wheels)
+    kept = moving @ np.linalg.solve(inner, np.swapaxes(moving, -1, -2))
     explained = np.maximum(squares, _LEAST_SQUARE) * spread
     own = np.einsum("nab,nba->n", np.eye(wheels) - kept, moments[:, 3:, 3:]) / noise
     log_total = log_density.sum(-1) + half * (
@@ -176,8 +177,9 @@ def estimated_wheels(
 def _looked_up(band: Band, squares: Array) -> tuple[Array, Array]:
     """Log density of measured rates, and E[1/(1 + s)], by their mean squares over the noise."""
     assert band.motion is not None
-    log_square = np.log(np.maximum(squares, _LEAST_SQUARE))
-    log_density, explained = np.moveaxis(band.motion(np.clip(-log_square, *_LOG_NOISE)), -1, 0)
+    # below the table's end the density is flat, above it is all motion
+    log_square = np.clip(np.log(np.maximum(squares, _LEAST_SQUARE)), -_LOG_NOISE[1], None)
+    log_density, explained = np.moveaxis(band.motion(np.maximum(-log_square, _LOG_NOISE[0])), -1, 0)
     spread = np.clip(explained * np.exp(-log_square), _LEAST_SPREAD, 1.0)
     return log_density - 0.5 * band.rows * log_square, spread
 

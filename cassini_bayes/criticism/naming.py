@@ -17,9 +17,7 @@ from cassini_bayes.criticism.evidence import (
     Weighed,
     baseline_mode,
     extended_mode,
-    has_moved,
     refined_mode,
-    renewed,
     sampled,
 )
 from cassini_bayes.criticism.extended import (
@@ -41,7 +39,6 @@ from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
 NEAR_NATS: Final = 10.0
-RENEWED_NATS: Final = 40.0
 MOST_SAMPLED: Final = 6
 SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
@@ -158,7 +155,7 @@ def name_causes(
 
     def weigh(effect: Effect) -> Weighed:
         hypothesis = compact(extend(full, [effect], case))
-        found = _by_laplace(hypothesis, extended_mode(hypothesis, base, renew=False))
+        found = _by_laplace(hypothesis, extended_mode(hypothesis, base))
         done.append(effect.name)
         if len(done) % 10 == 0:
             tell(f"{len(done)} of {len(effects)} causes weighed")
@@ -167,7 +164,6 @@ def name_causes(
     weighed += on_threads(weigh, effects, threads)
     if oscillation is not None and "flexible_mode" in catalogue.names:
         weighed.append(_flexible(case, catalogue, oscillation, base))
-    weighed = _renew_near(weighed, base, threads)
     weighed = _sample_near(weighed, rng, threads)
     weighed, log_probabilities = _ranked(weighed)
     verdict = Verdict(
@@ -238,18 +234,6 @@ def flexible_case(case: Case, oscillation: Oscillation) -> Case:
         for source, (_, sampling) in zip(case.sources, case.statistics, strict=True)
     )
     return replace(case, statistics=statistics, flexible_axis=oscillation.axis)
-
-
-def _renew_near(weighed: Sequence[Weighed], base: Mode, threads: int) -> list[Weighed]:
-    """The curvature anew where nuisances moved far, for hypotheses not too far from the best."""
-    least = max(_score(w) for w in weighed) - RENEWED_NATS
-
-    def renew(w: Weighed) -> Weighed:
-        if not w.hypothesis.effects or _score(w) <= least or not has_moved(w.mode, base):
-            return w
-        return _by_laplace(w.hypothesis, renewed(w.hypothesis, w.mode, base))
-
-    return on_threads(renew, weighed, threads)
 
 
 def _sample_near(
