@@ -31,6 +31,7 @@ from cassini_bayes.prediction.ground_software import (
 )
 from cassini_bayes.prediction.requests import request_of
 from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.spacecraft import lever_arms
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]
@@ -160,8 +161,6 @@ def test_firing_logic_leaves_momentum_as_it_is() -> None:
     for column, unit in enumerate(case().layout.units):
         on_time[..., list(unit)] = own.model.forward(z)[..., column, None]
     base = prior_parameters(priors())
-    from cassini_bayes.spacecraft import lever_arms
-
     turned = on_time @ lever_arms(priors().spacecraft, "B", base).T
     np.testing.assert_allclose(turned[0], turned[1], atol=1e-6)
     assert np.abs(on_time[0] - on_time[1]).max() > 1.0
@@ -216,6 +215,25 @@ def test_the_printed_ideal_column_needs_no_cause() -> None:
     verdict = weigh(case("gsw_ideal"))
     assert verdict.first == "none"
     assert verdict.probability[1.0]["firing_logic"] < 0.01
+
+
+def test_shuffled_departures_gain_nothing() -> None:
+    """Negative control: flight gains over ``unknown``; its departures moved to other events lose.
+
+    Against ``none`` both gain, as ``none`` has far too small errors: it is no measure of the name.
+    """
+    own = hypothesis(case())
+    ideal = own.model.forward(np.zeros((1, own.model.dimension)))[0]
+    gains = []
+    for moved in (0, 2):
+        departures = np.roll(case().seen_s - ideal, moved, axis=0)
+        data = replace(case(), seen_s=np.maximum(ideal + departures, 0.0))
+        verdict = weigh(data)
+        assert verdict.first == ("unknown" if moved else "firing_logic")
+        loose, after = (held_out(data, verdict.weighed[n]) for n in ("unknown", "firing_logic"))
+        gains.append(score_difference(loose, after))
+    assert gains[0][0] > 2.0 * gains[0][1]
+    assert gains[1][0] < 0.0
 
 
 def test_firing_logic_takes_no_share_from_other_inputs() -> None:
