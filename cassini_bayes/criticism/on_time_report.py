@@ -7,7 +7,7 @@ the negative control.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -62,30 +62,39 @@ def on_time_findings(
     case = _case(totals, read, "flight")
     catalogue = read_catalogue(read, read.wheels, ("on_times",))
     verdict = weigh_on_times(case, catalogue, np.random.default_rng(seed), say)
-    rng = np.random.default_rng(seed)
-    table = pd.DataFrame(verdict.probability).sort_values(1.0, ascending=False)
-    order = sorted(verdict.weighed, key=lambda name: -verdict.weighed[name].log_evidence)
-    table = table.loc[sorted(table.index, key=lambda n: (-table.loc[n, 1.0], order.index(n)))]
-    before = held_out(case, verdict.weighed["none"])
-    loose = held_out(case, verdict.weighed["unknown"])
-    after = held_out(case, verdict.weighed[verdict.first])
     control = _case(totals, read, "gsw_ideal")
     printed = {
         source: float(np.abs(own.seen_s - case.seen_s).mean())
         for source, own in (("gsw_ideal", control), ("gsw", _case(totals, read, "gsw")))
     }
+    found = findings_of(verdict, printed, np.random.default_rng(seed))
+    return replace(found, details=f"{found.details}\n\n{_control(control, catalogue, seed, say)}")
+
+
+def findings_of(
+    verdict: OnTimeVerdict, printed_s: Mapping[str, float], rng: np.random.Generator
+) -> OnTimeFindings:
+    """A verdict in tables and paragraphs, its gain measured by leaving out each event in turn.
+
+    ``printed_s``: mean absolute differences to flight of the columns gsw_ideal and gsw, s.
+    """
+    case, weighed = verdict.case, verdict.weighed
+    table = pd.DataFrame(verdict.probability)
+    order = sorted(table.index, key=lambda n: (-table.loc[n, 1.0], -weighed[str(n)].log_evidence))
+    before, loose, after = (
+        held_out(case, weighed[name]) for name in ("none", "unknown", verdict.first)
+    )
     return OnTimeFindings(
-        table,
-        {name: verdict.log_bayes_factor(name) for name in verdict.weighed},
-        {name: own.log_evidence_se for name, own in verdict.weighed.items()},
-        {name: _size_text(verdict, name, rng) for name in verdict.weighed},
+        table.loc[order],
+        {name: verdict.log_bayes_factor(name) for name in weighed},
+        {name: own.log_evidence_se for name, own in weighed.items()},
+        {name: _size_text(verdict, name, rng) for name in weighed},
         _remains(verdict),
         "\n\n".join(
             [
                 _second(verdict),
-                _gain(verdict.first, before, loose, after, printed),
+                _gain(verdict.first, before, loose, after, printed_s),
                 _by_unit(case, before, after),
-                _control(control, catalogue, seed, say),
             ]
         ),
         _points(case, before, after),
