@@ -25,6 +25,7 @@ from cassini_bayes.criticism.innovations import EventRows
 from cassini_bayes.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
 
 MOST_CAUSES: Final = 12
+LINEAR_NATS: Final = 10.0
 UNSEEN: Final = 0.005  # a probability whose bar is too short to be seen
 EXTENDED: Final = "#d95f02"
 SINGLE_BAND: Final = "#d2d2d2"
@@ -201,9 +202,11 @@ def cause_figure(causes: Sequence[Mapping[str, Any]]) -> Figure:
         left.set_yticks(places, names)
         left.set_xlim(0.0, 1.0)
         left.set_xlabel("posterior probability (1)")
-        right.barh(places, [cause["log_bayes_factor"] for cause in shown], color=colours)
+        factors = np.array([cause["log_bayes_factor"] for cause in shown])
+        right.barh(places, factors, color=colours)
         right.axvline(0.0, lw=0.8, color=VERDICT_COLOURS["conflict"])
-        right.set_xscale("symlog", linthresh=10.0)
+        if np.nanmax(np.abs(factors)) > LINEAR_NATS:
+            right.set_xscale("symlog", linthresh=LINEAR_NATS)
         right.set_xlabel("log Bayes factor against none (nats)")
     return figure
 
