@@ -152,7 +152,7 @@ def diagnose_published_command(
     seed: Seed = None,
     quiet: Quiet = False,
 ) -> None:
-    """Diagnose the published cases: flight biases, printed thrusts, test bed, A branch."""
+    """Diagnose published cases: flight biases and on-times, printed thrusts, test bed, A branch."""
     from cassini_bayes.published_diagnosis import write_published_diagnosis
 
     reporter = ConsoleReporter(quiet)
