@@ -24,11 +24,13 @@ from cassini_bayes.parameters import ParameterSpec
 from cassini_bayes.result import Fit, save_fit
 from cassini_bayes.sampling import SamplerSettings, sample
 from cassini_bayes.storage import write_text
-from cassini_bayes.warmstart import Proposal
+from cassini_bayes.warmstart import Proposal, importance, laplace, refined
 
 Array = NDArray[np.float64]
 DRAWS: Final = 1_000  # of every ensemble
-_LINEAR: Final = 7  # stream of the draws of what is integrated out
+PILOT_ROUNDS: Final = 2
+PILOT_DRAWS: Final = 4_000
+_PILOTS, _LINEAR = 6, 7  # streams of the proposal's draws, and of what is integrated out
 
 
 def effect_variable(effect: Effect, parameter: EffectParameter) -> str:
@@ -97,10 +99,15 @@ def fit_extended(
         The folder cannot be written.
     """
     weighed = diagnosis.extended
-    proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
+    density_of = weighed.hypothesis.log_density
+    # the ridge along which all masses and thrusts scale together needs axes of its own
+    proposal = Proposal(*laplace(density_of, weighed.mode.point), DOF)
+    pilot = np.random.default_rng((seed, _PILOTS))
+    for _ in range(PILOT_ROUNDS):
+        proposal = refined(proposal, importance(density_of, proposal, pilot, PILOT_DRAWS))
     settings = SamplerSettings(target_ess=target_ess, seed=seed)
     say(f"sampling {weighed.name}, {weighed.hypothesis.dimension} dimensions")
-    chains = sample(weighed.hypothesis.log_density, proposal, settings)
+    chains = sample(density_of, proposal, settings)
     z, density = chains.thinned(DRAWS)
     attributes: dict[str, str | float | int] = {
         "created_by": f"cassini_bayes {__version__}",
