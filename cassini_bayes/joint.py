@@ -52,10 +52,9 @@ from cassini_bayes.priors import ParameterSpace, Priors
 from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft import Spacecraft, couples, thruster_directions
 from cassini_bayes.statistics import EventStatistics, Sampling
+from cassini_bayes.telemetry_system import EventSystem, event_system
 from cassini_bayes.telemetry_terms import (
-    EventSystem,
     TelemetryTerms,
-    event_system,
     make_terms,
     merged_bands,
     without_idle_columns,
@@ -241,7 +240,7 @@ def without_idle(model: JointModel) -> JointModel:
     if not model.telemetry:
         return model
     points = model.space.sample(np.random.default_rng(0), _POINTS)
-    physics = _physics(model, _full(model, points))
+    physics = joint_physics(model, full_parameters(model, points))
     thrust = model.linear.common_mean_n
     telemetry = tuple(without_idle_columns(t, physics, thrust) for t in model.telemetry)
     return replace(model, telemetry=telemetry)
@@ -254,13 +253,36 @@ def with_equal_bands_merged(model: JointModel) -> JointModel:
     return replace(model, telemetry=tuple(merged_bands(terms) for terms in model.telemetry))
 
 
-def _full(model: JointModel, z: Array) -> dict[str, Array]:
-    """Every parameter as an array (n,), at walked coordinates z (n, d)."""
+def full_parameters(model: JointModel, z: Array) -> dict[str, Array]:
+    """Every parameter the physics may ask for at walked coordinates z (n, d), as (n,) arrays."""
     values = {**model.space.to_parameters(z), **model.absent_wheel_parameters}
     return {
         name: np.broadcast_to(np.asarray(value, dtype=np.float64), (len(z),))
         for name, value in values.items()
     }
+
+
+def joint_physics(model: JointModel, full: Mapping[str, Array]) -> Physics:
+    """Physics of the telemetry events at the parameters of :func:`full_parameters`."""
+    fires = bool(model.fired_ids)
+    return physics_of(model.spacecraft, model.branch, full, model.modifiers, fires=fires)
+
+
+def system_of(
+    model: JointModel, terms: TelemetryTerms, physics: Physics, full: Mapping[str, Array]
+) -> EventSystem:
+    """Normal equations of one telemetry event of the model at n points.
+
+    ``physics`` and ``full`` are those of :func:`joint_physics` and :func:`full_parameters`.
+    """
+    return event_system(
+        terms,
+        physics,
+        full,
+        model.linear.common_mean_n,
+        model.torque_mean_n_m,
+        model.torque_sd_n_m,
+    )
 
 
 def _centre(space: ParameterSpace) -> dict[str, float]:
@@ -306,7 +328,7 @@ def _refuse_free_delay(space: ParameterSpace, fired: bool, where: str) -> None:
 def collapse_joint(model: JointModel, z: Array) -> JointCollapsed:
     """Everything linear integrated out at walked coordinates z (n, d)."""
     n = len(z)
-    full = _full(model, z)
+    full = full_parameters(model, z)
     log_likelihood = np.zeros(n)
     common = np.full(n, model.linear.common_mean_n)
     if model.linear.common_is_walked:
@@ -320,17 +342,10 @@ def collapse_joint(model: JointModel, z: Array) -> JointCollapsed:
                 model.totals.computed, system.delta_v_variance
             )
     own = []
-    physics = _physics(model, full) if model.telemetry else None
+    physics = joint_physics(model, full) if model.telemetry else None
     for terms in model.telemetry:
         assert physics is not None  # there is telemetry
-        event = event_system(
-            terms,
-            physics,
-            full,
-            model.linear.common_mean_n,
-            model.torque_mean_n_m,
-            model.torque_sd_n_m,
-        )
+        event = system_of(model, terms, physics, full)
         factors, information = eliminate_own(event, terms.pattern.thrusters, common)
         own.append(factors)
         if terms.fires:
@@ -341,12 +356,6 @@ def collapse_joint(model: JointModel, z: Array) -> JointCollapsed:
         return JointCollapsed(log_likelihood, common, None, tuple(own))
     thrusts = combine(model.linear, _joined(parts))
     return JointCollapsed(log_likelihood + thrusts.log_likelihood, common, thrusts, tuple(own))
-
-
-def _physics(model: JointModel, parameters: Mapping[str, Array]) -> Physics:
-    """Physics of the telemetry events at all points."""
-    fires = bool(model.fired_ids)
-    return physics_of(model.spacecraft, model.branch, parameters, model.modifiers, fires=fires)
 
 
 def _with_delta_v(

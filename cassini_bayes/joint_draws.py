@@ -11,9 +11,16 @@ from numpy.typing import NDArray
 
 from cassini_bayes.delta_v import draw_software
 from cassini_bayes.delta_v_terms import DeltaVStatistics, delta_v_information
-from cassini_bayes.joint import JointModel, collapse_joint, draw_joint
+from cassini_bayes.joint import (
+    JointModel,
+    collapse_joint,
+    draw_joint,
+    full_parameters,
+    joint_physics,
+    system_of,
+)
 from cassini_bayes.model import linear_system
-from cassini_bayes.physics import Physics, physics_of
+from cassini_bayes.physics import Physics
 from cassini_bayes.posterior import (
     LinearDraws,
     ThrustDraws,
@@ -23,7 +30,7 @@ from cassini_bayes.posterior import (
 from cassini_bayes.predictive import event_log_likelihood
 from cassini_bayes.result import prior_software, prior_thrusts
 from cassini_bayes.spacecraft import thruster_directions
-from cassini_bayes.telemetry_terms import INITIAL_SD_N_M_S, event_system
+from cassini_bayes.telemetry_terms import INITIAL_SD_N_M_S
 
 Array = NDArray[np.float64]
 BATCH: Final = 1_000  # points worked up at a time: normal equations take 10 kB each
@@ -67,21 +74,6 @@ def batches(n: int) -> Iterator[slice]:
     """Slices of at most ``BATCH`` points that cover n of them."""
     for start in range(0, n, BATCH):
         yield slice(start, min(start + BATCH, n))
-
-
-def full_parameters(model: JointModel, z: Array) -> dict[str, Array]:
-    """Every parameter the physics may ask for at z (n, d), as (n,) arrays."""
-    values = {**model.space.to_parameters(z), **model.absent_wheel_parameters}
-    return {
-        name: np.broadcast_to(np.asarray(value, dtype=np.float64), (len(z),))
-        for name, value in values.items()
-    }
-
-
-def joint_physics(model: JointModel, full: Mapping[str, Array]) -> Physics:
-    """Physics of the telemetry events at the parameters of :func:`full_parameters`."""
-    fires = bool(model.fired_ids)
-    return physics_of(model.spacecraft, model.branch, full, model.modifiers, fires=fires)
 
 
 def draw_all(model: JointModel, z: Array, rng: np.random.Generator) -> JointSample:
@@ -171,14 +163,7 @@ def _log_likelihood_batch(model: JointModel, z: Array, sample: JointSample, rows
     physics = joint_physics(model, full) if model.telemetry else None
     for terms, own in zip(model.telemetry, sample.own, strict=True):
         assert physics is not None  # there is telemetry
-        system = event_system(
-            terms,
-            physics,
-            full,
-            model.linear.common_mean_n,
-            model.torque_mean_n_m,
-            model.torque_sd_n_m,
-        )
+        system = system_of(model, terms, physics, full)
         unknowns = [-own[rows], np.ones((len(own[rows]), 1))]
         if terms.fires:
             assert sample.thrusts is not None  # the event fires

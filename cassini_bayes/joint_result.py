@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 
 from cassini_bayes.event_reduction import ReducedEvent
 from cassini_bayes.inertia import ELEMENTS, WITHOUT_WHEELS, elements_of, without_wheels
-from cassini_bayes.joint import JointModel
+from cassini_bayes.joint import JointModel, full_parameters, joint_physics
 from cassini_bayes.joint_draws import (
     JointSample,
     draw_all,
-    full_parameters,
     joint_event_log_likelihood,
-    joint_physics,
     prior_sample,
     thrust_places,
 )

@@ -18,8 +18,7 @@ from cassini_bayes.inertia import (
     physicality,
 )
 from cassini_bayes.inertia_baselines import inertia_methods
-from cassini_bayes.joint import JointModel
-from cassini_bayes.joint_draws import full_parameters
+from cassini_bayes.joint import JointModel, full_parameters
 from cassini_bayes.model import linear_system, prior_centre
 from cassini_bayes.observability import observability
 from cassini_bayes.priors import Priors

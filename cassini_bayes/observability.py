@@ -19,8 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.delta_v_terms import DeltaVStatistics, on_time_weights
-from cassini_bayes.joint import JointModel
-from cassini_bayes.joint_draws import full_parameters, joint_physics
+from cassini_bayes.joint import JointModel, full_parameters, joint_physics, system_of
 from cassini_bayes.model import TotalsModel, linear_system
 from cassini_bayes.physics import Physics
 from cassini_bayes.spacecraft import thruster_directions
@@ -30,7 +29,6 @@ from cassini_bayes.telemetry_terms import (
     TelemetryTerms,
     balance_weights,
     cut_tail_sd,
-    event_system,
     noise_covariance,
 )
 from cassini_bayes.terms import RAD_S_PER_RPM
@@ -116,14 +114,7 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
     for place, terms in enumerate(model.telemetry, start=first):
         assert physics is not None  # there is telemetry
         index = _index(places, place)
-        system = event_system(
-            terms,
-            physics,
-            full,
-            model.linear.common_mean_n,
-            model.torque_mean_n_m,
-            model.torque_sd_n_m,
-        )
+        system = system_of(model, terms, physics, full)
         nominal = {name: values[:1] for name, values in full.items()}
         bands = zip(
             (terms.slow, *terms.fast), (None, *terms.reduced.grams), system.kept, strict=True

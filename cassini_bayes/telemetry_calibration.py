@@ -25,7 +25,9 @@ from cassini_bayes.joint import (
     build_joint_model,
     collapse_joint,
     draw_joint,
+    full_parameters,
     joint_log_posterior,
+    joint_physics,
     sampling_of,
 )
 from cassini_bayes.physics import physics_of
@@ -71,6 +73,7 @@ MODEL_CODE: Final = (
     "scenario",
     "telemetry_bands",
     "telemetry_calibration",
+    "telemetry_system",
     "telemetry_terms",
     "warmstart",
 )
@@ -300,14 +303,7 @@ def without_jacobian(model: JointModel, z: Array) -> Array:
 
     Takes N log det I off again (docs/telemetry-likelihood.md §2).
     """
-    parameters = {
-        name: np.broadcast_to(np.asarray(value, dtype=np.float64), (len(z),))
-        for name, value in {
-            **model.space.to_parameters(z),
-            **model.absent_wheel_parameters,
-        }.items()
-    }
-    physics = physics_of(model.spacecraft, model.branch, parameters, fires=False)
+    physics = joint_physics(model, full_parameters(model, z))
     rows = sum(terms.statistics.rows for terms in model.telemetry)
     lost = rows * np.linalg.slogdet(physics.inertia_kg_m2)[1]
     return np.asarray(joint_log_posterior(model, z) - lost)

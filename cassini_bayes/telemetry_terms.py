@@ -4,8 +4,8 @@ Per row, in body axes,
 
     I ω + T I_w ρ − R h0 − Σ_k F_k q_k s_k − τ D = noise
 
-(:mod:`cassini_bayes.statistics.columns` has the columns). The likelihood is that of the measured
-channels with the true wheel rates as latent variables: docs/telemetry-likelihood.md §2 and §3.
+(:mod:`cassini_bayes.statistics.columns` has the columns, :mod:`cassini_bayes.telemetry_system` the
+normal equations).
 """
 
 from __future__ import annotations
@@ -19,16 +19,9 @@ from numpy.typing import NDArray
 
 from cassini_bayes.physics import Physics, physics_of
 from cassini_bayes.spacecraft import Spacecraft
-from cassini_bayes.statistics import (
-    EventStatistics,
-    Layout,
-    Sampling,
-    contract,
-    explained_by_modes,
-    moments,
-)
+from cassini_bayes.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.statistics.columns import CUT_PARTS
-from cassini_bayes.telemetry_bands import Band, estimated_wheels, latent_wheels, make_bands
+from cassini_bayes.telemetry_bands import Band, make_bands
 from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
@@ -36,7 +29,6 @@ Places = NDArray[np.int64]
 INITIAL_SD_N_M_S: Final = 10.0
 CONTROL_CYCLE_S: Final = 0.125
 _CLOSE_S: Final = 0.4
-_THRUST_SPREAD: Final = 0.3  # of thrusts about their level, where slow modes place them
 
 
 @dataclass(frozen=True)
@@ -110,22 +102,6 @@ class TelemetryTerms:
         return self.pattern.thrusters > 0
 
 
-@dataclass(frozen=True)
-class EventSystem:
-    """Normal equations of one telemetry event at a batch of points, the noise whitened away.
-
-    ``normal`` (n, P, P) are inner products over all rows of the columns of the unknowns, the
-    measured momentum last; ``log_scale`` (n,) gathers every determinant. The priors of the initial
-    momentum, torque and cut tails are N(own_mean, own_sd²).
-    """
-
-    normal: Array
-    log_scale: Array
-    own_sd: Array  # (n, U)
-    own_mean: Array  # (U,)
-    kept: tuple[Array, ...]  # (n, W, W) of every band, the slow one first
-
-
 def cut_probability(counter_interval_s: float) -> float:
     """Chance that two pulses of one counter interval are a control cycle apart.
 
@@ -192,9 +168,9 @@ def without_idle_columns(
     much without them.
     """
     n, pattern = len(physics.inertia_kg_m2), terms.pattern
-    weights, _ = _weights(terms, physics, n, thrust_n)
+    weights, _ = unknown_weights(terms, physics, n, thrust_n)
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    weights[:, pattern.start[-2] :] = _measured_weights(terms, physics, wheels)
+    weights[:, pattern.start[-2] :] = measured_weights(terms, physics, wheels)
     used = np.any(weights != 0.0, axis=(0, 2))
     entries = np.flatnonzero(used)
     columns = np.unique(pattern.row[entries])
@@ -270,121 +246,6 @@ def _owned(layout: Layout, thruster: str) -> list[int]:
     ]
 
 
-def event_system(
-    terms: TelemetryTerms,
-    physics: Physics,
-    parameters: Mapping[str, Array],
-    thrust_n: float,
-    torque_mean: Array,
-    torque_sd: Array,
-) -> EventSystem:
-    """Normal equations and determinants of one event at a batch of points.
-
-    Parameters
-    ----------
-    physics
-        The physics at n points.
-    parameters
-        Noise levels, name → (n,) array.
-    thrust_n
-        Thrust that scales the cut tails (they are small).
-    torque_mean, torque_sd
-        (3,) prior of the event's steady torque, N m.
-    """
-    n, k, reduced = len(physics.inertia_kg_m2), terms.pattern.thrusters, terms.reduced
-    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    weights, cut_sd = _weights(terms, physics, n, thrust_n)
-    known_sd = np.broadcast_to([INITIAL_SD_N_M_S] * 3 + list(torque_sd), (n, 6))
-    own_sd = np.concatenate([known_sd, cut_sd], axis=1)
-    own_mean = np.concatenate([terms.initial_mean_n_m_s, torque_mean, np.zeros(cut_sd.shape[1])])
-    walk = parameters["torque_noise_n_m_s05"] ** 2
-
-    kept, log_density = latent_wheels(terms.slow, parameters)
-    estimates = [kept]
-    used = _at_estimate(terms, physics, weights, wheels @ kept)
-    values, vectors = np.linalg.eigh(noise_covariance(terms, physics, parameters, kept))
-    variance = values[:, :, None] + (walk[:, None] * terms.slow.walk)[:, None, :]
-    normal = explained_by_modes(
-        reduced.slow, reduced.row, reduced.start, used, vectors, 1.0 / variance
-    )
-    log_scale = log_density - 0.5 * np.log(variance).sum((-2, -1))
-
-    prior = (np.r_[np.full(k, thrust_n), own_mean], own_sd, _THRUST_SPREAD * thrust_n)
-    judged = any(band.motion is not None for band in terms.fast)
-    lacking = _lacking_momentum(terms, physics, weights, normal, prior) if judged else None
-    for band, gram in zip(terms.fast, reduced.grams, strict=True):
-        kept, covariance, log_density = _fast_band(terms, band, gram, physics, parameters, lacking)
-        estimates.append(kept)
-        used = _at_estimate(terms, physics, weights, wheels @ kept)
-        precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
-        normal = normal + contract(gram, reduced.row, reduced.start, used, precision)
-        log_scale = log_scale + log_density
-
-    channels = 3 + len(terms.wheel_places)
-    jacobian = np.linalg.slogdet(_by_rate(physics))[1]
-    rows = terms.statistics.rows
-    log_scale = log_scale + rows * (jacobian - 0.5 * channels * np.log(2.0 * np.pi))
-    return EventSystem(normal, log_scale, own_sd, own_mean, tuple(estimates))
-
-
-def _fast_band(
-    terms: TelemetryTerms,
-    band: Band,
-    gram: Array,
-    physics: Physics,
-    parameters: Mapping[str, Array],
-    lacking: Array | None,
-) -> tuple[Array, Array, Array]:
-    """Estimate of the wheels (n, W, W), covariance of a row (n, 3, 3) and log density (n,)."""
-    n, wheels = len(physics.inertia_kg_m2), physics.wheel_weights[..., list(terms.wheel_places)]
-    drift = parameters["torque_noise_n_m_s05"] ** 2 * band.walk.mean()
-    by_drift = drift[:, None, None] * np.eye(3)
-    if band.motion is None or lacking is None:
-        kept = np.broadcast_to(np.eye(wheels.shape[-1]), (n, *band.vectors.shape))
-        covariance = noise_covariance(terms, physics, parameters, kept) + by_drift
-        return kept, covariance, -0.5 * band.rows * np.linalg.slogdet(covariance)[1]
-    still = np.zeros((n, *band.vectors.shape))
-    other = noise_covariance(terms, physics, parameters, still) + by_drift
-    seen = moments(gram, terms.reduced.wheels, lacking) / band.rows
-    noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
-    kept, log_density = estimated_wheels(band, seen, other, wheels, noise)
-    return kept, noise_covariance(terms, physics, parameters, kept) + by_drift, log_density
-
-
-def _lacking_momentum(
-    terms: TelemetryTerms,
-    physics: Physics,
-    weights: Array,
-    normal: Array,
-    prior: tuple[Array, Array, float],
-) -> Array:
-    """Column weights (n, 3, A') of the momentum that all but the wheels leaves to them.
-
-    Unknowns are taken where the slow band and their priors (mean (P,), sd of the own ones (n, U),
-    sd of thrusts) have them: good enough to tell how much the wheels move at higher frequencies.
-    """
-    n, reduced = len(normal), terms.reduced
-    mean, own_sd, thrust_sd = prior
-    sd = np.concatenate([np.full((n, terms.pattern.thrusters), thrust_sd), own_sd], axis=1)
-    to_all = normal[:, :-1, :-1]
-    precision = sd[:, :, None] * to_all * sd[:, None, :] + np.eye(len(mean))
-    target = sd * (normal[:, :-1, -1] - to_all @ mean)
-    at = mean + sd * np.linalg.solve(precision, target[..., None])[..., 0]
-    still = np.zeros((n, 3, len(terms.wheel_places)))
-    used = _at_estimate(terms, physics, weights, still)
-    owner = np.repeat(np.arange(len(reduced.start) - 1), np.diff(reduced.start))
-    signed = used * np.concatenate([at, np.full((n, 1), -1.0)], axis=1)[:, owner, None]
-    scatter = np.zeros((len(reduced.row), reduced.slow.shape[1]))
-    scatter[np.arange(len(reduced.row)), reduced.row] = 1.0
-    return np.asarray(np.swapaxes(signed, -1, -2) @ scatter)
-
-
-def _at_estimate(terms: TelemetryTerms, physics: Physics, weights: Array, wheels: Array) -> Array:
-    """Weights (n, B', 3) of the entries used, the measured momentum with ``wheels`` (n, 3, W)."""
-    weights[:, terms.pattern.start[-2] :] = _measured_weights(terms, physics, wheels)
-    return np.ascontiguousarray(weights[:, terms.reduced.entries])
-
-
 def balance_weights(
     terms: TelemetryTerms, physics: Physics, thrust_n: float, kept: Array | None = None
 ) -> Array:
@@ -397,8 +258,8 @@ def balance_weights(
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
     if kept is not None:
         wheels = wheels @ kept
-    weights, _ = _weights(terms, physics, len(physics.inertia_kg_m2), thrust_n)
-    weights[:, terms.pattern.start[-2] :] = _measured_weights(terms, physics, wheels)
+    weights, _ = unknown_weights(terms, physics, len(physics.inertia_kg_m2), thrust_n)
+    weights[:, terms.pattern.start[-2] :] = measured_weights(terms, physics, wheels)
     return weights
 
 
@@ -413,7 +274,7 @@ def noise_covariance(
     ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
     estimated.
     """
-    by_rate = _by_rate(physics)
+    by_rate = momentum_per_rate(physics)
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
     rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
     wheel = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
@@ -426,19 +287,19 @@ def noise_covariance(
     )
 
 
-def _by_rate(physics: Physics) -> Array:
+def momentum_per_rate(physics: Physics) -> Array:
     """Momentum per measured rate (n, 3, 3): the true rate is (measured − bias)/(1 + scale)."""
     inertia = physics.inertia_kg_m2
     scale = np.broadcast_to(physics.rate_scale, inertia.shape[:-1])
     return np.asarray(inertia / (1.0 + scale)[..., None, :])
 
 
-def _measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> Array:
+def measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> Array:
     """Weights of the measured momentum's entries: rates, constant, wheels, torque, extra columns.
 
     What a steady torque or an effect's own column puts in is taken off the measured momentum.
     """
-    n, by_rate = len(wheels), _by_rate(physics)
+    n, by_rate = len(wheels), momentum_per_rate(physics)
     bias = np.broadcast_to(physics.rate_bias_rad_s, (n, 3))
     shift = by_rate @ bias[..., None]
     torque = -np.broadcast_to(physics.steady_torque_n_m, (n, 3))
@@ -455,7 +316,7 @@ def _measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) ->
     )
 
 
-def _weights(
+def unknown_weights(
     terms: TelemetryTerms, physics: Physics, n: int, thrust_n: float
 ) -> tuple[Array, Array]:
     """Weights (n, B, 3) of the unknowns' entries, and the prior sd of the cut tails (n, S)."""

@@ -17,8 +17,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.event_reduction import ReducedEvent, samples_of
-from cassini_bayes.joint import JointModel
-from cassini_bayes.joint_draws import JointSample, draw_all, full_parameters, joint_physics
+from cassini_bayes.joint import JointModel, full_parameters, joint_physics
+from cassini_bayes.joint_draws import JointSample, draw_all
 from cassini_bayes.quantiles import NORMAL_90
 from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.statistics import Carry, Samples, settle

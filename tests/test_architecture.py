@@ -47,6 +47,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("posterior",),
     ("telemetry_bands",),
     ("telemetry_terms",),
+    ("telemetry_system",),
     ("delta_v_terms",),
     ("joint",),
     ("predictive", "event_reduction"),

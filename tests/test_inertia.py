@@ -14,7 +14,7 @@ from cassini_bayes.inertia import (
     tensor_of,
     without_wheels,
 )
-from cassini_bayes.joint_draws import full_parameters, joint_physics
+from cassini_bayes.joint import full_parameters, joint_physics
 
 
 def test_both_conventions_give_the_same_momentum() -> None:

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.criticism.extended import Case, Hypothesis
-from cassini_bayes.joint import JointModel
-from cassini_bayes.physics import Physics, physics_of
+from cassini_bayes.joint import full_parameters, joint_physics
 from cassini_bayes.statistics.columns import Carry, Layout, Rows, settle
 from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
@@ -90,19 +89,6 @@ def event_rows(case: Case, place: int) -> Rows:
     return rows
 
 
-def _parameters(model: JointModel, z: Array) -> dict[str, Array]:
-    values = {**model.space.to_parameters(z), **model.absent_wheel_parameters}
-    return {
-        name: np.broadcast_to(np.asarray(value, dtype=np.float64), (len(z),))
-        for name, value in values.items()
-    }
-
-
-def _physics(model: JointModel, parameters: dict[str, Array]) -> Physics:
-    fires = bool(model.fired_ids)
-    return physics_of(model.spacecraft, model.branch, parameters, model.modifiers, fires=fires)
-
-
 def _columns(terms: TelemetryTerms, rows: Rows, weights: Array) -> Array:
     """Unknowns' columns and the measured momentum (n, 3, P) from one point's weights (B, 3)."""
     pattern = terms.pattern
@@ -150,8 +136,8 @@ def linearise(
     model = hypothesis.model
     d = len(z)
     points = np.vstack([z, z + _STEP * np.eye(d), z - _STEP * np.eye(d)])
-    parameters = _parameters(model, points)
-    physics = _physics(model, parameters)
+    parameters = full_parameters(model, points)
+    physics = joint_physics(model, parameters)
     thrust = model.linear.common_mean_n
     levels = model.linear.shared
     targets, blocks, own_precision, factors, all_rows = [], [], [], [], []

@@ -28,10 +28,7 @@ OPTIONS: Final[dict[str, Any]] = {
 
 def _compiled(function: Function) -> Function:
     try:
-        return cast(
-            Function,
-            njit(cache=True, **OPTIONS)(function),
-        )
+        return cast(Function, njit(cache=True, **OPTIONS)(function))
     except RuntimeError:  # the package's folder cannot be written: compile in every process
         return cast(Function, njit(**OPTIONS)(function))
 
