@@ -138,16 +138,14 @@ def hessian(
     h = step
     unit = h * (np.eye(d) if axes is None else axes.T)
     rows, columns = np.triu_indices(d, 1)
-    pairs_plus = unit[rows] + unit[columns]
-    pairs_minus = unit[rows] - unit[columns]
-    offsets = np.vstack(
-        [np.zeros((1, d)), unit, -unit, pairs_plus, -pairs_plus, pairs_minus, -pairs_minus]
-    )
-    values = log_density(point + offsets)
-    centre, plus, minus = values[0], values[1 : d + 1], values[d + 1 : 2 * d + 1]
-    same, opposite = values[2 * d + 1 :].reshape(2, 2, -1).sum(1)
-    result = np.diag((plus - 2.0 * centre + minus) / h**2)
-    result[rows, columns] = result[columns, rows] = (same - opposite) / (4.0 * h**2)
+    both = unit[rows] + unit[columns]
+    values = log_density(point + np.vstack([np.zeros((1, d)), unit, -unit, both, -both]))
+    plus, minus = values[1 : d + 1], values[d + 1 : 2 * d + 1]
+    pairs = values[2 * d + 1 :].reshape(2, -1).sum(0) - 2.0 * values[0]
+    alone = plus + minus - 2.0 * values[0]
+    result = np.diag(alone / h**2)
+    mixed = (pairs - alone[rows] - alone[columns]) / (2.0 * h**2)
+    result[rows, columns] = result[columns, rows] = mixed
     return (plus - minus) / (2.0 * h), result
 
 
@@ -166,13 +164,15 @@ def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
     for _ in range(WHITENED_LOOKS):
         mode = find_mode(log_density, mode, factor, WHITENED_GRADIENT_STEP, FINE)
         _, curvature = hessian(log_density, mode, factor, WHITENED_STEP)
-        factor = _narrowed(factor @ _covariance_factor(-curvature, WHITENED_LEAST_CURVATURE))
+        factor = no_wider_than_prior(
+            factor @ _covariance_factor(-curvature, WHITENED_LEAST_CURVATURE)
+        )
         if np.abs(curvature + np.eye(len(mode))).max() < SETTLED:
             break
     return mode, factor
 
 
-def _narrowed(factor: Array) -> Array:
+def no_wider_than_prior(factor: Array) -> Array:
     """Lower factor of a covariance no axis of which is wider than the prior's curvature allows."""
     values, vectors = np.linalg.eigh(factor @ factor.T)
     return lower_factor(vectors * np.sqrt(np.clip(values, 0.0, 1.0 / LEAST_CURVATURE)))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.criticism.blind_flights import Hidden, Scene
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
-from cassini_bayes.criticism.evidence import STEP, Mode
+from cassini_bayes.criticism.evidence import Mode
 from cassini_bayes.criticism.extended import Case, Hypothesis, none_hypothesis
 from cassini_bayes.criticism.naming import Oscillation, flexible_case
 from cassini_bayes.criticism.shift import Seen, changed_size, held, modelled_size, seen_at_truth
@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 LARGEST_IN_PRIOR_SCALES: Final = 4.0
 NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
 NEWTON_STEPS: Final = 3
+STEP: Final = 0.05  # standard deviations, for slopes
 SHIFT: Final = 5e-3  # prior scales: small enough for the noise levels to stay where they are
 MOST_FLIGHTS: Final = 6
 MOST_DRAWS: Final = 50

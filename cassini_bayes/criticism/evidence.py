@@ -15,22 +15,40 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from cassini_bayes.criticism.extended import Hypothesis
-from cassini_bayes.warmstart import Proposal, find_mode, importance, laplace, lower_factor, refined
+from cassini_bayes.errors import CassiniBayesError
+from cassini_bayes.warmstart import (
+    Proposal,
+    hessian,
+    importance,
+    lower_factor,
+    no_wider_than_prior,
+    refined,
+)
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
-STEP: Final = 0.05
+STEP: Final = 0.02  # standard deviations, for slopes
 CURVATURE_STEP: Final = 0.2
 LEAST_CURVATURE: Final = 0.05
+FIRST_AXES: Final = 0.05  # prior standard deviations
+FIRST_STEPS: Final = 15
+LOOKS: Final = 6
+WHITE: Final = (0.8, 1.25)  # curvature along axes that need no other look
+NEWTON_STEPS: Final = 8
+GAIN_LEFT: Final = 1e-3  # nats
+LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
+CLIMBS: Final = 3
 RIDGE_ROUNDS: Final = 2
+LEAST_CROSS: Final = 0.1
 FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
 LEAST_RIDGE: Final = 1e-6
 FAR_MOVED: Final = 3.0  # baseline standard deviations along an axis
-RENEWALS: Final = 4
-OWN_START: Final = 0.1
+OWN_SCALES: Final = (0.3, 0.03, 0.003, 0.0003)  # prior standard deviations
 STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
 WORTH_A_SEARCH: Final = -1.0  # nats of log density against the baseline's mode
-DRAWS: Final = 1_000
+EFFICIENT: Final = 0.3
+FEW_DRAWS: Final = 500
+DRAWS: Final = 2_000
 DOF: Final = 8.0
 
 
@@ -61,59 +79,75 @@ class Weighed:
         return self.hypothesis.name
 
 
-def curvature(log_density: LogDensity, point: Array, axes: Array) -> tuple[Array, Array]:
-    """Gradient and negative Hessian in the coordinates u of z = point + axes u, in one batch."""
-    d = axes.shape[1]
-    h = CURVATURE_STEP
-    unit = h * axes.T
-    rows, columns = np.triu_indices(d, 1)
-    plus, minus = unit[rows] + unit[columns], unit[rows] - unit[columns]
-    offsets = np.vstack([np.zeros((1, len(point))), unit, -unit, plus, -plus, minus, -minus])
-    values = log_density(point + offsets)
-    centre, up, down = values[0], values[1 : d + 1], values[d + 1 : 2 * d + 1]
-    same, opposite = values[2 * d + 1 :].reshape(2, 2, -1).sum(1)
-    matrix = np.diag(2.0 * centre - up - down) / h**2
-    matrix[rows, columns] = matrix[columns, rows] = -(same - opposite) / (4.0 * h**2)
-    return (up - down) / (2.0 * h), matrix
+def look(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Array]:
+    """Value and gradient in the coordinates u of z = point + axes u, from one-sided differences.
 
-
-def _inverse_factor(matrix: Array) -> Array:
-    """Lower factor of the inverse of a symmetric matrix with its eigenvalues kept positive."""
-    values, vectors = np.linalg.eigh(matrix)
-    return lower_factor(vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE)))
+    Along white axes the curvature is one: g_j = (f(h e_j) − f(0)) / h + h / 2. Where it is not, the
+    mode found with such gradients is off by less than h / 2.
+    """
+    values = log_density(np.vstack([point, point + STEP * axes.T]))
+    return float(values[0]), (values[1:] - values[0]) / STEP + 0.5 * STEP
 
 
 def climb(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -> Array:
-    """Maximum from ``point`` by L-BFGS in whitened coordinates, gradients in batches."""
-    d = axes.shape[1]
-    moves = STEP * axes.T
+    """Maximum from ``point`` in whitened coordinates.
+
+    Where the axes are white a gradient is a Newton step; L-BFGS goes on where that does not gain
+    what it foretells.
+    """
+    value, slope = look(log_density, point, axes)
+    for _ in range(NEWTON_STEPS):
+        foretold = 0.5 * float(slope @ slope)
+        if foretold < GAIN_LEFT:
+            return point
+        ahead = point + axes @ slope
+        higher, following = look(log_density, ahead, axes)
+        if not higher - value > LEAST_SHARE * foretold:
+            break
+        point, value, slope = ahead, higher, following
 
     def objective(u: Array) -> tuple[float, Array]:
-        centre = point + axes @ u
-        values = log_density(np.vstack([centre, centre + moves, centre - moves]))
-        gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP)
-        return -float(values[0]), -gradient
+        value, slope = look(log_density, point + axes @ u, axes)
+        return -value, -slope
 
-    found = minimize(
-        objective,
-        np.zeros(d),
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxiter": steps, "ftol": 1e-8},
-    )
+    options = {"maxiter": steps, "ftol": 1e-8}
+    start = np.zeros(axes.shape[1])
+    found = minimize(objective, start, jac=True, method="L-BFGS-B", options=options)
     return np.asarray(point + axes @ found.x)
 
 
+def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
+    """Mode with its whole curvature, from a point and rough axes.
+
+    Looks at the curvature and climbs along the axes that it whitens, until a look finds its own
+    axes white: along the ridge on which all masses and thrusts scale together one look from the
+    wrong axes is short by a factor of several.
+    """
+    for left in reversed(range(LOOKS)):
+        slope, bend = hessian(log_density, point, axes, CURVATURE_STEP)
+        values, vectors = np.linalg.eigh(-bend)
+        turned = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+        is_white = WHITE[0] < values[0] and values[-1] < WHITE[1]
+        axes = no_wider_than_prior(axes @ turned)
+        if left == 0 or (is_white and 0.5 * float(((slope @ turned) ** 2).sum()) < GAIN_LEFT):
+            break
+        point = climb(log_density, point, axes)
+    return _mode(log_density, point, axes)
+
+
 def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
-    """Mode and Laplace factor from the centre of the prior."""
-    point = find_mode(log_density, np.zeros(d) if start is None else start)
-    factor = np.eye(d) * 0.05
-    for _ in range(3):
-        _, matrix = curvature(log_density, point, factor)
-        factor = factor @ _inverse_factor(matrix)
-    point = climb(log_density, point, factor)
-    _, matrix = curvature(log_density, point, factor)
-    return _mode(log_density, point, lower_factor(factor @ _inverse_factor(matrix)))
+    """Mode and Laplace factor from the centre of the prior or a start.
+
+    Raises
+    ------
+    CassiniBayesError
+        When the density is not finite at the start.
+    """
+    first = np.zeros(d) if start is None else start
+    if not np.isfinite(log_density(first[None])).all():
+        raise CassiniBayesError("the posterior is not finite at the centre of the prior")
+    axes = FIRST_AXES * np.eye(d)
+    return settled(log_density, climb(log_density, first, axes, FIRST_STEPS), axes)
 
 
 def _mode(log_density: LogDensity, point: Array, factor: Array) -> Mode:
@@ -135,72 +169,87 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
 
     From every starting value of the effect one Newton step is made in the baseline's coordinates;
     the best goes on to a search of its own if it may matter. The determinant is the baseline's with
-    the effect's own rows and columns renewed.
+    the effect's own rows and columns renewed, right as long as the nuisances are not moved far:
+    :func:`has_moved`, :func:`renewed`.
     """
     density = hypothesis.log_density
     d, extra = len(base.point), hypothesis.dimension - len(base.point)
     point = _best_start(density, base, starts(extra))
-    axes = _along_ridges(density, point, _own_axes(density, point, base, extra), d)
-    if float(density(point[None])[0]) > float(density(_at_base(base, extra))[0]) + WORTH_A_SEARCH:
-        point = climb(density, point, axes)
-        axes = _along_ridges(density, point, axes, d)
-    inner = _own_rows(density, point, axes, d)
-    mode = _mode(density, point, lower_factor(axes @ _inverse_factor(inner)))
-    moved = np.abs(np.linalg.solve(base.factor, point[:d] - base.point)).max()
-    return _renewed(density, mode, base) if moved > FAR_MOVED else mode
+    own = _own_axes(density, point, base, extra)
+    axes, inner, is_white = _along_ridges(density, point, own, d)
+    at_base = np.concatenate([base.point, np.zeros(extra)])
+    value, least = density(np.stack([point, at_base]))
+    if value > least + WORTH_A_SEARCH:
+        for _ in range(CLIMBS):
+            point = climb(density, point, axes)
+            before = axes
+            axes, inner, is_white = _along_ridges(density, point, before, d)
+            if axes is before:
+                break
+    if not is_white:
+        return settled(density, point, own)
+    values, vectors = np.linalg.eigh(inner)
+    turned = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+    return _mode(density, point, lower_factor(axes @ turned))
 
 
-def _renewed(density: LogDensity, mode: Mode, base: Mode) -> Mode:
-    """Mode and its whole curvature anew, where the nuisances went far from the baseline's mode.
+def has_moved(mode: Mode, base: Mode) -> bool:
+    """Whether nuisances are so far from the baseline's mode that their curvature may differ."""
+    d = len(base.point)
+    moved = np.linalg.solve(base.factor, mode.point[:d] - base.point)
+    return bool(np.abs(moved).max() > FAR_MOVED)
 
-    Their curvature there is not the baseline's: near a bound of its prior a parameter hardly moves.
+
+def renewed(hypothesis: Hypothesis, mode: Mode) -> Mode:
+    """Mode and its whole curvature anew.
+
+    Needed where the nuisances went far from the baseline's mode, as their curvature there is not
+    the baseline's: near a bound of its prior a parameter hardly moves.
     """
-    d, size = len(base.point), len(mode.point)
-    point, factor = mode.point, OWN_START * np.eye(size)
-    factor[:d, :d] = OWN_START * base.factor
-    for _ in range(RENEWALS):
-        _, matrix = curvature(density, point, factor)
-        factor = factor @ _inverse_factor(matrix)
-    point = climb(density, point, factor)
-    _, matrix = curvature(density, point, factor)
-    return _mode(density, point, lower_factor(factor @ _inverse_factor(matrix)))
+    return settled(hypothesis.log_density, mode.point, mode.factor)
 
 
-def _along_ridges(density: LogDensity, point: Array, axes: Array, d: int) -> Array:
+def refined_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
+    """Mode and whole curvature of a single cause that matters, from the baseline's mode."""
+    return renewed(hypothesis, extended_mode(hypothesis, base))
+
+
+def _along_ridges(
+    density: LogDensity, point: Array, axes: Array, d: int
+) -> tuple[Array, Array, bool]:
     """Axes whose last ones follow the ridges along which the effect trades with the nuisances.
 
-    With the baseline's coordinates white and c, h the effect's rows of the curvature, the ridge is
-    (−c, 1) and its curvature h − cᵀc. That difference of large numbers is good after a few rounds.
+    With them the curvature along them, and whether that is white. With the baseline's coordinates
+    white and c, h the effect's rows of the curvature, the ridge is (−c, 1) and its curvature
+    h − cᵀc. That difference of large numbers is good after a few rounds.
     """
-    for _ in range(RIDGE_ROUNDS):
+    for left in reversed(range(RIDGE_ROUNDS + 1)):
         inner = _own_rows(density, point, axes, d)
         cross, own = inner[:d, d:], inner[d:, d:]
         values, vectors = np.linalg.eigh(own - cross.T @ cross)
+        is_white = (cross**2).sum() < LEAST_CROSS and WHITE[0] < values[0] and values[-1] < WHITE[1]
+        if is_white or left == 0:
+            break
         least = max(FLATTEST * float(np.abs(np.diagonal(own)).max()), LEAST_RIDGE)
         turn = vectors / np.sqrt(np.maximum(values, least))
         ridge = axes @ np.concatenate([-cross @ turn, turn])
         length = np.abs(ridge[d:]).max(0)
         axes = np.concatenate([axes[:, :d], ridge / np.maximum(length, 1.0)], axis=1)
-    return axes
-
-
-def _at_base(base: Mode, extra: int) -> Array:
-    return np.concatenate([base.point, np.zeros(extra)])[None]
+    return axes, inner, bool(is_white)
 
 
 def _best_start(density: LogDensity, base: Mode, tried: Array) -> Array:
     d = len(base.point)
-    moves = STEP * base.factor.T
-    offsets = np.vstack([np.zeros((1, d)), moves, -moves])
+    offsets = np.vstack([np.zeros((1, d)), STEP * base.factor.T])
     batch = np.concatenate(
         [
-            np.broadcast_to(base.point + offsets, (len(tried), 2 * d + 1, d)),
-            np.broadcast_to(tried[:, None], (len(tried), 2 * d + 1, tried.shape[1])),
+            np.broadcast_to(base.point + offsets, (len(tried), d + 1, d)),
+            np.broadcast_to(tried[:, None], (len(tried), d + 1, tried.shape[1])),
         ],
         axis=2,
     )
     values = density(batch.reshape(-1, d + tried.shape[1])).reshape(len(tried), -1)
-    gradient = (values[:, 1 : d + 1] - values[:, d + 1 :]) / (2.0 * STEP)
+    gradient = (values[:, 1:] - values[:, :1]) / STEP + 0.5 * STEP
     candidates = [np.concatenate([np.tile(base.point, (len(tried), 1)), tried], axis=1)]
     for share in (1.0, 0.3):
         stepped = base.point + share * gradient @ base.factor.T
@@ -211,72 +260,54 @@ def _best_start(density: LogDensity, base: Mode, tried: Array) -> Array:
 
 
 def _own_axes(density: LogDensity, point: Array, base: Mode, extra: int) -> Array:
-    """Whitening axes (d + extra, d + extra): the baseline's; the effect's by curvature."""
+    """Whitening axes (d + extra, d + extra): the baseline's; the effect's by curvature.
+
+    Of several lengths of a step, the curvature is taken from the one nearest to a third of the
+    standard deviation that it tells.
+    """
     d = len(base.point)
     axes = np.zeros((d + extra, d + extra))
     axes[:d, :d] = base.factor
+    scales = np.array(OWN_SCALES)
     for i in range(extra):
-        scale = 0.3
-        for _ in range(4):
-            unit = np.zeros(d + extra)
-            unit[d + i] = scale
-            up, middle, down = density(point + np.stack([unit, 0.0 * unit, -unit]))
-            bend = (2.0 * middle - up - down) / scale**2
-            better = 0.3 / np.sqrt(max(bend, LEAST_CURVATURE))
-            if 0.5 < better / scale < 2.0:
-                break
-            scale = better
-        axes[d + i, d + i] = scale / 0.3
+        unit = np.eye(d + extra)[d + i]
+        moves = scales[:, None] * unit
+        values = density(point + np.vstack([0.0 * unit[None], moves, -moves]))
+        bend = (2.0 * values[0] - values[1:].reshape(2, -1).sum(0)) / scales**2
+        told = 1.0 / np.sqrt(np.maximum(bend, LEAST_CURVATURE))
+        axes[d + i, d + i] = told[int(np.argmin(np.abs(np.log(0.3 * told / scales))))]
     return axes
 
 
 def _own_rows(density: LogDensity, point: Array, axes: Array, d: int) -> Array:
     """Curvature in the coordinates of ``axes``: the unit matrix but for the effect's own rows."""
     size = axes.shape[1]
-    h = CURVATURE_STEP
     inner = np.eye(size)
-    unit = h * axes.T
+    h, unit = CURVATURE_STEP, axes.T
     for i in range(d, size):
-        others = unit[: i + 1]
-        both = np.vstack(
-            [
-                unit[i] + others,
-                -unit[i] - others,
-                unit[i] - others,
-                others - unit[i],
-                unit[i][None],
-                -unit[i][None],
-                np.zeros((1, len(point))),
-            ]
-        )
-        values = density(point + both)
-        same = values[: i + 1] + values[i + 1 : 2 * i + 2]
-        opposite = values[2 * i + 2 : 3 * i + 3] + values[3 * i + 3 : 4 * i + 4]
-        row = -(same - opposite) / (4.0 * h**2)
-        row[i] = (2.0 * values[-1] - values[-3] - values[-2]) / h**2
-        inner[i, : i + 1] = inner[: i + 1, i] = row
+        away = np.stack([h * unit[i], -h * unit[i]])
+        beside = (away[:, None] + STEP * unit[:i]).reshape(-1, len(point))
+        values = density(point + np.vstack([0.0 * away[:1], away, beside]))
+        slopes = (values[3:].reshape(2, i) - values[1:3, None]) / STEP
+        inner[i, :i] = inner[:i, i] = -(slopes[0] - slopes[1]) / (2.0 * h)
+        inner[i, i] = (2.0 * values[0] - values[1] - values[2]) / h**2
     return inner
 
 
-def refined_mode(hypothesis: Hypothesis, mode: Mode) -> Mode:
-    """Mode with its whole curvature renewed: for causes that matter.
+def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = FEW_DRAWS) -> Weighed:
+    """The evidence by importance sampling from the Laplace approximation.
 
-    By looks that go on until they agree: along the ridge on which all masses and thrusts scale
-    together one look from the wrong axes is short by a factor of several.
+    Where that was poor the curvature is taken anew, and refined by the draws themselves.
     """
-    return _mode(hypothesis.log_density, *laplace(hypothesis.log_density, mode.point))
-
-
-def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = DRAWS) -> Weighed:
-    """The evidence by importance sampling from the Laplace approximation, refined once."""
-    hypothesis, density = weighed.hypothesis, weighed.hypothesis.log_density
-    mode = refined_mode(hypothesis, weighed.mode)
-    proposal = Proposal(mode.point, mode.factor, DOF)
-    first = importance(density, proposal, rng, draws)
-    best = first
-    if first.efficiency < 0.3:
-        proposal = refined(proposal, first)
-        best = importance(density, proposal, rng, 2 * draws)
+    hypothesis, mode = weighed.hypothesis, weighed.mode
+    density = hypothesis.log_density
+    best = importance(density, Proposal(mode.point, mode.factor, DOF), rng, draws)
+    if best.efficiency < EFFICIENT:
+        mode = renewed(hypothesis, mode)
+        proposal = Proposal(mode.point, mode.factor, DOF)
+        best = importance(density, proposal, rng, draws)
+        if best.efficiency < EFFICIENT:
+            best = importance(density, refined(proposal, best), rng, 2 * draws)
     return replace(
         weighed,
         mode=mode,

@@ -18,7 +18,6 @@ from cassini_bayes.criticism.evidence import (
     Mode,
     Weighed,
     baseline_mode,
-    extended_mode,
     refined_mode,
 )
 from cassini_bayes.criticism.extended import (
@@ -79,7 +78,7 @@ def _mode_without(verdict: Verdict, weighed: Weighed, case: Case) -> Mode:
     needed = case_of(verdict, weighed, case)
     full = none_hypothesis(needed, verdict.catalogue)
     hypothesis = compact(extend(full, weighed.hypothesis.effects, needed))
-    return refined_mode(hypothesis, extended_mode(hypothesis, base))
+    return refined_mode(hypothesis, base)
 
 
 def held_out(

@@ -13,11 +13,14 @@ from scipy.special import logsumexp
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
 from cassini_bayes.criticism.columns import FLEXIBLE, flexible_columns
 from cassini_bayes.criticism.evidence import (
+    DRAWS,
+    FEW_DRAWS,
     Mode,
     Weighed,
     baseline_mode,
     extended_mode,
-    refined_mode,
+    has_moved,
+    renewed,
     sampled,
 )
 from cassini_bayes.criticism.extended import (
@@ -39,7 +42,8 @@ from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
 NEAR_NATS: Final = 10.0
-MOST_SAMPLED: Final = 6
+MARGIN_NATS: Final = 30.0
+MOST_DRAWN: Final = 3
 SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
 SUMMARY_DRAWS: Final = 2_000
@@ -151,17 +155,8 @@ def name_causes(
     oscillation = find_oscillation(rows) if rows else None
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     full = none_hypothesis(case, catalogue)
-    done: list[str] = []
-
-    def weigh(effect: Effect) -> Weighed:
-        hypothesis = compact(extend(full, [effect], case))
-        found = _by_laplace(hypothesis, extended_mode(hypothesis, base))
-        done.append(effect.name)
-        if len(done) % 10 == 0:
-            tell(f"{len(done)} of {len(effects)} causes weighed")
-        return found
-
-    weighed += on_threads(weigh, effects, threads)
+    hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
+    weighed += weigh_beside(hypotheses, base, tell, threads)
     if oscillation is not None and "flexible_mode" in catalogue.names:
         weighed.append(_flexible(case, catalogue, oscillation, base))
     weighed = _sample_near(weighed, rng, threads)
@@ -193,6 +188,45 @@ def _by_laplace(hypothesis: Hypothesis, mode: Mode) -> Weighed:
     return Weighed(hypothesis, mode, mode.log_evidence, float("nan"))
 
 
+def weigh_beside(
+    hypotheses: Sequence[Hypothesis], base: Mode, say: Say, threads: int = 1
+) -> list[Weighed]:
+    """Extensions of one baseline by Laplace evidence.
+
+    Where nuisances moved far from the baseline's mode everything is taken anew, for all causes that
+    could be among the best: further than thirty nats, and twice the most that this has gained, from
+    the best they keep what they have.
+    """
+    done: list[str] = []
+
+    def weigh(hypothesis: Hypothesis) -> Weighed:
+        found = _by_laplace(hypothesis, extended_mode(hypothesis, base))
+        done.append(hypothesis.name)
+        if len(done) % 10 == 0:
+            say(f"{len(done)} of {len(hypotheses)} causes weighed")
+        return found
+
+    weighed = on_threads(weigh, hypotheses, threads)
+    left = {i for i, found in enumerate(weighed) if has_moved(found.mode, base)}
+    margin = MARGIN_NATS
+    while True:
+        best = max(found.log_evidence for found in weighed)
+        due = [i for i in sorted(left) if weighed[i].log_evidence > best - margin]
+        if not due:
+            return weighed
+        say(f"{len(due)} causes far from the baseline weighed anew")
+        anew = on_threads(lambda i: _renewed(weighed[i]), due, threads)
+        for i, found in zip(due, anew, strict=True):
+            margin = max(margin, MARGIN_NATS + 2.0 * (found.log_evidence - weighed[i].log_evidence))
+            weighed[i] = found
+        left.difference_update(due)
+
+
+def _renewed(weighed: Weighed) -> Weighed:
+    hypothesis = weighed.hypothesis
+    return _by_laplace(hypothesis, renewed(hypothesis, weighed.mode))
+
+
 def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
     """The baseline's mode in the coordinates of ``unknown``; its own new ones at the middle."""
     at = dict(zip(none.model.space.names, base.point, strict=True))
@@ -220,9 +254,8 @@ def _flexible(case: Case, catalogue: Catalogue, oscillation: Oscillation, base: 
     """``flexible_mode`` at the frequency found, less the nats that the search costs."""
     own, model_case = catalogue.effect("flexible_mode"), flexible_case(case, oscillation)
     hypothesis = compact(extend(none_hypothesis(model_case, catalogue), [own], model_case))
-    mode = extended_mode(hypothesis, base)
-    hypothesis = replace(hypothesis, log_penalty=oscillation.log_looks)
-    return _by_laplace(hypothesis, mode)
+    (weighed,) = weigh_beside([hypothesis], base, _silent)
+    return replace(weighed, hypothesis=replace(hypothesis, log_penalty=oscillation.log_looks))
 
 
 def flexible_case(case: Case, oscillation: Oscillation) -> Case:
@@ -239,13 +272,25 @@ def flexible_case(case: Case, oscillation: Oscillation) -> Case:
 def _sample_near(
     weighed: Sequence[Weighed], rng: np.random.Generator, threads: int
 ) -> list[Weighed]:
-    """Importance-sampled evidence for the hypotheses nearest the best."""
-    scores = [_score(w) for w in weighed]
-    order = np.argsort(scores)[::-1]
-    near = [i for i in order if scores[i] > scores[order[0]] - NEAR_NATS][:MOST_SAMPLED]
-    own = dict(zip(near, rng.spawn(len(near)), strict=True))
+    """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
+    found = list(weighed)
+    scores = np.array([_score(w) for w in found])
+    near = np.flatnonzero(scores > scores.max() - NEAR_NATS)
+    found = _drawn(found, near, FEW_DRAWS, rng, threads)
+    best = sorted(near, key=lambda i: -_score(found[i]))[:MOST_DRAWN]
+    return _drawn(found, best, DRAWS, rng, threads)
+
+
+def _drawn(
+    weighed: Sequence[Weighed],
+    which: Sequence[int] | NDArray[np.intp],
+    draws: int,
+    rng: np.random.Generator,
+    threads: int,
+) -> list[Weighed]:
+    own = dict(zip((int(i) for i in which), rng.spawn(len(which)), strict=True))
     return on_threads(
-        lambda i: sampled(weighed[i], own[i]) if i in own else weighed[i],
+        lambda i: sampled(weighed[i], own[i], draws) if i in own else weighed[i],
         range(len(weighed)),
         threads,
     )
@@ -279,17 +324,13 @@ def second_cause(
     if first.kind == "flexible_mode":
         return None, ()
     full = extend(none_hypothesis(case, catalogue), [first], case)
-    base = best.mode if best.z is not None else refined_mode(best.hypothesis, best.mode)
-
-    def weigh(effect: Effect) -> Weighed:
-        hypothesis = compact(extend(full, [effect], case))
-        return _by_laplace(hypothesis, extended_mode(hypothesis, base))
-
-    tried = on_threads(weigh, _others(catalogue, first), threads)
+    base = renewed(best.hypothesis, best.mode)
+    pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]
+    tried = weigh_beside(pairs, base, _silent, threads)
     found = max(tried, key=lambda weighed: weighed.log_evidence)
     if found.log_evidence < best.log_evidence + SECOND_CAUSE_NATS:
         return None, ()
-    pair = sampled(found, rng)
+    pair = sampled(found, rng, DRAWS)
     if not verdict.best.hypothesis.effects and _score(pair) < _score(verdict.best):
         return None, ()
     alike = [

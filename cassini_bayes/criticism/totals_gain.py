@@ -19,7 +19,6 @@ from cassini_bayes.criticism.evidence import (
     Mode,
     Weighed,
     baseline_mode,
-    extended_mode,
     refined_mode,
 )
 from cassini_bayes.criticism.extended import (
@@ -85,7 +84,7 @@ def _fitted(case: Case, catalogue: Catalogue, weighed: Weighed) -> tuple[Hypothe
     if not weighed.hypothesis.effects:
         return none, base
     hypothesis = compact(extend(none, weighed.hypothesis.effects, case))
-    return hypothesis, refined_mode(hypothesis, extended_mode(hypothesis, base))
+    return hypothesis, refined_mode(hypothesis, base)
 
 
 def predicted_balance(
