@@ -7,7 +7,7 @@ inertias and the rest drawn from the posterior of the others; on-times are the r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -33,6 +33,7 @@ def held_out_totals(
     catalogue: Catalogue,
     weighed: Weighed,
     rng: np.random.Generator,
+    say: Callable[[str], None] | None = None,
 ) -> HeldOut:
     """Every totals row of a case held out in turn.
 
@@ -44,10 +45,14 @@ def held_out_totals(
         The hypothesis that is fitted to the others each time.
     rng
         Of the posterior draws that predict a row.
+    say
+        Told which row is held out.
     """
     whole, mode = fitted_to(case, catalogue, weighed)
     scores, residuals, inside = [], [], []
-    for place in range(len(rows)):
+    for place, left_out in enumerate(rows):
+        if say is not None:
+            say(f"{weighed.name}: {left_out.id} held out")
         others = tuple(row for i, row in enumerate(rows) if i != place)
         smaller = replace(case, totals=build_model(others, case.priors))
         hypothesis, own = fitted_to(smaller, catalogue, weighed)
