@@ -7,7 +7,6 @@ dimension and an event has no such quantity (the thrusts of a slew), it is NaN t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 import numpy as np
 import xarray as xr
@@ -23,7 +22,7 @@ from cassini_bayes.joint_draws import (
     prior_sample,
     thrust_places,
 )
-from cassini_bayes.model import SOFTWARE, TORQUES, linear_system
+from cassini_bayes.model import SOFTWARE, THRUST_COMMON, TORQUES, linear_system
 from cassini_bayes.predictive import (
     balance_residual,
     jacobian_expansion_error,
@@ -45,7 +44,6 @@ from cassini_bayes.telemetry_terms import INITIAL_SD_N_M_S
 from cassini_bayes.time_series import balances, shown_places
 
 Array = NDArray[np.float64]
-_COMMON: Final = "thrust_common_n"
 
 
 def build_joint_fit(
@@ -270,7 +268,7 @@ def _parameter_variables(model: JointModel, sample: JointSample) -> dict[str, Va
     if mass is not None:
         variables["mass_kg"] = (("event",), mass, "kg", "wet mass, of events that need it")
     for name in model.space.names:
-        if name in wheels or name in (_COMMON, "mass_kg"):
+        if name in wheels or name in (THRUST_COMMON, "mass_kg"):
             continue
         spec = model.specs[name]
         variables[name] = ((), np.asarray(sample.parameters[name]), spec.unit, spec.meaning)
