@@ -56,6 +56,23 @@ class JointSample:
         """Number of draws n."""
         return len(self.torque_n_m)
 
+    def at(self, places: NDArray[np.int64]) -> JointSample:
+        """Some of the draws, by their places among the n."""
+        thrusts = self.thrusts
+        if thrusts is not None:
+            every = (thrusts.thrust_n, thrusts.common_n, thrusts.level_n)
+            thrusts = ThrustDraws(*(values[places] for values in every))
+        return JointSample(
+            {
+                name: values[places] if isinstance(values, np.ndarray) else values
+                for name, values in self.parameters.items()
+            },
+            thrusts,
+            self.torque_n_m[places],
+            tuple(own[places] for own in self.own),
+            self.software[places],
+        )
+
     def totals(self, model: JointModel) -> LinearDraws:
         """The part of the totals rows."""
         assert self.thrusts is not None  # totals rows fire

@@ -7,7 +7,6 @@ dimension and an event has no such quantity (the thrusts of a slew), it is NaN t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 import numpy as np
 import xarray as xr
@@ -23,7 +22,7 @@ from cassini_bayes.joint_draws import (
     prior_sample,
     thrust_places,
 )
-from cassini_bayes.model import SOFTWARE, TORQUES, linear_system
+from cassini_bayes.model import SOFTWARE, THRUST_COMMON, TORQUES, linear_system
 from cassini_bayes.predictive import (
     balance_residual,
     jacobian_expansion_error,
@@ -31,6 +30,7 @@ from cassini_bayes.predictive import (
     replicate_on_times,
 )
 from cassini_bayes.pulses import effective_on_time
+from cassini_bayes.replicates import REPLICATED_ROWS, channel_datasets, labelled, replicated
 from cassini_bayes.result import (
     AXES,
     Coordinates,
@@ -41,10 +41,9 @@ from cassini_bayes.result import (
     thrust_log_prior,
 )
 from cassini_bayes.telemetry_terms import INITIAL_SD_N_M_S
+from cassini_bayes.time_series import balances, shown_places
 
 Array = NDArray[np.float64]
-_COMMON: Final = "thrust_common_n"
-_RPM_PER_RAD_S: Final = 60.0 / (2.0 * np.pi)
 
 
 def build_joint_fit(
@@ -55,11 +54,14 @@ def build_joint_fit(
     rng: np.random.Generator,
     attributes: Mapping[str, str | float | int],
     prior_size: int = 4_000,
+    *,
+    replicate: bool = True,
 ) -> tuple[Fit, JointSample]:
     """Assemble every group from walked draws z (M, n, d) with log_density (M, n).
 
     ``events`` are the telemetry events in the model's order; the sample returned holds what was
-    drawn back from its exact conditional, in flattened order.
+    drawn back from its exact conditional, in flattened order. ``replicate`` telemetry reads the
+    events' files again.
     """
     m, n, d = z.shape
     flat = z.reshape(-1, d)
@@ -95,7 +97,26 @@ def build_joint_fit(
         "observed_data": _observed(model, events),
         "constant_data": _constants(model, events),
     }
+    if replicate and model.telemetry:
+        found = _replicates(model, events, flat, sample, n, rng)
+        for name, channels in zip(("posterior_predictive", "observed_data"), found, strict=True):
+            groups[name] = xr.merge([groups[name], channels], join="exact")
     return Fit(groups, dict(attributes)), sample
+
+
+def _replicates(
+    model: JointModel,
+    events: Sequence[ReducedEvent],
+    z: Array,
+    sample: JointSample,
+    chain_length: int,
+    rng: np.random.Generator,
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """Replicated and measured channels of the telemetry events, at the draws of the figures."""
+    shown = shown_places(len(z))
+    rows = balances(model, events, z[shown], sample.at(shown), REPLICATED_ROWS)
+    found, origin = [replicated(own, rng) for own in rows], np.divmod(shown, chain_length)
+    return channel_datasets(found, joint_coordinates(model), used_wheels(model), origin)
 
 
 def joint_coordinates(model: JointModel) -> Coordinates:
@@ -247,7 +268,7 @@ def _parameter_variables(model: JointModel, sample: JointSample) -> dict[str, Va
     if mass is not None:
         variables["mass_kg"] = (("event",), mass, "kg", "wet mass, of events that need it")
     for name in model.space.names:
-        if name in wheels or name in (_COMMON, "mass_kg"):
+        if name in wheels or name in (THRUST_COMMON, "mass_kg"):
             continue
         spec = model.specs[name]
         variables[name] = ((), np.asarray(sample.parameters[name]), spec.unit, spec.meaning)
@@ -275,7 +296,7 @@ def _predictive(
     rng: np.random.Generator,
     shape: tuple[int, int],
 ) -> xr.Dataset:
-    """Replicated on-times and balances of the totals rows; telemetry has its time series."""
+    """Replicated on-times and balances of the totals rows."""
     if model.totals is None:
         return dataset_of({}, joint_coordinates(model), shape)
     full, totals = full_parameters(model, z), sample.totals(model)
@@ -341,18 +362,14 @@ def _observed(model: JointModel, events: Sequence[ReducedEvent]) -> xr.Dataset:
             on_time[place], pulses[place] = event.reading.on_time_s, event.reading.pulses
     return xr.Dataset(
         {
-            "on_time_s": _array(("event", "thruster"), on_time, "s", "commanded on-time"),
-            "pulses": _array(("event", "thruster"), pulses, "1", "number of pulses"),
-            "delta_v_m_s": _array(
-                ("event", "axis"), delta_v, "m s-1", "velocity change of a totals row, body axes"
+            "on_time_s": labelled(("event", "thruster"), on_time, "s", "commanded on-time"),
+            "pulses": labelled(("event", "thruster"), pulses, "1", "number of pulses"),
+            "delta_v_m_s": labelled(
+                ("event", "axis"), delta_v, "m s-1", "ΔV of a totals row, body axes"
             ),
         },
         coords={name: coordinates[name] for name in ("event", "thruster", "axis")},
     )
-
-
-def _array(dims: tuple[str, ...], values: Array, unit: str, meaning: str) -> xr.DataArray:
-    return xr.DataArray(values, dims=dims, attrs={"units": unit, "long_name": meaning})
 
 
 def _constants(model: JointModel, events: Sequence[ReducedEvent]) -> xr.Dataset:
@@ -366,17 +383,17 @@ def _constants(model: JointModel, events: Sequence[ReducedEvent]) -> xr.Dataset:
         duration[place] = event.reading.end_s - event.reading.start_s
         used[place], read[place] = event.statistics.rows, event.reading.rows
     data = {
-        "duration_s": _array(("event",), duration, "s", "duration of the event"),
-        "rows_read": _array(("event",), read, "1", "rows of telemetry read"),
-        "rows_used": _array(("event",), used, "1", "rows of telemetry in the momentum balance"),
-        "thrust_predicted_n": _array(("event",), printed, "N", "thrust printed with a totals row"),
+        "duration_s": labelled(("event",), duration, "s", "duration of the event"),
+        "rows_read": labelled(("event",), read, "1", "rows of telemetry read"),
+        "rows_used": labelled(("event",), used, "1", "rows of telemetry in the momentum balance"),
+        "thrust_predicted_n": labelled(("event",), printed, "N", "thrust printed with the row"),
     }
     for name, value in model.space.fixed.items():
         spec = model.specs[name]
-        data[name] = _array((), np.asarray(value), spec.unit, spec.meaning)
+        data[name] = labelled((), np.asarray(value), spec.unit, spec.meaning)
     for name, value in zip(TORQUES, model.torque_mean_n_m, strict=True):
         meaning = "prior mean of the steady external torque"
-        data[f"prior_mean_{name}"] = _array((), np.asarray(value), "N m", meaning)
+        data[f"prior_mean_{name}"] = labelled((), np.asarray(value), "N m", meaning)
     kinds = ["totals"] * first + [event.event.kind for event in events]
     coords = {"event": list(model.event_ids), "kind": ("event", kinds)}
     return xr.Dataset(data, coords=coords)

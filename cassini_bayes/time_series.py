@@ -8,7 +8,7 @@ is left of the conserved total, ``R h0 + ∫ torque − H_w``. The residual is t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,11 +24,50 @@ from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.statistics import Carry, Samples, settle
 from cassini_bayes.statistics.columns import Rows
 from cassini_bayes.telemetry import read_chunks
-from cassini_bayes.telemetry_terms import TelemetryTerms, balance_weights, noise_covariance
+from cassini_bayes.telemetry_terms import (
+    TelemetryTerms,
+    balance_weights,
+    momentum_per_rate,
+    noise_covariance,
+)
 
 Array = NDArray[np.float64]
+Places = NDArray[np.int64]
 MOST_ROWS: Final = 2_000
 DRAWS: Final = 100
+
+
+@dataclass(frozen=True)
+class Balance:
+    """One event's balance at n posterior draws and r thinned rows, body axes.
+
+    ``measured`` and ``predicted`` (n, r, 3) are its sides in N m s; ``covariance`` (n, 3, 3) is
+    that of a row's white noise, ``walk`` (n,) the squared density of the torque noise, N² m² s.
+    ``by_rate`` (n, 3, 3) and ``by_wheel`` (n, 3, W) are the momentum per measured rate, kg m².
+    """
+
+    terms: TelemetryTerms
+    rows: Rows
+    every: int  # one row in this many is kept
+    measured: Array
+    predicted: Array
+    covariance: Array
+    walk: Array
+    by_rate: Array
+    by_wheel: Array
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus predicted (n, r, 3), N m s."""
+        return self.measured - self.predicted
+
+    @property
+    def drift(self) -> Array:
+        """Cosines (r, M) that standard normals turn into the momentum of a unit torque noise."""
+        duration = self.terms.statistics.duration_s
+        order = np.arange(1, len(self.terms.statistics.mode_gram) + 1) * np.pi
+        phase = self.rows.time_s[:, None] / duration * order
+        return np.asarray(np.sqrt(2.0 * duration) * np.cos(phase) / order)
 
 
 @dataclass(frozen=True)
@@ -73,25 +112,49 @@ def event_series(
     rng: np.random.Generator,
 ) -> tuple[EventSeries, ...]:
     """Series of every telemetry event from posterior points z (n, d), of which some are used."""
-    chosen = z[rng.choice(len(z), size=min(DRAWS, len(z)), replace=False)]
+    chosen = z[shown_places(len(z))]
     sample = draw_all(model, chosen, rng)
-    full = full_parameters(model, chosen)
+    return tuple(_series(balance) for balance in balances(model, events, chosen, sample))
+
+
+def shown_places(n: int) -> Places:
+    """Places of the posterior draws that are shown: at most ``DRAWS`` of n, evenly spaced."""
+    return np.linspace(0, n - 1, min(DRAWS, n)).round().astype(np.int64)
+
+
+def balances(
+    model: JointModel,
+    events: Sequence[ReducedEvent],
+    z: Array,
+    sample: JointSample,
+    most_rows: int = MOST_ROWS,
+) -> Iterator[Balance]:
+    """Balance of every telemetry event at z (n, d) and what was drawn there, row by row.
+
+    Rows are thinned evenly to at most ``most_rows``; the files are read again.
+    """
+    full = full_parameters(model, z)
     physics = joint_physics(model, full)
-    found = []
     place = len(model.event_ids) - len(model.telemetry)
     for terms, event, own in zip(model.telemetry, events, sample.own, strict=True):
-        weights = balance_weights(terms, physics, model.linear.common_mean_n)
         unknowns = own
         if terms.fires:
             unknowns = np.concatenate([_thrusts(sample, place), own], axis=1)
             place += 1
-        variance = np.diagonal(noise_covariance(terms, physics, full), axis1=-2, axis2=-1)
-        walk = full["torque_noise_n_m_s05"] ** 2
-        rows, every = _rows(terms, event, model.spacecraft)
-        found.append(
-            _series(terms, rows, every, weights, unknowns, variance.mean(0), float(walk.mean()))
+        rows, every = _rows(terms, event, model.spacecraft, most_rows)
+        weights = balance_weights(terms, physics, model.linear.common_mean_n)
+        measured, predicted = _both_sides(terms, rows, weights, unknowns)
+        yield Balance(
+            terms=terms,
+            rows=rows,
+            every=every,
+            measured=measured,
+            predicted=predicted,
+            covariance=noise_covariance(terms, physics, full),
+            walk=full["torque_noise_n_m_s05"] ** 2,
+            by_rate=momentum_per_rate(physics),
+            by_wheel=physics.wheel_weights[..., list(terms.wheel_places)],
         )
-    return tuple(found)
 
 
 def _thrusts(sample: JointSample, place: int) -> Array:
@@ -99,10 +162,12 @@ def _thrusts(sample: JointSample, place: int) -> Array:
     return sample.thrusts.thrust_n[:, place]
 
 
-def _rows(terms: TelemetryTerms, event: ReducedEvent, spacecraft: Spacecraft) -> tuple[Rows, int]:
+def _rows(
+    terms: TelemetryTerms, event: ReducedEvent, spacecraft: Spacecraft, most_rows: int
+) -> tuple[Rows, int]:
     """The columns at evenly thinned rows of the balance, streamed in constant memory."""
     statistics = terms.statistics
-    every = max(1, -(-statistics.rows // MOST_ROWS))
+    every = max(1, -(-statistics.rows // most_rows))
     times, vectors, scalars = [], [], []
     carry, seen = Carry.start(statistics.layout), 0
     for samples, final in _with_end(samples_of(c) for c in read_chunks(event.event, spacecraft)):
@@ -127,16 +192,10 @@ def _with_end(samples: Iterator[Samples]) -> Iterator[tuple[Samples, bool]]:
         yield previous, True
 
 
-def _series(
-    terms: TelemetryTerms,
-    rows: Rows,
-    every: int,
-    weights: Array,
-    unknowns: Array,
-    variance: Array,
-    walk: float,
-) -> EventSeries:
-    """Assemble one event: weights (n, B, 3) and unknowns (n, P − 1) at posterior draws."""
+def _both_sides(
+    terms: TelemetryTerms, rows: Rows, weights: Array, unknowns: Array
+) -> tuple[Array, Array]:
+    """Both sides of the balance (n, rows, 3): weights (n, B, 3), unknowns (n, P − 1)."""
     layout, pattern = terms.statistics.layout, terms.pattern
     owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
     last = len(pattern.start) - 2
@@ -158,29 +217,28 @@ def _series(
         for name, mask in masks.items()
     }
     if terms.fires:
-        measured = sums["measured"] - sums["initial"]
-        predicted = sums["delivered"]
-        quantity = "momentum gained"
-    else:
-        measured = sums["measured"] - sums["wheels"]
-        predicted = sums["initial"] + sums["delivered"] - sums["wheels"]
-        quantity = "momentum of the body, I ω"
-    scale = walk * 2.0 * terms.statistics.duration_s
-    order = np.arange(1, len(terms.statistics.mode_gram) + 1) * np.pi
-    phase = rows.time_s[:, None] / terms.statistics.duration_s * order
-    drift = scale * (np.cos(phase) ** 2 / order**2).sum(-1)
+        return sums["measured"] - sums["initial"], sums["delivered"]
+    body = sums["measured"] - sums["wheels"]
+    return body, sums["initial"] + sums["delivered"] - sums["wheels"]
+
+
+def _series(balance: Balance) -> EventSeries:
+    """Means and spreads of one event over posterior draws."""
+    terms, measured, predicted = balance.terms, balance.measured, balance.predicted
+    variance = np.diagonal(balance.covariance, axis1=-2, axis2=-1).mean(0)
+    drift = balance.walk.mean() * (balance.drift**2).sum(-1)
     return EventSeries(
         event=terms.id,
         kind=terms.statistics.kind,
-        quantity=quantity,
-        time_s=rows.time_s,
+        quantity="momentum gained" if terms.fires else "momentum of the body, I ω",
+        time_s=balance.rows.time_s,
         measured=measured.mean(0),
         predicted=predicted.mean(0),
         predicted_sd=predicted.std(0),
-        residual=(measured - predicted).mean(0),
-        residual_sd=(measured - predicted).std(0),
+        residual=balance.residual.mean(0),
+        residual_sd=balance.residual.std(0),
         noise_sd=np.sqrt(variance + drift[:, None]),
-        every=every,
+        every=balance.every,
     )
 
 

@@ -28,8 +28,9 @@ from cassini_bayes.criticism.symptoms import find_symptoms
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors import read_priors
 from cassini_bayes.result import read_fit
-from cassini_bayes.scenario import simulate_file
+from cassini_bayes.scenario import Simulation, simulate_file, write_simulation
 from cassini_bayes.simulation import scenario_of
+from cassini_bayes.telemetry import read_event
 
 ROOT = Path(__file__).parents[1]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
@@ -38,14 +39,19 @@ LEAK_N = 1.0e-4
 
 
 @cache
-def verdict(leak: bool) -> Verdict:
-    """A bias and slews, Z3 leaking or nothing hidden; only that cause is weighed."""
+def flight(leak: bool) -> Simulation:
+    """A bias and slews, Z3 leaking or nothing hidden."""
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     document["event"] = [e for e in document["event"] if e["id"] in ("bias-1", "slews")]
     hidden = {"name": "thruster_leak:z3", "parameters": {"leak_n": LEAK_N}}
     document["effect"] = [hidden] if leak else []
-    simulation = simulate_file(scenario_of(document, SCENARIO.parent), 7, priors=PRIORS)
-    case: Case = prepare([source_of(event) for event in simulation.events], PRIORS)
+    return simulate_file(scenario_of(document, SCENARIO.parent), 7, priors=PRIORS)
+
+
+@cache
+def verdict(leak: bool) -> Verdict:
+    """The verdict on a flight; only that cause is weighed."""
+    case: Case = prepare([source_of(event) for event in flight(leak).events], PRIORS)
     catalogue = catalogue_of(case)
     only = replace(catalogue, effects=(catalogue.effect("thruster_leak:z3"),))
     return name_causes(case, only, np.random.default_rng(1), pairs=False)
@@ -132,12 +138,16 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     own = verdict(True)
     leak = next(w for w in own.weighed if w.name == "thruster_leak:z3")
     diagnosis = cast(Diagnosis, SimpleNamespace(extended=leak))
-    fit_extended(diagnosis, reduced(own), tmp_path, 1, lambda _: None, target_ess=200)
-    fit = read_fit(tmp_path / "fit.nc")
+    write_simulation(flight(True), tmp_path)
+    events = reduced(own, tmp_path)
+    fit_extended(diagnosis, events, tmp_path / "fit", 1, lambda _: None, target_ess=200)
+    fit = read_fit(tmp_path / "fit" / "fit.nc")
     found = fit.groups["posterior"]["thruster_leak_z3_leak_n"]
     assert found.attrs["units"] == "N"
     # three posterior standard deviations
     assert float(found.mean()) == pytest.approx(LEAK_N, abs=3.0 * float(found.std()))
+    channels = fit.groups["posterior_predictive"]["rate_rad_s"].sel(event="slews")
+    assert np.isfinite(channels.values).all(axis=(0, 2)).sum() > 100
     assert "thruster_leak_z3_leak_n" in fit.groups["prior"]
     assert {"thrust_n", "inertia_xx_kg_m2"} <= set(fit.groups["posterior"])
 
@@ -180,8 +190,8 @@ def test_bad_estimates_are_refused(tmp_path: Path, old: str, new: str, told: str
     assert "\n" not in str(caught.value)
 
 
-def reduced(own: Verdict) -> list[Any]:
-    """What a fit records of simulated events, without folders."""
+def reduced(own: Verdict, folder: Path) -> list[Any]:
+    """What a fit records of simulated events, their folders below ``folder``."""
     records = []
     for source, (statistics, sampling) in zip(own.case.sources, own.case.statistics, strict=True):
         samples = source.samples
@@ -195,7 +205,7 @@ def reduced(own: Verdict) -> list[Any]:
         )
         records.append(
             SimpleNamespace(
-                event=SimpleNamespace(kind=source.kind),
+                event=read_event(folder / source.id, PRIORS.spacecraft),
                 fires=has_counters,
                 sampling=sampling,
                 statistics=statistics,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cassini_bayes.criticism.catalogue import Catalogue
-from cassini_bayes.criticism.diagnosis import catalogue_of
+from cassini_bayes.criticism.diagnosis import catalogue_of, diagnose
 from cassini_bayes.criticism.evidence import Mode, Weighed
 from cassini_bayes.criticism.extended import Case, none_hypothesis, prepare
 from cassini_bayes.criticism.gain import HeldOut
@@ -19,6 +19,7 @@ from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.model import build_model
 from cassini_bayes.posterior import log_posterior
 from cassini_bayes.priors import read_priors
+from cassini_bayes.report.diagnosis import gain_sentence
 from cassini_bayes.warmstart import warm_start
 
 ROOT = Path(__file__).parents[1]
@@ -71,3 +72,18 @@ def test_a_row_of_another_spacecraft_scores_badly() -> None:
     assert found.log_scores[0] < plain().log_scores[0] - 5.0
     assert found.rmse_n_m_s > 2.0 * plain().rmse_n_m_s
     assert found.coverage_90 < plain().coverage_90
+
+
+@pytest.mark.parametrize("has_rows", [True, False])
+def test_a_diagnosis_holds_its_rows_out(has_rows: bool) -> None:
+    """With its rows a diagnosis has the scores of these; without them its gain is not measured."""
+    case = prepare((), PRIORS, build_model(three(), PRIORS))
+    catalogue = catalogue_of(case)
+    few = replace(catalogue, effects=(catalogue.effect("thrust_scale"),))
+    rows = three() if has_rows else ()
+    record = diagnose(case, few, np.random.default_rng(3), rows=rows).record
+    assert (record["gain"]["elpd_diff"] is not None) == has_rows
+    if has_rows:
+        assert record["baseline"]["elpd"] == pytest.approx(plain().elpd, abs=1e-6)
+        assert record["baseline"]["heldout_rmse_nms"] == pytest.approx(plain().rmse_n_m_s, rel=0.1)
+    assert ("not a mix" in gain_sentence(record)) != has_rows

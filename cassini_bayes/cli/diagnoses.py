@@ -41,7 +41,7 @@ def diagnose_command(
 
     from cassini_bayes.criticism.diagnosis import catalogue_of, diagnose
     from cassini_bayes.criticism.estimates import is_estimates
-    from cassini_bayes.criticism.read import read_case
+    from cassini_bayes.criticism.read import read_case, totals_rows
     from cassini_bayes.report.diagnosis import diagnosis_json, write_diagnosis
 
     if (out / "diagnosis.json").exists() and not force:
@@ -59,6 +59,7 @@ def diagnose_command(
         catalogue,
         np.random.default_rng(number),
         measure_gain=gain,
+        rows=totals_rows(events, case.priors, source),
         say=reporter.say,
         threads=len(os.sched_getaffinity(0)),
     )

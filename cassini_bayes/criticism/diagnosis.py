@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +27,8 @@ from cassini_bayes.criticism.naming import (
 from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.separation import separating_measurement
 from cassini_bayes.criticism.symptoms import Symptom, find_symptoms
+from cassini_bayes.criticism.totals_gain import held_out_totals
+from cassini_bayes.events import TotalsEvent
 from cassini_bayes.parallel import on_threads
 from cassini_bayes.spacecraft import couples
 
@@ -57,6 +60,7 @@ def diagnose(
     rng: np.random.Generator,
     *,
     measure_gain: bool = True,
+    rows: Sequence[TotalsEvent] = (),
     say: Say | None = None,
     threads: int = 1,
 ) -> Diagnosis:
@@ -70,6 +74,8 @@ def diagnose(
         For importance draws and bootstrap.
     measure_gain
         Whether to hold events out (takes as many more fits as there are events, twice).
+    rows
+        What the totals of a case without telemetry were built from: held out one by one.
     say
         Told how far it got.
     threads
@@ -81,11 +87,13 @@ def diagnose(
     p, extended_p = _p_values(verdict, linear, rng)
     shown = _shown(verdict, linear, extended_rows, rng.spawn(1)[0])
     base_score, own_score = None, None
-    if measure_gain and len(case.sources) >= LEAST_EVENTS and case.totals is None:
-        base_score = held_out(verdict, verdict.none, say, threads)
-        own_score = (
-            base_score if extended is verdict.none else held_out(verdict, extended, say, threads)
-        )
+    if measure_gain:
+        generators = rng.spawn(2)
+        score = partial(_held_out_score, verdict, rows, say=say, threads=threads)
+        base_score = score(verdict.none, generators[0])
+        own_score = base_score
+        if extended is not verdict.none:
+            own_score = score(extended, generators[1])
     symptoms: tuple[Symptom, ...] = ()
     if shown is not None and _is_discrepant(verdict):
         symptoms = find_symptoms(verdict.rows, shown[0])
@@ -117,6 +125,24 @@ def catalogue_of(case: Case, path: Any = None) -> Catalogue:
     """The default catalogue, or that of a file, for a case."""
     arguments = () if path is None else (path,)
     return read_catalogue(case.priors, case.wheels, case.inputs, *arguments)
+
+
+def _held_out_score(
+    verdict: Verdict,
+    rows: Sequence[TotalsEvent],
+    weighed: Weighed,
+    rng: np.random.Generator,
+    *,
+    say: Say | None,
+    threads: int,
+) -> HeldOut | None:
+    """Score on telemetry events or on totals rows; None for few of them and for a mix of both."""
+    case = verdict.case
+    if case.totals is None and len(case.sources) >= LEAST_EVENTS:
+        return held_out(verdict, weighed, say, threads)
+    if not case.sources and len(rows) >= LEAST_EVENTS:
+        return held_out_totals(case, rows, verdict.catalogue, weighed, rng, say)
+    return None
 
 
 def _is_discrepant(verdict: Verdict) -> bool:

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.criticism.catalogue import Catalogue
 from cassini_bayes.criticism.evidence import (
     Mode,
     Weighed,
@@ -22,13 +23,14 @@ from cassini_bayes.criticism.evidence import (
 )
 from cassini_bayes.criticism.extended import (
     Case,
+    Hypothesis,
     compact,
     extend,
     none_hypothesis,
     unknown_hypothesis,
 )
 from cassini_bayes.criticism.innovations import Linear, linearise
-from cassini_bayes.criticism.naming import Verdict, flexible_case
+from cassini_bayes.criticism.naming import Oscillation, Verdict, flexible_case
 from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
@@ -59,26 +61,34 @@ class HeldOut:
 
 def case_of(verdict: Verdict, weighed: Weighed, case: Case | None = None) -> Case:
     """The case with the columns that a hypothesis needs."""
-    used = verdict.case if case is None else case
+    return _with_columns(verdict.case if case is None else case, weighed, verdict.oscillation)
+
+
+def _with_columns(case: Case, weighed: Weighed, oscillation: Oscillation | None) -> Case:
     flexible = any(effect.kind == "flexible_mode" for effect in weighed.hypothesis.effects)
-    if flexible and verdict.oscillation is not None:
-        return flexible_case(used, verdict.oscillation)
-    return used
+    if flexible and oscillation is not None:
+        return flexible_case(case, oscillation)
+    return case
 
 
-def _mode_without(verdict: Verdict, weighed: Weighed, case: Case) -> Mode:
-    """The mode of the hypothesis on a smaller case."""
+def fitted_to(
+    case: Case, catalogue: Catalogue, weighed: Weighed, oscillation: Oscillation | None = None
+) -> tuple[Hypothesis, Mode]:
+    """A weighed hypothesis and its mode on another case, such as one with an event left out.
+
+    ``oscillation`` is what ``flexible_mode`` takes its columns from.
+    """
     if weighed.name == "unknown":
-        unknown = compact(unknown_hypothesis(case, verdict.catalogue))
-        return baseline_mode(unknown.log_density, unknown.dimension)
-    none = compact(none_hypothesis(case, verdict.catalogue))
+        unknown = compact(unknown_hypothesis(case, catalogue))
+        return unknown, baseline_mode(unknown.log_density, unknown.dimension)
+    none = compact(none_hypothesis(case, catalogue))
     base = baseline_mode(none.log_density, none.dimension)
     if not weighed.hypothesis.effects:
-        return base
-    needed = case_of(verdict, weighed, case)
-    full = none_hypothesis(needed, verdict.catalogue)
+        return none, base
+    needed = _with_columns(case, weighed, oscillation)
+    full = none_hypothesis(needed, catalogue)
     hypothesis = compact(extend(full, weighed.hypothesis.effects, needed))
-    return refined_mode(hypothesis, base)
+    return hypothesis, refined_mode(hypothesis, base)
 
 
 def held_out(
@@ -91,7 +101,8 @@ def held_out(
     events = [source.id for source in verdict.case.sources]
 
     def score(event: str) -> float:
-        mode = _mode_without(verdict, weighed, verdict.case.without(event))
+        others = verdict.case.without(event)
+        _, mode = fitted_to(others, verdict.catalogue, weighed, verdict.oscillation)
         if say is not None:
             say(f"{weighed.name}: {event} held out")
         return weighed.mode.log_evidence - mode.log_evidence

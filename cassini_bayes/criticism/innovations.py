@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.criticism.cut_tails import single_cuts
 from cassini_bayes.criticism.extended import Case, Hypothesis
 from cassini_bayes.joint import full_parameters, joint_physics
 from cassini_bayes.statistics.columns import Carry, Layout, Rows, settle
@@ -222,9 +223,46 @@ def fitted_away(linear: Linear, target: Array) -> Array:
     return np.asarray(target - linear.columns @ answer)
 
 
+def with_single_cuts(
+    linear: Linear,
+    cuts: Sequence[tuple[Array, Array, Array]],
+    factors: Sequence[Array],
+) -> Linear:
+    """The linear model with a column for every single tail that may have been cut.
+
+    Parameters
+    ----------
+    linear
+        Of the likelihood's columns.
+    cuts
+        Columns (n, 3, s) in N m s, their variances (s,) and the mean (n, 3) of every event
+        (:func:`cut_tails.single_cuts`).
+    factors
+        Lower factors (3, 3) of every event's noise.
+    """
+    widths = [len(variance) for _, variance, _ in cuts]
+    added = np.zeros((len(linear.target), sum(widths)))
+    target, place = linear.target.copy(), 0
+    for part, (columns, variance, mean), factor in zip(linear.parts, cuts, factors, strict=True):
+        inverse, stop = np.linalg.inv(factor), place + len(variance)
+        white = np.einsum("ab,nbs->nas", inverse, columns)
+        added[part, place:stop] = white.reshape(3 * len(mean), len(variance))
+        target[part] -= (mean @ inverse.T).reshape(-1)
+        place = stop
+    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance, _ in cuts)])
+    return Linear(
+        target,
+        np.concatenate([linear.columns, added], axis=1),
+        np.concatenate([linear.precision, precision]),
+        linear.rows,
+    )
+
+
 def innovations(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, list[EventRows]]:
-    """Innovations of every telemetry event at the mode z."""
+    """Innovations of every telemetry event at the mode z, single cut tails fitted away as well."""
     linear, rows, factors = linearise(case, hypothesis, z)
+    cuts = [single_cuts(case, hypothesis, z, place, own.time_s) for place, own in enumerate(rows)]
+    linear = with_single_cuts(linear, cuts, factors)
     left = fitted_away(linear, linear.target)
     result = []
     place = 0

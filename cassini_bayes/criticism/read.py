@@ -44,17 +44,21 @@ def read_case(
         Bad data or priors, as when fitting.
     """
     priors = read_priors(priors_path)
-    sources: list[TelemetrySource] = []
-    rows: list[TotalsEvent] = []
-    for reference in references:
-        if is_event_folder(Path(reference)):
-            sources.append(read_source(Path(reference), priors))
-        else:
-            rows += read_totals(reference, priors.spacecraft, source)
-    totals = build_model(tuple(rows), priors) if rows else None
+    folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
+    sources = [read_source(folder, priors) for folder in folders]
+    rows = totals_rows(references, priors, source)
+    totals = build_model(rows, priors) if rows else None
     if say is not None:
         say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
     return prepare(sources, priors, totals)
+
+
+def totals_rows(
+    references: Sequence[str], priors: Priors, source: str = "flight"
+) -> tuple[TotalsEvent, ...]:
+    """Totals rows among the references, in order, as :func:`read_case` has them."""
+    tables = [reference for reference in references if not is_event_folder(Path(reference))]
+    return tuple(row for table in tables for row in read_totals(table, priors.spacecraft, source))
 
 
 def reduced_events(references: Sequence[str], priors: Priors) -> list[ReducedEvent]:

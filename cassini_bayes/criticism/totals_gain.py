@@ -7,7 +7,7 @@ inertias and the rest drawn from the posterior of the others; on-times are the r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -15,21 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.criticism.catalogue import Catalogue
-from cassini_bayes.criticism.evidence import (
-    Mode,
-    Weighed,
-    baseline_mode,
-    refined_mode,
-)
-from cassini_bayes.criticism.extended import (
-    Case,
-    Hypothesis,
-    compact,
-    extend,
-    none_hypothesis,
-    unknown_hypothesis,
-)
-from cassini_bayes.criticism.gain import WITHIN, HeldOut
+from cassini_bayes.criticism.evidence import Mode, Weighed
+from cassini_bayes.criticism.extended import Case, Hypothesis
+from cassini_bayes.criticism.gain import WITHIN, HeldOut, fitted_to
 from cassini_bayes.events import TotalsEvent
 from cassini_bayes.joint import collapse_joint
 from cassini_bayes.model import build_model, linear_system
@@ -45,6 +33,7 @@ def held_out_totals(
     catalogue: Catalogue,
     weighed: Weighed,
     rng: np.random.Generator,
+    say: Callable[[str], None] | None = None,
 ) -> HeldOut:
     """Every totals row of a case held out in turn.
 
@@ -56,13 +45,17 @@ def held_out_totals(
         The hypothesis that is fitted to the others each time.
     rng
         Of the posterior draws that predict a row.
+    say
+        Told which row is held out.
     """
-    whole, mode = _fitted(case, catalogue, weighed)
+    whole, mode = fitted_to(case, catalogue, weighed)
     scores, residuals, inside = [], [], []
-    for place in range(len(rows)):
+    for place, left_out in enumerate(rows):
+        if say is not None:
+            say(f"{weighed.name}: {left_out.id} held out")
         others = tuple(row for i, row in enumerate(rows) if i != place)
         smaller = replace(case, totals=build_model(others, case.priors))
-        hypothesis, own = _fitted(smaller, catalogue, weighed)
+        hypothesis, own = fitted_to(smaller, catalogue, weighed)
         scores.append(mode.log_evidence - own.log_evidence)
         residual, sd = predicted_balance(whole, place, hypothesis, own, rng)
         residuals.append(residual)
@@ -72,19 +65,6 @@ def held_out_totals(
         float(np.sqrt((np.array(residuals) ** 2).mean())),
         float(np.mean(inside)),
     )
-
-
-def _fitted(case: Case, catalogue: Catalogue, weighed: Weighed) -> tuple[Hypothesis, Mode]:
-    """A hypothesis and its mode on a case."""
-    if weighed.name == "unknown":
-        unknown = compact(unknown_hypothesis(case, catalogue))
-        return unknown, baseline_mode(unknown.log_density, unknown.dimension)
-    none = none_hypothesis(case, catalogue)
-    base = baseline_mode(none.log_density, none.dimension)
-    if not weighed.hypothesis.effects:
-        return none, base
-    hypothesis = compact(extend(none, weighed.hypothesis.effects, case))
-    return hypothesis, refined_mode(hypothesis, base)
 
 
 def predicted_balance(

@@ -197,7 +197,10 @@ def gain_sentence(record: Mapping[str, Any]) -> str:
     """What was gained on held-out events, in words."""
     gain = record["gain"]
     if gain["elpd_diff"] is None:
-        return "Held-out gain: not measurable (it takes three telemetry events or more)."
+        return (
+            "Held-out gain: not measurable (it takes three telemetry events or more, or three "
+            "totals rows or more; not a mix of both)."
+        )
     return (
         f"Held-out log score, leave one event out: {gain['elpd_diff']:+.1f} ± "
         f"{gain['elpd_diff_se']:.1f} nats (one standard error over events): {gain['verdict']}. "

@@ -159,7 +159,9 @@ class JointSweepModel:
     def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
         """Every quantity of the posterior at z (n, d)."""
         density = np.zeros((1, len(z)))
-        fit, _ = build_joint_fit(self.model, self.events, z[None], density, rng, {}, 1)
+        fit, _ = build_joint_fit(
+            self.model, self.events, z[None], density, rng, {}, 1, replicate=False
+        )
         return fit.posterior
 
 
