@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from cassini_bayes.criticism.catalogue import Catalogue, read_catalogue
 from cassini_bayes.criticism.correlations import Shown, show
-from cassini_bayes.criticism.evidence import Weighed, extended_mode
-from cassini_bayes.criticism.extended import Case, compact, extend, none_hypothesis
+from cassini_bayes.criticism.evidence import Weighed
+from cassini_bayes.criticism.extended import Case
 from cassini_bayes.criticism.gain import LEAST_EVENTS, HeldOut, case_of, held_out
 from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
 from cassini_bayes.criticism.naming import (
-    NEAR_NATS,
     Verdict,
     effect_draws,
     effect_values,
@@ -28,16 +27,13 @@ from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.separation import separating_measurement
 from cassini_bayes.criticism.symptoms import Symptom, find_symptoms
 from cassini_bayes.criticism.totals_gain import held_out_totals
+from cassini_bayes.criticism.widths import LEAST_PROBABILITY, width_sensitivity
 from cassini_bayes.events import TotalsEvent
-from cassini_bayes.parallel import on_threads
 from cassini_bayes.spacecraft import couples
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
-WIDTHS: Final = (0.5, 2.0)
 DISCREPANT: Final = 0.5
-LEAST_PROBABILITY: Final = 1e-6
-MOST_RESCALED: Final = 6
 
 
 @dataclass(frozen=True)
@@ -111,7 +107,7 @@ def diagnose(
             **_fit_record(extended, own_score, extended_rows),
         },
         "gain": _gain(base_score, own_score, extended_p),
-        "sensitivity": _sensitivity(verdict, threads),
+        "sensitivity": width_sensitivity(verdict, threads),
         "second_cause_nats": None
         if verdict.pair is None
         else float(verdict.pair.log_evidence - verdict.best_cause.log_evidence),
@@ -292,46 +288,6 @@ def _summary(values: Array, weights: Array) -> dict[str, Any]:
     mean = float(weights @ values / weights.sum())
     sd = float(np.sqrt(weights @ (values - mean) ** 2 / weights.sum()))
     return {"mean": mean, "sd": sd, "hdi_90": list(weighted_interval(values, weights))}
-
-
-def _sensitivity(verdict: Verdict, threads: int) -> dict[str, dict[str, float]]:
-    """Probabilities with every effect's prior half and twice as wide, for causes near the best.
-
-    Causes further than ten nats from the best keep their evidence.
-    """
-    best = max(w.log_evidence for w in verdict.weighed)
-    near = [
-        w for w in verdict.weighed if w.hypothesis.effects and w.log_evidence > best - NEAR_NATS
-    ][:MOST_RESCALED]
-    base, none = verdict.none.mode, none_hypothesis(verdict.case, verdict.catalogue)
-
-    def change(item: tuple[Weighed, float]) -> float:
-        weighed, width = item
-        case = case_of(verdict, weighed)
-        full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)
-        effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
-        hypothesis = compact(extend(full, effects, case))
-        return extended_mode(hypothesis, base).log_evidence - weighed.mode.log_evidence
-
-    changes = on_threads(change, [(w, width) for width in WIDTHS for w in near], threads)
-    result = {}
-    for i, width in enumerate(WIDTHS):
-        scores = {
-            w.name: w.log_evidence
-            - w.hypothesis.log_penalty
-            + float(np.log(w.hypothesis.prior_probability))
-            for w in verdict.weighed
-        }
-        for weighed, changed in zip(near, changes[i * len(near) :], strict=False):
-            scores[weighed.name] += changed
-        values = np.array(list(scores.values()))
-        shares = np.exp(values - values.max())
-        result[f"{width:g}"] = {
-            name: float(share / shares.sum())
-            for name, share in sorted(zip(scores, shares, strict=True), key=lambda pair: -pair[1])
-            if share / shares.sum() > LEAST_PROBABILITY
-        }
-    return result
 
 
 def _separation(verdict: Verdict) -> list[dict[str, str]]:

@@ -274,8 +274,8 @@ def _sample_near(
 ) -> list[Weighed]:
     """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
     found = list(weighed)
-    scores = np.array([_score(w) for w in found])
-    near = np.flatnonzero(scores > scores.max() - NEAR_NATS)
+    scores = [_score(w) for w in found]
+    near = [i for i, score in enumerate(scores) if score > max(scores) - NEAR_NATS]
     found = _drawn(found, near, FEW_DRAWS, rng, threads)
     best = sorted(near, key=lambda i: -_score(found[i]))[:MOST_DRAWN]
     return _drawn(found, best, DRAWS, rng, threads)
@@ -283,12 +283,12 @@ def _sample_near(
 
 def _drawn(
     weighed: Sequence[Weighed],
-    which: Sequence[int] | NDArray[np.intp],
+    which: Sequence[int],
     draws: int,
     rng: np.random.Generator,
     threads: int,
 ) -> list[Weighed]:
-    own = dict(zip((int(i) for i in which), rng.spawn(len(which)), strict=True))
+    own = dict(zip(which, rng.spawn(len(which)), strict=True))
     return on_threads(
         lambda i: sampled(weighed[i], own[i], draws) if i in own else weighed[i],
         range(len(weighed)),
