@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 Say = Callable[[str], None]
 DESCRIPTION: Final = "event.toml"
 _TAIL_BYTES: Final = 65_536
+WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
 FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
 _SAME_S: Final = 1e-9
 _TELL_S: Final = 5.0  # between lines of progress
@@ -150,11 +151,11 @@ def reduce_event(
 
 
 def _delta_v(event: TelemetryEvent, priors: Priors, sampling: Sampling) -> DeltaVStatistics | None:
-    """The measured velocity change of a burn; None for any other event.
+    """The measured velocity change of a burn or a wheel bias; None for any other event.
 
     One computed on board repeats the flight software's constants and says nothing of thrust.
     """
-    if event.kind != "delta_v" or event.delta_v_source != "measured" or not event.thrusters:
+    if event.kind not in WITH_DELTA_V or event.delta_v_source != "measured" or not event.thrusters:
         return None
     parts = ((samples_of(c), c.delta_v_m_s) for c in read_chunks(event, priors.spacecraft))
     return delta_v_statistics(event.id, parts, sampling)
