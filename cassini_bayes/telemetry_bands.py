@@ -23,6 +23,10 @@ from cassini_bayes.terms import RAD_S_PER_RPM
 Array = NDArray[np.float64]
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 ROWS_PER_MODE: Final = 2
+SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
+SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
+STILL: Final = 0.5  # probability that wheels do not move in a band
+SPARSE_STILL: Final = 0.2  # the same in the fast bands of sparse rows
 _INDEPENDENT: Final = 1e-9  # least share of the largest square that a mode of its own has
 _LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured to move at all
 _LEAST_SPREAD: Final = 1e-14
@@ -61,28 +65,44 @@ def make_bands(
     """
     walk, modes = turned_modes(statistics)
     turning = statistics.kind == "slew"
-    edges = [0, *(edge for edge in EDGES if edge < len(walk)), len(walk)]
+    edges, still = _edges(statistics, len(walk)), STILL
     bands, grams, rest = [], [], statistics.gram
     for start, stop in pairwise(edges):
         part = modes[..., start:stop]
         gram = np.einsum("cam,dbm->cdab", part, part)
-        bands.append(_band(statistics.layout, gram, stop - start, walk[start:stop], turning))
+        motion = None if turning else motion_table(stop - start, still)
+        bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion))
         grams.append(gram)
         rest = rest - gram
+        still = SPARSE_STILL if is_sparse(statistics) else STILL
     rows = statistics.rows - len(walk)
     if rows > 0:
         # Σ 1/m² over the cosines that are not there: all of their variance on the rows left
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         left = np.array([beyond * statistics.rows / rows])
-        bands.append(_band(statistics.layout, rest, rows, left, turning))
+        motion = None if turning else motion_table(rows, still)
+        bands.append(_band(statistics.layout, rest, left, rows, motion))
         grams.append(rest)
     return bands[0], tuple(bands[1:]), modes[..., : bands[0].rows], tuple(grams[1:])
 
 
-def _band(layout: Layout, gram: Array, rows: int, walk: Array, turning: bool) -> Band:
+def is_sparse(statistics: EventStatistics) -> bool:
+    """Whether wheels still move at the highest frequencies that an event's rows can show."""
+    return statistics.kind != "slew" and statistics.duration_s > SPARSE_S * statistics.rows
+
+
+def _edges(statistics: EventStatistics, modes: int) -> list[int]:
+    """First modes of the bands, and the end of the last."""
+    inner = {*EDGES}
+    if is_sparse(statistics):
+        places = [int(share * statistics.rows) for share in SPARSE_EDGES]
+        inner = {*(edge for edge in EDGES if edge < places[0]), *places}
+    return [0, *sorted(edge for edge in inner if 0 < edge < modes), modes]
+
+
+def _band(layout: Layout, gram: Array, walk: Array, rows: int, motion: CubicSpline | None) -> Band:
     square = gram[0, 0, layout.wheel, layout.wheel]
     values, vectors = np.linalg.eigh(square / rows)
-    motion = None if turning else motion_table(rows)
     return Band(rows, np.maximum(values, _LEAST_SQUARE), vectors, walk, motion)
 
 
@@ -103,7 +123,7 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
         [[gram[0, 0, one, one][None, None], mixed[None]], [mixed[:, None], statistics.mode_gram]]
     )
     values, turn = np.linalg.eigh(scale[:, None] * square * scale)
-    most = np.maximum(statistics.rows // ROWS_PER_MODE, 1)
+    most = max(statistics.rows // (1 if is_sparse(statistics) else ROWS_PER_MODE), 1)
     kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][:most]
     values, turn = values[kept], turn[:, kept]
     constant = np.stack([gram[0, c, one] for c in range(3)])
@@ -184,12 +204,13 @@ def _looked_up(band: Band, squares: Array) -> tuple[Array, Array]:
     return log_density - 0.5 * band.rows * log_square, spread
 
 
-def motion_table(rows: int) -> CubicSpline:
+def motion_table(rows: int, no_motion: float = STILL) -> CubicSpline:
     """Log density of R measured rates and E[V̂/(σ² (1 + s))], against t = log(σ²/V̂).
 
-    With V̂ their mean square, h = R/2 and s = S/σ² zero or of density ds/s on e^LOG_MOTION, the
-    density times V̂^h is the mean of exp(−h (t + log(1 + s) + e^(−t)/(1 + s))). Both depend on R
-    alone. Gauss-Legendre sums over log s: about the peak at s = e^(−t) − 1, whose width in log V
+    With V̂ their mean square, h = R/2 and s = S/σ² zero, of probability ``no_motion``, or of density
+    ds/s on e^LOG_MOTION, the density times V̂^h is the mean of
+    exp(−h (t + log(1 + s) + e^(−t)/(1 + s))). Both depend on R and ``no_motion`` alone.
+    Gauss-Legendre sums over log s: about the peak at s = e^(−t) − 1, whose width in log V
     is (2/R)^½, and on either side of it.
     """
     half = 0.5 * rows
@@ -206,11 +227,12 @@ def motion_table(rows: int) -> CubicSpline:
     exponent = -half * (t + log_v + np.exp(-t - log_v))
     still = -half * (t + np.exp(-t))
     top = np.maximum(exponent.max(axis=1, keepdims=True), still)
-    density = weight * np.exp(exponent - top) / (LOG_MOTION[1] - LOG_MOTION[0])
-    total = 0.5 * (density.sum(axis=1) + np.exp(still - top)[:, 0])
-    still_share = np.exp(still - top)[:, 0] / (2.0 * total)
-    moving = (density * np.exp(-log_v)).sum(axis=1) / (2.0 * total)
-    explained = np.exp(-t[:, 0]) * (still_share + moving)
+    moves = (1.0 - no_motion) / (LOG_MOTION[1] - LOG_MOTION[0])
+    density = moves * weight * np.exp(exponent - top)
+    at_rest = no_motion * np.exp(still - top)[:, 0]
+    total = density.sum(axis=1) + at_rest
+    noise_share = (at_rest + (density * np.exp(-log_v)).sum(axis=1)) / total
+    explained = np.exp(-t[:, 0]) * noise_share
     return CubicSpline(t[:, 0], np.stack([top[:, 0] + np.log(total), explained], axis=1))
 
 

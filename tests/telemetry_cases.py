@@ -26,6 +26,7 @@ RPM = 2.0 * np.pi / 60.0
 MODES = 512
 EDGES = (32, 128)
 ROWS_PER_MODE = 2
+SPARSE_S = 4.0
 PARTS = 4
 
 
@@ -232,6 +233,7 @@ def plain_log_likelihood(
         y = np.array(rows.rates) @ inertia
         lacking = y
         total = np.zeros((3 * n, 3 * n))
+        still = 0.2 if plain_sparse(n, samples) else 0.5
         for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
             size = round(np.trace(share))
             if not fires:
@@ -241,7 +243,7 @@ def plain_log_likelihood(
             else:
                 other = white + drift_square * np.trace(drift) / size * np.eye(3)
                 both = np.concatenate([share @ lacking, share @ wheels], axis=1)
-                kept, density = plain_estimate(both, size, other, weights, wheel_noise)
+                kept, density = plain_estimate(both, size, other, weights, wheel_noise, still)
             added = share @ wheels @ (weights @ kept).T
             own_noise = np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
             own_noise += drift_square * np.kron(drift, np.eye(3))
@@ -337,17 +339,27 @@ def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array]]:
         for m in range(1, MODES + 1)
     ]
     modes, size, _ = np.linalg.svd(np.array(waves).T, full_matrices=False)
-    count = len(times) // ROWS_PER_MODE
-    edges = [0, *(edge for edge in EDGES if edge < count), count]
+    n = len(times)
+    count, inner = n // ROWS_PER_MODE, list(EDGES)
+    if plain_sparse(n, samples):
+        count, inner = n, [*(edge for edge in EDGES if edge < n // 2), n // 2, 3 * n // 4]
+    edges = [0, *(edge for edge in inner if edge < count), count]
     bands = []
     for start, stop in pairwise(edges):
         own, variance = modes[:, start:stop], size[start:stop] ** 2
         if start > 0:
             variance = np.full_like(variance, variance.mean())
         bands.append((own @ own.T, own * variance @ own.T))
-    rest = np.eye(len(times)) - modes[:, :count] @ modes[:, :count].T
-    beyond = 2 * duration / np.pi**2 / (count - 0.5) * len(times) / (len(times) - count)
+    if count == n:
+        return bands
+    rest = np.eye(n) - modes[:, :count] @ modes[:, :count].T
+    beyond = 2 * duration / np.pi**2 / (count - 0.5) * n / (n - count)
     return [*bands, (rest, beyond * rest)]
+
+
+def plain_sparse(rows: int, samples: Samples) -> bool:
+    """Whether a bias has a usable row in four seconds at most."""
+    return samples.on_time_s.shape[1] > 0 and float(samples.time_s[-1]) > SPARSE_S * rows
 
 
 def plain_latent(wheels: Array, rows: int, noise: float) -> tuple[Array, float]:
@@ -368,7 +380,7 @@ def plain_latent(wheels: Array, rows: int, noise: float) -> tuple[Array, float]:
 
 
 def plain_estimate(
-    both: Array, rows: int, other: Array, weights: Array, noise: float
+    both: Array, rows: int, other: Array, weights: Array, noise: float, no_motion: float
 ) -> tuple[Array, float]:
     """Matrix from measured to estimated wheel rates in a fast band, and the band's own density.
 
@@ -385,10 +397,11 @@ def plain_estimate(
         log_s = np.linspace(-9.0, 34.0, 400_001)
         log_p = -0.5 * rows * np.log1p(np.exp(log_s)) - 0.5 * square / (1.0 + np.exp(log_s))
         top = max(log_p.max(), -0.5 * square)
-        p, still = np.exp(log_p - top) / 43.0, np.exp(-0.5 * square - top)
+        p = (1.0 - no_motion) * np.exp(log_p - top) / 43.0
+        still = no_motion * np.exp(-0.5 * square - top)
         total = trapezoid(p, log_s) + still
         spreads.append((trapezoid(p / (1.0 + np.exp(log_s)), log_s) + still) / total)
-        density += top + np.log(0.5 * total) + 0.5 * square * spreads[-1]
+        density += top + np.log(total) + 0.5 * square * spreads[-1]
     turned = np.linalg.inv(root) @ axes
     motion = turned * (1.0 / np.array(spreads) - 1.0) @ turned.T
     both_ways = np.linalg.inv(motion + noise * np.eye(3))

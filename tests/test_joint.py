@@ -27,7 +27,7 @@ from cassini_bayes.joint import (
 )
 from cassini_bayes.physics import physical_inertia
 from cassini_bayes.priors import Priors
-from cassini_bayes.telemetry_bands import Band, estimated_wheels, motion_table
+from cassini_bayes.telemetry_bands import Band, estimated_wheels, is_sparse, motion_table
 from cassini_bayes.telemetry_calibration import without_jacobian
 from cassini_bayes.warmstart import warm_start
 
@@ -40,8 +40,10 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
         made_up_samples(rng, 60),
         made_up_samples(rng, 50, fires=False),
         made_up_samples(rng, 300),  # enough for all bands
+        made_up_samples(rng, 110, every_s=4.0),  # sparse: as many modes as rows
     ]
     model = model_of(events)
+    assert [is_sparse(terms.statistics) for terms in model.telemetry] == [False] * 3 + [True]
     for z in 0.5 * model.space.sample(rng, 2):
         parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
         plain = plain_log_likelihood(model, events, parameters)
