@@ -6,6 +6,7 @@ import sys
 from typing import Annotated
 
 import typer
+from threadpoolctl import threadpool_limits
 
 from cassini_bayes import __version__
 from cassini_bayes.cli import calibrations, diagnoses, fits, predictions, simulations, sweeps
@@ -48,7 +49,9 @@ def _version(
 def main() -> None:
     """Entry point: errors become one line on standard error, never a traceback."""
     try:
-        app()
+        # work is spread over threads and processes, whose small matrices more threads would delay
+        with threadpool_limits(1):
+            app()
     except CassiniBayesError as error:
         _say_error(str(error))
         sys.exit(error.exit_code)
