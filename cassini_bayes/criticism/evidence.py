@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 from cassini_bayes.criticism.extended import Hypothesis
 from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.warmstart import (
+    ImportanceDraws,
     Proposal,
     hessian,
     importance,
@@ -72,6 +73,7 @@ class Weighed:
     z: Array | None = None  # (n, d)
     log_weights: Array | None = None
     pareto_k: float = float("nan")
+    proposal: Proposal | None = None  # that the draws came from
 
     @property
     def name(self) -> str:
@@ -297,23 +299,32 @@ def _own_rows(density: LogDensity, point: Array, axes: Array, d: int) -> Array:
 def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = FEW_DRAWS) -> Weighed:
     """The evidence by importance sampling from the Laplace approximation.
 
-    Where that was poor the curvature is taken anew, and refined by the draws themselves.
+    Where that was poor the curvature is taken anew, and refined by the draws themselves. What was
+    sampled before is sampled again from the proposal found then.
     """
-    hypothesis, mode = weighed.hypothesis, weighed.mode
-    density = hypothesis.log_density
-    best = importance(density, Proposal(mode.point, mode.factor, DOF), rng, draws)
-    if best.efficiency < EFFICIENT:
-        mode = renewed(hypothesis, mode)
-        proposal = Proposal(mode.point, mode.factor, DOF)
-        best = importance(density, proposal, rng, draws)
-        if best.efficiency < EFFICIENT:
-            best = importance(density, refined(proposal, best), rng, 2 * draws)
+    density = weighed.hypothesis.log_density
+    if weighed.proposal is not None:
+        again = importance(density, weighed.proposal, rng, draws)
+        return _with_draws(weighed, weighed.proposal, again)
+    proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
+    found = importance(density, proposal, rng, draws)
+    if found.efficiency < EFFICIENT:
+        weighed = replace(weighed, mode=renewed(weighed.hypothesis, weighed.mode))
+        proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
+        found = importance(density, proposal, rng, draws)
+    if found.efficiency < EFFICIENT:
+        proposal = refined(proposal, found)
+        found = importance(density, proposal, rng, 2 * draws)
+    return _with_draws(weighed, proposal, found)
+
+
+def _with_draws(weighed: Weighed, proposal: Proposal, draws: ImportanceDraws) -> Weighed:
     return replace(
         weighed,
-        mode=mode,
-        log_evidence=best.log_evidence,
-        log_evidence_se=best.log_evidence_se,
-        z=best.z,
-        log_weights=best.log_weights,
-        pareto_k=best.pareto_k,
+        proposal=proposal,
+        log_evidence=draws.log_evidence,
+        log_evidence_se=draws.log_evidence_se,
+        z=draws.z,
+        log_weights=draws.log_weights,
+        pareto_k=draws.pareto_k,
     )

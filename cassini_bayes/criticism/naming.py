@@ -139,22 +139,18 @@ def name_causes(
         On which causes are weighed side by side; the verdict does not depend on it.
     """
     tell = say if say is not None else _silent
-    none = compact(none_hypothesis(case, catalogue))
+    full = none_hypothesis(case, catalogue)
+    none = compact(full)
     base = baseline_mode(none.log_density, none.dimension)
     tell(f"none: log evidence {base.log_evidence:.1f}")
     unknown = compact(unknown_hypothesis(case, catalogue))
     start = _unknown_start(none, unknown, base)
     unknown_mode = baseline_mode(unknown.log_density, unknown.dimension, start)
     tell(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
-    linear, rows = (
-        (None, [])
-        if not case.sources
-        else innovations(case, none_hypothesis(case, catalogue), base.point)
-    )
+    linear, rows = (None, []) if not case.sources else innovations(case, full, base.point)
     weighed = [_by_laplace(none, base), _by_laplace(unknown, unknown_mode)]
     oscillation = find_oscillation(rows) if rows else None
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
-    full = none_hypothesis(case, catalogue)
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     weighed += weigh_beside(hypotheses, base, tell, threads)
     if oscillation is not None and "flexible_mode" in catalogue.names:

@@ -7,13 +7,14 @@ reach what the wider prior likes (Pareto k̂ of the changed weights) the mode is
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.criticism.evidence import Weighed, refined_mode
-from cassini_bayes.criticism.extended import compact, extend, none_hypothesis
+from cassini_bayes.criticism.extended import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.criticism.gain import case_of
 from cassini_bayes.criticism.naming import Verdict
 from cassini_bayes.parallel import on_threads
@@ -30,14 +31,22 @@ def width_sensitivity(verdict: Verdict, threads: int = 1) -> dict[str, dict[str,
     Causes whose evidence was not sampled, further than ten nats from the best, keep it.
     """
     sampled = [w for w in verdict.weighed if w.hypothesis.effects and w.z is not None]
-    return {f"{width:g}": _probabilities(verdict, sampled, width, threads) for width in WIDTHS}
+    none = none_hypothesis(verdict.case, verdict.catalogue)
+    pairs = [(width, weighed) for width in WIDTHS for weighed in sampled]
+    changes = on_threads(lambda pair: _change(verdict, none, *pair), pairs, threads)
+    changed = {
+        (width, weighed.name): change
+        for (width, weighed), change in zip(pairs, changes, strict=True)
+    }
+    return {
+        f"{width:g}": _probabilities(
+            verdict, {name: change for (own, name), change in changed.items() if own == width}
+        )
+        for width in WIDTHS
+    }
 
 
-def _probabilities(
-    verdict: Verdict, sampled: list[Weighed], width: float, threads: int
-) -> dict[str, float]:
-    changes = on_threads(lambda weighed: _change(verdict, weighed, width), sampled, threads)
-    changed = dict(zip((w.name for w in sampled), changes, strict=True))
+def _probabilities(verdict: Verdict, changed: Mapping[str, float]) -> dict[str, float]:
     scores = {
         w.name: score + changed.get(w.name, 0.0)
         for w, score in zip(verdict.weighed, verdict.log_probabilities, strict=True)
@@ -48,14 +57,15 @@ def _probabilities(
     return {name: share for name, share in ordered if share > LEAST_PROBABILITY}
 
 
-def _change(verdict: Verdict, weighed: Weighed, width: float) -> float:
+def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) -> float:
     """Change (nats) of a sampled cause's log evidence with priors wider by a factor."""
     found, k = reweighted(weighed, width)
     if k < LARGEST_K:
         return found
     case = case_of(verdict, weighed)
+    full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)
     effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
-    hypothesis = compact(extend(none_hypothesis(case, verdict.catalogue), effects, case))
+    hypothesis = compact(extend(full, effects, case))
     anew = refined_mode(hypothesis, verdict.none.mode)
     return anew.log_evidence - weighed.mode.log_evidence
 
