@@ -2,7 +2,8 @@
 
 Another width w changes a cause's evidence by the posterior mean of a ratio of priors,
 Z_w / Z = E[p_w(x) / p(x)], which its importance draws give for nothing. Where the draws do not
-reach what the wider prior likes (Pareto k̂ of the changed weights) the mode is found anew.
+reach what the other prior likes (Pareto k̂ of the changed weights, above that of the draws' own) the
+mode is found anew.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def _probabilities(verdict: Verdict, changed: Mapping[str, float]) -> dict[str, 
 def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) -> float:
     """Change (nats) of a sampled cause's log evidence with priors wider by a factor."""
     found, k = reweighted(weighed, width)
-    if k < LARGEST_K:
+    if k < max(LARGEST_K, weighed.pareto_k):
         return found
     case = case_of(verdict, weighed)
     full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)

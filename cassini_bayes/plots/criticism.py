@@ -57,7 +57,8 @@ def innovation_figure(
             for c, axis in enumerate("XYZ"):
                 panel = axes[row, c]
                 residual = own.residual_n_m_s[:, c]
-                panel.plot(own.time_s[::step], residual[::step], ".", ms=1.2, color="#c4c4c4")
+                style = {"ms": 1.2, "color": "#c4c4c4", "rasterized": True}
+                panel.plot(own.time_s[::step], residual[::step], ".", **style)
                 mean = running_mean(residual, WINDOW_ROWS)
                 panel.plot(own.time_s, mean, lw=1.4, color=POSTERIOR, label="baseline")
                 if len(extended):

@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -19,7 +20,7 @@ from cassini_bayes import __version__
 from cassini_bayes.criticism.correlations import POINTWISE, Shown
 from cassini_bayes.criticism.diagnosis import Diagnosis
 from cassini_bayes.criticism.discrepancy import Curve, verdict_curves
-from cassini_bayes.plots import Figure, encode, save_figures
+from cassini_bayes.plots import Figure, encode
 from cassini_bayes.plots.criticism import (
     cause_figure,
     correlation_figure,
@@ -27,7 +28,7 @@ from cassini_bayes.plots.criticism import (
     innovation_figure,
     whiteness_figure,
 )
-from cassini_bayes.storage import write_text
+from cassini_bayes.storage import write_bytes, write_text
 
 MOST_CAUSES: Final = 12
 CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
@@ -52,6 +53,11 @@ class Picture:
     name: str
     caption: str
     figure: Figure
+
+    @cached_property
+    def png(self) -> bytes:
+        """The figure drawn, once for its file and the page."""
+        return encode(self.figure, "png")
 
 
 def diagnosis_pictures(diagnosis: Diagnosis, curves: Sequence[Curve]) -> list[Picture]:
@@ -110,7 +116,9 @@ def write_record(
 ) -> None:
     """Write ``diagnosis.json``, ``figures/`` and ``report.html`` of any diagnosis."""
     write_text(folder / "diagnosis.json", diagnosis_json(record))
-    save_figures({own.name: own.figure for own in pictures}, folder / "figures")
+    for own in pictures:
+        write_bytes(folder / "figures" / f"{own.name}.png", own.png)
+        write_bytes(folder / "figures" / f"{own.name}.svg", encode(own.figure, "svg"))
     write_text(folder / "report.html", render_diagnosis(record, pictures, name, curves))
 
 
@@ -277,8 +285,7 @@ def render_diagnosis(
         sentences=sentences(record),
         symptoms=record["symptoms"],
         pictures=[
-            {"name": own.name, "caption": own.caption, "address": _address(own.figure)}
-            for own in pictures
+            {"name": own.name, "caption": own.caption, "address": _address(own)} for own in pictures
         ],
         closure=_closure_rows(record, curves),
         causes=[_cause_row(cause, record) for cause in record["causes"][:MOST_CAUSES]],
@@ -297,6 +304,5 @@ def render_diagnosis(
     )
 
 
-def _address(figure: Figure) -> str:
-    content = base64.b64encode(encode(figure, "png")).decode("ascii")
-    return f"data:image/png;base64,{content}"
+def _address(picture: Picture) -> str:
+    return f"data:image/png;base64,{base64.b64encode(picture.png).decode('ascii')}"
