@@ -1,0 +1,133 @@
+"""Evidence of causes: searches from the baseline's mode against closed forms and quadrature."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import dblquad
+
+from cassini_bayes.criticism.evidence import (
+    Mode,
+    Weighed,
+    baseline_mode,
+    extended_mode,
+    has_moved,
+    refined_mode,
+    sampled,
+)
+from cassini_bayes.criticism.extended import Hypothesis
+from cassini_bayes.criticism.naming import weigh_beside
+
+Array = NDArray[np.float64]
+
+
+def hypothesis(density: Callable[[Array], Array], dimension: int, name: str = "x") -> Hypothesis:
+    """A hypothesis of nothing but its density."""
+    own = SimpleNamespace(name=name, log_density=density, dimension=dimension, effects=(1,))
+    return cast(Hypothesis, own)
+
+
+def linear(columns: Array, data: Array) -> Callable[[Array], Array]:
+    """Log density of standard normals z seen through columns (m, d) with unit noise."""
+
+    def density(z: Array) -> Array:
+        left = data - z @ columns.T
+        constant = 0.5 * (len(data) + z.shape[-1]) * np.log(2.0 * np.pi)
+        return np.asarray(-0.5 * (left**2).sum(-1) - 0.5 * (z**2).sum(-1) - constant)
+
+    return density
+
+
+def exact(columns: Array, data: Array) -> float:
+    """Log evidence log N(data; 0, 1 + columns columnsᵀ)."""
+    covariance = np.eye(len(data)) + columns @ columns.T
+    _, log_det = np.linalg.slogdet(covariance)
+    square = data @ np.linalg.solve(covariance, data)
+    return float(-0.5 * (square + log_det + len(data) * np.log(2.0 * np.pi)))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.7, 6.0])
+def test_evidence_beside_a_nuisance_on_a_ridge_is_exact(size: float) -> None:
+    """Linear and normal, the effect alike a nuisance to 0.1 %: the determinant formula."""
+    rng = np.random.default_rng(3)
+    columns = rng.standard_normal((40, 4)) * [30.0, 300.0, 3.0, 0.3]
+    own = columns[:, :1] * 5.0 + 0.15 * rng.standard_normal((40, 1))
+    together = np.concatenate([columns, own], axis=1)
+    data = together @ np.array([0.5, -1.0, 0.3, 1.0, size]) + rng.standard_normal(40)
+    base = baseline_mode(linear(columns, data), 4)
+    assert base.log_evidence == pytest.approx(exact(columns, data), abs=2e-3)
+    found = extended_mode(hypothesis(linear(together, data), 5), base)
+    assert found.log_evidence == pytest.approx(exact(together, data), abs=0.02)
+    draws = sampled(Weighed(hypothesis(linear(together, data), 5), found, 0.0, 0.0), rng)
+    assert abs(draws.log_evidence - exact(together, data)) < 4.0 * draws.log_evidence_se
+    assert draws.pareto_k < 0.5
+
+
+def bent(z: Array) -> Array:
+    """A nuisance whose weight falls with the effect: so does its curvature."""
+    seen = 12.0 * z[:, 0] * np.exp(-z[:, 1]) + 2.0 * z[:, 1]
+    return np.asarray(-0.5 * (5.0 - seen) ** 2 - 0.5 * (z**2).sum(-1) - np.log(2.0 * np.pi))
+
+
+def test_evidence_where_curvature_changes_agrees_with_quadrature() -> None:
+    """A skew density of nuisance and effect: importance draws against an integral in the plane."""
+    base = baseline_mode(lambda z: bent(np.column_stack([z, np.zeros(len(z))])), 1)
+    own = hypothesis(bent, 2)
+    wanted, _ = dblquad(
+        lambda y, x: float(np.exp(bent(np.array([[x, y]]))[0])), -6, 6, -5, 6, epsabs=1e-9
+    )
+    mode = refined_mode(own, base)
+    found = sampled(Weighed(own, mode, mode.log_evidence, float("nan")), np.random.default_rng(1))
+    assert abs(found.log_evidence - np.log(wanted)) < 4.0 * found.log_evidence_se
+    assert found.log_evidence_se < 0.1
+
+
+def test_causes_that_took_a_nuisance_far_are_weighed_anew_if_they_may_win() -> None:
+    """The evidence of a far mode is renewed; that of a hopeless one is kept as it was."""
+
+    def walled(depth: float) -> Callable[[Array], Array]:
+        # the effect takes the nuisance from 0 to 1, ten of its standard deviations there, where
+        # it is four times as wide
+        def density(z: Array) -> Array:
+            width = 0.1 + 0.3 / (1.0 + np.exp(-20.0 * (z[:, 0] - 0.5)))
+            at = np.where(z.shape[-1] > 1, z[:, -1], 0.0)
+            fit = -0.5 * ((z[:, 0] - at) / width) ** 2 - 0.5 * 400.0 * (at - 1.0) ** 2
+            return np.asarray(fit - 0.5 * (z**2).sum(-1) - depth)
+
+        return density
+
+    def alone(z: Array) -> Array:
+        return walled(0.0)(np.column_stack([z, np.zeros(len(z))]))
+
+    base = baseline_mode(alone, 1)
+    both = [hypothesis(walled(0.0), 2, "near"), hypothesis(walled(500.0), 2, "hopeless")]
+    rough = [extended_mode(own, base) for own in both]
+    assert all(has_moved(mode, base) for mode in rough)
+    said: list[str] = []
+    near, hopeless = weigh_beside(both, base, said.append)
+    assert hopeless.mode.log_evidence == rough[1].log_evidence
+    assert any(text.startswith("1 causes far") for text in said)
+    wanted, _ = dblquad(
+        lambda y, x: float(np.exp(walled(0.0)(np.array([[x, y]]))[0])), -3, 4, -3, 4, epsabs=1e-9
+    )
+    assert near.log_evidence == pytest.approx(np.log(wanted), abs=0.3)  # it is not quite normal
+    assert rough[0].log_evidence < np.log(wanted) - 1.0
+
+
+def test_a_second_sampling_starts_from_the_proposal_found() -> None:
+    """More draws for the best do not search again, and agree with the first within their errors."""
+    own = hypothesis(bent, 2)
+    rough = Weighed(own, Mode(np.array([0.4, 0.0]), 0.2 * np.eye(2), 0.0), 0.0, 0.0)
+    rng = np.random.default_rng(2)
+    first = sampled(rough, rng)
+    second = sampled(first, rng, 4_000)
+    assert second.proposal is first.proposal
+    error = np.hypot(first.log_evidence_se, second.log_evidence_se)
+    assert abs(first.log_evidence - second.log_evidence) < 4.0 * error
+    assert second.z is not None
+    assert len(second.z) == 4_000
