@@ -46,7 +46,6 @@ LEAST_RIDGE: Final = 1e-6
 FAR_MOVED: Final = 3.0  # baseline standard deviations along an axis
 OWN_SCALES: Final = (0.3, 0.03, 0.003, 0.0003)  # prior standard deviations
 STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
-WORTH_A_SEARCH: Final = -1.0  # nats of log density against the baseline's mode
 EFFICIENT: Final = 0.3
 FEW_DRAWS: Final = 500
 DRAWS: Final = 2_000
@@ -170,24 +169,21 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
     """Mode of a hypothesis with more coordinates than the baseline, from the baseline's mode.
 
     From every starting value of the effect one Newton step is made in the baseline's coordinates;
-    the best goes on to a search of its own if it may matter. The determinant is the baseline's with
-    the effect's own rows and columns renewed, right as long as the nuisances are not moved far:
-    :func:`has_moved`, :func:`renewed`.
+    the best goes on to a search of its own. The determinant is the baseline's with the effect's own
+    rows and columns renewed, right as long as the nuisances are not moved far: :func:`has_moved`,
+    :func:`renewed`.
     """
     density = hypothesis.log_density
     d, extra = len(base.point), hypothesis.dimension - len(base.point)
     point = _best_start(density, base, starts(extra))
     own = _own_axes(density, point, base, extra)
-    axes, inner, is_white = _along_ridges(density, point, own, d)
-    at_base = np.concatenate([base.point, np.zeros(extra)])
-    value, least = density(np.stack([point, at_base]))
-    if value > least + WORTH_A_SEARCH:
-        for _ in range(CLIMBS):
-            point = climb(density, point, axes)
-            before = axes
-            axes, inner, is_white = _along_ridges(density, point, before, d)
-            if axes is before:
-                break
+    axes, _, _ = _along_ridges(density, point, own, d)
+    for _ in range(CLIMBS):
+        point = climb(density, point, axes)
+        before = axes
+        axes, inner, is_white = _along_ridges(density, point, axes, d)
+        if axes is before:  # they followed the ridges already: the mode was found along them
+            break
     if not is_white:
         return settled(density, point, own)
     values, vectors = np.linalg.eigh(inner)
