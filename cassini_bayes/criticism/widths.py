@@ -3,7 +3,7 @@
 Another width w changes a cause's evidence by the posterior mean of a ratio of priors,
 Z_w / Z = E[p_w(x) / p(x)], which its importance draws give for nothing. Where the draws do not
 reach what the other prior likes (Pareto k̂ of the changed weights, above that of the draws' own) the
-mode is found anew.
+mode of a cause of some probability is found anew.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from cassini_bayes.warmstart import pareto_k
 WIDTHS: Final = (0.5, 2.0)
 LEAST_PROBABILITY: Final = 1e-6
 LARGEST_K: Final = 0.7
+WORTH_A_SEARCH: Final = 0.01  # probability of a cause
 
 
 def width_sensitivity(verdict: Verdict, threads: int = 1) -> dict[str, dict[str, float]]:
@@ -61,7 +62,8 @@ def _probabilities(verdict: Verdict, changed: Mapping[str, float]) -> dict[str, 
 def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) -> float:
     """Change (nats) of a sampled cause's log evidence with priors wider by a factor."""
     found, k = reweighted(weighed, width)
-    if k < max(LARGEST_K, weighed.pareto_k):
+    is_good = k < max(LARGEST_K, weighed.pareto_k)
+    if is_good or verdict.probabilities[weighed.name] < WORTH_A_SEARCH:
         return found
     case = case_of(verdict, weighed)
     full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)
