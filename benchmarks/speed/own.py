@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import time
 from dataclasses import fields, replace
 from functools import partial
@@ -55,7 +56,9 @@ def fit_row(folders: list[Path], label: str, most_steps: int, quick: bool = Fals
     settings = SamplerSettings(target_ess=100 if quick else TARGET, max_steps=most_steps)
     if quick:
         settings = replace(settings, first_check=40, max_steps=60)
-    fitted = fit_model(model, settings, events=events, progress=stages.note)
+    fitted = fit_model(
+        model, settings, events=events, progress=stages.note, threads=os.cpu_count() or 1
+    )
     wall, processor = stages.now()
     least, least_name = least_ess(fitted)
     enough = stages.enough or (np.nan, np.nan)
