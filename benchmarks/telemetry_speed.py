@@ -167,9 +167,9 @@ def samples_part(folders: list[Path], quick: bool) -> list[Row]:
 
 def events_part(folders: list[Path], quick: bool) -> list[Row]:
     """Time of a likelihood call against the number of joint events."""
-    pairs = [(event.statistics, event.sampling) for event in reduced_events(folders[:-1])]
+    (event,) = reduced_events(folders[:1])
     counts = [1, 2, 4] if quick else [1, 2, 4, 8, 16, 32, 64]
-    return own.event_growth(pairs, counts, 3 if quick else 5)
+    return own.event_growth((event.statistics, event.sampling), counts, 3 if quick else 5)
 
 
 def reduction_part(folders: list[Path], options: argparse.Namespace) -> list[Row]:
