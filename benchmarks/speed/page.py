@@ -46,9 +46,9 @@ def _head(found: Found, path: Path) -> str:
     return (
         f"Made by `python benchmarks/telemetry_speed.py --page {path.as_posix()}` with version "
         f"{one['version']} on {one['date']}; seed 20101. {one['processor']}, Python "
-        f"{one['python']}; {packages}. One thread. The machine was shared: its "
-        f"load was {min(loads):.1f} to {max(loads):.1f} on {one['cores']} cores, so times are "
-        "**processor seconds** of that one core unless they say wall; on an idle machine the two "
+        f"{one['python']}; {packages}. Fits use all {one['cores']} cores, all else one thread. The "
+        f"machine was shared, its load {min(loads):.1f} to {max(loads):.1f}, so times are "
+        "**processor seconds** unless they say wall; with one thread on an idle machine the two "
         f"agree.\n\n![Effective draws per second of every sampler, and the cost of a likelihood "
         f"call against samples and events]({path.with_suffix('.png').name})\n\nAll numbers: "
         f"[{path.with_suffix('.csv').name}]({path.with_suffix('.csv').name})."
