@@ -11,7 +11,13 @@ from cassini_bayes.blind_rates import interval
 from cassini_bayes.criticism.blind import STRATA, stratum_of
 from cassini_bayes.criticism.cases import a_branch, flight_2004, fsds
 from cassini_bayes.criticism.catalogue import read_catalogue
-from cassini_bayes.criticism.columns import WARMUP_NODES_S, hat_weights, lagrange_weights
+from cassini_bayes.criticism.columns import (
+    WARMUP_NODES_S,
+    hat_weights,
+    lagrange_weights,
+    telemetry_columns,
+    warmup_column,
+)
 from cassini_bayes.criticism.evidence import baseline_mode
 from cassini_bayes.criticism.kinematics import rate_information, rotation_vectors
 from cassini_bayes.criticism.modifiers import modifier_of
@@ -20,7 +26,7 @@ from cassini_bayes.criticism.summaries import weigh_summaries
 from cassini_bayes.errors import InputError
 from cassini_bayes.physics import physics_of
 from cassini_bayes.priors import read_priors
-from cassini_bayes.statistics import Samples
+from cassini_bayes.statistics import RowContext, Samples
 
 ROOT = Path(__file__).parents[1]
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
@@ -122,6 +128,23 @@ def test_attitude_tells_rate_bias_and_scale() -> None:
         assert np.sqrt(covariance[0, 0]) < 5e-7
     turned = rotation_vectors(made_up(0.0, 0.0, np.random.default_rng(0)).attitude)
     assert np.abs(turned[:, :2]).max() < 1e-12
+
+
+def test_warm_up_takes_from_the_tails_of_pulses_as_well() -> None:
+    """Pulses of 125 ms with tails of 30 ms: the column is the sum of what each of them lost."""
+    width, tail, constant = 0.125, 0.030, 1.4
+    fired = np.arange(40)
+    time = np.arange(400.0)
+    count = np.minimum(time // 10.0 + 1.0, len(fired))
+    counters = (time, (width * count)[:, None], count[:, None])
+    context = RowContext(time, np.zeros((400, 3)), np.zeros((400, 3)), *counters)
+    columns = {column.name: column for column in telemetry_columns(("z1",))}
+    found = columns[warmup_column("z1", constant)].values(context)
+    lost = np.exp(-width * fired / constant) * (width + tail)
+    wanted = np.cumsum(lost)[count.astype(int) - 1]
+    # thrust is taken as that of the pulse's start in the simulation, of its moment in the column
+    assert found == pytest.approx(wanted, rel=0.6 * width / constant)
+    assert found[-1] > 1.15 * constant * -np.expm1(-width * len(fired) / constant)
 
 
 def test_laplace_is_exact_for_a_normal() -> None:

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 WARMUP_NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
 SHIFT_NODES_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
 FLEXIBLE: Final = ("flexible:cosine", "flexible:sine")
-_TAIL_S: Final = 0.030  # on-time that a pulse's tail adds; the shift's weight is good to a percent
+_TAIL_S: Final = 0.030  # on-time that a pulse's tail adds, good to some milliseconds
 
 
 def warmup_column(thruster: str, time_constant_s: float) -> str:
@@ -49,9 +49,16 @@ def telemetry_columns(thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
 
 
 def _warmup(place: int, time_constant_s: float, context: RowContext) -> Array:
-    """∫ exp(−u/t_w) du over the thruster's on-time so far: on-time lost per unit of deficit."""
+    """On-time lost per unit of deficit so far, tails included.
+
+    ∫ exp(−u/t_w) du over the commanded on-time u. A pulse's tail is as weak as the pulse: with it
+    the loss grows by the tails' share of the impulse, taken from the mean pulse so far.
+    """
     on_time = context.on_time_at(context.time_s)[:, place]
-    return np.asarray(time_constant_s * -np.expm1(-on_time / time_constant_s))
+    pulses = context.pulses_at(context.time_s)[:, place]
+    commanded = time_constant_s * -np.expm1(-on_time / time_constant_s)
+    per_second = np.divide(pulses, on_time, out=np.zeros_like(on_time), where=on_time > 0.0)
+    return np.asarray(commanded * (1.0 + _TAIL_S * per_second))
 
 
 def _shifted(place: int, offset_s: float, context: RowContext) -> Array:
