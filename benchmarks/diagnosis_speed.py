@@ -14,16 +14,12 @@ import resource
 import subprocess
 import sys
 import time
-import tomllib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from speed.problem import PRIORS, SCENARIO, SEED, priors_of
+from speed.problem import PRIORS, event_folders
 
 from cassini_bayes import __version__
-from cassini_bayes.scenario import draw_wheel_rates, simulate_file, write_simulation
-from cassini_bayes.simulation import scenario_of
 from cassini_bayes.storage import write_text
 
 LEAK = {"name": "thruster_leak:z3", "parameters": {"leak_n": 1.0e-4}}
@@ -44,28 +40,14 @@ def main() -> None:
     options = parser.parse_args()
     rows = []
     for hidden in HIDDEN:
+        effect = None if hidden == HIDDEN[0] else LEAK
         folder = options.parts / hidden.replace(" ", "-")
-        make_events(folder, hidden)
+        folders = event_folders(folder, len(SETS["six"]) - 1, effect)
         for name, events in SETS.items():
-            rows.append(row(name, hidden, [folder / event for event in events], options.parts))
+            chosen = [own for own in folders if own.name in events]
+            rows.append(row(name, hidden, chosen, options.parts))
             print(rows[-1], flush=True)
     write_text(options.page, page(rows))
-
-
-def make_events(folder: Path, hidden: str) -> None:
-    """Five biases and a slew set, simulated once."""
-    names = SETS["six"]
-    if all((folder / name / "telemetry.csv").exists() for name in names):
-        return
-    document: dict[str, Any] = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
-    events = {event["id"]: event for event in document["event"]}
-    biases = [dict(events["bias-1"], id=name) for name in names[:-1]]
-    draw_wheel_rates(biases[1:], np.random.default_rng(SEED))
-    document["event"] = [*biases, events["slews"]]
-    if hidden != HIDDEN[0]:
-        document["effect"] = [{**LEAK, "events": list(names)}]
-    scenario = scenario_of(document, SCENARIO.parent, str(SCENARIO))
-    write_simulation(simulate_file(scenario, SEED, priors=priors_of()), folder)
 
 
 def row(name: str, hidden: str, folders: list[Path], parts: Path) -> dict[str, Any]:

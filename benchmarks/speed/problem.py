@@ -31,16 +31,23 @@ def priors_of(torque_noise: bool = True) -> Priors:
     return priors if torque_noise else priors.with_fixed(NOISE, 0.0)
 
 
-def event_folders(folder: Path) -> list[Path]:
-    """Six biases (from about 1,200 rows at 1 Hz) and a slew set, simulated once, as folders."""
-    names = [f"bias-{i + 1}" for i in range(BIASES)] + ["slews"]
+def event_folders(
+    folder: Path, count: int = BIASES, effect: dict[str, Any] | None = None
+) -> list[Path]:
+    """Biases (from about 1,200 rows at 1 Hz) and a slew set, simulated once, as folders.
+
+    ``effect`` is hidden in all of them.
+    """
+    names = [f"bias-{i + 1}" for i in range(count)] + ["slews"]
     if not all((folder / name / "telemetry.csv").exists() for name in names):
         document: dict[str, Any] = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
         events = {event["id"]: event for event in document["event"]}
         rng = np.random.default_rng(SEED)
-        biases = [dict(events["bias-1"], id=name) for name in names[:BIASES]]
+        biases = [dict(events["bias-1"], id=name) for name in names[:-1]]
         draw_wheel_rates(biases[1:], rng)
         document["event"] = [*biases, events["slews"]]
+        if effect is not None:
+            document["effect"] = [{**effect, "events": names}]
         scenario = scenario_of(document, SCENARIO.parent, str(SCENARIO))
         write_simulation(simulate_file(scenario, SEED, priors=priors_of()), folder)
     return [folder / name for name in names]

@@ -59,9 +59,9 @@ class HeldOut:
         return float(np.sqrt(n) * self.log_scores.std(ddof=1)) if n > 1 else float("nan")
 
 
-def case_of(verdict: Verdict, weighed: Weighed, case: Case | None = None) -> Case:
-    """The case with the columns that a hypothesis needs."""
-    return _with_columns(verdict.case if case is None else case, weighed, verdict.oscillation)
+def case_of(verdict: Verdict, weighed: Weighed) -> Case:
+    """The verdict's case with the columns that a hypothesis needs."""
+    return _with_columns(verdict.case, weighed, verdict.oscillation)
 
 
 def _with_columns(case: Case, weighed: Weighed, oscillation: Oscillation | None) -> Case:
