@@ -13,15 +13,17 @@ from scipy.integrate import dblquad
 
 from cassini_bayes.criticism.evidence import (
     Mode,
+    Sought,
     Weighed,
     baseline_mode,
     extended_mode,
     has_moved,
+    near_mode,
     refined_mode,
     sampled,
 )
 from cassini_bayes.criticism.extended import Hypothesis
-from cassini_bayes.criticism.naming import weigh_beside
+from cassini_bayes.criticism.naming import hopeful, weigh_beside
 
 Array = NDArray[np.float64]
 
@@ -61,16 +63,22 @@ def test_evidence_beside_a_nuisance_on_a_ridge_is_exact(size: float) -> None:
     data = together @ np.array([0.5, -1.0, 0.3, 1.0, size]) + rng.standard_normal(40)
     base = baseline_mode(linear(columns, data), 4)
     assert base.log_evidence == pytest.approx(exact(columns, data), abs=2e-3)
-    found = extended_mode(hypothesis(linear(together, data), 5), base)
-    assert found.log_evidence == pytest.approx(exact(together, data), abs=0.02)
-    draws = sampled(Weighed(hypothesis(linear(together, data), 5), found, 0.0, 0.0), rng)
+    own = hypothesis(linear(together, data), 5)
+    found = extended_mode(own, base)
+    assert found.reach == 0.0
+    assert found.mode.log_evidence == pytest.approx(exact(together, data), abs=0.02)
+    draws = sampled(Weighed(own, found.mode, 0.0, 0.0), rng)
     assert abs(draws.log_evidence - exact(together, data)) < 4.0 * draws.log_evidence_se
     assert draws.pareto_k < 0.5
+    near = near_mode(own, base)
+    assert (near.reach == 0.0) == (size == 0.0)  # what gains many nats calls for a longer search
+    if size < 6.0:
+        assert near.mode.log_evidence == pytest.approx(exact(together, data), abs=0.02)
 
 
 def bent(z: Array) -> Array:
     """A nuisance whose weight falls with the effect: so does its curvature."""
-    seen = 12.0 * z[:, 0] * np.exp(-z[:, 1]) + 2.0 * z[:, 1]
+    seen = 12.0 * z[:, 0] * np.exp(-0.5 * z[:, 1]) + 2.0 * z[:, 1]
     return np.asarray(-0.5 * (5.0 - seen) ** 2 - 0.5 * (z**2).sum(-1) - np.log(2.0 * np.pi))
 
 
@@ -87,36 +95,46 @@ def test_evidence_where_curvature_changes_agrees_with_quadrature() -> None:
     assert found.log_evidence_se < 0.1
 
 
-def test_causes_that_took_a_nuisance_far_are_weighed_anew_if_they_may_win() -> None:
-    """The evidence of a far mode is renewed; that of a hopeless one is kept as it was."""
+def walled(depth: float) -> Callable[[Array], Array]:
+    """An effect that takes a nuisance from 0 to 1, ten of its standard deviations there.
 
-    def walled(depth: float) -> Callable[[Array], Array]:
-        # the effect takes the nuisance from 0 to 1, ten of its standard deviations there, where
-        # it is four times as wide
-        def density(z: Array) -> Array:
-            width = 0.1 + 0.3 / (1.0 + np.exp(-20.0 * (z[:, 0] - 0.5)))
-            at = np.where(z.shape[-1] > 1, z[:, -1], 0.0)
-            fit = -0.5 * ((z[:, 0] - at) / width) ** 2 - 0.5 * 400.0 * (at - 1.0) ** 2
-            return np.asarray(fit - 0.5 * (z**2).sum(-1) - depth)
+    Where it is at 1 it is four times as wide.
+    """
 
-        return density
+    def density(z: Array) -> Array:
+        width = 0.1 + 0.3 / (1.0 + np.exp(-20.0 * (z[:, 0] - 0.5)))
+        at = np.where(z.shape[-1] > 1, z[:, -1], 0.0)
+        fit = -0.5 * ((z[:, 0] - at) / width) ** 2 - 0.5 * 400.0 * (at - 1.0) ** 2
+        return np.asarray(fit - 0.5 * (z**2).sum(-1) - depth)
 
-    def alone(z: Array) -> Array:
-        return walled(0.0)(np.column_stack([z, np.zeros(len(z))]))
+    return density
 
-    base = baseline_mode(alone, 1)
-    both = [hypothesis(walled(0.0), 2, "near"), hypothesis(walled(500.0), 2, "hopeless")]
-    rough = [extended_mode(own, base) for own in both]
-    assert all(has_moved(mode, base) for mode in rough)
-    said: list[str] = []
-    near, hopeless = weigh_beside(both, base, said.append)
-    assert hopeless.mode.log_evidence == rough[1].log_evidence
-    assert any(text.startswith("1 causes far") for text in said)
+
+def test_a_cause_that_took_a_nuisance_far_is_marked_and_sampled_right() -> None:
+    """Laplace with the baseline's curvature is short by nats and says so; draws mend it."""
+    base = baseline_mode(lambda z: walled(0.0)(np.column_stack([z, np.zeros(len(z))])), 1)
+    own = hypothesis(walled(0.0), 2)
+    assert has_moved(extended_mode(own, base).mode, base)
+    (rough,) = weigh_beside([own], base, print)
+    assert rough.unsure > 0.0
     wanted, _ = dblquad(
         lambda y, x: float(np.exp(walled(0.0)(np.array([[x, y]]))[0])), -3, 4, -3, 4, epsabs=1e-9
     )
-    assert near.log_evidence == pytest.approx(np.log(wanted), abs=0.3)  # it is not quite normal
-    assert rough[0].log_evidence < np.log(wanted) - 1.0
+    found = sampled(rough, np.random.default_rng(4), 2_000)
+    assert rough.log_evidence < np.log(wanted) - 1.0
+    assert abs(found.log_evidence - np.log(wanted)) < 4.0 * found.log_evidence_se
+    assert found.unsure == 0.0
+
+
+def test_only_causes_that_may_come_near_the_best_are_searched_further() -> None:
+    """A search that has ended is not repeated; a hopeless one is left; a floor raises the bar."""
+
+    def sought(log_evidence: float, reach: float) -> Sought:
+        return Sought(Mode(np.zeros(1), np.eye(1), log_evidence), reach)
+
+    found = [sought(0.0, 0.0), sought(-20.0, 30.0), sought(-500.0, 30.0), sought(-900.0, np.inf)]
+    assert hopeful(found, -np.inf) == [1, 3]
+    assert hopeful(found, 50.0) == [3]
 
 
 def test_a_second_sampling_starts_from_the_proposal_found() -> None:

@@ -6,9 +6,9 @@ search end at a cause's own mode, and finite differences have the right size alo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,16 +38,24 @@ WHITE: Final = (0.8, 1.25)  # curvature along axes that need no other look
 NEWTON_STEPS: Final = 8
 GAIN_LEFT: Final = 1e-3  # nats
 LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
-CLIMBS: Final = 3
 RIDGE_ROUNDS: Final = 2
+NEAR_ROUNDS: Final = 9
+NEAR_TURNS: Final = 3
+NEAR_LEFT: Final = 0.02  # nats
+NEAR_GAIN, NEAR_FAR = 5.0, 20.0  # nats gained, nats that a step foretells
+SHORTER: Final = 0.3
+FEW_STEPS: Final = 6
+LACKING_NATS, LACKING_SHARE = 30.0, 2.0
 LEAST_CROSS: Final = 0.1
 FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
 LEAST_RIDGE: Final = 1e-6
 FAR_MOVED: Final = 3.0  # baseline standard deviations along an axis
 OWN_SCALES: Final = (0.3, 0.03, 0.003, 0.0003)  # prior standard deviations
 STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
-EFFICIENT: Final = 0.3
-FEW_DRAWS: Final = 500
+NEAR_STARTS: Final = (-3.5, -2.5, -1.8, -1.2, -0.7, -0.3, 0.0, 0.4, 1.0, 2.0)
+LEAST_EFFICIENCY: Final = 0.1
+TRUSTED_K: Final = 0.7
+FEW_DRAWS: Final = 300
 DRAWS: Final = 2_000
 DOF: Final = 8.0
 
@@ -59,6 +67,28 @@ class Mode:
     point: Array
     factor: Array
     log_evidence: float
+    is_whole: bool = False  # the curvature is that at this point, in all coordinates
+
+    @property
+    def value(self) -> float:
+        """Log density at the mode."""
+        return self.log_evidence - _volume(self.factor)
+
+
+@dataclass(frozen=True)
+class Sought:
+    """How far the search for a hypothesis's mode has come, and what it may still gain (nats)."""
+
+    mode: Mode
+    reach: float = 0.0
+
+
+class _Rows(NamedTuple):
+    """Value, slope and curvature along axes of which the first are white."""
+
+    value: float
+    slope: Array  # (D,)
+    inner: Array  # (D, D)
 
 
 @dataclass(frozen=True)
@@ -73,6 +103,7 @@ class Weighed:
     log_weights: Array | None = None
     pareto_k: float = float("nan")
     proposal: Proposal | None = None  # that the draws came from
+    unsure: float = 0.0  # nats by which Laplace's evidence may be short
 
     @property
     def name(self) -> str:
@@ -133,7 +164,7 @@ def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
         if left == 0 or (is_white and 0.5 * float(((slope @ turned) ** 2).sum()) < GAIN_LEFT):
             break
         point = climb(log_density, point, axes)
-    return _mode(log_density, point, axes)
+    return replace(_mode(log_density, point, axes), is_whole=True)
 
 
 def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
@@ -152,43 +183,92 @@ def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -
 
 
 def _mode(log_density: LogDensity, point: Array, factor: Array) -> Mode:
+    return Mode(point, factor, float(log_density(point[None])[0]) + _volume(factor))
+
+
+def _volume(factor: Array) -> float:
+    """Log of what the peak of a normal density with this triangular factor is to be times."""
     log_det = float(np.log(np.abs(np.diagonal(factor))).sum())
-    value = float(log_density(point[None])[0])
-    return Mode(point, factor, value + 0.5 * len(point) * np.log(2.0 * np.pi) + log_det)
+    return 0.5 * len(factor) * float(np.log(2.0 * np.pi)) + log_det
 
 
-def starts(extra: int) -> Array:
+def starts(extra: int, values: Sequence[float] = STARTS) -> Array:
     """Starting values (s, extra) of an effect's coordinates: along each axis and at the middle."""
     points = [np.zeros(extra)]
     for axis in range(extra):
-        points += [value * np.eye(extra)[axis] for value in STARTS if value != 0.0]
+        points += [value * np.eye(extra)[axis] for value in values if value != 0.0]
     return np.array(points)
 
 
-def extended_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
+def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
+    """Mode of a cause that the data hardly speak of, by Newton steps from the baseline's mode.
+
+    The nuisances keep the baseline's curvature; that of the effect, across and along, is looked at
+    before every step. The search has not ended where it comes to no rest, nor where the cause gains
+    more than a few nats: there may be another mode.
+    """
+    density = hypothesis.log_density
+    d, extra = len(base.point), hypothesis.dimension - len(base.point)
+    tried = starts(extra, NEAR_STARTS)
+    tried = np.concatenate([np.tile(base.point, (len(tried), 1)), tried], axis=1)
+    seen = density(tried)
+    point, value = tried[int(np.nanargmax(seen))], float(np.nanmax(seen))
+    axes = _own_axes(density, point, base, extra)
+    step, foretold, turns = np.zeros(d + extra), 0.0, 0
+    for _ in range(NEAR_ROUNDS):
+        rows = _own_rows(density, point + step, axes, d)
+        if not rows.value - value >= LEAST_SHARE * foretold:
+            step, foretold = SHORTER * step, SHORTER * foretold
+            continue
+        point, value, step, foretold = point + step, rows.value, np.zeros(d + extra), 0.0
+        ridge, is_white = _ridge(axes, rows.inner, d)
+        if not is_white:
+            turns += 1
+            if turns > NEAR_TURNS:
+                break
+            axes = np.concatenate([axes[:, :d], ridge], axis=1)
+            continue
+        turns = 0
+        values, vectors = np.linalg.eigh(rows.inner)
+        turned = axes @ vectors / np.sqrt(values)
+        slope = vectors.T @ rows.slope / np.sqrt(values)
+        foretold = 0.5 * float(slope @ slope)
+        if foretold > NEAR_FAR:
+            break
+        if foretold < NEAR_LEFT:
+            mode = _mode(density, point, lower_factor(turned))
+            gain = value + 0.5 * extra * float(np.log(2.0 * np.pi)) - base.value
+            return Sought(mode, 0.0 if gain < NEAR_GAIN else _lacking(mode, base))
+        step = turned @ slope
+    return Sought(_mode(density, point, axes), np.inf)
+
+
+def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
     """Mode of a hypothesis with more coordinates than the baseline, from the baseline's mode.
 
     From every starting value of the effect one Newton step is made in the baseline's coordinates;
-    the best goes on to a search of its own. The determinant is the baseline's with the effect's own
-    rows and columns renewed, right as long as the nuisances are not moved far: :func:`has_moved`,
-    :func:`renewed`.
+    the best goes on to a climb. The determinant is the baseline's with the effect's own rows and
+    columns renewed, right as long as the nuisances are not moved far (:func:`has_moved`). Where
+    these rows are not white after the climb the search has not ended; a cause that could win has
+    the better part of its gain by then.
     """
     density = hypothesis.log_density
     d, extra = len(base.point), hypothesis.dimension - len(base.point)
     point = _best_start(density, base, starts(extra))
-    own = _own_axes(density, point, base, extra)
-    axes, _, _ = _along_ridges(density, point, own, d)
-    for _ in range(CLIMBS):
-        point = climb(density, point, axes)
-        before = axes
-        axes, inner, is_white = _along_ridges(density, point, axes, d)
-        if axes is before:  # they followed the ridges already: the mode was found along them
-            break
+    axes, _, _ = _along_ridges(density, point, _own_axes(density, point, base, extra), d)
+    point = climb(density, point, axes, FEW_STEPS)
+    turned, inner, is_white = _along_ridges(density, point, axes, d)
     if not is_white:
-        return settled(density, point, own)
+        mode = _mode(density, point, axes)
+        return Sought(mode, _lacking(mode, base))
     values, vectors = np.linalg.eigh(inner)
-    turned = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
-    return _mode(density, point, lower_factor(axes @ turned))
+    turned = turned @ vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+    return Sought(_mode(density, point, lower_factor(turned)))
+
+
+def _lacking(mode: Mode, base: Mode) -> float:
+    """Nats that a search which has not ended may lack: a few, and twice what it gained."""
+    return LACKING_NATS + LACKING_SHARE * max(mode.log_evidence - base.log_evidence, 0.0)
 
 
 def has_moved(mode: Mode, base: Mode) -> bool:
@@ -209,31 +289,37 @@ def renewed(hypothesis: Hypothesis, mode: Mode) -> Mode:
 
 def refined_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
     """Mode and whole curvature of a single cause that matters, from the baseline's mode."""
-    return renewed(hypothesis, extended_mode(hypothesis, base))
+    return renewed(hypothesis, extended_mode(hypothesis, base).mode)
+
+
+def _ridge(axes: Array, inner: Array, d: int) -> tuple[Array, bool]:
+    """The last axes turned along the ridges on which the effect trades with the nuisances.
+
+    With them whether those there are followed the ridges already. With the baseline's coordinates
+    white and c, h the effect's rows of the curvature, the ridge is (−c, 1) and its curvature
+    h − cᵀc. That difference of large numbers is good after a few rounds.
+    """
+    cross, own = inner[:d, d:], inner[d:, d:]
+    values, vectors = np.linalg.eigh(own - cross.T @ cross)
+    is_white = (cross**2).sum() < LEAST_CROSS and WHITE[0] < values[0] and values[-1] < WHITE[1]
+    least = max(FLATTEST * float(np.abs(np.diagonal(own)).max()), LEAST_RIDGE)
+    turn = vectors / np.sqrt(np.maximum(values, least))
+    ridge = axes @ np.concatenate([-cross @ turn, turn])
+    length = np.abs(ridge[d:]).max(0)
+    return ridge / np.maximum(length, 1.0), bool(is_white)
 
 
 def _along_ridges(
     density: LogDensity, point: Array, axes: Array, d: int
 ) -> tuple[Array, Array, bool]:
-    """Axes whose last ones follow the ridges along which the effect trades with the nuisances.
-
-    With them the curvature along them, and whether that is white. With the baseline's coordinates
-    white and c, h the effect's rows of the curvature, the ridge is (−c, 1) and its curvature
-    h − cᵀc. That difference of large numbers is good after a few rounds.
-    """
+    """Axes whose last ones follow the ridges, the curvature along them, whether that is white."""
     for left in reversed(range(RIDGE_ROUNDS + 1)):
-        inner = _own_rows(density, point, axes, d)
-        cross, own = inner[:d, d:], inner[d:, d:]
-        values, vectors = np.linalg.eigh(own - cross.T @ cross)
-        is_white = (cross**2).sum() < LEAST_CROSS and WHITE[0] < values[0] and values[-1] < WHITE[1]
+        inner = _own_rows(density, point, axes, d).inner
+        ridge, is_white = _ridge(axes, inner, d)
         if is_white or left == 0:
             break
-        least = max(FLATTEST * float(np.abs(np.diagonal(own)).max()), LEAST_RIDGE)
-        turn = vectors / np.sqrt(np.maximum(values, least))
-        ridge = axes @ np.concatenate([-cross @ turn, turn])
-        length = np.abs(ridge[d:]).max(0)
-        axes = np.concatenate([axes[:, :d], ridge / np.maximum(length, 1.0)], axis=1)
-    return axes, inner, bool(is_white)
+        axes = np.concatenate([axes[:, :d], ridge], axis=1)
+    return axes, inner, is_white
 
 
 def _best_start(density: LogDensity, base: Mode, tried: Array) -> Array:
@@ -277,10 +363,10 @@ def _own_axes(density: LogDensity, point: Array, base: Mode, extra: int) -> Arra
     return axes
 
 
-def _own_rows(density: LogDensity, point: Array, axes: Array, d: int) -> Array:
-    """Curvature in the coordinates of ``axes``: the unit matrix but for the effect's own rows."""
+def _own_rows(density: LogDensity, point: Array, axes: Array, d: int) -> _Rows:
+    """Value, slope and curvature along ``axes``: the unit matrix but for the effect's own rows."""
     size = axes.shape[1]
-    inner = np.eye(size)
+    inner, slope = np.eye(size), np.zeros(size)
     h, unit = CURVATURE_STEP, axes.T
     for i in range(d, size):
         away = np.stack([h * unit[i], -h * unit[i]])
@@ -289,14 +375,16 @@ def _own_rows(density: LogDensity, point: Array, axes: Array, d: int) -> Array:
         slopes = (values[3:].reshape(2, i) - values[1:3, None]) / STEP
         inner[i, :i] = inner[:i, i] = -(slopes[0] - slopes[1]) / (2.0 * h)
         inner[i, i] = (2.0 * values[0] - values[1] - values[2]) / h**2
-    return inner
+        slope[i] = (values[1] - values[2]) / (2.0 * h)
+    slope[:d] = slopes.mean(0)[:d] + 0.5 * STEP
+    return _Rows(float(values[0]), slope, inner)
 
 
 def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = FEW_DRAWS) -> Weighed:
     """The evidence by importance sampling from the Laplace approximation.
 
-    Where that was poor the curvature is taken anew, and refined by the draws themselves. What was
-    sampled before is sampled again from the proposal found then.
+    Where that was poor the curvature is taken anew, and refined by the draws themselves if that
+    helps. What was sampled before is sampled again from the proposal found then.
     """
     density = weighed.hypothesis.log_density
     if weighed.proposal is not None:
@@ -304,20 +392,28 @@ def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = FEW_DRAWS) 
         return _with_draws(weighed, weighed.proposal, again)
     proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
     found = importance(density, proposal, rng, draws)
-    if found.efficiency < EFFICIENT:
+    if _is_poor(found) and not weighed.mode.is_whole:
         weighed = replace(weighed, mode=renewed(weighed.hypothesis, weighed.mode))
         proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
         found = importance(density, proposal, rng, draws)
-    if found.efficiency < EFFICIENT:
-        proposal = refined(proposal, found)
-        found = importance(density, proposal, rng, 2 * draws)
+    if _is_poor(found):
+        turned = refined(proposal, found)
+        again = importance(density, turned, rng, 2 * draws)
+        if again.efficiency > found.efficiency:
+            proposal, found = turned, again
     return _with_draws(weighed, proposal, found)
+
+
+def _is_poor(draws: ImportanceDraws) -> bool:
+    """Few effective draws, or weights of a tail that leaves out some of the evidence."""
+    return draws.efficiency < LEAST_EFFICIENCY or draws.pareto_k > TRUSTED_K
 
 
 def _with_draws(weighed: Weighed, proposal: Proposal, draws: ImportanceDraws) -> Weighed:
     return replace(
         weighed,
         proposal=proposal,
+        unsure=0.0,
         log_evidence=draws.log_evidence,
         log_evidence_se=draws.log_evidence_se,
         z=draws.z,

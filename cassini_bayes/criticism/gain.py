@@ -18,8 +18,8 @@ from cassini_bayes.criticism.catalogue import Catalogue
 from cassini_bayes.criticism.evidence import (
     Mode,
     Weighed,
-    baseline_mode,
-    refined_mode,
+    climb,
+    settled,
 )
 from cassini_bayes.criticism.extended import (
     Case,
@@ -78,17 +78,27 @@ def fitted_to(
 
     ``oscillation`` is what ``flexible_mode`` takes its columns from.
     """
-    if weighed.name == "unknown":
-        unknown = compact(unknown_hypothesis(case, catalogue))
-        return unknown, baseline_mode(unknown.log_density, unknown.dimension)
-    none = compact(none_hypothesis(case, catalogue))
-    base = baseline_mode(none.log_density, none.dimension)
-    if not weighed.hypothesis.effects:
-        return none, base
     needed = _with_columns(case, weighed, oscillation)
-    full = none_hypothesis(needed, catalogue)
-    hypothesis = compact(extend(full, weighed.hypothesis.effects, needed))
-    return hypothesis, refined_mode(hypothesis, base)
+    if weighed.name == "unknown":
+        full = unknown_hypothesis(case, catalogue)
+    else:
+        full = none_hypothesis(needed, catalogue)
+    effects = weighed.hypothesis.effects
+    hypothesis = compact(extend(full, effects, needed) if effects else full)
+    density = hypothesis.log_density
+    start = carried(weighed.mode, weighed.hypothesis, hypothesis)
+    return hypothesis, settled(density, climb(density, start.point, start.factor), start.factor)
+
+
+def carried(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
+    """A mode in the coordinates of a hypothesis on other events, its new ones at their prior."""
+    before = list(old.model.space.names)
+    both = [i for i, name in enumerate(new.model.space.names) if name in before]
+    places = [before.index(new.model.space.names[i]) for i in both]
+    point, covariance = np.zeros(new.dimension), np.eye(new.dimension)
+    point[both] = mode.point[places]
+    covariance[np.ix_(both, both)] = (mode.factor @ mode.factor.T)[np.ix_(places, places)]
+    return Mode(point, np.asarray(np.linalg.cholesky(covariance)), float("nan"))
 
 
 def held_out(

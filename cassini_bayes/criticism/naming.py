@@ -16,10 +16,12 @@ from cassini_bayes.criticism.evidence import (
     DRAWS,
     FEW_DRAWS,
     Mode,
+    Sought,
     Weighed,
     baseline_mode,
     extended_mode,
     has_moved,
+    near_mode,
     renewed,
     sampled,
 )
@@ -43,6 +45,7 @@ from cassini_bayes.parallel import on_threads
 Array = NDArray[np.float64]
 NEAR_NATS: Final = 10.0
 MARGIN_NATS: Final = 30.0
+MOVED_NATS: Final = 10.0
 MOST_DRAWN: Final = 3
 SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
@@ -154,7 +157,8 @@ def name_causes(
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     weighed += weigh_beside(hypotheses, base, tell, threads)
     if oscillation is not None and "flexible_mode" in catalogue.names:
-        weighed.append(_flexible(case, catalogue, oscillation, base))
+        best = max(own.log_evidence for own in weighed)
+        weighed.append(_flexible(case, catalogue, oscillation, base, best))
     weighed = _sample_near(weighed, rng, threads)
     weighed, log_probabilities = _ranked(weighed)
     verdict = Verdict(
@@ -185,42 +189,47 @@ def _by_laplace(hypothesis: Hypothesis, mode: Mode) -> Weighed:
 
 
 def weigh_beside(
-    hypotheses: Sequence[Hypothesis], base: Mode, say: Say, threads: int = 1
+    hypotheses: Sequence[Hypothesis],
+    base: Mode,
+    say: Say,
+    threads: int = 1,
+    floor: float = -np.inf,
 ) -> list[Weighed]:
     """Extensions of one baseline by Laplace evidence.
 
-    Where nuisances moved far from the baseline's mode everything is taken anew, for all causes that
-    could be among the best: further than thirty nats, and twice the most that this has gained, from
-    the best they keep what they have.
+    Newton steps beside the baseline's mode first; then longer and longer searches, each for those
+    whose search has not ended and that could still come within thirty nats of the best (or of
+    ``floor``). The others keep what they have.
     """
     done: list[str] = []
 
-    def weigh(hypothesis: Hypothesis) -> Weighed:
-        found = _by_laplace(hypothesis, extended_mode(hypothesis, base))
+    def near(hypothesis: Hypothesis) -> Sought:
+        found = near_mode(hypothesis, base)
         done.append(hypothesis.name)
         if len(done) % 10 == 0:
             say(f"{len(done)} of {len(hypotheses)} causes weighed")
         return found
 
-    weighed = on_threads(weigh, hypotheses, threads)
-    left = {i for i, found in enumerate(weighed) if has_moved(found.mode, base)}
-    margin = MARGIN_NATS
-    while True:
-        best = max(found.log_evidence for found in weighed)
-        due = [i for i in sorted(left) if weighed[i].log_evidence > best - margin]
-        if not due:
-            return weighed
-        say(f"{len(due)} causes far from the baseline weighed anew")
-        anew = on_threads(lambda i: _renewed(weighed[i]), due, threads)
-        for i, found in zip(due, anew, strict=True):
-            margin = max(margin, MARGIN_NATS + 2.0 * (found.log_evidence - weighed[i].log_evidence))
-            weighed[i] = found
-        left.difference_update(due)
+    found = on_threads(near, hypotheses, threads)
+    longer: tuple[tuple[str, Callable[[int], Sought]], ...] = (
+        ("searched further", lambda i: extended_mode(hypotheses[i], base)),
+        ("searched along all axes", lambda i: Sought(renewed(hypotheses[i], found[i].mode))),
+    )
+    for what, search in longer:
+        due = hopeful(found, floor)
+        if due:
+            say(f"{len(due)} causes {what}")
+            anew = dict(zip(due, on_threads(search, due, threads), strict=True))
+            found = [anew.get(i, own) for i, own in enumerate(found)]
+    weighed = [_by_laplace(own, at.mode) for own, at in zip(hypotheses, found, strict=True)]
+    return [replace(w, unsure=MOVED_NATS) if has_moved(w.mode, base) else w for w in weighed]
 
 
-def _renewed(weighed: Weighed) -> Weighed:
-    hypothesis = weighed.hypothesis
-    return _by_laplace(hypothesis, renewed(hypothesis, weighed.mode))
+def hopeful(found: Sequence[Sought], floor: float) -> list[int]:
+    """Those whose search has not ended and that could come within thirty nats of the best."""
+    least = max(floor, *(own.mode.log_evidence for own in found)) - MARGIN_NATS
+    reached = [own.mode.log_evidence + own.reach for own in found]
+    return [i for i, own in enumerate(found) if own.reach > 0.0 and reached[i] > least]
 
 
 def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
@@ -246,11 +255,13 @@ def find_oscillation(rows: Sequence[EventRows]) -> Oscillation:
     return Oscillation(frequency, damping, axis, float(np.log(looks * len(_DAMPINGS))))
 
 
-def _flexible(case: Case, catalogue: Catalogue, oscillation: Oscillation, base: Mode) -> Weighed:
+def _flexible(
+    case: Case, catalogue: Catalogue, oscillation: Oscillation, base: Mode, best: float
+) -> Weighed:
     """``flexible_mode`` at the frequency found, less the nats that the search costs."""
     own, model_case = catalogue.effect("flexible_mode"), flexible_case(case, oscillation)
     hypothesis = compact(extend(none_hypothesis(model_case, catalogue), [own], model_case))
-    (weighed,) = weigh_beside([hypothesis], base, _silent)
+    (weighed,) = weigh_beside([hypothesis], base, _silent, floor=best)
     return replace(weighed, hypothesis=replace(hypothesis, log_penalty=oscillation.log_looks))
 
 
@@ -271,7 +282,8 @@ def _sample_near(
     """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
     found = list(weighed)
     scores = [_score(w) for w in found]
-    near = [i for i, score in enumerate(scores) if score > max(scores) - NEAR_NATS]
+    least = max(scores) - NEAR_NATS
+    near = [i for i, score in enumerate(scores) if score + found[i].unsure > least]
     found = _drawn(found, near, FEW_DRAWS, rng, threads)
     best = sorted(near, key=lambda i: -_score(found[i]))[:MOST_DRAWN]
     return _drawn(found, best, DRAWS, rng, threads)

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.criticism.evidence import Weighed, refined_mode
+from cassini_bayes.criticism.evidence import Weighed, settled
 from cassini_bayes.criticism.extended import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.criticism.gain import case_of
 from cassini_bayes.criticism.naming import Verdict
@@ -69,7 +69,9 @@ def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) 
     full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)
     effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
     hypothesis = compact(extend(full, effects, case))
-    anew = refined_mode(hypothesis, verdict.none.mode)
+    point = weighed.hypothesis.model.space.to_parameters(weighed.mode.point[None])
+    start = hypothesis.model.space.to_standard(point)[0]
+    anew = settled(hypothesis.log_density, start, weighed.mode.factor)
     return anew.log_evidence - weighed.mode.log_evidence
 
 

@@ -118,6 +118,7 @@ def write_record(
     write_text(folder / "diagnosis.json", diagnosis_json(record))
     for own in pictures:
         write_bytes(folder / "figures" / f"{own.name}.png", own.png)
+        own.figure.set_layout_engine("none")  # the places found for the first file serve the second
         write_bytes(folder / "figures" / f"{own.name}.svg", encode(own.figure, "svg"))
     write_text(folder / "report.html", render_diagnosis(record, pictures, name, curves))
 
