@@ -21,6 +21,7 @@ from cassini_bayes.criticism.blind_flights import Blind, Hidden, Scene
 from cassini_bayes.criticism.blind_sizes import (
     MOST_DRAWS,
     Stage,
+    hidden_oscillation,
     sized_between,
     sized_from_prior,
     stage,
@@ -29,15 +30,14 @@ from cassini_bayes.criticism.catalogue import Catalogue, Effect, read_catalogue
 from cassini_bayes.criticism.evidence import Weighed, baseline_mode
 from cassini_bayes.criticism.extended import compact, none_hypothesis
 from cassini_bayes.criticism.naming import (
-    Oscillation,
     Verdict,
     effect_draws,
     effect_values,
-    flexible_case,
     name_causes,
     weighted_interval,
 )
 from cassini_bayes.criticism.oracle import classifier, sizes_of
+from cassini_bayes.criticism.oscillation import flexible_case
 from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.uncatalogued import draw_uncatalogued
 from cassini_bayes.priors import Priors, read_priors
@@ -167,7 +167,7 @@ def _oracle(
     effect, values = verdict.catalogue.effect(hidden[0].name), hidden[0].parameters
     line = verdict.oscillation
     if effect.kind == "flexible_mode":
-        line = Oscillation(values["frequency_hz"], values["damping"], int(values["axis"]), 0.0)
+        line = hidden_oscillation(values)[0]
     flexible = None if line is None else flexible_case(verdict.case, line)
     found = classifier(verdict.case, verdict.catalogue, verdict.none.mode, values, flexible)
     return {

@@ -8,7 +8,7 @@ counts is measured on the flight that has it (:mod:`cassini_bayes.criticism.shif
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from cassini_bayes.criticism.blind_flights import Hidden, Scene
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
 from cassini_bayes.criticism.evidence import Mode
 from cassini_bayes.criticism.extended import Case, Hypothesis, none_hypothesis
-from cassini_bayes.criticism.naming import Oscillation, flexible_case
+from cassini_bayes.criticism.oscillation import Oscillation, flexible_case
 from cassini_bayes.criticism.shift import Seen, changed_size, held, modelled_size, seen_at_truth
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
@@ -39,7 +39,7 @@ _ONE_SIDED: Final[Mapping[str, float]] = {
     "thrust_warmup": 1.0,
     "thruster_degraded": -1.0,
 }
-CURVED: Final = ("flexible_mode", "rate_bias", "rate_scale")
+CURVED: Final = ("rate_bias", "rate_scale")
 """Kinds whose size is the curvature's: attitude against rates speaks too, and nothing answers."""
 
 
@@ -192,7 +192,7 @@ def sized_between(
     """An effect of low to high σ; None where no size that is believable and flies is that large."""
     sigma = float(rng.uniform(low, high))
     if effect.kind == "flexible_mode":
-        return _flexible(stage, effect, sigma, rng)
+        return _flexible(stage, effect, (sigma, (low, high)), rng)
     path = draw_path(effect, rng)
     rate = sensitivity(stage.case, stage.catalogue, stage.base, path)
     if rate <= 0.0:
@@ -246,25 +246,60 @@ def _next(tried: list[tuple[float, float]], sigma: float) -> float | None:
     return min(s * float(np.clip(sigma / value, 0.25, 4.0)), LARGEST_IN_PRIOR_SCALES)
 
 
-def _flexible(
-    stage: Stage, effect: Effect, sigma: float | None, rng: np.random.Generator
-) -> Hidden | None:
-    """An oscillation: frequency log-uniform between 10 and 316 mHz, size given or by prior."""
-    frequency = float(10.0 ** rng.uniform(-2.0, -0.5))
-    damping, axis = float(rng.choice([0.0, 0.001, 0.003])), int(rng.integers(3))
-    shown = flexible_case(stage.case, Oscillation(frequency, damping, axis, 0.0))
-    scale = float(effect.parameters[0].distribution.keywords["scale"])
-    path = Growth(effect, {"cosine_rad_s": scale, "sine_rad_s": 0.0}, {})
-    rate = sensitivity(shown, stage.catalogue, stage.base, path)
-    if rate <= 0.0:
-        return None
-    s = float(np.hypot(*rng.standard_normal(2))) if sigma is None else sigma / rate
-    if sigma is not None and s > LARGEST_IN_PRIOR_SCALES:
-        return None
-    parameters = {
-        "frequency_hz": frequency,
-        "damping": damping,
-        "amplitude_rad_s": s * scale,
-        "axis": float(axis),
+def hidden_oscillation(values: Mapping[str, float]) -> tuple[Oscillation, dict[str, float]]:
+    """What the model calls an oscillation that the simulation hides: its line, its parameters.
+
+    The simulation is told the frequency of the free spacecraft and how fast the body swings.
+    """
+    clamped = float(np.sqrt(1.0 - values["inertia_fraction"]))
+    line = Oscillation(
+        values["frequency_hz"] * clamped, values["damping"] * clamped, int(values["axis"]), 0.0
+    )
+    found = {
+        "cosine_rad_s": -values["amplitude_rad_s"],
+        "sine_rad_s": 0.0,
+        "inertia_fraction": values["inertia_fraction"],
     }
-    return Hidden(effect.name, parameters, s * rate)
+    return line, found
+
+
+def _flexible(
+    stage: Stage,
+    effect: Effect,
+    wanted: tuple[float, tuple[float, float]] | None,
+    rng: np.random.Generator,
+) -> Hidden | None:
+    """An oscillation between 10 and 316 mHz (log-uniform), size σ and its span given or by prior.
+
+    Amplitude and moving inertia grow together: however little it swings at first, an appendage is
+    driven by whatever moves the body.
+    """
+    known = {
+        "frequency_hz": float(10.0 ** rng.uniform(-2.0, -0.5)),
+        "damping": float(rng.choice([0.0, 0.001, 0.003])),
+        "axis": float(rng.integers(3)),
+    }
+    drawn = {p.key: float(p.distribution.sample(rng, 1)[0]) for p in effect.parameters}
+    amplitude = float(np.hypot(drawn["cosine_rad_s"], drawn["sine_rad_s"]))
+
+    def at(s: float) -> Hidden | None:
+        parameters = {
+            **known,
+            "amplitude_rad_s": s * amplitude,
+            "inertia_fraction": s * drawn["inertia_fraction"],
+        }
+        hidden = Hidden(effect.name, parameters, float("nan"))
+        try:
+            seen = stage.seen(hidden)
+        except InputError:
+            return None  # not a motion that the simulation accepts
+        line, values = hidden_oscillation(parameters)
+        case = flexible_case(seen.case, line)
+        none = none_hypothesis(case, stage.catalogue)
+        sigma = modelled_size(replace(seen, case=case, none=none), effect, values)
+        return replace(hidden, sigma=sigma)
+
+    if wanted is None:
+        return at(1.0)
+    sigma, span = wanted
+    return search_size(at, 1.0, sigma, span)

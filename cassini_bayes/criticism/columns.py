@@ -7,18 +7,20 @@ weight is on-time (s per column unit); other columns carry a momentum weight of 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from cassini_bayes.statistics import ExtraColumn, RowContext
 
 Array = NDArray[np.float64]
 WARMUP_NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
 SHIFT_NODES_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
-FLEXIBLE: Final = ("flexible:cosine", "flexible:sine")
+FLEXIBLE: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
 _TAIL_S: Final = 0.030  # on-time that a pulse's tail adds, good to some milliseconds
 
 
@@ -72,17 +74,69 @@ def _shifted(place: int, offset_s: float, context: RowContext) -> Array:
     return counted(context.on_time_s) + _TAIL_S * counted(context.pulses)
 
 
-def flexible_columns(frequency_hz: float, damping: float) -> tuple[ExtraColumn, ...]:
-    """exp(−ζ 2π f t) times cosine and sine of 2π f t."""
-    return tuple(
-        ExtraColumn(name, partial(_oscillation, frequency_hz, damping, part))
-        for part, name in enumerate(FLEXIBLE)
+def flexible_columns(frequency_hz: float, damping: float, axis: int) -> tuple[ExtraColumn, ...]:
+    """exp(−ζ 2π f t) times cosine and sine of 2π f t, and what the body's own rate drives."""
+    return (
+        *(
+            ExtraColumn(name, partial(_oscillation, frequency_hz, damping, part))
+            for part, name in enumerate(FLEXIBLE[:2])
+        ),
+        ExtraColumn(FLEXIBLE[2], partial(_driven, frequency_hz, damping, axis)),
     )
 
 
 def _oscillation(frequency_hz: float, damping: float, part: int, context: RowContext) -> Array:
     phase = 2.0 * np.pi * frequency_hz * context.time_s
     return np.asarray(np.exp(-damping * phase) * (np.cos(phase), np.sin(phase))[part])
+
+
+def _driven(frequency_hz: float, damping: float, axis: int, context: RowContext) -> Array:
+    known = known_motion(context.time_s, context.rate_rad_s[:, [axis]])
+    return np.asarray(known.appendage(frequency_hz, damping) + known.body)[:, 0]
+
+
+@dataclass(frozen=True)
+class KnownMotion:
+    """What the rows before each row say of the body's rate, on a grid of the rows' median step.
+
+    The last line before a row is that of the step before, so that a row's own noise is not in it:
+    it would be taken for an answer to it.
+    """
+
+    step_s: float
+    slope: Array  # (g, c) of the rate after each grid point, rad/s²
+    change: Array  # (g, c) of the last slope by that of the step before
+    place: NDArray[np.intp]  # (n,) of the rows in the grid
+    body: Array  # (n, c) rate of the body at the rows, rad/s
+
+    def appendage(self, frequency_hz: float, damping: float) -> Array:
+        """Rate (n, c) of an appendage against its body at the rows, rad/s.
+
+        θ'' + 2 ζ Ω θ' + Ω² θ = −ω' with Ω = 2π f, at rest at the first row; ω goes in straight
+        lines from row to row, and the response to them is exact.
+        """
+        omega, step = 2.0 * np.pi * frequency_hz, self.step_s
+        turned = omega * np.sqrt(1.0 - damping**2)
+        decay = np.exp(-damping * omega * step)
+        cosine, sine = decay * np.cos(turned * step), decay * np.sin(turned * step) / turned
+        # of the transition of (θ, θ') over a step: its first column, and what a steady ω' adds
+        first, second = cosine + damping * omega * sine, -(omega**2) * sine
+        added = -(1.0 - first) / omega**2, -sine
+        ahead = [0.0, added[1], second * added[0] - first * added[1]]
+        answer = lfilter(ahead, [1.0, -2.0 * cosine, decay**2], self.slope, axis=0)
+        return np.asarray((answer + added[1] * self.change)[self.place])
+
+
+def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
+    """The motion that rows (n,) with rates (n, c) tell."""
+    step = float(np.median(np.diff(time_s)))
+    place = np.round((time_s - time_s[0]) / step).astype(np.intp)
+    grid = time_s[0] + step * np.arange(place[-1] + 1)
+    shown = np.stack([np.interp(grid, time_s, rate) for rate in rate_rad_s.T], axis=1)
+    slope = np.diff(shown, axis=0, append=shown[-1:]) / step
+    change = np.zeros_like(slope)
+    change[2:] = slope[:-2] - slope[1:-1]
+    return KnownMotion(step, slope, change, place, (shown + step * change)[place])
 
 
 def hat_weights(value: Array, nodes: Array) -> Array:

@@ -30,7 +30,8 @@ from cassini_bayes.criticism.extended import (
     unknown_hypothesis,
 )
 from cassini_bayes.criticism.innovations import Linear, linearise
-from cassini_bayes.criticism.naming import Oscillation, Verdict, flexible_case
+from cassini_bayes.criticism.naming import Verdict
+from cassini_bayes.criticism.oscillation import Oscillation, flexible_case
 from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]

@@ -288,26 +288,3 @@ def innovations(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, l
             )
         )
     return linear, result
-
-
-def strongest_oscillation(rows: Sequence[EventRows]) -> tuple[float, int, float, int]:
-    """Frequency [Hz], body axis and power of the largest peak of the innovations' periodograms.
-
-    The last value is how many independent frequencies and axes were looked at.
-    """
-    best = (0.0, 2, -np.inf)
-    looks = 0
-    for own in rows:
-        steps = np.diff(own.time_s)
-        span = own.time_s[-1] - own.time_s[0]
-        highest = 0.5 / float(np.median(steps))
-        frequencies = np.arange(4.0, highest * span) / span
-        if len(frequencies) == 0:
-            continue
-        looks += 3 * len(frequencies)
-        phase = 2.0 * np.pi * np.outer(frequencies, own.time_s)
-        power = np.abs(np.exp(-1j * phase) @ own.white) ** 2 / len(own.time_s)
-        f, axis = np.unravel_index(int(power.argmax()), power.shape)
-        if power[f, axis] > best[2]:
-            best = (float(frequencies[f]), int(axis), float(power[f, axis]))
-    return (*best, max(looks, 1))

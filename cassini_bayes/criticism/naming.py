@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
-from cassini_bayes.criticism.columns import FLEXIBLE, flexible_columns
 from cassini_bayes.criticism.evidence import (
     DRAWS,
     FEW_DRAWS,
@@ -31,15 +30,10 @@ from cassini_bayes.criticism.extended import (
     compact,
     extend,
     none_hypothesis,
-    reduce_source,
     unknown_hypothesis,
 )
-from cassini_bayes.criticism.innovations import (
-    EventRows,
-    Linear,
-    innovations,
-    strongest_oscillation,
-)
+from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
+from cassini_bayes.criticism.oscillation import Oscillation, find_oscillation, flexible_case
 from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
@@ -50,18 +44,7 @@ MOST_DRAWN: Final = 3
 SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
 SUMMARY_DRAWS: Final = 2_000
-_DAMPINGS: Final = (0.0, 0.001, 0.003, 0.01, 0.03)
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Oscillation:
-    """The strongest line of the innovations: what ``flexible_mode`` is given to explain."""
-
-    frequency_hz: float
-    damping: float
-    axis: int
-    log_looks: float  # nats that the search costs
 
 
 @dataclass(frozen=True)
@@ -152,11 +135,13 @@ def name_causes(
     tell(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
     linear, rows = (None, []) if not case.sources else innovations(case, full, base.point)
     weighed = [_by_laplace(none, base), _by_laplace(unknown, unknown_mode)]
-    oscillation = find_oscillation(rows) if rows else None
+    oscillation = None
+    if linear is not None:
+        oscillation = _look_for_oscillation(catalogue, full, base, linear, rows)
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     weighed += weigh_beside(hypotheses, base, tell, threads)
-    if oscillation is not None and "flexible_mode" in catalogue.names:
+    if oscillation is not None:
         best = max(own.log_evidence for own in weighed)
         weighed.append(_flexible(case, catalogue, oscillation, base, best))
     weighed = _sample_near(weighed, rng, threads)
@@ -238,21 +223,19 @@ def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
     return np.array([np.clip(at.get(name, 0.0), -3.0, 3.0) for name in unknown.model.space.names])
 
 
-def find_oscillation(rows: Sequence[EventRows]) -> Oscillation:
-    """The strongest line of the innovations and the damping that suits it best."""
-    frequency, axis, _, looks = strongest_oscillation(rows)
-    powers = []
-    for damping in _DAMPINGS:
-        total = 0.0
-        for own in rows:
-            phase = 2.0 * np.pi * frequency * own.time_s
-            decay = np.exp(-damping * phase)
-            columns = np.stack([decay * np.cos(phase), decay * np.sin(phase)], axis=1)
-            seen = columns.T @ own.white[:, axis]
-            total += float(seen @ np.linalg.solve(columns.T @ columns + 1e-9 * np.eye(2), seen))
-        powers.append(total)
-    damping = _DAMPINGS[int(np.argmax(powers))]
-    return Oscillation(frequency, damping, axis, float(np.log(looks * len(_DAMPINGS))))
+def _look_for_oscillation(
+    catalogue: Catalogue, none: Hypothesis, base: Mode, linear: Linear, rows: Sequence[EventRows]
+) -> Oscillation | None:
+    if "flexible_mode" not in catalogue.names:
+        return None
+    parameters = none.model.space.to_parameters(base.point)
+    inertia = [float(parameters[f"inertia_{axis}{axis}_kg_m2"]) for axis in "xyz"]
+    scale = {
+        p.key: float(p.distribution.keywords["scale"])
+        for p in catalogue.effect("flexible_mode").parameters
+    }
+    scales = scale["cosine_rad_s"], scale["inertia_fraction"]
+    return find_oscillation(rows, linear, np.array(inertia), scales)
 
 
 def _flexible(
@@ -263,17 +246,6 @@ def _flexible(
     hypothesis = compact(extend(none_hypothesis(model_case, catalogue), [own], model_case))
     (weighed,) = weigh_beside([hypothesis], base, _silent, floor=best)
     return replace(weighed, hypothesis=replace(hypothesis, log_penalty=oscillation.log_looks))
-
-
-def flexible_case(case: Case, oscillation: Oscillation) -> Case:
-    """The case reduced again with the columns of the oscillation."""
-    columns = flexible_columns(oscillation.frequency_hz, oscillation.damping)
-    assert {column.name for column in columns} == set(FLEXIBLE)
-    statistics = tuple(
-        reduce_source(source, case.priors, columns, sampling.pulse_shape.name)
-        for source, (_, sampling) in zip(case.sources, case.statistics, strict=True)
-    )
-    return replace(case, statistics=statistics, flexible_axis=oscillation.axis)
 
 
 def _sample_near(

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
-from cassini_bayes.criticism.blind_sizes import NULL_VALUES
+from cassini_bayes.criticism.blind_sizes import NULL_VALUES, hidden_oscillation
 from cassini_bayes.criticism.catalogue import AXES, Catalogue, Effect
 from cassini_bayes.criticism.evidence import Mode
 from cassini_bayes.criticism.extended import RATE_KINDS, Case, Hypothesis, extend, none_hypothesis
@@ -160,8 +160,7 @@ def classifier(
 def sizes_of(effect: Effect, values: Mapping[str, float], truth: Mapping[str, float]) -> Array:
     """A hidden effect's parameters in prior scales, as the classifier's columns count them."""
     if effect.kind == "flexible_mode":
-        scale = float(effect.parameters[0].distribution.keywords["scale"])
-        return np.array([values["amplitude_rad_s"] / scale, 0.0])
+        values = hidden_oscillation(values)[1]
     return np.array(
         [
             (values[p.key] - (truth[p.key] if p.is_departure else _null(p.key)))

@@ -23,8 +23,8 @@ Change = Callable[[Plan, str, Values], Plan]
 AXES: Final = ("x", "y", "z")
 ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 FLEXIBLE_INERTIA_FRACTION: Final = 0.01
-"""Inertia of the oscillating part over the spacecraft's about the same axis: small, so that the
-given amplitude is what the rates show."""
+"""Usual inertia of the oscillating part over the spacecraft's about the same axis: small, so that
+the given amplitude is what the rates show."""
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,10 @@ def _rate_scale(plan: Plan, target: str, values: Values) -> Plan:
 def _flexible_mode(plan: Plan, _: str, values: Values) -> Plan:
     index = int(values["axis"])
     element = ELEMENTS[index]
-    inertia = FLEXIBLE_INERTIA_FRACTION * plan.parameters[f"inertia_{element}_kg_m2"]
+    fraction = values["inertia_fraction"]
+    inertia = fraction * plan.parameters[f"inertia_{element}_kg_m2"]
     # what is given is the free spacecraft's mode; an appendage has the modes of a clamped one
-    clamped = math.sqrt(1.0 - FLEXIBLE_INERTIA_FRACTION)
+    clamped = math.sqrt(1.0 - fraction)
     mode = Appendage(
         name="flexible_mode",
         axis=_set((0.0, 0.0, 0.0), index, 1.0),
@@ -120,7 +121,7 @@ def _flexible_mode(plan: Plan, _: str, values: Values) -> Plan:
         frequency_hz=values["frequency_hz"] * clamped,
         damping=values["damping"] * clamped,
         # momentum is shared: I ω = −J_a θ̇ about the axis
-        initial_rate_rad_s=values["amplitude_rad_s"] / FLEXIBLE_INERTIA_FRACTION,
+        initial_rate_rad_s=values["amplitude_rad_s"] / fraction,
     )
     return replace(plan, appendages=(*plan.appendages, mode))
 
@@ -182,7 +183,7 @@ _ALL: Final = (
         ("frequency_hz", "damping", "amplitude_rad_s"),
         None,
         _flexible_mode,
-        optional=MappingProxyType({"axis": 2.0}),
+        optional=MappingProxyType({"axis": 2.0, "inertia_fraction": FLEXIBLE_INERTIA_FRACTION}),
     ),
     Effect(
         "firing_logic",
@@ -211,7 +212,14 @@ _ALL: Final = (
     Effect("plume_impingement", ("lever_m",), "thruster", _plume, catalogued=False),
 )
 EFFECTS: Final[Mapping[str, Effect]] = MappingProxyType({effect.name: effect for effect in _ALL})
-_POSITIVE: Final = ("thrust_factor", "warmup_time_s", "width_s", "decay_s", "frequency_hz")
+_POSITIVE: Final = (
+    "thrust_factor",
+    "warmup_time_s",
+    "width_s",
+    "decay_s",
+    "frequency_hz",
+    "inertia_fraction",
+)
 _NOT_NEGATIVE: Final = ("leak_n", "tau_fall_s", "damping", "warmup_deficit")
 
 
@@ -313,6 +321,8 @@ def _checked(where: str, key: str, value: object) -> float:
         raise InputError(where, "0 or more", repr(value), "give a size that is physical")
     if key == "warmup_deficit" and number > 1.0:
         raise InputError(where, "a fraction from 0 to 1", repr(value), "1 is no thrust when cold")
+    if key == "inertia_fraction" and number >= 1.0:
+        raise InputError(where, "a fraction below 1", repr(value), "an appendage is a part")
     if key == "thrust_fraction" and number <= -1.0:
         raise InputError(where, "more than -1", repr(value), "-1 would be no thrust at all")
     if key == "axis" and number not in (0.0, 1.0, 2.0):

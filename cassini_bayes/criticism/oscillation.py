@@ -1,0 +1,165 @@
+"""What ``flexible_mode`` is given to explain: the oscillation that the innovations speak for.
+
+An appendage on a spring (a boom, sloshing propellant) of moment of inertia φ J about a body axis
+moves at a rate ω + q; its momentum φ J q is what the balance lacks. With Ω and ζ of the clamped
+appendage q'' + 2 ζ Ω q' + Ω² q = −ω'': q is a free oscillation, cosine and sine, and an answer D to
+the body's own motion, which firings and wheels drive. What the balance lacks is
+J (c e^(−ζΩt) cos Ωt + s e^(−ζΩt) sin Ωt − φ D), whatever the controllers do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from cassini_bayes.criticism.columns import FLEXIBLE, KnownMotion, flexible_columns, known_motion
+from cassini_bayes.criticism.extended import Case, reduce_source
+from cassini_bayes.criticism.innovations import EventRows, Linear
+
+Array = NDArray[np.float64]
+LEAST_CYCLES: Final = 4.0  # in the longest event: what is slower is a drift
+DAMPINGS: Final = (0.0, 0.001, 0.003, 0.01, 0.03)
+COARSE_DAMPING: Final = 0.001
+PEAKS: Final = 6
+FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width
+CHUNK: Final = 128  # frequencies at once
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """A damped oscillation about a body axis: frequency and damping of the clamped appendage."""
+
+    frequency_hz: float
+    damping: float
+    axis: int
+    log_looks: float  # nats that the search costs
+
+
+def flexible_case(case: Case, oscillation: Oscillation) -> Case:
+    """The case reduced again with the columns of the oscillation."""
+    columns = flexible_columns(oscillation.frequency_hz, oscillation.damping, oscillation.axis)
+    assert {column.name for column in columns} == set(FLEXIBLE)
+    statistics = tuple(
+        reduce_source(source, case.priors, columns, sampling.pulse_shape.name)
+        for source, (_, sampling) in zip(case.sources, case.statistics, strict=True)
+    )
+    return replace(case, statistics=statistics, flexible_axis=oscillation.axis)
+
+
+def find_oscillation(
+    rows: Sequence[EventRows], linear: Linear, inertia_kg_m2: Array, scales: tuple[float, float]
+) -> Oscillation | None:
+    """The oscillation of most evidence; None where the events are too short for any.
+
+    All frequencies a line's width apart are looked at with one damping and with what the fit takes
+    away left in the columns; the best of them and their neighbours with all dampings and with that
+    taken off.
+
+    Parameters
+    ----------
+    rows, linear
+        Innovations of every event and the linear model that left them.
+    inertia_kg_m2
+        Moments (3,) about body axes.
+    scales
+        Prior scales of the amplitude (rad/s) and of the appendage's share φ of the inertia.
+    """
+    span = max(float(own.time_s[-1] - own.time_s[0]) for own in rows)
+    highest = 0.5 / min(float(np.median(np.diff(own.time_s))) for own in rows)
+    frequencies = np.arange(LEAST_CYCLES / span, highest, 1.0 / span)
+    if len(frequencies) == 0:
+        return None
+    motions = [known_motion(own.time_s, own.rate_rad_s) for own in rows]
+    size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
+    scores = np.concatenate(
+        [
+            _coarse(rows, motions, frequencies[first : first + CHUNK], size)
+            for first in range(0, len(frequencies), CHUNK)
+        ]
+    )
+    factor = cho_factor(linear.gram())
+    best, line = -np.inf, Oscillation(float(frequencies[0]), 0.0, 2, 0.0)
+    for f, axis in _peaks(scores):
+        for shift in FINER:
+            frequency = float(frequencies[f] + shift / span)
+            for damping in DAMPINGS:
+                gram, seen = _fine(rows, motions, linear, factor, frequency, damping, axis)
+                score = float(_log_evidence(gram, seen, size[axis]))
+                if score > best:
+                    best, line = score, Oscillation(frequency, damping, axis, 0.0)
+    return replace(line, log_looks=float(np.log(3 * len(frequencies) * len(DAMPINGS))))
+
+
+def _log_evidence(gram: Array, seen: Array, size: Array) -> Array:
+    """log Z (...) against no oscillation of columns with Gram (..., 3, 3), Aᵀy (..., 3)."""
+    precision = gram * size[..., :, None] * size[..., None, :] + np.eye(gram.shape[-1])
+    b = seen * size
+    mean = np.linalg.solve(precision, b[..., None])[..., 0]
+    return np.asarray(0.5 * (b * mean).sum(-1) - 0.5 * np.linalg.slogdet(precision)[1])
+
+
+def _coarse(
+    rows: Sequence[EventRows], motions: Sequence[KnownMotion], frequencies: Array, size: Array
+) -> Array:
+    """Log evidence (f, 3) of every frequency about every axis, columns as they are."""
+    gram = np.zeros((len(frequencies), 3, 3, 3))
+    seen = np.zeros((len(frequencies), 3, 3))
+    for own, motion in zip(rows, motions, strict=True):
+        directions = np.linalg.inv(own.noise_factor)  # column a: a unit of momentum, whitened
+        lengths = (directions**2).sum(0)
+        left = own.white @ directions  # (n, 3)
+        phase = 2.0 * np.pi * np.outer(frequencies, own.time_s)
+        decay = np.exp(-COARSE_DAMPING * phase)
+        free = decay * np.cos(phase), decay * np.sin(phase)  # each (f, n)
+        driven = np.stack([motion.appendage(f, COARSE_DAMPING) for f in frequencies], axis=1)
+        for axis in range(3):
+            columns = (*free, -driven[:, :, axis].T)
+            for i, one in enumerate(columns):
+                seen[:, axis, i] += one @ left[:, axis]
+                for j in range(i + 1):
+                    product = lengths[axis] * np.einsum("fn,fn->f", one, columns[j])
+                    gram[:, axis, i, j] += product
+                    gram[:, axis, j, i] = gram[:, axis, i, j]
+    return _log_evidence(gram, seen, size)
+
+
+def _peaks(scores: Array) -> list[tuple[int, int]]:
+    """Places (frequency, axis) of the highest scores, no two of them neighbours."""
+    found: list[tuple[int, int]] = []
+    for flat in np.argsort(-scores, axis=None):
+        f, axis = (int(i) for i in np.unravel_index(int(flat), scores.shape))
+        if all(axis != a or abs(f - g) > 1 for g, a in found):
+            found.append((f, axis))
+        if len(found) == PEAKS:
+            break
+    return found
+
+
+def _fine(
+    rows: Sequence[EventRows],
+    motions: Sequence[KnownMotion],
+    linear: Linear,
+    factor: tuple[Array, bool],
+    frequency_hz: float,
+    damping: float,
+    axis: int,
+) -> tuple[Array, Array]:
+    """Gram (3, 3) and Aᵀy (3,) of one oscillation's columns, what the fit takes away taken off."""
+    gram, seen = np.zeros((3, 3)), np.zeros(3)
+    across = np.zeros((linear.columns.shape[1], 3))
+    for own, motion, part in zip(rows, motions, linear.parts, strict=True):
+        phase = 2.0 * np.pi * frequency_hz * own.time_s
+        decay = np.exp(-damping * phase)
+        driven = -motion.appendage(frequency_hz, damping)[:, axis]
+        series = np.stack([decay * np.cos(phase), decay * np.sin(phase), driven], axis=1)
+        direction = np.linalg.inv(own.noise_factor)[:, axis]
+        columns = (series[:, None, :] * direction[:, None]).reshape(-1, 3)
+        gram += columns.T @ columns
+        seen += columns.T @ own.white.reshape(-1)
+        across += linear.columns[part].T @ columns
+    return gram - across.T @ cho_solve(factor, across), seen
