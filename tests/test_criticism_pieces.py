@@ -17,6 +17,7 @@ from cassini_bayes.criticism.columns import (
     lagrange_weights,
     telemetry_columns,
     warmup_column,
+    warmup_tail_column,
 )
 from cassini_bayes.criticism.evidence import baseline_mode
 from cassini_bayes.criticism.kinematics import rate_information, rotation_vectors
@@ -131,7 +132,7 @@ def test_attitude_tells_rate_bias_and_scale() -> None:
 
 
 def test_warm_up_takes_from_the_tails_of_pulses_as_well() -> None:
-    """Pulses of 125 ms with tails of 30 ms: the column is the sum of what each of them lost."""
+    """Pulses of 125 ms with tails of 30 ms: the columns are the sum of what each of them lost."""
     width, tail, constant = 0.125, 0.030, 1.4
     fired = np.arange(40)
     time = np.arange(400.0)
@@ -139,12 +140,16 @@ def test_warm_up_takes_from_the_tails_of_pulses_as_well() -> None:
     counters = (time, (width * count)[:, None], count[:, None])
     context = RowContext(time, np.zeros((400, 3)), np.zeros((400, 3)), *counters)
     columns = {column.name: column for column in telemetry_columns(("z1",))}
-    found = columns[warmup_column("z1", constant)].values(context)
-    lost = np.exp(-width * fired / constant) * (width + tail)
-    wanted = np.cumsum(lost)[count.astype(int) - 1]
-    # thrust is taken as that of the pulse's start in the simulation, of its moment in the column
-    assert found == pytest.approx(wanted, rel=0.6 * width / constant)
-    assert found[-1] > 1.15 * constant * -np.expm1(-width * len(fired) / constant)
+    commanded = columns[warmup_column("z1", constant)].values(context)
+    tails = columns[warmup_tail_column("z1", constant)].values(context)
+    ends = width * (fired + 1.0)
+    of_pulses = constant * (np.exp(-(ends - width) / constant) - np.exp(-ends / constant))
+    place = count.astype(int) - 1
+    assert commanded == pytest.approx(np.cumsum(of_pulses)[place])
+    # the first pulse is before the first reading, where nothing had been lost
+    wanted = np.cumsum(np.exp(-ends / constant)) - np.exp(-ends[0] / constant)
+    assert tails == pytest.approx(wanted[place])
+    assert tail * tails[-1] > 0.15 * commanded[-1]
 
 
 def test_laplace_is_exact_for_a_normal() -> None:

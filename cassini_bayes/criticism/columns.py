@@ -21,12 +21,18 @@ Array = NDArray[np.float64]
 WARMUP_NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
 SHIFT_NODES_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
 FLEXIBLE: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
+_SAME_S: Final = 1e-6  # a reading at the time of a row is known there
 _TAIL_S: Final = 0.030  # on-time that a pulse's tail adds, good to some milliseconds
 
 
 def warmup_column(thruster: str, time_constant_s: float) -> str:
     """Name of the column of a warm-up of this time constant."""
     return f"warmup:{time_constant_s:g}@{thruster}"
+
+
+def warmup_tail_column(thruster: str, time_constant_s: float) -> str:
+    """Name of the column of the tails that such a warm-up weakens."""
+    return f"warmup-tail:{time_constant_s:g}@{thruster}"
 
 
 def shift_column(thruster: str, offset_s: float) -> str:
@@ -39,8 +45,12 @@ def telemetry_columns(thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
     columns: list[ExtraColumn] = []
     for k, name in enumerate(thrusters):
         columns += [
-            ExtraColumn(warmup_column(name, node), partial(_warmup, k, node))
+            column
             for node in WARMUP_NODES_S
+            for column in (
+                ExtraColumn(warmup_column(name, node), partial(_warmup, k, node)),
+                ExtraColumn(warmup_tail_column(name, node), partial(_warmup_tails, k, node)),
+            )
         ]
         columns += [
             ExtraColumn(shift_column(name, node), partial(_shifted, k, node))
@@ -51,16 +61,25 @@ def telemetry_columns(thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
 
 
 def _warmup(place: int, time_constant_s: float, context: RowContext) -> Array:
-    """On-time lost per unit of deficit so far, tails included.
-
-    ∫ exp(−u/t_w) du over the commanded on-time u. A pulse's tail is as weak as the pulse: with it
-    the loss grows by the tails' share of the impulse, taken from the mean pulse so far.
-    """
+    """Commanded on-time lost per unit of deficit so far: ∫ exp(−u/t_w) du over the on-time u."""
     on_time = context.on_time_at(context.time_s)[:, place]
-    pulses = context.pulses_at(context.time_s)[:, place]
-    commanded = time_constant_s * -np.expm1(-on_time / time_constant_s)
-    per_second = np.divide(pulses, on_time, out=np.zeros_like(on_time), where=on_time > 0.0)
-    return np.asarray(commanded * (1.0 + _TAIL_S * per_second))
+    return np.asarray(time_constant_s * -np.expm1(-on_time / time_constant_s))
+
+
+def _warmup_tails(place: int, time_constant_s: float, context: RowContext) -> Array:
+    """Tails lost per unit of deficit so far: Σ exp(−u/t_w) over pulses that ended at on-time u.
+
+    A tail is as weak as its pulse. Pulses between two readings are taken to be alike.
+    """
+    on_time, pulses = context.on_time_s[:, place], context.pulses[:, place]
+    count = np.diff(pulses)
+    width = np.divide(np.diff(on_time), count, out=np.zeros_like(count), where=count > 0.0)
+    ratio = np.exp(-width / time_constant_s)
+    alike = np.divide(1.0 - ratio**count, 1.0 - ratio, out=np.array(count), where=ratio < 1.0)
+    lost = np.exp(-on_time[:-1] / time_constant_s) * ratio * alike
+    lost = np.where(count > 0.0, lost, 0.0)
+    last = np.searchsorted(context.counter_time_s, context.time_s + _SAME_S, side="right") - 1
+    return np.concatenate([[0.0], np.cumsum(lost)])[np.maximum(last, 0)]
 
 
 def _shifted(place: int, offset_s: float, context: RowContext) -> Array:

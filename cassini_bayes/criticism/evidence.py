@@ -28,6 +28,7 @@ from cassini_bayes.warmstart import (
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
+LOG_2_PI: Final = float(np.log(2.0 * np.pi))
 STEP: Final = 0.02  # standard deviations, for slopes
 CURVATURE_STEP: Final = 0.2
 LEAST_CURVATURE: Final = 0.05
@@ -73,6 +74,12 @@ class Mode:
     def value(self) -> float:
         """Log density at the mode."""
         return self.log_evidence - _volume(self.factor)
+
+    @property
+    def fit(self) -> float:
+        """Log likelihood at the mode, without the prior's log N(z; 0, 1)."""
+        prior = -0.5 * float(self.point @ self.point) - 0.5 * len(self.point) * LOG_2_PI
+        return self.value - prior
 
 
 @dataclass(frozen=True)
@@ -189,7 +196,7 @@ def _mode(log_density: LogDensity, point: Array, factor: Array) -> Mode:
 def _volume(factor: Array) -> float:
     """Log of what the peak of a normal density with this triangular factor is to be times."""
     log_det = float(np.log(np.abs(np.diagonal(factor))).sum())
-    return 0.5 * len(factor) * float(np.log(2.0 * np.pi)) + log_det
+    return 0.5 * len(factor) * LOG_2_PI + log_det
 
 
 def starts(extra: int, values: Sequence[float] = STARTS) -> Array:
@@ -237,7 +244,7 @@ def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
             break
         if foretold < NEAR_LEFT:
             mode = _mode(density, point, lower_factor(turned))
-            gain = value + 0.5 * extra * float(np.log(2.0 * np.pi)) - base.value
+            gain = value + 0.5 * extra * LOG_2_PI - base.value
             return Sought(mode, 0.0 if gain < NEAR_GAIN else _lacking(mode, base))
         step = turned @ slope
     return Sought(_mode(density, point, axes), np.inf)

@@ -23,6 +23,7 @@ from cassini_bayes.criticism.columns import (
     lagrange_weights,
     shift_column,
     warmup_column,
+    warmup_tail_column,
 )
 from cassini_bayes.physics import Modifier, Parameters, Physics
 from cassini_bayes.spacecraft import (
@@ -105,11 +106,13 @@ def _with_extra(physics: Physics, weights: Mapping[str, Array]) -> Physics:
 
 def _warmup(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
     shares = lagrange_weights(np.log(values["warmup_time_s"]), np.log(WARMUP_NODES_S))
-    weights = {
-        warmup_column(name, node): -(values["warmup_deficit"] * shares[..., i])
-        for name in setting.thrusters
-        for i, node in enumerate(WARMUP_NODES_S)
-    }
+    tail = np.asarray(physics.tau_s[2]) - np.asarray(physics.tau_s[1])  # of a first-order valve
+    weights = {}
+    for name in setting.thrusters:
+        for i, node in enumerate(WARMUP_NODES_S):
+            lost = -(values["warmup_deficit"] * shares[..., i])
+            weights[warmup_column(name, node)] = lost
+            weights[warmup_tail_column(name, node)] = lost * tail
     return _with_extra(physics, weights)
 
 

@@ -43,6 +43,7 @@ MOVED_NATS: Final = 10.0
 MOST_DRAWN: Final = 3
 SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
+ALIKE_NATS: Final = 5.0
 SUMMARY_DRAWS: Final = 2_000
 Say = Callable[[str], None]
 
@@ -85,17 +86,28 @@ class Verdict:
         return next(w for w in self.weighed if w.hypothesis.effects)
 
     def confounded_with(self, name: str) -> tuple[str, ...]:
-        """Real causes whose evidence is within three nats of a named one's."""
+        """Real causes that these data cannot tell from a named one (:func:`is_alike`)."""
         own = next(w for w in self.weighed if w.name == name)
         if not own.hypothesis.effects:
             return ()
         return tuple(
             w.name
             for w in self.weighed
-            if w.name != name
-            and w.hypothesis.effects
-            and abs(w.log_evidence - own.log_evidence) < CONFOUNDED_NATS
+            if w.name != name and w.hypothesis.effects and is_alike(w, own)
         )
+
+
+def is_alike(one: Weighed, other: Weighed) -> bool:
+    """Whether the data cannot tell two causes apart.
+
+    Evidence within three nats; or within five where the best fits are within three, so that most
+    of the difference is what more parameters cost: a steady torque of three sizes fits whatever a
+    leak does.
+    """
+    apart = abs(one.log_evidence - other.log_evidence)
+    return apart < CONFOUNDED_NATS or (
+        apart < ALIKE_NATS and abs(one.mode.fit - other.mode.fit) < CONFOUNDED_NATS
+    )
 
 
 def name_causes(
@@ -316,7 +328,7 @@ def second_cause(
     alike = [
         weighed.hypothesis.effects[-1].name
         for weighed in tried
-        if weighed is not found and found.log_evidence - weighed.log_evidence < CONFOUNDED_NATS
+        if weighed is not found and is_alike(weighed, found)
     ]
     return pair, tuple(alike)
 
