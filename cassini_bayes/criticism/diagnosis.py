@@ -274,13 +274,15 @@ def _parameters(verdict: Verdict, weighed: Weighed, rng: np.random.Generator) ->
     z, weights = effect_draws(weighed, rng)
     values = effect_values(weighed, z)
     if "cosine_rad_s" in values:
-        amplitude = np.hypot(values["cosine_rad_s"], values["sine_rad_s"])
-        assert verdict.oscillation is not None  # what the columns were made from
-        found = {"amplitude_rad_s": _summary(amplitude, weights)}
-        for key in ("frequency_hz", "damping"):
-            value = float(getattr(verdict.oscillation, key))
-            found[key] = {"mean": value, "sd": 0.0, "hdi_90": [value, value]}
-        return found
+        line = verdict.oscillation
+        assert line is not None  # what the columns were made from
+        free = np.sqrt(1.0 - values["inertia_fraction"])  # of the appendage on a body that gives
+        values = {
+            "amplitude_rad_s": np.hypot(values["cosine_rad_s"], values["sine_rad_s"]),
+            "frequency_hz": line.frequency_hz / free,
+            "damping": line.damping / free,
+            "inertia_fraction": values["inertia_fraction"],
+        }
     return {key: _summary(value, weights) for key, value in values.items()}
 
 
