@@ -42,7 +42,7 @@ LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
 RIDGE_ROUNDS: Final = 2
 NEAR_ROUNDS: Final = 9
 NEAR_TURNS: Final = 3
-NEAR_LEFT: Final = 0.02  # nats
+NEAR_LEFT, SLOPE_LEFT = 0.02, 0.1  # nats that a last step foretells
 NEAR_GAIN, NEAR_FAR = 5.0, 20.0  # nats gained, nats that a step foretells
 SHORTER: Final = 0.3
 FEW_STEPS: Final = 6
@@ -256,19 +256,19 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
     From every starting value of the effect one Newton step is made in the baseline's coordinates;
     the best goes on to a climb. The determinant is the baseline's with the effect's own rows and
     columns renewed, right as long as the nuisances are not moved far (:func:`has_moved`). Where
-    these rows are not white after the climb the search has not ended; a cause that could win has
-    the better part of its gain by then.
+    these rows are not white after the climb, or still slope, the search has not ended; a cause that
+    could win has the better part of its gain by then.
     """
     density = hypothesis.log_density
     d, extra = len(base.point), hypothesis.dimension - len(base.point)
     point = _best_start(density, base, starts(extra))
     axes, _, _ = _along_ridges(density, point, _own_axes(density, point, base, extra), d)
     point = climb(density, point, axes, FEW_STEPS)
-    turned, inner, is_white = _along_ridges(density, point, axes, d)
-    if not is_white:
+    turned, rows, is_white = _along_ridges(density, point, axes, d)
+    if not is_white or 0.5 * float(rows.slope @ rows.slope) > SLOPE_LEFT:
         mode = _mode(density, point, axes)
         return Sought(mode, _lacking(mode, base))
-    values, vectors = np.linalg.eigh(inner)
+    values, vectors = np.linalg.eigh(rows.inner)
     turned = turned @ vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
     return Sought(_mode(density, point, lower_factor(turned)))
 
@@ -318,15 +318,15 @@ def _ridge(axes: Array, inner: Array, d: int) -> tuple[Array, bool]:
 
 def _along_ridges(
     density: LogDensity, point: Array, axes: Array, d: int
-) -> tuple[Array, Array, bool]:
-    """Axes whose last ones follow the ridges, the curvature along them, whether that is white."""
+) -> tuple[Array, _Rows, bool]:
+    """Axes whose last ones follow the ridges, the rows along them, whether these are white."""
     for left in reversed(range(RIDGE_ROUNDS + 1)):
-        inner = _own_rows(density, point, axes, d).inner
-        ridge, is_white = _ridge(axes, inner, d)
+        rows = _own_rows(density, point, axes, d)
+        ridge, is_white = _ridge(axes, rows.inner, d)
         if is_white or left == 0:
             break
         axes = np.concatenate([axes[:, :d], ridge], axis=1)
-    return axes, inner, is_white
+    return axes, rows, is_white
 
 
 def _best_start(density: LogDensity, base: Mode, tried: Array) -> Array:

@@ -152,7 +152,7 @@ def name_causes(
         oscillation = _look_for_oscillation(catalogue, full, base, linear, rows)
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
-    weighed += weigh_beside(hypotheses, base, tell, threads)
+    weighed += weigh_beside(hypotheses, base, tell, threads, unknown_mode.log_evidence)
     if oscillation is not None:
         best = max(own.log_evidence for own in weighed)
         weighed.append(_flexible(case, catalogue, oscillation, base, best))
