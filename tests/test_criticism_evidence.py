@@ -19,7 +19,7 @@ from cassini_bayes.criticism.evidence import (
     extended_mode,
     has_moved,
     near_mode,
-    refined_mode,
+    renewed,
     sampled,
 )
 from cassini_bayes.criticism.extended import Hypothesis
@@ -89,36 +89,49 @@ def test_evidence_where_curvature_changes_agrees_with_quadrature() -> None:
     wanted, _ = dblquad(
         lambda y, x: float(np.exp(bent(np.array([[x, y]]))[0])), -6, 6, -5, 6, epsabs=1e-9
     )
-    mode = refined_mode(own, base)
+    mode = renewed(own, extended_mode(own, base).mode)
     found = sampled(Weighed(own, mode, mode.log_evidence, float("nan")), np.random.default_rng(1))
     assert abs(found.log_evidence - np.log(wanted)) < 4.0 * found.log_evidence_se
     assert found.log_evidence_se < 0.1
 
 
-def walled(depth: float) -> Callable[[Array], Array]:
+def walled(z: Array) -> Array:
     """An effect that takes a nuisance from 0 to 1, ten of its standard deviations there.
 
     Where it is at 1 it is four times as wide.
     """
+    width = 0.1 + 0.3 / (1.0 + np.exp(-20.0 * (z[:, 0] - 0.5)))
+    at = np.where(z.shape[-1] > 1, z[:, -1], 0.0)
+    fit = -0.5 * ((z[:, 0] - at) / width) ** 2 - 0.5 * 400.0 * (at - 1.0) ** 2
+    return np.asarray(fit - 0.5 * (z**2).sum(-1))
 
-    def density(z: Array) -> Array:
-        width = 0.1 + 0.3 / (1.0 + np.exp(-20.0 * (z[:, 0] - 0.5)))
-        at = np.where(z.shape[-1] > 1, z[:, -1], 0.0)
-        fit = -0.5 * ((z[:, 0] - at) / width) ** 2 - 0.5 * 400.0 * (at - 1.0) ** 2
-        return np.asarray(fit - 0.5 * (z**2).sum(-1) - depth)
 
-    return density
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_search_that_has_not_ended_tells_a_volume_of_any_axes(order: tuple[int, int]) -> None:
+    """Two sizes, each along a ridge of its own, in either order: the volume is that of the axes."""
+    rng = np.random.default_rng(8)
+    columns = rng.standard_normal((40, 3)) * [30.0, 100.0, 3.0]
+    own = np.stack([columns[:, 0], 0.02 * columns[:, 1]], axis=1)[:, order]
+    together = np.concatenate([columns, own + 0.5 * rng.standard_normal((40, 2))], axis=1)
+    data = together @ np.array([0.5, -1.0, 0.3, 3.0, 3.0]) + rng.standard_normal(40)
+    base = baseline_mode(linear(columns, data), 3)
+    found = near_mode(hypothesis(linear(together, data), 5), base)
+    _, log_det = np.linalg.slogdet(found.mode.factor)
+    volume = found.mode.log_evidence - linear(together, data)(found.mode.point[None])[0]
+    assert found.reach > 0.0
+    assert volume == pytest.approx(log_det + 2.5 * np.log(2.0 * np.pi))
+    assert np.triu(found.mode.factor, 1) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_cause_that_took_a_nuisance_far_is_marked_and_sampled_right() -> None:
     """Laplace with the baseline's curvature is short by nats and says so; draws mend it."""
-    base = baseline_mode(lambda z: walled(0.0)(np.column_stack([z, np.zeros(len(z))])), 1)
-    own = hypothesis(walled(0.0), 2)
+    base = baseline_mode(lambda z: walled(np.column_stack([z, np.zeros(len(z))])), 1)
+    own = hypothesis(walled, 2)
     assert has_moved(extended_mode(own, base).mode, base)
     (rough,) = weigh_beside([own], base, print)
     assert rough.unsure > 0.0
     wanted, _ = dblquad(
-        lambda y, x: float(np.exp(walled(0.0)(np.array([[x, y]]))[0])), -3, 4, -3, 4, epsabs=1e-9
+        lambda y, x: float(np.exp(walled(np.array([[x, y]]))[0])), -3, 4, -3, 4, epsabs=1e-9
     )
     found = sampled(rough, np.random.default_rng(4), 2_000)
     assert rough.log_evidence < np.log(wanted) - 1.0

@@ -10,7 +10,7 @@ import pytest
 from cassini_bayes.blind_rates import interval
 from cassini_bayes.criticism.blind import STRATA, stratum_of
 from cassini_bayes.criticism.cases import a_branch, flight_2004, fsds
-from cassini_bayes.criticism.catalogue import read_catalogue
+from cassini_bayes.criticism.catalogue import DEFAULT, read_catalogue
 from cassini_bayes.criticism.columns import (
     WARMUP_NODES_S,
     hat_weights,
@@ -20,6 +20,7 @@ from cassini_bayes.criticism.columns import (
     warmup_tail_column,
 )
 from cassini_bayes.criticism.evidence import baseline_mode
+from cassini_bayes.criticism.extended import TelemetrySource, reduce_source
 from cassini_bayes.criticism.kinematics import rate_information, rotation_vectors
 from cassini_bayes.criticism.modifiers import modifier_of
 from cassini_bayes.criticism.naming import weighted_interval
@@ -27,7 +28,8 @@ from cassini_bayes.criticism.summaries import weigh_summaries
 from cassini_bayes.errors import InputError
 from cassini_bayes.physics import physics_of
 from cassini_bayes.priors import read_priors
-from cassini_bayes.statistics import RowContext, Samples
+from cassini_bayes.statistics import RowContext, Samples, reduce_chunks
+from cassini_bayes.statistics.columns import Carry, settle
 
 ROOT = Path(__file__).parents[1]
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
@@ -152,6 +154,27 @@ def test_warm_up_takes_from_the_tails_of_pulses_as_well() -> None:
     assert tail * tails[-1] > 0.15 * commanded[-1]
 
 
+def test_long_events_have_the_columns_of_the_whole_event() -> None:
+    """The reduction cuts events into blocks; what an effect adds up has to see all of it."""
+    n = 5_000
+    time_s = np.arange(0.0, n)
+    rng = np.random.default_rng(5)
+    attitude = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+    pulses = np.floor(time_s / 40.0)[:, None] * np.ones(8)
+    rates = 1e-5 * rng.standard_normal((n, 3)), rng.standard_normal((n, 3))
+    samples = Samples(time_s, attitude, *rates, 0.125 * pulses, pulses)
+    thrusters = PRIORS.spacecraft.thruster_names(PRIORS.branch)
+    source = TelemetrySource("long", "bias", (1, 2, 4), thrusters, samples)
+    whole, sampling = reduce_source(source, PRIORS, telemetry_columns(thrusters))
+    rows, _ = settle(samples, Carry.start(whole.layout), whole.layout, sampling, final=True)
+    place = whole.layout.scalar.index(warmup_tail_column("z1", 32.0))
+    wanted = float((rows.scalar[:, place] ** 2).sum())
+    place += len(whole.layout.vector)
+    assert whole.gram[0, 0, place, place] == pytest.approx(wanted)
+    in_blocks = reduce_chunks("long", "bias", [samples], whole.layout, sampling)
+    assert in_blocks.gram[0, 0, place, place] < 0.99 * wanted  # it begins anew in every block
+
+
 def test_laplace_is_exact_for_a_normal() -> None:
     """On a Gaussian the evidence by Laplace is the determinant formula, ridges included."""
     rng = np.random.default_rng(5)
@@ -204,4 +227,23 @@ def test_bad_catalogue_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "effects.toml"
     path.write_text("[causes]\nnone = 0.5\n")
     with pytest.raises(InputError, match="unknown"):
+        read_catalogue(PRIORS, (1, 2, 4), ("telemetry",), path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("flexible_mode.parameters.inertia_fraction", "flexible_mode.parameters.share", "share"),
+        ("effects.flexible_mode", "effects.flexibel_mode", "did you mean"),
+    ],
+)
+def test_a_catalogue_of_other_parameters_is_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    """What no change of the physics reads, or lacks what it reads, is named."""
+    path = tmp_path / "effects.toml"
+    text = DEFAULT.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=message):
         read_catalogue(PRIORS, (1, 2, 4), ("telemetry",), path)

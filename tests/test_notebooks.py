@@ -1,7 +1,8 @@
-"""Every notebook runs from top to bottom, and is stored without output."""
+"""Every notebook runs from top to bottom; what is stored with it is what it gives."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import nbformat
@@ -10,25 +11,62 @@ from nbclient import NotebookClient
 from totals_cases import ROOT
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+EXECUTED = ("diagnosis",)  # findings to be read without running them
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
+
+
+def texts(notebook: nbformat.NotebookNode) -> list[str]:
+    """What the code cells print and show as text."""
+    outputs = [o for cell in notebook.cells if cell.cell_type == "code" for o in cell.outputs]
+    shown = [
+        own.text if own.output_type == "stream" else own.data.get("text/markdown", "")
+        for own in outputs
+    ]
+    return [text for text in shown if text]
+
+
+def same_text(one: str, other: str) -> bool:
+    """Equal words, and numbers within 5 % or 0.05."""
+    if NUMBER.sub("#", one) != NUMBER.sub("#", other):
+        return False
+    pairs = zip(map(float, NUMBER.findall(one)), map(float, NUMBER.findall(other)), strict=True)
+    return all(abs(a - b) <= max(0.05, 0.05 * abs(b)) for a, b in pairs)
 
 
 def test_there_are_notebooks() -> None:
     """The folder is where the next test looks."""
-    assert NOTEBOOKS
+    assert {path.stem for path in NOTEBOOKS} > set(EXECUTED)
+
+
+def test_changed_findings_are_seen() -> None:
+    """Another word or another number is not the same text."""
+    assert same_text("`none` (0.67) of 48", "`none` (0.68) of 48")
+    assert not same_text("`none` (0.67) of 48", "`unknown` (0.67) of 48")
+    assert not same_text("`none` (0.67) of 48", "`none` (0.67) of 40")
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_is_stored_without_output(path: Path) -> None:
-    """Outputs would go stale beside the code."""
-    for cell in nbformat.read(path, as_version=4).cells:
-        if cell.cell_type == "code":
-            assert not cell.outputs
-            assert cell.execution_count is None
+def test_notebook_is_stored_clean_or_as_executed(path: Path) -> None:
+    """Findings are stored with their figures; elsewhere outputs would go stale."""
+    cells = [c for c in nbformat.read(path, as_version=4).cells if c.cell_type == "code"]
+    if path.stem in EXECUTED:
+        assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+        figures = [o for c in cells for o in c.outputs if "image/png" in o.get("data", {})]
+        assert len(figures) == 5  # of cases (a) to (e)
+        return
+    assert not any(cell.outputs for cell in cells)
+    assert all(cell.execution_count is None for cell in cells)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path: Path) -> None:
-    """All cells execute in a fresh kernel without error."""
+    """All cells execute in a fresh kernel without error, to what is stored with them."""
     notebook = nbformat.read(path, as_version=4)
+    stored = texts(notebook)
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(ROOT)}}).execute()
     assert all(cell.execution_count for cell in notebook.cells if cell.cell_type == "code")
+    if path.stem in EXECUTED:
+        found = texts(notebook)
+        assert len(found) == len(stored)
+        for own, before in zip(found, stored, strict=True):
+            assert same_text(own, before), own

@@ -134,6 +134,8 @@ def read_catalogue(
     document = _parse(path)
     weights = document["causes"]
     kinds = document["effects"]
+    if path != DEFAULT:
+        _check_known(path, kinds, _parse(DEFAULT)["effects"])
     effects = []
     kept = {}
     for kind, entry in kinds.items():
@@ -195,6 +197,22 @@ def _parse(path: Path) -> dict[str, Any]:
             if key not in entry:
                 raise InputError(f"{path}: effects.{kind}.{key}", "a value", "nothing", "add it")
     return document
+
+
+def _check_known(path: Path, kinds: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """Every effect has the parameters that its change of the physics reads."""
+    for kind, entry in kinds.items():
+        where = f"{path}: effects.{kind}"
+        if kind not in known:
+            raise InputError(where, "an effect that there is", repr(kind), nearest(kind, known))
+        needed, given = set(known[kind]["parameters"]), set(entry["parameters"])
+        if needed != given:
+            raise InputError(
+                f"{where}.parameters",
+                ", ".join(sorted(needed)),
+                ", ".join(sorted(given)) or "nothing",
+                "add what is missing, drop what is not known",
+            )
 
 
 def _targets(what: str, priors: Priors, wheels: Sequence[int]) -> tuple[str, ...]:

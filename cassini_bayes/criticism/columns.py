@@ -93,43 +93,43 @@ def _shifted(place: int, offset_s: float, context: RowContext) -> Array:
     return counted(context.on_time_s) + _TAIL_S * counted(context.pulses)
 
 
-def flexible_columns(frequency_hz: float, damping: float, axis: int) -> tuple[ExtraColumn, ...]:
-    """exp(−ζ 2π f t) times cosine and sine of 2π f t, and what the body's own rate drives."""
-    return (
-        *(
-            ExtraColumn(name, partial(_oscillation, frequency_hz, damping, part))
-            for part, name in enumerate(FLEXIBLE[:2])
-        ),
-        ExtraColumn(FLEXIBLE[2], partial(_driven, frequency_hz, damping, axis)),
-    )
+def flexible_columns(
+    frequency_hz: float, damping: float, axis: int, motion: KnownMotion
+) -> tuple[ExtraColumn, ...]:
+    """Columns of an oscillation about an axis (:func:`oscillation_series`)."""
+
+    def part(place: int, context: RowContext) -> Array:
+        series = oscillation_series(context.time_s, motion, frequency_hz, damping)
+        return np.asarray(series[place] if place < len(series) - 1 else series[place][:, axis])
+
+    return tuple(ExtraColumn(name, partial(part, place)) for place, name in enumerate(FLEXIBLE))
 
 
-def _oscillation(frequency_hz: float, damping: float, part: int, context: RowContext) -> Array:
-    phase = 2.0 * np.pi * frequency_hz * context.time_s
-    return np.asarray(np.exp(-damping * phase) * (np.cos(phase), np.sin(phase))[part])
-
-
-def _driven(frequency_hz: float, damping: float, axis: int, context: RowContext) -> Array:
-    known = known_motion(context.time_s, context.rate_rad_s[:, [axis]])
-    return np.asarray(known.appendage(frequency_hz, damping) + known.body)[:, 0]
+def oscillation_series(
+    time_s: Array, motion: KnownMotion, frequency_hz: float, damping: float
+) -> tuple[Array, Array, Array]:
+    """exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt (n,), and the driven rate (n, c), Ω = 2π f."""
+    phase = 2.0 * np.pi * frequency_hz * time_s
+    decay = np.exp(-damping * phase)
+    driven = motion.driven(time_s, frequency_hz, damping)
+    return decay * np.cos(phase), decay * np.sin(phase), driven
 
 
 @dataclass(frozen=True)
 class KnownMotion:
-    """What the rows before each row say of the body's rate, on a grid of the rows' median step.
+    """What the rates before each row say of the body's motion, on a grid of their median step.
 
     The last line before a row is that of the step before, so that a row's own noise is not in it:
     it would be taken for an answer to it.
     """
 
+    start_s: float
     step_s: float
     slope: Array  # (g, c) of the rate after each grid point, rad/s²
     change: Array  # (g, c) of the last slope by that of the step before
-    place: NDArray[np.intp]  # (n,) of the rows in the grid
-    body: Array  # (n, c) rate of the body at the rows, rad/s
 
-    def appendage(self, frequency_hz: float, damping: float) -> Array:
-        """Rate (n, c) of an appendage against its body at the rows, rad/s.
+    def driven(self, time_s: Array, frequency_hz: float, damping: float) -> Array:
+        """Rate (n, c) of an appendage against its body at times (n,) of rows, rad/s.
 
         θ'' + 2 ζ Ω θ' + Ω² θ = −ω' with Ω = 2π f, at rest at the first row; ω goes in straight
         lines from row to row, and the response to them is exact.
@@ -143,19 +143,25 @@ class KnownMotion:
         added = -(1.0 - first) / omega**2, -sine
         ahead = [0.0, added[1], second * added[0] - first * added[1]]
         answer = lfilter(ahead, [1.0, -2.0 * cosine, decay**2], self.slope, axis=0)
-        return np.asarray((answer + added[1] * self.change)[self.place])
+        place = np.round((time_s - self.start_s) / step).astype(np.intp)
+        return np.asarray((answer + added[1] * self.change)[np.clip(place, 0, len(answer) - 1)])
 
 
 def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
-    """The motion that rows (n,) with rates (n, c) tell."""
+    """The motion that samples of the rate (n, c) at times (n,) tell; NaN is not sampled.
+
+    All samples count, those during pulses as well. Where some are missing the line goes to the
+    next one, whose noise is then in it.
+    """
+    seen = np.isfinite(rate_rad_s).all(1)
+    time_s, rate_rad_s = time_s[seen], rate_rad_s[seen]
     step = float(np.median(np.diff(time_s)))
-    place = np.round((time_s - time_s[0]) / step).astype(np.intp)
-    grid = time_s[0] + step * np.arange(place[-1] + 1)
+    grid = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
     shown = np.stack([np.interp(grid, time_s, rate) for rate in rate_rad_s.T], axis=1)
     slope = np.diff(shown, axis=0, append=shown[-1:]) / step
     change = np.zeros_like(slope)
     change[2:] = slope[:-2] - slope[1:-1]
-    return KnownMotion(step, slope, change, place, (shown + step * change)[place])
+    return KnownMotion(float(time_s[0]), step, slope, change)
 
 
 def hat_weights(value: Array, nodes: Array) -> Array:

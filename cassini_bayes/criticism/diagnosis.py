@@ -273,16 +273,13 @@ def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str,
 def _parameters(verdict: Verdict, weighed: Weighed, rng: np.random.Generator) -> dict[str, Any]:
     z, weights = effect_draws(weighed, rng)
     values = effect_values(weighed, z)
-    if "cosine_rad_s" in values:
+    if "amplitude_rad_s" in values:
         line = verdict.oscillation
         assert line is not None  # what the columns were made from
-        free = np.sqrt(1.0 - values["inertia_fraction"])  # of the appendage on a body that gives
-        values = {
-            "amplitude_rad_s": np.hypot(values["cosine_rad_s"], values["sine_rad_s"]),
-            "frequency_hz": line.frequency_hz / free,
-            "damping": line.damping / free,
-            "inertia_fraction": values["inertia_fraction"],
-        }
+        share = values["inertia_fraction"]
+        # of the appendage on a body that gives; found by the search and fixed
+        free = np.full_like(share, np.sqrt(1.0 - float(weights @ share / weights.sum())))
+        values |= {"frequency_hz": line.frequency_hz / free, "damping": line.damping / free}
     return {key: _summary(value, weights) for key, value in values.items()}
 
 

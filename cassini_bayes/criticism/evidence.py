@@ -42,11 +42,15 @@ LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
 RIDGE_ROUNDS: Final = 2
 NEAR_ROUNDS: Final = 9
 NEAR_TURNS: Final = 3
-NEAR_LEFT, SLOPE_LEFT = 0.02, 0.1  # nats that a last step foretells
-NEAR_GAIN, NEAR_FAR = 5.0, 20.0  # nats gained, nats that a step foretells
+NEAR_LEFT: Final = 0.02  # nats that a last step foretells
+SLOPE_LEFT: Final = 0.1
+NEAR_GAIN: Final = 5.0  # nats
+NEAR_FAR: Final = 20.0  # nats that a step foretells
+ROUNDING: Final = 1e-6  # nats by which the same point may differ between batches
 SHORTER: Final = 0.3
 FEW_STEPS: Final = 6
-LACKING_NATS, LACKING_SHARE = 30.0, 2.0
+LACKING_NATS: Final = 30.0
+LACKING_SHARE: Final = 2.0  # of the gain so far
 LEAST_CROSS: Final = 0.1
 FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
 LEAST_RIDGE: Final = 1e-6
@@ -224,7 +228,7 @@ def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
     step, foretold, turns = np.zeros(d + extra), 0.0, 0
     for _ in range(NEAR_ROUNDS):
         rows = _own_rows(density, point + step, axes, d)
-        if not rows.value - value >= LEAST_SHARE * foretold:
+        if not rows.value - value >= LEAST_SHARE * foretold - ROUNDING:
             step, foretold = SHORTER * step, SHORTER * foretold
             continue
         point, value, step, foretold = point + step, rows.value, np.zeros(d + extra), 0.0
@@ -247,7 +251,7 @@ def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
             gain = value + 0.5 * extra * LOG_2_PI - base.value
             return Sought(mode, 0.0 if gain < NEAR_GAIN else _lacking(mode, base))
         step = turned @ slope
-    return Sought(_mode(density, point, axes), np.inf)
+    return Sought(_mode(density, point, lower_factor(axes)), np.inf)
 
 
 def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
@@ -266,7 +270,7 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
     point = climb(density, point, axes, FEW_STEPS)
     turned, rows, is_white = _along_ridges(density, point, axes, d)
     if not is_white or 0.5 * float(rows.slope @ rows.slope) > SLOPE_LEFT:
-        mode = _mode(density, point, axes)
+        mode = _mode(density, point, lower_factor(axes))
         return Sought(mode, _lacking(mode, base))
     values, vectors = np.linalg.eigh(rows.inner)
     turned = turned @ vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
@@ -274,7 +278,7 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
 
 
 def _lacking(mode: Mode, base: Mode) -> float:
-    """Nats that a search which has not ended may lack: a few, and twice what it gained."""
+    """Nats that a search which has not ended may lack: thirty, and twice what it gained."""
     return LACKING_NATS + LACKING_SHARE * max(mode.log_evidence - base.log_evidence, 0.0)
 
 
@@ -292,11 +296,6 @@ def renewed(hypothesis: Hypothesis, mode: Mode) -> Mode:
     the baseline's: near a bound of its prior a parameter hardly moves.
     """
     return settled(hypothesis.log_density, mode.point, mode.factor)
-
-
-def refined_mode(hypothesis: Hypothesis, base: Mode) -> Mode:
-    """Mode and whole curvature of a single cause that matters, from the baseline's mode."""
-    return renewed(hypothesis, extended_mode(hypothesis, base).mode)
 
 
 def _ridge(axes: Array, inner: Array, d: int) -> tuple[Array, bool]:

@@ -128,13 +128,16 @@ def reduce_source(
     extra: Sequence[ExtraColumn],
     pulse_shape: str = "first_order",
 ) -> tuple[EventStatistics, Sampling]:
-    """One event's Gram matrices with extra columns."""
+    """One event's Gram matrices with extra columns, which see the whole event at once."""
     plain = sampling_of(priors, source.thrusters, source.duration_s, pulse_shape)
     sampling = replace(plain, extra=tuple(extra))
     layout = Layout(
         source.wheels, source.thrusters, sampling.couples, tuple(column.name for column in extra)
     )
-    return reduce_chunks(source.id, source.kind, [source.samples], layout, sampling), sampling
+    statistics = reduce_chunks(
+        source.id, source.kind, [source.samples], layout, sampling, len(source.samples)
+    )
+    return statistics, sampling
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from cassini_bayes.criticism.innovations import Linear, linearise
 from cassini_bayes.criticism.naming import Verdict
 from cassini_bayes.criticism.oscillation import Oscillation, flexible_case
 from cassini_bayes.parallel import on_threads
+from cassini_bayes.warmstart import lower_factor
 
 Array = NDArray[np.float64]
 FIRST_SHARE: Final = 0.1  # of an event's rows, which give its initial momentum
@@ -96,10 +97,10 @@ def carried(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
     before = list(old.model.space.names)
     both = [i for i, name in enumerate(new.model.space.names) if name in before]
     places = [before.index(new.model.space.names[i]) for i in both]
-    point, covariance = np.zeros(new.dimension), np.eye(new.dimension)
+    point, factor = np.zeros(new.dimension), np.eye(new.dimension)
     point[both] = mode.point[places]
-    covariance[np.ix_(both, both)] = (mode.factor @ mode.factor.T)[np.ix_(places, places)]
-    return Mode(point, np.asarray(np.linalg.cholesky(covariance)), float("nan"))
+    factor[np.ix_(both, both)] = lower_factor(mode.factor[places])
+    return Mode(point, factor, float("nan"))
 
 
 def held_out(
@@ -110,24 +111,24 @@ def held_out(
 ) -> HeldOut:
     """Every telemetry event of the verdict's case held out in turn."""
     events = [source.id for source in verdict.case.sources]
+    _, whole = fitted_to(verdict.case, verdict.catalogue, weighed, verdict.oscillation)
 
     def score(event: str) -> float:
         others = verdict.case.without(event)
         _, mode = fitted_to(others, verdict.catalogue, weighed, verdict.oscillation)
         if say is not None:
             say(f"{weighed.name}: {event} held out")
-        return weighed.mode.log_evidence - mode.log_evidence
+        return whole.log_evidence - mode.log_evidence
 
     scores = on_threads(score, events, threads)
     case = case_of(verdict, weighed)
-    linear, rows, factors = linearise(case, weighed.hypothesis, weighed.mode.point)
+    linear, _, factors = linearise(case, weighed.hypothesis, weighed.mode.point)
     centre = -weighed.mode.point
     residuals, inside = [], []
     for place in range(len(events)):
         white, spread = predicted_rows(linear, place, centre)
         residuals.append((white.reshape(-1, 3) @ factors[place].T).ravel())
         inside.append(np.abs(white) < WITHIN * spread)
-    del rows
     return HeldOut(
         np.array(scores),
         float(

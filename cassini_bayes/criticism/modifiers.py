@@ -239,24 +239,20 @@ def _rate_scale(physics: Physics, _: Parameters, values: Values, setting: Settin
     return replace(physics, rate_scale=np.asarray(physics.rate_scale) + scale)
 
 
-def _same(physics: Physics, _: Parameters, __: Values, ___: Setting) -> Physics:
-    return physics
-
-
-def _flexible_mode_in_rows(
-    physics: Physics, _: Parameters, values: Values, setting: Setting
-) -> Physics:
-    """A share φ of the inertia about an axis moves on its own: freely and driven by the body.
-
-    Its momentum is φ J times its own rate, a column; the body's is (1 − φ) J ω with ω as measured.
-    """
+def _flexible_mode(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
+    """An appendage moves against the body: freely, and as the body's own rate drives it."""
     unit = np.eye(3)[setting.axis]
     moment = physics.inertia_kg_m2[..., setting.axis, setting.axis]
-    share = moment * values["inertia_fraction"]
-    weights = (moment * values["cosine_rad_s"], moment * values["sine_rad_s"], -share)
-    own = {name: weight[..., None] * unit for name, weight in zip(FLEXIBLE, weights, strict=True)}
-    inertia = physics.inertia_kg_m2 - share[..., None, None] * np.outer(unit, unit)
-    return _with_extra(replace(physics, inertia_kg_m2=inertia), own)
+    weights = (
+        values["cosine_rad_s"],
+        values["sine_rad_s"],
+        -values["inertia_fraction"],
+    )
+    own = {
+        name: (moment * weight)[..., None] * unit
+        for name, weight in zip(FLEXIBLE, weights, strict=True)
+    }
+    return _with_extra(physics, own)
 
 
 CHANGES: Final[Mapping[str, Change]] = {
@@ -275,9 +271,6 @@ CHANGES: Final[Mapping[str, Change]] = {
     "time_offset": _time_offset,
     "rate_bias": _rate_bias,
     "rate_scale": _rate_scale,
-    "flexible_mode": _same,  # from the start of an event to its end nothing is left of it
+    "flexible_mode": _flexible_mode,
 }
-ROW_CHANGES: Final[Mapping[str, Change]] = {
-    "pulse_shape": _pulse_shape_in_rows,
-    "flexible_mode": _flexible_mode_in_rows,
-}
+ROW_CHANGES: Final[Mapping[str, Change]] = {"pulse_shape": _pulse_shape_in_rows}

@@ -33,7 +33,12 @@ from cassini_bayes.criticism.extended import (
     unknown_hypothesis,
 )
 from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
-from cassini_bayes.criticism.oscillation import Oscillation, find_oscillation, flexible_case
+from cassini_bayes.criticism.oscillation import (
+    Oscillation,
+    find_oscillation,
+    flexible_case,
+    motions_of,
+)
 from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
@@ -149,7 +154,7 @@ def name_causes(
     weighed = [_by_laplace(none, base), _by_laplace(unknown, unknown_mode)]
     oscillation = None
     if linear is not None:
-        oscillation = _look_for_oscillation(catalogue, full, base, linear, rows)
+        oscillation = _look_for_oscillation(case, catalogue, full, base, (linear, rows))
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     weighed += weigh_beside(hypotheses, base, tell, threads, unknown_mode.log_evidence)
@@ -198,6 +203,8 @@ def weigh_beside(
     whose search has not ended and that could still come within thirty nats of the best (or of
     ``floor``). The others keep what they have.
     """
+    if not hypotheses:
+        return []
     done: list[str] = []
 
     def near(hypothesis: Hypothesis) -> Sought:
@@ -236,8 +243,13 @@ def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
 
 
 def _look_for_oscillation(
-    catalogue: Catalogue, none: Hypothesis, base: Mode, linear: Linear, rows: Sequence[EventRows]
+    case: Case,
+    catalogue: Catalogue,
+    none: Hypothesis,
+    base: Mode,
+    left: tuple[Linear, Sequence[EventRows]],
 ) -> Oscillation | None:
+    linear, rows = left
     if "flexible_mode" not in catalogue.names:
         return None
     parameters = none.model.space.to_parameters(base.point)
@@ -247,7 +259,7 @@ def _look_for_oscillation(
         for p in catalogue.effect("flexible_mode").parameters
     }
     scales = scale["cosine_rad_s"], scale["inertia_fraction"]
-    return find_oscillation(rows, linear, np.array(inertia), scales)
+    return find_oscillation(rows, motions_of(case), linear, np.array(inertia), scales)
 
 
 def _flexible(
@@ -319,8 +331,9 @@ def second_cause(
     base = renewed(best.hypothesis, best.mode)
     pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]
     tried = weigh_beside(pairs, base, _silent, threads)
-    found = max(tried, key=lambda weighed: weighed.log_evidence)
-    if found.log_evidence < best.log_evidence + SECOND_CAUSE_NATS:
+    tried = _sample_pairs(tried, best.log_evidence + SECOND_CAUSE_NATS, rng, threads)
+    found = max(tried, key=lambda weighed: weighed.log_evidence, default=None)
+    if found is None or found.log_evidence < best.log_evidence + SECOND_CAUSE_NATS:
         return None, ()
     pair = sampled(found, rng, DRAWS)
     if not verdict.best.hypothesis.effects and _score(pair) < _score(verdict.best):
@@ -331,6 +344,16 @@ def second_cause(
         if weighed is not found and is_alike(weighed, found)
     ]
     return pair, tuple(alike)
+
+
+def _sample_pairs(
+    tried: Sequence[Weighed], least: float, rng: np.random.Generator, threads: int
+) -> list[Weighed]:
+    """Importance draws for pairs that could be the best, or as good, and reach ``least``."""
+    found = list(tried)
+    reach = [own.log_evidence + own.unsure + CONFOUNDED_NATS for own in found]
+    bar = max([least, *(own.log_evidence for own in found)])
+    return _drawn(found, [i for i, own in enumerate(reach) if own > bar], FEW_DRAWS, rng, threads)
 
 
 def _others(catalogue: Catalogue, first: Effect) -> list[Effect]:
@@ -351,7 +374,10 @@ def effect_draws(weighed: Weighed, rng: np.random.Generator) -> tuple[Array, Arr
 
 
 def effect_values(weighed: Weighed, z: Array) -> dict[str, Array]:
-    """The effect parameters' values (n,) at z: departures added to the baseline's parameter."""
+    """The effect parameters' values (n,) at z: departures added to the baseline's parameter.
+
+    Cosine and sine of an oscillation are given as its amplitude.
+    """
     model = weighed.hypothesis.model
     parameters = model.space.to_parameters(z)
     means = dict(zip("xyz", model.torque_mean_n_m, strict=True))
@@ -364,6 +390,8 @@ def effect_values(weighed: Weighed, z: Array) -> dict[str, Array]:
             elif parameter.is_departure and parameter.key.startswith("external_torque_"):
                 value = value + means[parameter.key.split("_")[2]]
             values[parameter.key] = value
+    if "cosine_rad_s" in values:
+        values["amplitude_rad_s"] = np.hypot(values.pop("cosine_rad_s"), values.pop("sine_rad_s"))
     return values
 
 

@@ -4,7 +4,8 @@ An appendage on a spring (a boom, sloshing propellant) of moment of inertia φ J
 moves at a rate ω + q; its momentum φ J q is what the balance lacks. With Ω and ζ of the clamped
 appendage q'' + 2 ζ Ω q' + Ω² q = −ω'': q is a free oscillation, cosine and sine, and an answer D to
 the body's own motion, which firings and wheels drive. What the balance lacks is
-J (c e^(−ζΩt) cos Ωt + s e^(−ζΩt) sin Ωt − φ D), whatever the controllers do.
+J (c e^(−ζΩt) cos Ωt + s e^(−ζΩt) sin Ωt − φ D), whatever the controllers do. The free oscillation
+is taken to start alike in every event, t from its first row.
 """
 
 from __future__ import annotations
@@ -17,14 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from cassini_bayes.criticism.columns import FLEXIBLE, KnownMotion, flexible_columns, known_motion
+from cassini_bayes.criticism.columns import (
+    KnownMotion,
+    flexible_columns,
+    known_motion,
+    oscillation_series,
+)
 from cassini_bayes.criticism.extended import Case, reduce_source
 from cassini_bayes.criticism.innovations import EventRows, Linear
 
 Array = NDArray[np.float64]
 LEAST_CYCLES: Final = 4.0  # in the longest event: what is slower is a drift
 DAMPINGS: Final = (0.0, 0.001, 0.003, 0.01, 0.03)
-COARSE_DAMPING: Final = 0.001
+COARSE_DAMPINGS: Final = (0.0, 0.003)
 PEAKS: Final = 6
 FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width
 CHUNK: Final = 128  # frequencies at once
@@ -40,30 +46,42 @@ class Oscillation:
     log_looks: float  # nats that the search costs
 
 
+def motions_of(case: Case) -> tuple[KnownMotion, ...]:
+    """What the body's own rates tell, of every telemetry event."""
+    return tuple(known_motion(own.samples.time_s, own.samples.rate_rad_s) for own in case.sources)
+
+
 def flexible_case(case: Case, oscillation: Oscillation) -> Case:
     """The case reduced again with the columns of the oscillation."""
-    columns = flexible_columns(oscillation.frequency_hz, oscillation.damping, oscillation.axis)
-    assert {column.name for column in columns} == set(FLEXIBLE)
+    line = oscillation.frequency_hz, oscillation.damping, oscillation.axis
     statistics = tuple(
-        reduce_source(source, case.priors, columns, sampling.pulse_shape.name)
-        for source, (_, sampling) in zip(case.sources, case.statistics, strict=True)
+        reduce_source(
+            source, case.priors, flexible_columns(*line, motion), sampling.pulse_shape.name
+        )
+        for source, (_, sampling), motion in zip(
+            case.sources, case.statistics, motions_of(case), strict=True
+        )
     )
     return replace(case, statistics=statistics, flexible_axis=oscillation.axis)
 
 
 def find_oscillation(
-    rows: Sequence[EventRows], linear: Linear, inertia_kg_m2: Array, scales: tuple[float, float]
+    rows: Sequence[EventRows],
+    motions: Sequence[KnownMotion],
+    linear: Linear,
+    inertia_kg_m2: Array,
+    scales: tuple[float, float],
 ) -> Oscillation | None:
     """The oscillation of most evidence; None where the events are too short for any.
 
-    All frequencies a line's width apart are looked at with one damping and with what the fit takes
+    All frequencies a line's width apart are looked at with two dampings and with what the fit takes
     away left in the columns; the best of them and their neighbours with all dampings and with that
     taken off.
 
     Parameters
     ----------
-    rows, linear
-        Innovations of every event and the linear model that left them.
+    rows, motions, linear
+        Innovations and known motion of every event, and the linear model that left them.
     inertia_kg_m2
         Moments (3,) about body axes.
     scales
@@ -74,12 +92,11 @@ def find_oscillation(
     frequencies = np.arange(LEAST_CYCLES / span, highest, 1.0 / span)
     if len(frequencies) == 0:
         return None
-    motions = [known_motion(own.time_s, own.rate_rad_s) for own in rows]
     size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
     scores = np.concatenate(
         [
-            _coarse(rows, motions, frequencies[first : first + CHUNK], size)
-            for first in range(0, len(frequencies), CHUNK)
+            np.maximum.reduce([_coarse(rows, motions, part, own, size) for own in COARSE_DAMPINGS])
+            for part in np.array_split(frequencies, -(-len(frequencies) // CHUNK))
         ]
     )
     factor = cho_factor(linear.gram())
@@ -88,7 +105,7 @@ def find_oscillation(
         for shift in FINER:
             frequency = float(frequencies[f] + shift / span)
             for damping in DAMPINGS:
-                gram, seen = _fine(rows, motions, linear, factor, frequency, damping, axis)
+                gram, seen = _fine(rows, motions, linear, factor, (frequency, damping, axis))
                 score = float(_log_evidence(gram, seen, size[axis]))
                 if score > best:
                     best, line = score, Oscillation(frequency, damping, axis, 0.0)
@@ -104,7 +121,11 @@ def _log_evidence(gram: Array, seen: Array, size: Array) -> Array:
 
 
 def _coarse(
-    rows: Sequence[EventRows], motions: Sequence[KnownMotion], frequencies: Array, size: Array
+    rows: Sequence[EventRows],
+    motions: Sequence[KnownMotion],
+    frequencies: Array,
+    damping: float,
+    size: Array,
 ) -> Array:
     """Log evidence (f, 3) of every frequency about every axis, columns as they are."""
     gram = np.zeros((len(frequencies), 3, 3, 3))
@@ -113,17 +134,14 @@ def _coarse(
         directions = np.linalg.inv(own.noise_factor)  # column a: a unit of momentum, whitened
         lengths = (directions**2).sum(0)
         left = own.white @ directions  # (n, 3)
-        phase = 2.0 * np.pi * np.outer(frequencies, own.time_s)
-        decay = np.exp(-COARSE_DAMPING * phase)
-        free = decay * np.cos(phase), decay * np.sin(phase)  # each (f, n)
-        driven = np.stack([motion.appendage(f, COARSE_DAMPING) for f in frequencies], axis=1)
+        series = [oscillation_series(own.time_s, motion, f, damping) for f in frequencies]
+        cosine, sine, driven = (np.stack(part) for part in zip(*series, strict=True))
         for axis in range(3):
-            columns = (*free, -driven[:, :, axis].T)
+            columns = (cosine, sine, -driven[:, :, axis])  # each (f, n)
             for i, one in enumerate(columns):
                 seen[:, axis, i] += one @ left[:, axis]
                 for j in range(i + 1):
-                    product = lengths[axis] * np.einsum("fn,fn->f", one, columns[j])
-                    gram[:, axis, i, j] += product
+                    gram[:, axis, i, j] += lengths[axis] * np.einsum("fn,fn->f", one, columns[j])
                     gram[:, axis, j, i] = gram[:, axis, i, j]
     return _log_evidence(gram, seen, size)
 
@@ -145,18 +163,18 @@ def _fine(
     motions: Sequence[KnownMotion],
     linear: Linear,
     factor: tuple[Array, bool],
-    frequency_hz: float,
-    damping: float,
-    axis: int,
+    line: tuple[float, float, int],
 ) -> tuple[Array, Array]:
-    """Gram (3, 3) and Aᵀy (3,) of one oscillation's columns, what the fit takes away taken off."""
+    """Gram (3, 3) and Aᵀy (3,) of one oscillation's columns, what the fit takes away taken off.
+
+    ``line`` is its frequency (Hz), damping and axis, ``factor`` that of the linear model's Gram.
+    """
+    frequency_hz, damping, axis = line
     gram, seen = np.zeros((3, 3)), np.zeros(3)
     across = np.zeros((linear.columns.shape[1], 3))
     for own, motion, part in zip(rows, motions, linear.parts, strict=True):
-        phase = 2.0 * np.pi * frequency_hz * own.time_s
-        decay = np.exp(-damping * phase)
-        driven = -motion.appendage(frequency_hz, damping)[:, axis]
-        series = np.stack([decay * np.cos(phase), decay * np.sin(phase), driven], axis=1)
+        cosine, sine, driven = oscillation_series(own.time_s, motion, frequency_hz, damping)
+        series = np.stack([cosine, sine, -driven[:, axis]], axis=1)
         direction = np.linalg.inv(own.noise_factor)[:, axis]
         columns = (series[:, None, :] * direction[:, None]).reshape(-1, 3)
         gram += columns.T @ columns

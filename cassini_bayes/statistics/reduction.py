@@ -32,7 +32,7 @@ from cassini_bayes.storage import write_bytes
 Array = NDArray[np.float64]
 MODES: Final = 512
 _FORMAT: Final = 1
-_BLOCK_ROWS: Final = 4_096
+BLOCK_ROWS: Final = 4_096
 
 
 @dataclass(frozen=True)
@@ -192,6 +192,7 @@ def reduce_chunks(
     chunks: Iterable[Samples],
     layout: Layout,
     sampling: Sampling,
+    block_rows: int = BLOCK_ROWS,
 ) -> EventStatistics:
     """Reduce telemetry that comes in chunks, in constant memory.
 
@@ -199,6 +200,8 @@ def reduce_chunks(
     ----------
     chunks
         Rows in order of time, as :class:`Samples`.
+    block_rows
+        Most rows whose columns are made at once: what extra columns see of an event.
 
     Raises
     ------
@@ -209,7 +212,7 @@ def reduce_chunks(
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
-    for chunk, final in _with_end(_in_blocks(chunks)):
+    for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
             inner.gather(_inner_products(rows, layout, sampling.duration_s))
@@ -227,14 +230,14 @@ def reduce_chunks(
     return replace(total, close_pairs=carry.cuts, counter_interval_s=interval)
 
 
-def _in_blocks(chunks: Iterable[Samples]) -> Iterator[Samples]:
+def _in_blocks(chunks: Iterable[Samples], rows: int) -> Iterator[Samples]:
     """The same rows in blocks whose columns stay in the processor's cache."""
     for chunk in chunks:
-        if len(chunk) <= _BLOCK_ROWS:
+        if len(chunk) <= rows:
             yield chunk
         else:
-            for start in range(0, len(chunk), _BLOCK_ROWS):
-                yield chunk.part(start, start + _BLOCK_ROWS)
+            for start in range(0, len(chunk), rows):
+                yield chunk.part(start, start + rows)
 
 
 def _with_end(blocks: Iterator[Samples]) -> Iterator[tuple[Samples, bool]]:
