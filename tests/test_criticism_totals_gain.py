@@ -38,8 +38,9 @@ def scored(rows: tuple[TotalsEvent, ...]) -> HeldOut:
     case: Case = prepare((), PRIORS, build_model(rows, PRIORS))
     catalogue: Catalogue = catalogue_of(case)
     none = none_hypothesis(case, catalogue)
-    # only name and effects of a weighed hypothesis are asked for
-    weighed = Weighed(none, Mode(np.zeros(0), np.zeros((0, 0)), 0.0), 0.0, 0.0)
+    d = none.dimension
+    # searches start from the mode, so the prior's own does
+    weighed = Weighed(none, Mode(np.zeros(d), 0.05 * np.eye(d), 0.0), 0.0, 0.0)
     return held_out_totals(case, rows, catalogue, weighed, np.random.default_rng(1))
 
 
@@ -84,6 +85,7 @@ def test_a_diagnosis_holds_its_rows_out(has_rows: bool) -> None:
     record = diagnose(case, few, np.random.default_rng(3), rows=rows).record
     assert (record["gain"]["elpd_diff"] is not None) == has_rows
     if has_rows:
-        assert record["baseline"]["elpd"] == pytest.approx(plain().elpd, abs=1e-6)
+        # searches from different starts end within a slope of 0.1 nats, four of them to a sum
+        assert record["baseline"]["elpd"] == pytest.approx(plain().elpd, abs=0.05)
         assert record["baseline"]["heldout_rmse_nms"] == pytest.approx(plain().rmse_n_m_s, rel=0.1)
     assert ("not a mix" in gain_sentence(record)) != has_rows

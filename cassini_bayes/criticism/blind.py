@@ -183,7 +183,7 @@ def _record(verdict: Verdict, hidden: Sequence[Hidden], rng: np.random.Generator
         {
             "name": w.name,
             "probability": probabilities[w.name],
-            "log_bayes_factor": float(w.log_evidence - w.hypothesis.log_penalty - none),
+            "log_bayes_factor": float(w.net_evidence - none),
         }
         for w in verdict.weighed[:KEPT_CAUSES]
     ]
@@ -205,7 +205,7 @@ def _record(verdict: Verdict, hidden: Sequence[Hidden], rng: np.random.Generator
         "pair": None if verdict.pair is None else verdict.pair.name,
         "pair_gain": None
         if verdict.pair is None
-        else float(verdict.pair.log_evidence - verdict.best_cause.log_evidence),
+        else float(verdict.pair.net_evidence - verdict.best_cause.net_evidence),
         "pair_first_like": list(verdict.confounded_with(verdict.best_cause.name)),
         "pair_second_like": list(verdict.pair_alike),
         "p_value": p,

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from cassini_bayes.criticism.blind_flights import Hidden, Scene
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
 from cassini_bayes.criticism.evidence import Mode
-from cassini_bayes.criticism.extended import Case, Hypothesis, none_hypothesis
-from cassini_bayes.criticism.oscillation import Oscillation, flexible_case
+from cassini_bayes.criticism.extended import Case, Hypothesis, Oscillation, none_hypothesis
+from cassini_bayes.criticism.oscillation import flexible_case
 from cassini_bayes.criticism.shift import Seen, changed_size, held, modelled_size, seen_at_truth
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
@@ -253,12 +253,14 @@ def hidden_oscillation(values: Mapping[str, float]) -> tuple[Oscillation, dict[s
     """
     clamped = float(np.sqrt(1.0 - values["inertia_fraction"]))
     line = Oscillation(
-        values["frequency_hz"] * clamped, values["damping"] * clamped, int(values["axis"]), 0.0
+        values["frequency_hz"] * clamped, values["damping"] * clamped, int(values["axis"])
     )
     found = {
         "cosine_rad_s": -values["amplitude_rad_s"],
         "sine_rad_s": 0.0,
         "inertia_fraction": values["inertia_fraction"],
+        "frequency_shift": 0.0,
+        "damping_shift": 0.0,
     }
     return line, found
 

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 WARMUP_NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
 SHIFT_NODES_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
 FLEXIBLE: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
+_SLOPE_STEP: Final = 0.05  # of what the span can tell apart
 _SAME_S: Final = 1e-6  # a reading at the time of a row is known there
 _TAIL_S: Final = 0.030  # on-time that a pulse's tail adds, good to some milliseconds
 
@@ -94,15 +95,37 @@ def _shifted(place: int, offset_s: float, context: RowContext) -> Array:
 
 
 def flexible_columns(
-    frequency_hz: float, damping: float, axis: int, motion: KnownMotion
+    frequency_hz: float, damping: float, axis: int, span_s: float, motion: KnownMotion
 ) -> tuple[ExtraColumn, ...]:
-    """Columns of an oscillation about an axis (:func:`oscillation_series`)."""
+    """Columns of an oscillation about an axis (:func:`oscillation_series`) and their slopes.
 
-    def part(place: int, context: RowContext) -> Array:
-        series = oscillation_series(context.time_s, motion, frequency_hz, damping)
-        return np.asarray(series[place] if place < len(series) - 1 else series[place][:, axis])
+    Slopes are by frequency in units of 1/T and by damping in units of 1/(ΩT), T the span.
+    """
+    units = 1.0 / span_s, 1.0 / (2.0 * np.pi * frequency_hz * span_s)
 
-    return tuple(ExtraColumn(name, partial(part, place)) for place, name in enumerate(FLEXIBLE))
+    def series(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
+        line = frequency_hz + by_line * units[0], damping + by_damping * units[1]
+        found = oscillation_series(context.time_s, motion, *line)[place]
+        return np.asarray(found if place < len(FLEXIBLE) - 1 else found[:, axis])
+
+    def slope(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
+        ahead = series(place, by_line, by_damping, context)
+        return (ahead - series(place, -by_line, -by_damping, context)) / (2.0 * _SLOPE_STEP)
+
+    columns = []
+    for place, name in enumerate(FLEXIBLE):
+        line, dying = flexible_slopes(name)
+        columns += [
+            ExtraColumn(name, partial(series, place, 0.0, 0.0)),
+            ExtraColumn(line, partial(slope, place, _SLOPE_STEP, 0.0)),
+            ExtraColumn(dying, partial(slope, place, 0.0, _SLOPE_STEP)),
+        ]
+    return tuple(columns)
+
+
+def flexible_slopes(name: str) -> tuple[str, str]:
+    """Names of the columns of a series' slopes by frequency and by damping."""
+    return f"{name}:frequency", f"{name}:damping"
 
 
 def oscillation_series(

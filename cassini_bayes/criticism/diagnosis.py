@@ -110,7 +110,7 @@ def diagnose(
         "sensitivity": width_sensitivity(verdict, threads),
         "second_cause_nats": None
         if verdict.pair is None
-        else float(verdict.pair.log_evidence - verdict.best_cause.log_evidence),
+        else float(verdict.pair.net_evidence - verdict.best_cause.net_evidence),
         "second_cause_like": list(verdict.pair_alike),
         "separation": _separation(verdict),
     }
@@ -162,7 +162,8 @@ def _extended_innovations(
     """Linear model and innovations of the extended model: the baseline's where it adds no cause."""
     if verdict.linear is None or not extended.hypothesis.effects:
         return verdict.linear, verdict.rows
-    linear, rows = innovations(case_of(verdict, extended), extended.hypothesis, extended.mode.point)
+    case = case_of(verdict.case, extended)
+    linear, rows = innovations(case, extended.hypothesis, extended.mode.point)
     return linear, tuple(rows)
 
 
@@ -220,7 +221,7 @@ def _fit_record(
         "rmse_nms": _rmse(rows),
         "heldout_rmse_nms": None if score is None else score.rmse_n_m_s,
         "heldout_coverage_90": None if score is None else score.coverage_90,
-        "log_evidence": float(weighed.log_evidence - weighed.hypothesis.log_penalty),
+        "log_evidence": float(weighed.net_evidence),
     }
 
 
@@ -258,28 +259,17 @@ def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str,
             {
                 "name": weighed.name,
                 "probability": float(np.exp(log_probability)),
-                "log_bayes_factor": float(
-                    weighed.log_evidence - hypothesis.log_penalty - verdict.none.log_evidence
-                ),
-                "parameters": _parameters(verdict, weighed, rng)
-                if shown and hypothesis.effects
-                else {},
+                "log_bayes_factor": float(weighed.net_evidence - verdict.none.log_evidence),
+                "parameters": _parameters(weighed, rng) if shown and hypothesis.effects else {},
                 "confounded_with": list(verdict.confounded_with(weighed.name)) if shown else [],
             }
         )
     return records
 
 
-def _parameters(verdict: Verdict, weighed: Weighed, rng: np.random.Generator) -> dict[str, Any]:
+def _parameters(weighed: Weighed, rng: np.random.Generator) -> dict[str, Any]:
     z, weights = effect_draws(weighed, rng)
     values = effect_values(weighed, z)
-    if "amplitude_rad_s" in values:
-        line = verdict.oscillation
-        assert line is not None  # what the columns were made from
-        share = values["inertia_fraction"]
-        # of the appendage on a body that gives; found by the search and fixed
-        free = np.full_like(share, np.sqrt(1.0 - float(weights @ share / weights.sum())))
-        values |= {"frequency_hz": line.frequency_hz / free, "damping": line.damping / free}
     return {key: _summary(value, weights) for key, value in values.items()}
 
 

@@ -121,6 +121,11 @@ class Weighed:
         """Name of the cause."""
         return self.hypothesis.name
 
+    @property
+    def net_evidence(self) -> float:
+        """Log evidence less what a search before the fit cost (nats)."""
+        return self.log_evidence - self.hypothesis.log_penalty
+
 
 def look(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Array]:
     """Value and gradient in the coordinates u of z = point + axes u, from one-sided differences.

@@ -69,15 +69,33 @@ class TelemetrySource:
 
 
 @dataclass(frozen=True)
+class Oscillation:
+    """A damped oscillation about a body axis: frequency and damping of the clamped appendage.
+
+    Departures from them are counted in what ``span_s`` can tell apart: 1/T of the frequency,
+    1/(ΩT) of the damping.
+    """
+
+    frequency_hz: float
+    damping: float
+    axis: int
+    log_looks: float = 0.0  # nats that the search costs
+    span_s: float = 3_600.0
+
+
+@dataclass(frozen=True)
 class Case:
-    """All that is diagnosed together, reduced with the catalogue's columns."""
+    """All that is diagnosed together, reduced with the catalogue's columns.
+
+    ``oscillation`` is what the columns of ``flexible_mode`` were made from, if there are any.
+    """
 
     priors: Priors
     sources: tuple[TelemetrySource, ...]
     statistics: tuple[tuple[EventStatistics, Sampling], ...]
     totals: TotalsModel | None
     rates: RateInformation
-    flexible_axis: int = 2
+    oscillation: Oscillation | None = None
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -153,7 +171,12 @@ class Hypothesis:
     effects: tuple[Effect, ...]
     prior_probability: float
     rates: RateInformation | None
-    log_penalty: float = 0.0  # nats that a search before the fit cost
+    oscillation: Oscillation | None = None  # that of flexible_mode
+
+    @property
+    def log_penalty(self) -> float:
+        """What a search before the fit cost (nats)."""
+        return 0.0 if self.oscillation is None else self.oscillation.log_looks
 
     @property
     def dimension(self) -> int:
@@ -234,7 +257,8 @@ def extend(base: Hypothesis, effects: Sequence[Effect], case: Case) -> Hypothesi
         (*old.space.distributions, *(p.distribution for p in parameters)),
         (*old.space.blocks, *("effect" for _ in parameters)),
     )
-    setting = (old.spacecraft, old.branch, case.flexible_axis)
+    line = case.oscillation
+    setting = (old.spacecraft, old.branch, 2 if line is None else line.axis)
     added = tuple(modifier_of(effect, *setting) for effect in effects)
     in_rows = tuple(modifier_of(effect, *setting, rows=True) for effect in effects)
     totals = old.totals
@@ -252,6 +276,7 @@ def extend(base: Hypothesis, effects: Sequence[Effect], case: Case) -> Hypothesi
         together,
         probability,
         case.rates if uses_rates else None,
+        line if any(effect.kind == "flexible_mode" for effect in together) else None,
     )
 
 

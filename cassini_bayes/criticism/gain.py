@@ -31,7 +31,7 @@ from cassini_bayes.criticism.extended import (
 )
 from cassini_bayes.criticism.innovations import Linear, linearise
 from cassini_bayes.criticism.naming import Verdict
-from cassini_bayes.criticism.oscillation import Oscillation, flexible_case
+from cassini_bayes.criticism.oscillation import flexible_case
 from cassini_bayes.parallel import on_threads
 from cassini_bayes.warmstart import lower_factor
 
@@ -61,26 +61,15 @@ class HeldOut:
         return float(np.sqrt(n) * self.log_scores.std(ddof=1)) if n > 1 else float("nan")
 
 
-def case_of(verdict: Verdict, weighed: Weighed) -> Case:
-    """The verdict's case with the columns that a hypothesis needs."""
-    return _with_columns(verdict.case, weighed, verdict.oscillation)
+def case_of(case: Case, weighed: Weighed) -> Case:
+    """A case with the columns that a hypothesis needs."""
+    line = weighed.hypothesis.oscillation
+    return case if line is None else flexible_case(case, line)
 
 
-def _with_columns(case: Case, weighed: Weighed, oscillation: Oscillation | None) -> Case:
-    flexible = any(effect.kind == "flexible_mode" for effect in weighed.hypothesis.effects)
-    if flexible and oscillation is not None:
-        return flexible_case(case, oscillation)
-    return case
-
-
-def fitted_to(
-    case: Case, catalogue: Catalogue, weighed: Weighed, oscillation: Oscillation | None = None
-) -> tuple[Hypothesis, Mode]:
-    """A weighed hypothesis and its mode on another case, such as one with an event left out.
-
-    ``oscillation`` is what ``flexible_mode`` takes its columns from.
-    """
-    needed = _with_columns(case, weighed, oscillation)
+def fitted_to(case: Case, catalogue: Catalogue, weighed: Weighed) -> tuple[Hypothesis, Mode]:
+    """A weighed hypothesis and its mode on another case, such as one with an event left out."""
+    needed = case_of(case, weighed)
     if weighed.name == "unknown":
         full = unknown_hypothesis(case, catalogue)
     else:
@@ -111,17 +100,17 @@ def held_out(
 ) -> HeldOut:
     """Every telemetry event of the verdict's case held out in turn."""
     events = [source.id for source in verdict.case.sources]
-    _, whole = fitted_to(verdict.case, verdict.catalogue, weighed, verdict.oscillation)
+    _, whole = fitted_to(verdict.case, verdict.catalogue, weighed)
 
     def score(event: str) -> float:
         others = verdict.case.without(event)
-        _, mode = fitted_to(others, verdict.catalogue, weighed, verdict.oscillation)
+        _, mode = fitted_to(others, verdict.catalogue, weighed)
         if say is not None:
             say(f"{weighed.name}: {event} held out")
         return whole.log_evidence - mode.log_evidence
 
     scores = on_threads(score, events, threads)
-    case = case_of(verdict, weighed)
+    case = case_of(verdict.case, weighed)
     linear, _, factors = linearise(case, weighed.hypothesis, weighed.mode.point)
     centre = -weighed.mode.point
     residuals, inside = [], []

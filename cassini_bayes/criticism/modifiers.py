@@ -19,6 +19,7 @@ from cassini_bayes.criticism.columns import (
     FLEXIBLE,
     SHIFT_NODES_S,
     WARMUP_NODES_S,
+    flexible_slopes,
     hat_weights,
     lagrange_weights,
     shift_column,
@@ -240,7 +241,10 @@ def _rate_scale(physics: Physics, _: Parameters, values: Values, setting: Settin
 
 
 def _flexible_mode(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
-    """An appendage moves against the body: freely, and as the body's own rate drives it."""
+    """An appendage moves against the body: freely, and as the body's own rate drives it.
+
+    Its frequency and damping depart from those of the columns in first order.
+    """
     unit = np.eye(3)[setting.axis]
     moment = physics.inertia_kg_m2[..., setting.axis, setting.axis]
     weights = (
@@ -248,10 +252,13 @@ def _flexible_mode(physics: Physics, _: Parameters, values: Values, setting: Set
         values["sine_rad_s"],
         -values["inertia_fraction"],
     )
-    own = {
-        name: (moment * weight)[..., None] * unit
-        for name, weight in zip(FLEXIBLE, weights, strict=True)
-    }
+    own = {}
+    for name, weight in zip(FLEXIBLE, weights, strict=True):
+        line, dying = flexible_slopes(name)
+        momentum = (moment * weight)[..., None] * unit
+        own[name] = momentum
+        own[line] = momentum * values["frequency_shift"][..., None]
+        own[dying] = momentum * values["damping_shift"][..., None]
     return _with_extra(physics, own)
 
 

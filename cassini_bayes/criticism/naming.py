@@ -27,6 +27,7 @@ from cassini_bayes.criticism.evidence import (
 from cassini_bayes.criticism.extended import (
     Case,
     Hypothesis,
+    Oscillation,
     compact,
     extend,
     none_hypothesis,
@@ -34,7 +35,6 @@ from cassini_bayes.criticism.extended import (
 )
 from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
 from cassini_bayes.criticism.oscillation import (
-    Oscillation,
     find_oscillation,
     flexible_case,
     motions_of,
@@ -109,7 +109,7 @@ def is_alike(one: Weighed, other: Weighed) -> bool:
     of the difference is what more parameters cost: a steady torque of three sizes fits whatever a
     leak does.
     """
-    apart = abs(one.log_evidence - other.log_evidence)
+    apart = abs(one.net_evidence - other.net_evidence)
     return apart < CONFOUNDED_NATS or (
         apart < ALIKE_NATS and abs(one.mode.fit - other.mode.fit) < CONFOUNDED_NATS
     )
@@ -152,15 +152,13 @@ def name_causes(
     tell(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
     linear, rows = (None, []) if not case.sources else innovations(case, full, base.point)
     weighed = [_by_laplace(none, base), _by_laplace(unknown, unknown_mode)]
-    oscillation = None
-    if linear is not None:
-        oscillation = _look_for_oscillation(case, catalogue, full, base, (linear, rows))
+    oscillation = _look_for_oscillation(case, catalogue, (full, base.point))
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     weighed += weigh_beside(hypotheses, base, tell, threads, unknown_mode.log_evidence)
     if oscillation is not None:
         best = max(own.log_evidence for own in weighed)
-        weighed.append(_flexible(case, catalogue, oscillation, base, best))
+        weighed.append(_flexible(case, catalogue, oscillation, (), base, best))
     weighed = _sample_near(weighed, rng, threads)
     weighed, log_probabilities = _ranked(weighed)
     verdict = Verdict(
@@ -243,16 +241,14 @@ def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
 
 
 def _look_for_oscillation(
-    case: Case,
-    catalogue: Catalogue,
-    none: Hypothesis,
-    base: Mode,
-    left: tuple[Linear, Sequence[EventRows]],
+    case: Case, catalogue: Catalogue, weighed: tuple[Hypothesis, Array]
 ) -> Oscillation | None:
-    linear, rows = left
-    if "flexible_mode" not in catalogue.names:
+    """The oscillation that a hypothesis at a point leaves in the innovations."""
+    if "flexible_mode" not in catalogue.names or not case.sources:
         return None
-    parameters = none.model.space.to_parameters(base.point)
+    hypothesis, point = weighed
+    linear, rows = innovations(case, hypothesis, point)
+    parameters = hypothesis.model.space.to_parameters(point)
     inertia = [float(parameters[f"inertia_{axis}{axis}_kg_m2"]) for axis in "xyz"]
     scale = {
         p.key: float(p.distribution.keywords["scale"])
@@ -263,13 +259,18 @@ def _look_for_oscillation(
 
 
 def _flexible(
-    case: Case, catalogue: Catalogue, oscillation: Oscillation, base: Mode, best: float
+    case: Case,
+    catalogue: Catalogue,
+    oscillation: Oscillation,
+    beside: Sequence[Effect],
+    base: Mode,
+    best: float,
 ) -> Weighed:
-    """``flexible_mode`` at the frequency found, less the nats that the search costs."""
-    own, model_case = catalogue.effect("flexible_mode"), flexible_case(case, oscillation)
-    hypothesis = compact(extend(none_hypothesis(model_case, catalogue), [own], model_case))
+    """``flexible_mode`` at the line found, beside other effects or alone."""
+    own, shown = catalogue.effect("flexible_mode"), flexible_case(case, oscillation)
+    hypothesis = compact(extend(none_hypothesis(shown, catalogue), [*beside, own], shown))
     (weighed,) = weigh_beside([hypothesis], base, _silent, floor=best)
-    return replace(weighed, hypothesis=replace(hypothesis, log_penalty=oscillation.log_looks))
+    return weighed
 
 
 def _sample_near(
@@ -301,11 +302,7 @@ def _drawn(
 
 
 def _score(weighed: Weighed) -> float:
-    return (
-        weighed.log_evidence
-        - weighed.hypothesis.log_penalty
-        + float(np.log(weighed.hypothesis.prior_probability))
-    )
+    return weighed.net_evidence + float(np.log(weighed.hypothesis.prior_probability))
 
 
 def _ranked(weighed: Sequence[Weighed]) -> tuple[list[Weighed], Array]:
@@ -324,16 +321,20 @@ def second_cause(
     """
     best, catalogue = verdict.best_cause, verdict.catalogue
     (first,) = best.hypothesis.effects
-    case = verdict.case
-    if first.kind == "flexible_mode":
-        return None, ()
+    line = best.hypothesis.oscillation
+    case = verdict.case if line is None else flexible_case(verdict.case, line)
     full = extend(none_hypothesis(case, catalogue), [first], case)
     base = renewed(best.hypothesis, best.mode)
     pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]
     tried = weigh_beside(pairs, base, _silent, threads)
-    tried = _sample_pairs(tried, best.log_evidence + SECOND_CAUSE_NATS, rng, threads)
-    found = max(tried, key=lambda weighed: weighed.log_evidence, default=None)
-    if found is None or found.log_evidence < best.log_evidence + SECOND_CAUSE_NATS:
+    if line is None:
+        further = _look_for_oscillation(case, catalogue, (best.hypothesis, base.point))
+        if further is not None:
+            tried.append(_flexible(case, catalogue, further, [first], base, base.log_evidence))
+    least = best.net_evidence + SECOND_CAUSE_NATS
+    tried = _sample_pairs(tried, least, rng, threads)
+    found = max(tried, key=lambda own: own.net_evidence, default=None)
+    if found is None or found.net_evidence < least:
         return None, ()
     pair = sampled(found, rng, DRAWS)
     if not verdict.best.hypothesis.effects and _score(pair) < _score(verdict.best):
@@ -351,8 +352,8 @@ def _sample_pairs(
 ) -> list[Weighed]:
     """Importance draws for pairs that could be the best, or as good, and reach ``least``."""
     found = list(tried)
-    reach = [own.log_evidence + own.unsure + CONFOUNDED_NATS for own in found]
-    bar = max([least, *(own.log_evidence for own in found)])
+    reach = [own.net_evidence + own.unsure + CONFOUNDED_NATS for own in found]
+    bar = max([least, *(own.net_evidence for own in found)])
     return _drawn(found, [i for i, own in enumerate(reach) if own > bar], FEW_DRAWS, rng, threads)
 
 
@@ -376,7 +377,7 @@ def effect_draws(weighed: Weighed, rng: np.random.Generator) -> tuple[Array, Arr
 def effect_values(weighed: Weighed, z: Array) -> dict[str, Array]:
     """The effect parameters' values (n,) at z: departures added to the baseline's parameter.
 
-    Cosine and sine of an oscillation are given as its amplitude.
+    An oscillation is given as it shows itself: amplitude, frequency and damping.
     """
     model = weighed.hypothesis.model
     parameters = model.space.to_parameters(z)
@@ -390,9 +391,20 @@ def effect_values(weighed: Weighed, z: Array) -> dict[str, Array]:
             elif parameter.is_departure and parameter.key.startswith("external_torque_"):
                 value = value + means[parameter.key.split("_")[2]]
             values[parameter.key] = value
-    if "cosine_rad_s" in values:
-        values["amplitude_rad_s"] = np.hypot(values.pop("cosine_rad_s"), values.pop("sine_rad_s"))
+    if weighed.hypothesis.oscillation is not None:
+        return _seen_from_outside(values, weighed.hypothesis.oscillation)
     return values
+
+
+def _seen_from_outside(values: dict[str, Array], line: Oscillation) -> dict[str, Array]:
+    """An oscillation's values as the free body shows it: amplitude, frequency, damping."""
+    by_line, by_damping = values.pop("frequency_shift"), values.pop("damping_shift")
+    frequency = line.frequency_hz + by_line / line.span_s
+    damping = line.damping + by_damping / (2.0 * np.pi * line.frequency_hz * line.span_s)
+    free = np.sqrt(1.0 - values["inertia_fraction"])  # an appendage of a body that gives is faster
+    amplitude = np.hypot(values.pop("cosine_rad_s"), values.pop("sine_rad_s"))
+    shown = {"frequency_hz": frequency / free, "damping": np.maximum(damping, 0.0) / free}
+    return {**values, **shown, "amplitude_rad_s": amplitude}
 
 
 def weighted_interval(

@@ -11,20 +11,22 @@ is taken to start alike in every event, t from its first row.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
 
 from cassini_bayes.criticism.columns import (
     KnownMotion,
     flexible_columns,
     known_motion,
     oscillation_series,
+    telemetry_columns,
 )
-from cassini_bayes.criticism.extended import Case, reduce_source
+from cassini_bayes.criticism.extended import Case, Oscillation, reduce_source
 from cassini_bayes.criticism.innovations import EventRows, Linear
 
 Array = NDArray[np.float64]
@@ -33,17 +35,8 @@ DAMPINGS: Final = (0.0, 0.001, 0.003, 0.01, 0.03)
 COARSE_DAMPINGS: Final = (0.0, 0.003)
 PEAKS: Final = 6
 FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width
+MOST_LOOKS: Final = 60  # for the last digits of frequency and damping
 CHUNK: Final = 128  # frequencies at once
-
-
-@dataclass(frozen=True)
-class Oscillation:
-    """A damped oscillation about a body axis: frequency and damping of the clamped appendage."""
-
-    frequency_hz: float
-    damping: float
-    axis: int
-    log_looks: float  # nats that the search costs
 
 
 def motions_of(case: Case) -> tuple[KnownMotion, ...]:
@@ -52,17 +45,21 @@ def motions_of(case: Case) -> tuple[KnownMotion, ...]:
 
 
 def flexible_case(case: Case, oscillation: Oscillation) -> Case:
-    """The case reduced again with the columns of the oscillation."""
-    line = oscillation.frequency_hz, oscillation.damping, oscillation.axis
+    """The case reduced again with the columns of the oscillation beside all others."""
+    own = oscillation
+    line = own.frequency_hz, own.damping, own.axis, own.span_s
     statistics = tuple(
         reduce_source(
-            source, case.priors, flexible_columns(*line, motion), sampling.pulse_shape.name
+            source,
+            case.priors,
+            (*telemetry_columns(source.thrusters), *flexible_columns(*line, motion)),
+            sampling.pulse_shape.name,
         )
         for source, (_, sampling), motion in zip(
             case.sources, case.statistics, motions_of(case), strict=True
         )
     )
-    return replace(case, statistics=statistics, flexible_axis=oscillation.axis)
+    return replace(case, statistics=statistics, oscillation=oscillation)
 
 
 def find_oscillation(
@@ -76,7 +73,7 @@ def find_oscillation(
 
     All frequencies a line's width apart are looked at with two dampings and with what the fit takes
     away left in the columns; the best of them and their neighbours with all dampings and with that
-    taken off.
+    taken off; the best of these goes on to the maximum.
 
     Parameters
     ----------
@@ -100,16 +97,29 @@ def find_oscillation(
         ]
     )
     factor = cho_factor(linear.gram())
-    best, line = -np.inf, Oscillation(float(frequencies[0]), 0.0, 2, 0.0)
-    for f, axis in _peaks(scores):
-        for shift in FINER:
-            frequency = float(frequencies[f] + shift / span)
-            for damping in DAMPINGS:
-                gram, seen = _fine(rows, motions, linear, factor, (frequency, damping, axis))
-                score = float(_log_evidence(gram, seen, size[axis]))
-                if score > best:
-                    best, line = score, Oscillation(frequency, damping, axis, 0.0)
-    return replace(line, log_looks=float(np.log(3 * len(frequencies) * len(DAMPINGS))))
+
+    def score(frequency: float, damping: float, axis: int) -> float:
+        gram, seen = _fine(rows, motions, linear, factor, (frequency, damping, axis))
+        return float(_log_evidence(gram, seen, size[axis]))
+
+    tried = [
+        (float(frequencies[f] + shift / span), damping, axis)
+        for f, axis in _peaks(scores)
+        for shift in FINER
+        for damping in DAMPINGS
+    ]
+    frequency, damping, axis = max(tried, key=lambda line: score(*line))
+
+    def loss(x: Array) -> float:
+        return -score(frequency + x[0] / span, x[1] ** 2, axis)
+
+    root = float(np.sqrt(damping))
+    corners = np.array([[0.0, root], [0.1, root], [0.0, root + 0.01]])
+    options = {"initial_simplex": corners, "maxfev": MOST_LOOKS, "xatol": 1e-3, "fatol": 1e-3}
+    found = minimize(loss, corners[0], method="Nelder-Mead", options=options)
+    looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
+    frequency += float(found.x[0]) / span
+    return Oscillation(frequency, float(found.x[1] ** 2), axis, looks, span)
 
 
 def _log_evidence(gram: Array, seen: Array, size: Array) -> Array:

@@ -65,7 +65,7 @@ def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) 
     is_good = k < max(LARGEST_K, weighed.pareto_k)
     if is_good or verdict.probabilities[weighed.name] < WORTH_A_SEARCH:
         return found
-    case = case_of(verdict, weighed)
+    case = case_of(verdict.case, weighed)
     full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)
     effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
     hypothesis = compact(extend(full, effects, case))
