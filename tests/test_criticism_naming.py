@@ -101,6 +101,19 @@ def test_hidden_effect_is_named_with_its_size_and_gains() -> None:
     assert gains.sum() > 4.0
 
 
+def test_what_bends_the_baseline_to_its_walls_is_found_from_the_centre() -> None:
+    """An inertia of half its value: no search from the baseline's own mode gets there."""
+    name, value = "inertia:xx", 3_283.5
+    hidden = {"name": name, "parameters": {"inertia_xx_kg_m2": value}}
+    verdict = verdict_of(flown(SEED, [hidden]))
+    assert np.abs(verdict.none.mode.point).max() > 5.0
+    assert verdict.best.name == name
+    z, weights = effect_draws(verdict.best, np.random.default_rng(SEED))
+    draws = effect_values(verdict.best, z)["inertia_xx_kg_m2"]
+    low, high = weighted_interval(draws, weights, 0.998)
+    assert low < value < high
+
+
 def test_nothing_hidden_gives_none_and_something_strange_gives_unknown() -> None:
     """Null telemetry keeps the baseline; a torque pulse outside the catalogue is called unknown."""
     null = verdict_of(flown(SEED + 1))

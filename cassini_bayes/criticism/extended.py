@@ -48,6 +48,9 @@ HOLD_RATE = "hold_rate_rad_s"
 RATE_KINDS = ("rate_bias", "rate_scale")
 HOLD_LOG_SD = 1.0
 FARTHEST = 8.0
+# With a discrepancy nothing needs a nuisance that far out, and where inertias and a torque noise of
+# many standard deviations trade with each other the likelihood is not one of anything that flies.
+UNKNOWN_FARTHEST = 6.0
 WALL = 1e3
 LEAST = -1e12
 
@@ -172,6 +175,7 @@ class Hypothesis:
     prior_probability: float
     rates: RateInformation | None
     oscillation: Oscillation | None = None  # that of flexible_mode
+    farthest: float = FARTHEST
 
     @property
     def log_penalty(self) -> float:
@@ -186,10 +190,10 @@ class Hypothesis:
     def log_density(self, z: Array) -> Array:
         """Log likelihood plus log prior (n,) at z (n, d).
 
-        Beyond ``FARTHEST`` prior standard deviations a steep wall stands in, and points where the
+        Beyond ``farthest`` prior standard deviations a steep wall stands in, and points where the
         likelihood has no value get the least there is: searches may step there.
         """
-        inside = np.clip(z, -FARTHEST, FARTHEST)
+        inside = np.clip(z, -self.farthest, self.farthest)
         wall = WALL * ((z - inside) ** 2).sum(-1)
         try:
             return np.asarray(self._inside(inside) - wall)
@@ -235,7 +239,9 @@ def unknown_hypothesis(case: Case, catalogue: Catalogue) -> Hypothesis:
         priors = priors.with_distribution(HOLD_RATE, _wider_hold(priors, catalogue))
         totals = replace(totals, space=priors.space([*totals.space.names, *totals.space.fixed]))
     model = build_joint_model(case.statistics, priors, totals, keep_idle=True)
-    return Hypothesis("unknown", model, (), catalogue.unknown_probability, None)
+    return Hypothesis(
+        "unknown", model, (), catalogue.unknown_probability, None, farthest=UNKNOWN_FARTHEST
+    )
 
 
 def _wider_hold(priors: Priors, catalogue: Catalogue) -> Distribution:

@@ -50,6 +50,8 @@ SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
 ALIKE_NATS: Final = 5.0
 SUMMARY_DRAWS: Final = 2_000
+BENT: Final = 5.0  # prior standard deviations of the baseline's parameters
+UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
 Say = Callable[[str], None]
 
 
@@ -155,7 +157,12 @@ def name_causes(
     oscillation = _look_for_oscillation(case, catalogue, (full, base.point))
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
-    weighed += weigh_beside(hypotheses, base, tell, threads, unknown_mode.log_evidence)
+    causes = weigh_beside(hypotheses, base, tell, threads, unknown_mode.log_evidence)
+    best = max((own.log_evidence for own in causes), default=-np.inf)
+    if np.abs(base.point).max() > BENT and unknown_mode.log_evidence > best:
+        tell("no cause mends a baseline that bent: all searched from the centre of the prior")
+        causes = on_threads(_from_centre, causes, threads)
+    weighed += causes
     if oscillation is not None:
         best = max(own.log_evidence for own in weighed)
         weighed.append(_flexible(case, catalogue, oscillation, (), base, best))
@@ -234,10 +241,20 @@ def hopeful(found: Sequence[Sought], floor: float) -> list[int]:
     return [i for i, own in enumerate(found) if own.reach > 0.0 and reached[i] > least]
 
 
+def _from_centre(weighed: Weighed) -> Weighed:
+    """A search that does not begin where the baseline was bent to, if it ends higher."""
+    hypothesis = weighed.hypothesis
+    found = baseline_mode(hypothesis.log_density, hypothesis.dimension)
+    return _by_laplace(hypothesis, found) if found.log_evidence > weighed.log_evidence else weighed
+
+
 def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
-    """The baseline's mode in the coordinates of ``unknown``; its own new ones at the middle."""
+    """The baseline's mode in the coordinates of ``unknown``, its own new ones where best."""
     at = dict(zip(none.model.space.names, base.point, strict=True))
-    return np.array([np.clip(at.get(name, 0.0), -3.0, 3.0) for name in unknown.model.space.names])
+    own = np.array([name not in at for name in unknown.model.space.names])
+    point = np.array([at.get(name, 0.0) for name in unknown.model.space.names])
+    tried = np.where(own, np.array(UNKNOWN_STARTS)[:, None], point)
+    return np.asarray(tried[int(np.nanargmax(unknown.log_density(tried)))])
 
 
 def _look_for_oscillation(

@@ -35,6 +35,7 @@ DAMPINGS: Final = (0.0, 0.001, 0.003, 0.01, 0.03)
 COARSE_DAMPINGS: Final = (0.0, 0.003)
 PEAKS: Final = 6
 FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width
+LARGEST_ROOT: Final = 0.3  # of the damping
 MOST_LOOKS: Final = 60  # for the last digits of frequency and damping
 CHUNK: Final = 128  # frequencies at once
 
@@ -116,7 +117,8 @@ def find_oscillation(
     root = float(np.sqrt(damping))
     corners = np.array([[0.0, root], [0.1, root], [0.0, root + 0.01]])
     options = {"initial_simplex": corners, "maxfev": MOST_LOOKS, "xatol": 1e-3, "fatol": 1e-3}
-    found = minimize(loss, corners[0], method="Nelder-Mead", options=options)
+    bounds = ((-2.0, 2.0), (0.0, LARGEST_ROOT))
+    found = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
     looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
     frequency += float(found.x[0]) / span
     return Oscillation(frequency, float(found.x[1] ** 2), axis, looks, span)
