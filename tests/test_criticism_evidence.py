@@ -18,6 +18,7 @@ from cassini_bayes.criticism.evidence import (
     baseline_mode,
     extended_mode,
     has_moved,
+    higher,
     near_mode,
     renewed,
     sampled,
@@ -137,6 +138,16 @@ def test_a_cause_that_took_a_nuisance_far_is_marked_and_sampled_right() -> None:
     assert rough.log_evidence < np.log(wanted) - 1.0
     assert abs(found.log_evidence - np.log(wanted)) < 4.0 * found.log_evidence_se
     assert found.unsure == 0.0
+
+
+def test_a_longer_search_that_ends_lower_does_not_replace_a_shorter_one() -> None:
+    """What came higher is kept, as a search that has not ended."""
+    base = Mode(np.zeros(1), np.eye(1), 0.0)
+    low, high = (Sought(Mode(np.zeros(1), np.eye(1), v), r) for v, r in ((-8.0, 30.0), (68.0, 0.0)))
+    assert higher(high, low, base) is high
+    kept = higher(low, high, base)
+    assert kept.mode is high.mode
+    assert kept.reach > 100.0
 
 
 def test_only_causes_that_may_come_near_the_best_are_searched_further() -> None:

@@ -287,6 +287,13 @@ def _lacking(mode: Mode, base: Mode) -> float:
     return LACKING_NATS + LACKING_SHARE * max(mode.log_evidence - base.log_evidence, 0.0)
 
 
+def higher(new: Sought, old: Sought, base: Mode) -> Sought:
+    """The search that came higher; the older one has not ended where that is the one."""
+    if new.mode.log_evidence >= old.mode.log_evidence:
+        return new
+    return Sought(old.mode, _lacking(old.mode, base))
+
+
 def has_moved(mode: Mode, base: Mode) -> bool:
     """Whether nuisances are so far from the baseline's mode that their curvature may differ."""
     d = len(base.point)

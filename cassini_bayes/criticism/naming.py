@@ -20,6 +20,7 @@ from cassini_bayes.criticism.evidence import (
     baseline_mode,
     extended_mode,
     has_moved,
+    higher,
     near_mode,
     renewed,
     sampled,
@@ -221,7 +222,7 @@ def weigh_beside(
 
     found = on_threads(near, hypotheses, threads)
     longer: tuple[tuple[str, Callable[[int], Sought]], ...] = (
-        ("searched further", lambda i: extended_mode(hypotheses[i], base)),
+        ("searched further", lambda i: higher(extended_mode(hypotheses[i], base), found[i], base)),
         ("searched along all axes", lambda i: Sought(renewed(hypotheses[i], found[i].mode))),
     )
     for what, search in longer:
