@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cassini_bayes.blind_rates import interval
+from cassini_bayes.criticism import kinematics
 from cassini_bayes.criticism.blind import STRATA, stratum_of
 from cassini_bayes.criticism.cases import a_branch, flight_2004, fsds
 from cassini_bayes.criticism.catalogue import DEFAULT, read_catalogue
@@ -99,15 +101,24 @@ def test_interpolation_of_columns() -> None:
     )
 
 
-def made_up(bias: float, scale: float, rng: np.random.Generator) -> Samples:
-    """A body turning slowly about Z with swings, its rates misread about Z."""
-    time = np.arange(0.0, 2000.0)
+def made_up(
+    bias: float,
+    scale: float,
+    rng: np.random.Generator,
+    noise: tuple[float, float] = (2e-5, 2e-6),
+    seconds: float = 2000.0,
+) -> Samples:
+    """A body turning slowly about Z with swings, its rates misread about Z.
+
+    ``noise`` is that of the attitude (rad) and of rates (rad/s).
+    """
+    time = np.arange(0.0, seconds)
     rate = 2e-4 * np.sin(time / 150.0)
     angle = 2e-4 * 150.0 * (1.0 - np.cos(time / 150.0))
-    angle = angle + 2e-5 * rng.standard_normal(len(time))
+    angle = angle + noise[0] * rng.standard_normal(len(time))
     attitude = np.zeros((len(time), 4))
     attitude[:, 2], attitude[:, 3] = np.sin(angle / 2), np.cos(angle / 2)
-    rates = 2e-6 * rng.standard_normal((len(time), 3))
+    rates = noise[1] * rng.standard_normal((len(time), 3))
     rates[:, 2] += (1.0 + scale) * rate + bias
     return Samples(
         time,
@@ -131,6 +142,26 @@ def test_attitude_tells_rate_bias_and_scale() -> None:
         assert np.sqrt(covariance[0, 0]) < 5e-7
     turned = rotation_vectors(made_up(0.0, 0.0, np.random.default_rng(0)).attitude)
     assert np.abs(turned[:, :2]).max() < 1e-12
+
+
+def gyro_nats(count: int) -> NDArray[np.float64]:
+    """What bias and scale gain at best on flights without either, attitude noise outweighing."""
+    found = []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        information = rate_information(made_up(0.0, 0.0, rng, (3e-5, 1e-6), 3600.0))
+        linear = information.linear[2]
+        found.append(0.5 * linear @ np.linalg.solve(information.precision[2], linear))
+    return np.array(found)
+
+
+def test_gyros_without_errors_gain_as_chance_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of a χ² of two: mean 1; with the walk of rate noise left to chance it is far more."""
+    nats = gyro_nats(120)
+    assert abs(nats.mean() - 1.0) < 4.0 / np.sqrt(len(nats))
+    assert nats.max() < np.log(len(nats)) + 5.0
+    monkeypatch.setattr(kinematics, "_white_variance", lambda _: np.zeros(3))
+    assert gyro_nats(120).max() > np.log(len(nats)) + 5.0
 
 
 def test_warm_up_takes_from_the_tails_of_pulses_as_well() -> None:

@@ -4,8 +4,9 @@ Over an interval the attitude turns by φ and the measured rates integrate to φ
 rates (1 + s) ω + b, φ' − φ = b Δt + s φ + noise per body axis. The noise is the attitude's white
 noise at both ends and a random walk (rate noise, steps of the rate between samples). Sums over
 blocks have covariance σ² K + q B, K tridiagonal (2, −1), which the sine transform makes diagonal;
-σ² and q are estimated from the same sums by maximum likelihood. What is left of the channel is its
-information on b and s: log L(b, s) − log L(0, 0) = ηᵀx − ½ xᵀΛx.
+σ² and q are estimated from the same sums by maximum likelihood, q not below what the noise of the
+measured rates adds up to: an estimate of zero would take the lowest sines for exact. What is left
+of the channel is its information on b and s: log L(b, s) − log L(0, 0) = ηᵀx − ½ xᵀΛx.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from cassini_bayes.statistics.columns import direction_cosines
 Array = NDArray[np.float64]
 BLOCKS = 200
 _LEAST_BLOCKS = 8
+_NORMAL_MEDIAN = 0.6745  # of |x|, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -78,21 +80,31 @@ def rate_information(samples: Samples) -> RateInformation:
     missed, time, angle = blocks(integrated - turned), blocks(steps[:, None]), blocks(turned)
     kept = 2.0 - 2.0 * np.cos(np.pi * np.arange(1, count + 1) / (count + 1))
     precision, linear = np.zeros((3, 2, 2)), np.zeros((3, 2))
+    walked = size * float((steps**2).mean()) * _white_variance(rates)
     for axis in range(3):
         columns = np.stack([time[:, 0], angle[:, axis]], axis=1)
-        weight = 1.0 / _block_variance(missed[:, axis], columns, kept)
+        weight = 1.0 / _block_variance(missed[:, axis], columns, kept, float(walked[axis]))
         precision[axis] = columns.T @ (weight[:, None] * columns)
         linear[axis] = columns.T @ (weight * missed[:, axis])
     return RateInformation(precision, linear)
 
 
-def _block_variance(missed: Array, columns: Array, kept: Array) -> Array:
-    """Variance (m,) of every sine coefficient: σ² kept + q, both by restricted likelihood."""
+def _white_variance(rates: Array) -> Array:
+    """Variance (3,) of the noise of rates (n, 3), by second differences; few steps do not count."""
+    second = rates[2:] - 2.0 * rates[1:-1] + rates[:-2]
+    return np.asarray((np.median(np.abs(second), axis=0) / _NORMAL_MEDIAN) ** 2 / 6.0)
+
+
+def _block_variance(missed: Array, columns: Array, kept: Array, walked: float) -> Array:
+    """Variance (m,) of every sine coefficient: σ² kept + q, both by restricted likelihood.
+
+    ``walked`` is the least q (rad²).
+    """
     scale = float(np.var(missed)) + 1e-30
     unit = columns / (np.linalg.norm(columns, axis=0) + 1e-30)
 
     def cost(logs: Array) -> float:
-        variance = scale * (np.exp(logs[0]) * kept + np.exp(logs[1]))
+        variance = scale * (np.exp(logs[0]) * kept + np.exp(logs[1])) + walked
         weighted = unit / variance[:, None]
         gram = unit.T @ weighted + 1e-12 * np.eye(2) / scale
         fitted = np.linalg.solve(gram, weighted.T @ missed)
@@ -104,7 +116,7 @@ def _block_variance(missed: Array, columns: Array, kept: Array) -> Array:
         )
 
     found = minimize(cost, np.array([-1.0, -3.0]), method="Nelder-Mead")
-    return np.asarray(scale * (np.exp(found.x[0]) * kept + np.exp(found.x[1])))
+    return np.asarray(scale * (np.exp(found.x[0]) * kept + np.exp(found.x[1])) + walked)
 
 
 def combined(parts: Sequence[RateInformation]) -> RateInformation:
