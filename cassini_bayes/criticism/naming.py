@@ -14,6 +14,7 @@ from cassini_bayes.criticism.catalogue import Catalogue, Effect
 from cassini_bayes.criticism.evidence import (
     DRAWS,
     FEW_DRAWS,
+    TRUSTED_K,
     Mode,
     Sought,
     Weighed,
@@ -159,8 +160,7 @@ def name_causes(
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     causes = weigh_beside(hypotheses, base, tell, threads, unknown_mode.log_evidence)
-    best = max((own.log_evidence for own in causes), default=-np.inf)
-    if np.abs(base.point).max() > BENT and unknown_mode.log_evidence > best:
+    if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
         tell("no cause mends a baseline that bent: all searched from the centre of the prior")
         causes = on_threads(_from_centre, causes, threads)
     weighed += causes
@@ -240,6 +240,16 @@ def hopeful(found: Sequence[Sought], floor: float) -> list[int]:
     least = max(floor, *(own.mode.log_evidence for own in found)) - MARGIN_NATS
     reached = [own.mode.log_evidence + own.reach for own in found]
     return [i for i, own in enumerate(found) if own.reach > 0.0 and reached[i] > least]
+
+
+def _is_bent(mode: Mode) -> bool:
+    return bool(np.abs(mode.point).max() > BENT)
+
+
+def _is_mended(causes: Sequence[Weighed], unknown: Mode) -> bool:
+    """Whether the best cause beats ``unknown`` with parameters that are not far out themselves."""
+    best = max(causes, key=lambda own: own.log_evidence)
+    return best.log_evidence > unknown.log_evidence and not _is_bent(best.mode)
 
 
 def _from_centre(weighed: Weighed) -> Weighed:
@@ -384,8 +394,12 @@ def _others(catalogue: Catalogue, first: Effect) -> list[Effect]:
 
 
 def effect_draws(weighed: Weighed, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Posterior draws (n, d) in z and their weights (n,): importance or Laplace draws."""
-    if weighed.z is not None and weighed.log_weights is not None:
+    """Posterior draws (n, d) in z and their weights (n,): importance or Laplace draws.
+
+    Importance draws of a Pareto k̂ above 0.7 are a few that outweigh all others: an interval of
+    theirs would be far too narrow.
+    """
+    if weighed.z is not None and weighed.log_weights is not None and weighed.pareto_k < TRUSTED_K:
         return weighed.z, np.exp(weighed.log_weights)
     mode = weighed.mode
     white = rng.standard_normal((SUMMARY_DRAWS, len(mode.point)))
