@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import norm
 
 from cassini_bayes.criticism.catalogue import Effect, EffectParameter
-from cassini_bayes.criticism.evidence import Mode, Weighed
+from cassini_bayes.criticism.evidence import TRUSTED_K, Mode, Weighed
 from cassini_bayes.criticism.extended import Hypothesis
-from cassini_bayes.criticism.widths import LARGEST_K, reweighted
+from cassini_bayes.criticism.widths import reweighted
 from cassini_bayes.distributions import Distribution
 from cassini_bayes.parameter_space import ParameterSpace
 
@@ -43,10 +43,10 @@ def test_evidence_at_another_width_is_the_closed_form(width: float) -> None:
         seen, 0.0, np.hypot(PRIOR_SD, NOISE_SD)
     )
     assert found == pytest.approx(wanted, abs=0.03)  # five Monte Carlo errors
-    assert k < LARGEST_K
+    assert k < TRUSTED_K
 
 
 def test_draws_that_do_not_reach_are_told() -> None:
     """A prior thirty times narrower wants values that no draw of a clear effect has."""
     _, k = reweighted(weighed(8.0e-3, draws=500), 1.0 / 30.0)
-    assert k > LARGEST_K
+    assert k > TRUSTED_K

@@ -156,7 +156,9 @@ def name_causes(
     tell(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
     linear, rows = (None, []) if not case.sources else innovations(case, full, base.point)
     weighed = [_by_laplace(none, base), _by_laplace(unknown, unknown_mode)]
-    oscillation = _look_for_oscillation(case, catalogue, (full, base.point))
+    oscillation = None
+    if linear is not None:
+        oscillation = _look_for_oscillation(case, catalogue, (full, base.point), (linear, rows))
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     causes = weigh_beside(hypotheses, base, tell, threads, unknown_mode.log_evidence)
@@ -269,13 +271,15 @@ def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
 
 
 def _look_for_oscillation(
-    case: Case, catalogue: Catalogue, weighed: tuple[Hypothesis, Array]
+    case: Case,
+    catalogue: Catalogue,
+    weighed: tuple[Hypothesis, Array],
+    left: tuple[Linear, Sequence[EventRows]],
 ) -> Oscillation | None:
-    """The oscillation that a hypothesis at a point leaves in the innovations."""
-    if "flexible_mode" not in catalogue.names or not case.sources:
+    """The oscillation in the innovations that a hypothesis leaves at a point."""
+    if "flexible_mode" not in catalogue.names:
         return None
-    hypothesis, point = weighed
-    linear, rows = innovations(case, hypothesis, point)
+    (hypothesis, point), (linear, rows) = weighed, left
     parameters = hypothesis.model.space.to_parameters(point)
     inertia = [float(parameters[f"inertia_{axis}{axis}_kg_m2"]) for axis in "xyz"]
     scale = {
@@ -355,8 +359,9 @@ def second_cause(
     base = renewed(best.hypothesis, best.mode)
     pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]
     tried = weigh_beside(pairs, base, _silent, threads)
-    if line is None:
-        further = _look_for_oscillation(case, catalogue, (best.hypothesis, base.point))
+    if line is None and case.sources:
+        at = best.hypothesis, base.point
+        further = _look_for_oscillation(case, catalogue, at, innovations(case, *at))
         if further is not None:
             tried.append(_flexible(case, catalogue, further, [first], base, base.log_evidence))
     least = best.net_evidence + SECOND_CAUSE_NATS

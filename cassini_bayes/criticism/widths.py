@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.criticism.evidence import Weighed, settled
+from cassini_bayes.criticism.evidence import TRUSTED_K, Weighed, settled
 from cassini_bayes.criticism.extended import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.criticism.gain import case_of
 from cassini_bayes.criticism.naming import Verdict
@@ -23,7 +23,6 @@ from cassini_bayes.warmstart import pareto_k
 
 WIDTHS: Final = (0.5, 2.0)
 LEAST_PROBABILITY: Final = 1e-6
-LARGEST_K: Final = 0.7
 WORTH_A_SEARCH: Final = 0.01  # probability of a cause
 
 
@@ -62,7 +61,7 @@ def _probabilities(verdict: Verdict, changed: Mapping[str, float]) -> dict[str, 
 def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) -> float:
     """Change (nats) of a sampled cause's log evidence with priors wider by a factor."""
     found, k = reweighted(weighed, width)
-    is_good = k < max(LARGEST_K, weighed.pareto_k)
+    is_good = k < max(TRUSTED_K, weighed.pareto_k)
     if is_good or verdict.probabilities[weighed.name] < WORTH_A_SEARCH:
         return found
     case = case_of(verdict.case, weighed)
