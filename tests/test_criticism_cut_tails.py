@@ -15,7 +15,7 @@ from cassini_bayes.criticism.blind_flights import CHANNEL_NOISE, source_of
 from cassini_bayes.criticism.cut_tails import ACROSS_S, chance_across, losses, single_cuts
 from cassini_bayes.criticism.diagnosis import catalogue_of
 from cassini_bayes.criticism.extended import prepare
-from cassini_bayes.criticism.innovations import fitted_away, with_single_cuts
+from cassini_bayes.criticism.innovations import fitted_away, with_unknowns
 from cassini_bayes.criticism.p_value import slow_statistic
 from cassini_bayes.criticism.shift import Seen, seen_at_truth
 from cassini_bayes.priors import read_priors
@@ -94,7 +94,7 @@ def quiet_flight() -> Seen:
 def slow_left(seen: Seen, cuts: tuple[Array, Array, Array]) -> float:
     """Slow part of what a flight without noise leaves, with these columns fitted away as well."""
     own = replace(seen.linear, target=seen.left)
-    linear = with_single_cuts(own, [cuts], seen.factors)
+    linear = with_unknowns(own, [cuts], seen.factors)
     left = fitted_away(linear, linear.target)
     return float(slow_statistic(linear, left[:, None], seen.times)[0])
 

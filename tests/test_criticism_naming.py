@@ -18,14 +18,9 @@ from cassini_bayes.criticism.correlations import show
 from cassini_bayes.criticism.diagnosis import catalogue_of
 from cassini_bayes.criticism.extended import Case, prepare
 from cassini_bayes.criticism.gain import held_out
-from cassini_bayes.criticism.naming import (
-    Verdict,
-    effect_draws,
-    effect_values,
-    name_causes,
-    weighted_interval,
-)
+from cassini_bayes.criticism.naming import Verdict, name_causes
 from cassini_bayes.criticism.p_value import p_value
+from cassini_bayes.criticism.sizes import size_draws, weighted_interval
 from cassini_bayes.criticism.symptoms import find_symptoms
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.scenario import simulate_file
@@ -89,8 +84,7 @@ def test_hidden_effect_is_named_with_its_size_and_gains() -> None:
     assert verdict.best.name == name or name in verdict.confounded_with(verdict.best.name)
     assert verdict.probabilities["none"] < 0.01
     found = next(w for w in verdict.weighed if w.name == name)
-    z, weights = effect_draws(found, np.random.default_rng(SEED))
-    values = effect_values(found, z)
+    values, weights = size_draws(verdict.case, found, np.random.default_rng(SEED))
     sizes = {k: v for k, v in values.items() if k in parameters}
     assert sizes
     for key, draws in sizes.items():
@@ -108,9 +102,8 @@ def test_what_bends_the_baseline_to_its_walls_is_found_from_the_centre() -> None
     verdict = verdict_of(flown(SEED, [hidden]))
     assert np.abs(verdict.none.mode.point).max() > 5.0
     assert verdict.best.name == name
-    z, weights = effect_draws(verdict.best, np.random.default_rng(SEED))
-    draws = effect_values(verdict.best, z)["inertia_xx_kg_m2"]
-    low, high = weighted_interval(draws, weights, 0.998)
+    values, weights = size_draws(verdict.case, verdict.best, np.random.default_rng(SEED))
+    low, high = weighted_interval(values["inertia_xx_kg_m2"], weights, 0.998)
     assert low < value < high
 
 

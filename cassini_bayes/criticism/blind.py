@@ -29,16 +29,11 @@ from cassini_bayes.criticism.blind_sizes import (
 from cassini_bayes.criticism.catalogue import Catalogue, Effect, read_catalogue
 from cassini_bayes.criticism.evidence import Weighed, baseline_mode
 from cassini_bayes.criticism.extended import compact, none_hypothesis
-from cassini_bayes.criticism.naming import (
-    Verdict,
-    effect_draws,
-    effect_values,
-    name_causes,
-    weighted_interval,
-)
+from cassini_bayes.criticism.naming import Verdict, name_causes
 from cassini_bayes.criticism.oracle import classifier, sizes_of
 from cassini_bayes.criticism.oscillation import flexible_case
 from cassini_bayes.criticism.p_value import p_value
+from cassini_bayes.criticism.sizes import size_draws, weighted_interval
 from cassini_bayes.criticism.uncatalogued import draw_uncatalogued
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.storage import write_text
@@ -225,9 +220,9 @@ def _sizes(
     found: Weighed | None = next((w for w in verdict.weighed if w.name == hidden.name), None)
     if found is None:
         return []
-    z, weights = effect_draws(found, rng)
+    draws, weights = size_draws(verdict.case, found, rng)
     result: list[dict[str, float | str | bool]] = []
-    for key, values in effect_values(found, z).items():
+    for key, values in draws.items():
         if key not in hidden.parameters:
             continue
         low, high = weighted_interval(values, weights)

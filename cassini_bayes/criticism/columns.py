@@ -20,10 +20,9 @@ from cassini_bayes.statistics import ExtraColumn, RowContext
 Array = NDArray[np.float64]
 WARMUP_NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
 SHIFT_NODES_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
+TAIL_S: Final = 0.030  # on-time that a pulse's tail adds, good to some milliseconds
 FLEXIBLE: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
 _SLOPE_STEP: Final = 0.05  # of what the span can tell apart
-_SAME_S: Final = 1e-6  # a reading at the time of a row is known there
-_TAIL_S: Final = 0.030  # on-time that a pulse's tail adds, good to some milliseconds
 
 
 def warmup_column(thruster: str, time_constant_s: float) -> str:
@@ -79,8 +78,7 @@ def _warmup_tails(place: int, time_constant_s: float, context: RowContext) -> Ar
     alike = np.divide(1.0 - ratio**count, 1.0 - ratio, out=np.array(count), where=ratio < 1.0)
     lost = np.exp(-on_time[:-1] / time_constant_s) * ratio * alike
     lost = np.where(count > 0.0, lost, 0.0)
-    last = np.searchsorted(context.counter_time_s, context.time_s + _SAME_S, side="right") - 1
-    return np.concatenate([[0.0], np.cumsum(lost)])[np.maximum(last, 0)]
+    return np.concatenate([[0.0], np.cumsum(lost)])[context.reading(context.time_s)]
 
 
 def _shifted(place: int, offset_s: float, context: RowContext) -> Array:
@@ -91,7 +89,7 @@ def _shifted(place: int, offset_s: float, context: RowContext) -> Array:
         now = np.interp(context.time_s, context.counter_time_s, values[:, place])
         return np.asarray(later - now)
 
-    return counted(context.on_time_s) + _TAIL_S * counted(context.pulses)
+    return counted(context.on_time_s) + TAIL_S * counted(context.pulses)
 
 
 def flexible_columns(

@@ -16,15 +16,10 @@ from cassini_bayes.criticism.evidence import Weighed
 from cassini_bayes.criticism.extended import Case
 from cassini_bayes.criticism.gain import LEAST_EVENTS, HeldOut, case_of, held_out
 from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
-from cassini_bayes.criticism.naming import (
-    Verdict,
-    effect_draws,
-    effect_values,
-    name_causes,
-    weighted_interval,
-)
+from cassini_bayes.criticism.naming import Verdict, name_causes
 from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.separation import separating_measurement
+from cassini_bayes.criticism.sizes import size_draws, weighted_interval
 from cassini_bayes.criticism.symptoms import Symptom, find_symptoms
 from cassini_bayes.criticism.totals_gain import held_out_totals
 from cassini_bayes.criticism.widths import LEAST_PROBABILITY, width_sensitivity
@@ -260,16 +255,17 @@ def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str,
                 "name": weighed.name,
                 "probability": float(np.exp(log_probability)),
                 "log_bayes_factor": float(weighed.net_evidence - verdict.none.log_evidence),
-                "parameters": _parameters(weighed, rng) if shown and hypothesis.effects else {},
+                "parameters": _parameters(verdict.case, weighed, rng)
+                if shown and hypothesis.effects
+                else {},
                 "confounded_with": list(verdict.confounded_with(weighed.name)) if shown else [],
             }
         )
     return records
 
 
-def _parameters(weighed: Weighed, rng: np.random.Generator) -> dict[str, Any]:
-    z, weights = effect_draws(weighed, rng)
-    values = effect_values(weighed, z)
+def _parameters(case: Case, weighed: Weighed, rng: np.random.Generator) -> dict[str, Any]:
+    values, weights = size_draws(case, weighed, rng)
     return {key: _summary(value, weights) for key, value in values.items()}
 
 

@@ -76,7 +76,7 @@ class Oscillation:
     """A damped oscillation about a body axis: frequency and damping of the clamped appendage.
 
     Departures from them are counted in what ``span_s`` can tell apart: 1/T of the frequency,
-    1/(ΩT) of the damping.
+    1/(ΩT) of the damping. ``step_s`` lies between the rates that tell how the body moves.
     """
 
     frequency_hz: float
@@ -84,6 +84,7 @@ class Oscillation:
     axis: int
     log_looks: float = 0.0  # nats that the search costs
     span_s: float = 3_600.0
+    step_s: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.criticism.cut_tails import single_cuts
 from cassini_bayes.criticism.extended import Case, Hypothesis
+from cassini_bayes.criticism.unresolved import unresolved
 from cassini_bayes.joint import full_parameters, joint_physics
 from cassini_bayes.statistics.columns import Carry, Layout, Rows, settle
 from cassini_bayes.telemetry_terms import (
@@ -223,33 +223,33 @@ def fitted_away(linear: Linear, target: Array) -> Array:
     return np.asarray(target - linear.columns @ answer)
 
 
-def with_single_cuts(
+def with_unknowns(
     linear: Linear,
-    cuts: Sequence[tuple[Array, Array, Array]],
+    opened: Sequence[tuple[Array, Array, Array]],
     factors: Sequence[Array],
 ) -> Linear:
-    """The linear model with a column for every single tail that may have been cut.
+    """The linear model with a column for everything that counters leave open.
 
     Parameters
     ----------
     linear
         Of the likelihood's columns.
-    cuts
+    opened
         Columns (n, 3, s) in N m s, their variances (s,) and the mean (n, 3) of every event
-        (:func:`cut_tails.single_cuts`).
+        (:func:`unresolved.unresolved`).
     factors
         Lower factors (3, 3) of every event's noise.
     """
-    widths = [len(variance) for _, variance, _ in cuts]
+    widths = [len(variance) for _, variance, _ in opened]
     added = np.zeros((len(linear.target), sum(widths)))
     target, place = linear.target.copy(), 0
-    for part, (columns, variance, mean), factor in zip(linear.parts, cuts, factors, strict=True):
+    for part, (columns, variance, mean), factor in zip(linear.parts, opened, factors, strict=True):
         inverse, stop = np.linalg.inv(factor), place + len(variance)
         white = np.einsum("ab,nbs->nas", inverse, columns)
         added[part, place:stop] = white.reshape(3 * len(mean), len(variance))
         target[part] -= (mean @ inverse.T).reshape(-1)
         place = stop
-    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance, _ in cuts)])
+    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance, _ in opened)])
     return Linear(
         target,
         np.concatenate([linear.columns, added], axis=1),
@@ -259,10 +259,10 @@ def with_single_cuts(
 
 
 def innovations(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, list[EventRows]]:
-    """Innovations of every telemetry event at the mode z, single cut tails fitted away as well."""
+    """Innovations of every telemetry event at the mode z, what counters leave open fitted away."""
     linear, rows, factors = linearise(case, hypothesis, z)
-    cuts = [single_cuts(case, hypothesis, z, place, own.time_s) for place, own in enumerate(rows)]
-    linear = with_single_cuts(linear, cuts, factors)
+    opened = [unresolved(case, hypothesis, z, place, own.time_s) for place, own in enumerate(rows)]
+    linear = with_unknowns(linear, opened, factors)
     left = fitted_away(linear, linear.target)
     result = []
     place = 0

@@ -14,7 +14,6 @@ from cassini_bayes.criticism.catalogue import Catalogue, Effect
 from cassini_bayes.criticism.evidence import (
     DRAWS,
     FEW_DRAWS,
-    TRUSTED_K,
     Mode,
     Sought,
     Weighed,
@@ -51,7 +50,6 @@ MOST_DRAWN: Final = 3
 SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
 ALIKE_NATS: Final = 5.0
-SUMMARY_DRAWS: Final = 2_000
 BENT: Final = 5.0  # prior standard deviations of the baseline's parameters
 UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
 Say = Callable[[str], None]
@@ -396,63 +394,3 @@ def _others(catalogue: Catalogue, first: Effect) -> list[Effect]:
         for effect in catalogue.effects
         if effect.name != first.name and effect.kind != "flexible_mode"
     ]
-
-
-def effect_draws(weighed: Weighed, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Posterior draws (n, d) in z and their weights (n,): importance or Laplace draws.
-
-    Importance draws of a Pareto k̂ above 0.7 are a few that outweigh all others: an interval of
-    theirs would be far too narrow.
-    """
-    if weighed.z is not None and weighed.log_weights is not None and weighed.pareto_k < TRUSTED_K:
-        return weighed.z, np.exp(weighed.log_weights)
-    mode = weighed.mode
-    white = rng.standard_normal((SUMMARY_DRAWS, len(mode.point)))
-    return mode.point + white @ mode.factor.T, np.full(SUMMARY_DRAWS, 1.0 / SUMMARY_DRAWS)
-
-
-def effect_values(weighed: Weighed, z: Array) -> dict[str, Array]:
-    """The effect parameters' values (n,) at z: departures added to the baseline's parameter.
-
-    An oscillation is given as it shows itself: amplitude, frequency and damping.
-    """
-    model = weighed.hypothesis.model
-    parameters = model.space.to_parameters(z)
-    means = dict(zip("xyz", model.torque_mean_n_m, strict=True))
-    values = {}
-    for effect in weighed.hypothesis.effects:
-        for parameter in effect.parameters:
-            value = np.asarray(parameters[parameter.name], dtype=np.float64)
-            if parameter.is_departure and parameter.key in parameters:
-                value = value + parameters[parameter.key]
-            elif parameter.is_departure and parameter.key.startswith("external_torque_"):
-                value = value + means[parameter.key.split("_")[2]]
-            values[parameter.key] = value
-    if weighed.hypothesis.oscillation is not None:
-        return _seen_from_outside(values, weighed.hypothesis.oscillation)
-    return values
-
-
-def _seen_from_outside(values: dict[str, Array], line: Oscillation) -> dict[str, Array]:
-    """An oscillation's values as the free body shows it: amplitude, frequency, damping."""
-    by_line, by_damping = values.pop("frequency_shift"), values.pop("damping_shift")
-    frequency = line.frequency_hz + by_line / line.span_s
-    damping = line.damping + by_damping / (2.0 * np.pi * line.frequency_hz * line.span_s)
-    free = np.sqrt(1.0 - values["inertia_fraction"])  # an appendage of a body that gives is faster
-    amplitude = np.hypot(values.pop("cosine_rad_s"), values.pop("sine_rad_s"))
-    shown = {"frequency_hz": frequency / free, "damping": np.maximum(damping, 0.0) / free}
-    return {**values, **shown, "amplitude_rad_s": amplitude}
-
-
-def weighted_interval(
-    values: Array, weights: Array, probability: float = 0.9
-) -> tuple[float, float]:
-    """Shortest interval of a weighted sample with at least this probability."""
-    order = np.argsort(values)
-    ordered, cumulative = values[order], np.cumsum(weights[order])
-    starts = np.concatenate([[0.0], cumulative[:-1]])
-    ends = np.searchsorted(cumulative, starts + probability * cumulative[-1] - 1e-12)
-    valid = ends < len(ordered)
-    widths = ordered[ends[valid]] - ordered[valid]
-    first = int(np.argmin(widths))
-    return float(ordered[valid][first]), float(ordered[ends[valid]][first])

@@ -121,7 +121,8 @@ def find_oscillation(
     found = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
     looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
     frequency += float(found.x[0]) / span
-    return Oscillation(frequency, float(found.x[1] ** 2), axis, looks, span)
+    step = float(np.median([motion.step_s for motion in motions]))
+    return Oscillation(frequency, float(found.x[1] ** 2), axis, looks, span, step)
 
 
 def _log_evidence(gram: Array, seen: Array, size: Array) -> Array:

@@ -16,7 +16,7 @@ from cassini_bayes.criticism.catalogue import Effect, EffectParameter
 from cassini_bayes.criticism.diagnosis import Diagnosis
 from cassini_bayes.criticism.evidence import DOF, Weighed
 from cassini_bayes.criticism.extended import Hypothesis
-from cassini_bayes.criticism.naming import effect_values, weighted_interval
+from cassini_bayes.criticism.sizes import effect_values, weighted_interval
 from cassini_bayes.event_reduction import ReducedEvent
 from cassini_bayes.joint import JointModel
 from cassini_bayes.joint_result import build_joint_fit

@@ -50,13 +50,14 @@ class RowContext:
 
     def on_time_at(self, time_s: Array) -> Array:
         """Commanded on-time (n, K) at the last reading before or at each time."""
-        return self.on_time_s[self._reading(time_s)]
+        return self.on_time_s[self.reading(time_s)]
 
     def pulses_at(self, time_s: Array) -> Array:
         """Pulses (n, K) at the last reading before or at each time."""
-        return self.pulses[self._reading(time_s)]
+        return self.pulses[self.reading(time_s)]
 
-    def _reading(self, time_s: Array) -> NDArray[np.intp]:
+    def reading(self, time_s: Array) -> NDArray[np.intp]:
+        """Place of the last reading before or at each time."""
         place = np.searchsorted(self.counter_time_s, time_s + _SAME_S, side="right") - 1
         return np.maximum(place, 0)
 
