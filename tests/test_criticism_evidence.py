@@ -11,20 +11,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import dblquad
 
-from cassini_bayes.criticism.evidence import (
-    Mode,
+from cassini_bayes.criticism.evidence import Weighed, hopeful, sampled, weigh_beside
+from cassini_bayes.criticism.extended import Hypothesis
+from cassini_bayes.criticism.modes import Mode, baseline_mode
+from cassini_bayes.criticism.search import (
     Sought,
-    Weighed,
-    baseline_mode,
     extended_mode,
     has_moved,
     higher,
     near_mode,
     renewed,
-    sampled,
 )
-from cassini_bayes.criticism.extended import Hypothesis
-from cassini_bayes.criticism.naming import hopeful, weigh_beside
 
 Array = NDArray[np.float64]
 

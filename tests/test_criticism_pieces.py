@@ -21,9 +21,9 @@ from cassini_bayes.criticism.columns import (
     warmup_column,
     warmup_tail_column,
 )
-from cassini_bayes.criticism.evidence import baseline_mode
 from cassini_bayes.criticism.extended import TelemetrySource, reduce_source
 from cassini_bayes.criticism.kinematics import rate_information, rotation_vectors
+from cassini_bayes.criticism.modes import baseline_mode
 from cassini_bayes.criticism.modifiers import modifier_of
 from cassini_bayes.criticism.sizes import weighted_interval
 from cassini_bayes.criticism.summaries import weigh_summaries

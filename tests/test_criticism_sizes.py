@@ -11,9 +11,9 @@ import pytest
 
 from cassini_bayes.criticism.blind_flights import source_of
 from cassini_bayes.criticism.diagnosis import catalogue_of
-from cassini_bayes.criticism.evidence import Weighed, baseline_mode
+from cassini_bayes.criticism.evidence import Weighed, weigh_beside
 from cassini_bayes.criticism.extended import Case, compact, extend, none_hypothesis, prepare
-from cassini_bayes.criticism.naming import weigh_beside
+from cassini_bayes.criticism.modes import baseline_mode
 from cassini_bayes.criticism.sizes import (
     LATE,
     effect_draws,

@@ -11,9 +11,10 @@ import pytest
 
 from cassini_bayes.criticism.catalogue import Catalogue
 from cassini_bayes.criticism.diagnosis import catalogue_of, diagnose
-from cassini_bayes.criticism.evidence import Mode, Weighed
+from cassini_bayes.criticism.evidence import Weighed
 from cassini_bayes.criticism.extended import Case, none_hypothesis, prepare
 from cassini_bayes.criticism.gain import HeldOut
+from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.criticism.totals_gain import held_out_totals
 from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.model import build_model

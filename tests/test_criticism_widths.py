@@ -10,8 +10,9 @@ import pytest
 from scipy.stats import norm
 
 from cassini_bayes.criticism.catalogue import Effect, EffectParameter
-from cassini_bayes.criticism.evidence import TRUSTED_K, Mode, Weighed
+from cassini_bayes.criticism.evidence import TRUSTED_K, Weighed
 from cassini_bayes.criticism.extended import Hypothesis
+from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.criticism.widths import reweighted
 from cassini_bayes.distributions import Distribution
 from cassini_bayes.parameter_space import ParameterSpace

@@ -27,8 +27,9 @@ from cassini_bayes.criticism.blind_sizes import (
     stage,
 )
 from cassini_bayes.criticism.catalogue import Catalogue, Effect, read_catalogue
-from cassini_bayes.criticism.evidence import Weighed, baseline_mode
+from cassini_bayes.criticism.evidence import Weighed
 from cassini_bayes.criticism.extended import compact, none_hypothesis
+from cassini_bayes.criticism.modes import baseline_mode
 from cassini_bayes.criticism.naming import Verdict, name_causes
 from cassini_bayes.criticism.oracle import classifier, sizes_of
 from cassini_bayes.criticism.oscillation import flexible_case

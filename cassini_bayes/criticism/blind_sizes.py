@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from cassini_bayes.criticism.blind_flights import Hidden, Scene
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
-from cassini_bayes.criticism.evidence import Mode
 from cassini_bayes.criticism.extended import Case, Hypothesis, Oscillation, none_hypothesis
+from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.criticism.oscillation import flexible_case
 from cassini_bayes.criticism.shift import Seen, changed_size, held, modelled_size, seen_at_truth
 from cassini_bayes.errors import InputError

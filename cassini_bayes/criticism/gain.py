@@ -15,12 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.criticism.catalogue import Catalogue
-from cassini_bayes.criticism.evidence import (
-    Mode,
-    Weighed,
-    climb,
-    settled,
-)
+from cassini_bayes.criticism.evidence import Weighed
 from cassini_bayes.criticism.extended import (
     Case,
     Hypothesis,
@@ -30,6 +25,7 @@ from cassini_bayes.criticism.extended import (
     unknown_hypothesis,
 )
 from cassini_bayes.criticism.innovations import Linear, linearise
+from cassini_bayes.criticism.modes import Mode, climb, settled
 from cassini_bayes.criticism.naming import Verdict
 from cassini_bayes.criticism.oscillation import flexible_case
 from cassini_bayes.parallel import on_threads

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,18 +12,14 @@ from scipy.special import logsumexp
 
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
 from cassini_bayes.criticism.evidence import (
-    DRAWS,
     FEW_DRAWS,
-    Mode,
-    Sought,
+    Say,
     Weighed,
-    baseline_mode,
-    extended_mode,
-    has_moved,
-    higher,
-    near_mode,
-    renewed,
+    by_laplace,
+    drawn,
     sampled,
+    score,
+    weigh_beside,
 )
 from cassini_bayes.criticism.extended import (
     Case,
@@ -35,24 +31,24 @@ from cassini_bayes.criticism.extended import (
     unknown_hypothesis,
 )
 from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
+from cassini_bayes.criticism.modes import Mode, baseline_mode
 from cassini_bayes.criticism.oscillation import (
     find_oscillation,
     flexible_case,
     motions_of,
 )
+from cassini_bayes.criticism.search import renewed
 from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
 NEAR_NATS: Final = 10.0
-MARGIN_NATS: Final = 30.0
-MOVED_NATS: Final = 10.0
 MOST_DRAWN: Final = 3
+DRAWS: Final = 2_000
 SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
 ALIKE_NATS: Final = 5.0
 BENT: Final = 5.0  # prior standard deviations of the baseline's parameters
 UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -153,7 +149,7 @@ def name_causes(
     unknown_mode = baseline_mode(unknown.log_density, unknown.dimension, start)
     tell(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
     linear, rows = (None, []) if not case.sources else innovations(case, full, base.point)
-    weighed = [_by_laplace(none, base), _by_laplace(unknown, unknown_mode)]
+    weighed = [by_laplace(none, base), by_laplace(unknown, unknown_mode)]
     oscillation = None
     if linear is not None:
         oscillation = _look_for_oscillation(case, catalogue, (full, base.point), (linear, rows))
@@ -192,56 +188,6 @@ def _silent(text: str) -> None:
     del text
 
 
-def _by_laplace(hypothesis: Hypothesis, mode: Mode) -> Weighed:
-    return Weighed(hypothesis, mode, mode.log_evidence, float("nan"))
-
-
-def weigh_beside(
-    hypotheses: Sequence[Hypothesis],
-    base: Mode,
-    say: Say,
-    threads: int = 1,
-    floor: float = -np.inf,
-) -> list[Weighed]:
-    """Extensions of one baseline by Laplace evidence.
-
-    Newton steps beside the baseline's mode first; then longer and longer searches, each for those
-    whose search has not ended and that could still come within thirty nats of the best (or of
-    ``floor``). The others keep what they have.
-    """
-    if not hypotheses:
-        return []
-    done: list[str] = []
-
-    def near(hypothesis: Hypothesis) -> Sought:
-        found = near_mode(hypothesis, base)
-        done.append(hypothesis.name)
-        if len(done) % 10 == 0:
-            say(f"{len(done)} of {len(hypotheses)} causes weighed")
-        return found
-
-    found = on_threads(near, hypotheses, threads)
-    longer: tuple[tuple[str, Callable[[int], Sought]], ...] = (
-        ("searched further", lambda i: higher(extended_mode(hypotheses[i], base), found[i], base)),
-        ("searched along all axes", lambda i: Sought(renewed(hypotheses[i], found[i].mode))),
-    )
-    for what, search in longer:
-        due = hopeful(found, floor)
-        if due:
-            say(f"{len(due)} causes {what}")
-            anew = dict(zip(due, on_threads(search, due, threads), strict=True))
-            found = [anew.get(i, own) for i, own in enumerate(found)]
-    weighed = [_by_laplace(own, at.mode) for own, at in zip(hypotheses, found, strict=True)]
-    return [replace(w, unsure=MOVED_NATS) if has_moved(w.mode, base) else w for w in weighed]
-
-
-def hopeful(found: Sequence[Sought], floor: float) -> list[int]:
-    """Those whose search has not ended and that could come within thirty nats of the best."""
-    least = max(floor, *(own.mode.log_evidence for own in found)) - MARGIN_NATS
-    reached = [own.mode.log_evidence + own.reach for own in found]
-    return [i for i, own in enumerate(found) if own.reach > 0.0 and reached[i] > least]
-
-
 def _is_bent(mode: Mode) -> bool:
     return bool(np.abs(mode.point).max() > BENT)
 
@@ -256,7 +202,7 @@ def _from_centre(weighed: Weighed) -> Weighed:
     """A search that does not begin where the baseline was bent to, if it ends higher."""
     hypothesis = weighed.hypothesis
     found = baseline_mode(hypothesis.log_density, hypothesis.dimension)
-    return _by_laplace(hypothesis, found) if found.log_evidence > weighed.log_evidence else weighed
+    return by_laplace(hypothesis, found) if found.log_evidence > weighed.log_evidence else weighed
 
 
 def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
@@ -308,35 +254,16 @@ def _sample_near(
 ) -> list[Weighed]:
     """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
     found = list(weighed)
-    scores = [_score(w) for w in found]
+    scores = [score(w) for w in found]
     least = max(scores) - NEAR_NATS
     near = [i for i, score in enumerate(scores) if score + found[i].unsure > least]
-    found = _drawn(found, near, FEW_DRAWS, rng, threads)
-    best = sorted(near, key=lambda i: -_score(found[i]))[:MOST_DRAWN]
-    return _drawn(found, best, DRAWS, rng, threads)
-
-
-def _drawn(
-    weighed: Sequence[Weighed],
-    which: Sequence[int],
-    draws: int,
-    rng: np.random.Generator,
-    threads: int,
-) -> list[Weighed]:
-    own = dict(zip(which, rng.spawn(len(which)), strict=True))
-    return on_threads(
-        lambda i: sampled(weighed[i], own[i], draws) if i in own else weighed[i],
-        range(len(weighed)),
-        threads,
-    )
-
-
-def _score(weighed: Weighed) -> float:
-    return weighed.net_evidence + float(np.log(weighed.hypothesis.prior_probability))
+    found = drawn(found, near, FEW_DRAWS, rng, threads)
+    best = sorted(near, key=lambda i: -score(found[i]))[:MOST_DRAWN]
+    return drawn(found, best, DRAWS, rng, threads)
 
 
 def _ranked(weighed: Sequence[Weighed]) -> tuple[list[Weighed], Array]:
-    scores = np.array([_score(w) for w in weighed])
+    scores = np.array([score(w) for w in weighed])
     order = np.argsort(-scores, kind="stable")
     return [weighed[i] for i in order], scores[order] - float(logsumexp(scores))
 
@@ -368,7 +295,7 @@ def second_cause(
     if found is None or found.net_evidence < least:
         return None, ()
     pair = sampled(found, rng, DRAWS)
-    if not verdict.best.hypothesis.effects and _score(pair) < _score(verdict.best):
+    if not verdict.best.hypothesis.effects and score(pair) < score(verdict.best):
         return None, ()
     alike = [
         weighed.hypothesis.effects[-1].name
@@ -385,7 +312,7 @@ def _sample_pairs(
     found = list(tried)
     reach = [own.net_evidence + own.unsure + CONFOUNDED_NATS for own in found]
     bar = max([least, *(own.net_evidence for own in found)])
-    return _drawn(found, [i for i, own in enumerate(reach) if own > bar], FEW_DRAWS, rng, threads)
+    return drawn(found, [i for i, own in enumerate(reach) if own > bar], FEW_DRAWS, rng, threads)
 
 
 def _others(catalogue: Catalogue, first: Effect) -> list[Effect]:

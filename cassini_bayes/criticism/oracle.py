@@ -22,9 +22,9 @@ from scipy.special import log_ndtr, logsumexp
 
 from cassini_bayes.criticism.blind_sizes import NULL_VALUES, hidden_oscillation
 from cassini_bayes.criticism.catalogue import AXES, Catalogue, Effect
-from cassini_bayes.criticism.evidence import Mode
 from cassini_bayes.criticism.extended import RATE_KINDS, Case, Hypothesis, extend, none_hypothesis
 from cassini_bayes.criticism.innovations import fitted_away, linearise
+from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.distributions import Distribution
 
 Array = NDArray[np.float64]

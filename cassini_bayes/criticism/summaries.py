@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr, ndtri
 
-from cassini_bayes.criticism.evidence import baseline_mode
+from cassini_bayes.criticism.modes import baseline_mode
 from cassini_bayes.pulses import PulseShape
 from cassini_bayes.warmstart import Proposal, importance, pareto_k, refined
 

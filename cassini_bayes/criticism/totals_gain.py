@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.criticism.catalogue import Catalogue
-from cassini_bayes.criticism.evidence import Mode, Weighed
+from cassini_bayes.criticism.evidence import Weighed
 from cassini_bayes.criticism.extended import Case, Hypothesis
 from cassini_bayes.criticism.gain import WITHIN, HeldOut, fitted_to
+from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.events import TotalsEvent
 from cassini_bayes.joint import collapse_joint
 from cassini_bayes.model import build_model, linear_system

@@ -14,9 +14,10 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.criticism.evidence import TRUSTED_K, Weighed, settled
+from cassini_bayes.criticism.evidence import TRUSTED_K, Weighed
 from cassini_bayes.criticism.extended import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.criticism.gain import case_of
+from cassini_bayes.criticism.modes import settled
 from cassini_bayes.criticism.naming import Verdict
 from cassini_bayes.parallel import on_threads
 from cassini_bayes.warmstart import pareto_k
