@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +52,12 @@ class Band:
     motion: CubicSpline | None  # of :func:`motion_table`
 
 
-def make_bands(
-    statistics: EventStatistics,
-) -> tuple[Band, tuple[Band, ...], Array, tuple[Array, ...]]:
-    """Split an event's rows into bands.
+Bands = tuple[Band, tuple[Band, ...], Array, tuple[Array, ...]]
+_MADE: WeakKeyDictionary[EventStatistics, Bands] = WeakKeyDictionary()
+
+
+def make_bands(statistics: EventStatistics) -> Bands:
+    """Split an event's rows into bands, once for all models of the event.
 
     In slews the wheels are what turns the body, at every frequency that the controller has: nothing
     is said of them in any band, and next to nothing lost, the rates being far above their noise.
@@ -63,6 +66,12 @@ def make_bands(
     explains), all columns' coordinates (3, A, M) on the slow modes, and the Gram matrices
     (3, 3, A, A) of the fast bands.
     """
+    if statistics not in _MADE:
+        _MADE[statistics] = _bands(statistics)
+    return _MADE[statistics]
+
+
+def _bands(statistics: EventStatistics) -> Bands:
     walk, modes = turned_modes(statistics)
     turning = statistics.kind == "slew"
     edges, still = _edges(statistics, len(walk)), STILL

@@ -15,7 +15,7 @@ from cassini_bayes.criticism.correlations import Shown, show
 from cassini_bayes.criticism.evidence import Weighed
 from cassini_bayes.criticism.extended import Case
 from cassini_bayes.criticism.gain import LEAST_EVENTS, HeldOut, case_of, held_out
-from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
+from cassini_bayes.criticism.innovations import EventRows, Linear, event_rows, innovations
 from cassini_bayes.criticism.naming import Verdict, name_causes
 from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.separation import separating_measurement
@@ -25,6 +25,7 @@ from cassini_bayes.criticism.totals_gain import held_out_totals
 from cassini_bayes.criticism.widths import LEAST_PROBABILITY, width_sensitivity
 from cassini_bayes.events import TotalsEvent
 from cassini_bayes.spacecraft import couples
+from cassini_bayes.statistics.columns import Rows
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -247,6 +248,7 @@ def _gain(base: HeldOut | None, own: HeldOut | None, p: float | None) -> dict[st
 
 def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str, Any]]:
     records = []
+    rows = [event_rows(verdict.case, place) for place in range(len(verdict.case.sources))]
     for weighed, log_probability in zip(verdict.weighed, verdict.log_probabilities, strict=True):
         hypothesis = weighed.hypothesis
         shown = weighed.z is not None or float(log_probability) > np.log(LEAST_PROBABILITY)
@@ -255,7 +257,7 @@ def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str,
                 "name": weighed.name,
                 "probability": float(np.exp(log_probability)),
                 "log_bayes_factor": float(weighed.net_evidence - verdict.none.log_evidence),
-                "parameters": _parameters(verdict.case, weighed, rng)
+                "parameters": _parameters(verdict.case, weighed, rng, rows)
                 if shown and hypothesis.effects
                 else {},
                 "confounded_with": list(verdict.confounded_with(weighed.name)) if shown else [],
@@ -264,8 +266,10 @@ def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str,
     return records
 
 
-def _parameters(case: Case, weighed: Weighed, rng: np.random.Generator) -> dict[str, Any]:
-    values, weights = size_draws(case, weighed, rng)
+def _parameters(
+    case: Case, weighed: Weighed, rng: np.random.Generator, rows: list[Rows]
+) -> dict[str, Any]:
+    values, weights = size_draws(case, weighed, rng, rows)
     return {key: _summary(value, weights) for key, value in values.items()}
 
 

@@ -128,11 +128,17 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
 
 
 def linearise(
-    case: Case, hypothesis: Hypothesis, z: Array, *, smooth_channels: bool = True
+    case: Case,
+    hypothesis: Hypothesis,
+    z: Array,
+    *,
+    smooth_channels: bool = True,
+    known: Sequence[Rows] | None = None,
 ) -> tuple[Linear, list[Rows], list[Array]]:
     """The whitened linear model at z (d,), the rows of every event and its noise factors.
 
     ``smooth_channels``: slopes see running means of the channels; not for channels without noise.
+    ``known`` are the rows of the case where they are at hand (:func:`event_rows`).
     """
     model = hypothesis.model
     d = len(z)
@@ -143,7 +149,7 @@ def linearise(
     levels = model.linear.shared
     targets, blocks, own_precision, factors, all_rows = [], [], [], [], []
     for place, terms in enumerate(model.telemetry):
-        rows = event_rows(case, place)
+        rows = event_rows(case, place) if known is None else known[place]
         weights = balance_weights(terms, physics, thrust)
         noise = noise_covariance(terms, physics, parameters)[0]
         factor = np.linalg.cholesky(noise)

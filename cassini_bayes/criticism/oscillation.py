@@ -73,8 +73,8 @@ def find_oscillation(
     """The oscillation of most evidence; None where the events are too short for any.
 
     All frequencies a line's width apart are looked at with two dampings and with what the fit takes
-    away left in the columns; the best of them and their neighbours with all dampings and with that
-    taken off; the best of these goes on to the maximum.
+    away left in the columns; the best of them and their neighbours with that taken off; the best of
+    these with all dampings; the best of all goes on to the maximum.
 
     Parameters
     ----------
@@ -107,8 +107,10 @@ def find_oscillation(
         (float(frequencies[f] + shift / span), damping, axis)
         for f, axis in _peaks(scores)
         for shift in FINER
-        for damping in DAMPINGS
+        for damping in COARSE_DAMPINGS
     ]
+    best = sorted(tried, key=lambda line: -score(*line))[:PEAKS]
+    tried = [(frequency, damping, axis) for frequency, _, axis in best for damping in DAMPINGS]
     frequency, damping, axis = max(tried, key=lambda line: score(*line))
 
     def loss(x: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -12,6 +13,7 @@ from cassini_bayes.criticism.extended import Case, Hypothesis, Oscillation
 from cassini_bayes.criticism.innovations import linearise, with_unknowns
 from cassini_bayes.criticism.oscillation import flexible_case
 from cassini_bayes.criticism.unresolved import unresolved
+from cassini_bayes.statistics.columns import Rows
 from cassini_bayes.telemetry_terms import CONTROL_CYCLE_S
 
 Array = NDArray[np.float64]
@@ -20,17 +22,20 @@ LATE: Final = "time_offset_s"
 
 
 def size_draws(
-    case: Case, weighed: Weighed, rng: np.random.Generator
+    case: Case, weighed: Weighed, rng: np.random.Generator, rows: Sequence[Rows] | None = None
 ) -> tuple[dict[str, Array], Array]:
     """Draws (n,) of every effect parameter by key, and their weights (n,).
+
+    ``rows`` are those of the case where they are at hand.
 
     What counters leave open is in them (:func:`with_unresolved`). Pulses start with control cycles
     and records show whole cycles, so that records late by τ and by the cycles in τ are the same.
     """
     z, weights = effect_draws(weighed, rng)
     line = weighed.hypothesis.oscillation
-    shown = case if line is None else flexible_case(case, line)
-    z = with_unresolved(shown, weighed.hypothesis, weighed.mode.point, z, rng)
+    if line is not None:
+        case, rows = flexible_case(case, line), None
+    z = with_unresolved(case, weighed.hypothesis, weighed.mode.point, z, rng, rows)
     values = effect_values(weighed, z)
     if LATE in values:
         values[LATE] = values[LATE] + rng.uniform(0.0, CONTROL_CYCLE_S, len(z))
@@ -104,7 +109,12 @@ def weighted_interval(
 
 
 def with_unresolved(
-    case: Case, hypothesis: Hypothesis, mode: Array, z: Array, rng: np.random.Generator
+    case: Case,
+    hypothesis: Hypothesis,
+    mode: Array,
+    z: Array,
+    rng: np.random.Generator,
+    rows: Sequence[Rows] | None = None,
 ) -> Array:
     """Posterior draws z (n, d) about a mode, moved and widened by what counters leave open.
 
@@ -118,7 +128,7 @@ def with_unresolved(
     """
     if not case.sources or hypothesis.rates is not None:
         return z
-    linear, rows, factors = linearise(case, hypothesis, mode)
+    linear, rows, factors = linearise(case, hypothesis, mode, known=rows)
     opened = [unresolved(case, hypothesis, mode, i, own.time_s) for i, own in enumerate(rows)]
     wide = with_unknowns(linear, opened, factors)
     d, own = len(mode), linear.columns.shape[1]

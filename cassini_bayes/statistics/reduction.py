@@ -35,9 +35,9 @@ _FORMAT: Final = 1
 BLOCK_ROWS: Final = 4_096
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EventStatistics:
-    """Sufficient statistics of one telemetry event.
+    """Sufficient statistics of one telemetry event; equal to nothing but itself.
 
     ``gram[c, d]`` (3, 3, A, A) holds Σ_t a_c(t) b_d(t) for all pairs of columns and axes;
     ``projection`` (M, 3, A) = Σ_t φ_m(t) a_c(t) and ``mode_gram`` (M, M) = Σ_t φ_m φ_l belong to
