@@ -27,7 +27,7 @@ from cassini_bayes.plots.time_series import series_figures
 from cassini_bayes.review import Review
 from cassini_bayes.storage import write_bytes
 
-__all__ = ["Figure", "encode", "is_corner", "make_figures", "save_figures"]
+__all__ = ["Figure", "encode", "is_corner", "make_figures", "save_figures", "settle"]
 
 DOTS_PER_INCH: Final = 150
 CORNER: Final = "corner"
@@ -36,6 +36,7 @@ _KINDS: Final[tuple[Kind, ...]] = ("png", "svg")
 _METADATA: Final[Mapping[str, Mapping[str, None]]] = MappingProxyType(
     {"svg": {"Date": None}, "png": {}}  # the same bytes from the same draws
 )
+_NO_LAYOUT: Final = {"figure.autolayout": False, "figure.constrained_layout.use": False}
 
 
 def make_figures(review: Review) -> dict[str, Figure]:
@@ -68,23 +69,25 @@ def make_figures(review: Review) -> dict[str, Figure]:
         }
         figures = {name: figure for name, figure in found.items() if figure is not None}
         for figure in figures.values():
-            _settle(figure)
+            settle(figure)
     return figures
 
 
-def _settle(figure: Figure) -> None:
+def settle(figure: Figure, solutions: int = 2) -> None:
     """Lay the figure out once and for all: faster to write, and the same in every format.
 
-    The layout is solved twice, because labels change with the size of their axes; ticks get their
-    size for good, because those made later would take it from the session's settings.
+    The layout is solved twice, because labels may change with the size of their axes; ticks get
+    their size for good, because those made later would take it from the session's settings. A
+    figure that keeps an engine, even one that does nothing, is drawn twice for every file.
     """
     engine = figure.get_layout_engine()
     if engine is not None:
         for axes in figure.axes:
             axes.tick_params(labelsize=STYLE["xtick.labelsize"])
-        engine.execute(figure)
-        engine.execute(figure)
-        figure.set_layout_engine("none")
+        with matplotlib.rc_context({**STYLE, **_NO_LAYOUT}):
+            for _ in range(solutions):
+                engine.execute(figure)
+            figure.set_layout_engine(None)
 
 
 def is_corner(name: str) -> bool:

@@ -20,7 +20,7 @@ from cassini_bayes import __version__
 from cassini_bayes.criticism.correlations import POINTWISE, Shown
 from cassini_bayes.criticism.diagnosis import Diagnosis
 from cassini_bayes.criticism.discrepancy import Curve, verdict_curves
-from cassini_bayes.plots import Figure, encode
+from cassini_bayes.plots import Figure, encode, settle
 from cassini_bayes.plots.criticism import (
     cause_figure,
     correlation_figure,
@@ -117,8 +117,8 @@ def write_record(
     """Write ``diagnosis.json``, ``figures/`` and ``report.html`` of any diagnosis."""
     write_text(folder / "diagnosis.json", diagnosis_json(record))
     for own in pictures:
+        settle(own.figure, solutions=1)
         write_bytes(folder / "figures" / f"{own.name}.png", own.png)
-        own.figure.set_layout_engine("none")  # the places found for the first file serve the second
         write_bytes(folder / "figures" / f"{own.name}.svg", encode(own.figure, "svg"))
     write_text(folder / "report.html", render_diagnosis(record, pictures, name, curves))
 
