@@ -6,7 +6,7 @@ import io
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -36,7 +36,10 @@ _KINDS: Final[tuple[Kind, ...]] = ("png", "svg")
 _METADATA: Final[Mapping[str, Mapping[str, None]]] = MappingProxyType(
     {"svg": {"Date": None}, "png": {}}  # the same bytes from the same draws
 )
-_NO_LAYOUT: Final = {"figure.autolayout": False, "figure.constrained_layout.use": False}
+_NO_LAYOUT: Final[Mapping[Any, object]] = {
+    "figure.autolayout": False,
+    "figure.constrained_layout.use": False,
+}
 
 
 def make_figures(review: Review) -> dict[str, Figure]:
@@ -84,7 +87,7 @@ def settle(figure: Figure, solutions: int = 2) -> None:
     if engine is not None:
         for axes in figure.axes:
             axes.tick_params(labelsize=STYLE["xtick.labelsize"])
-        with matplotlib.rc_context({**STYLE, **_NO_LAYOUT}):
+        with matplotlib.rc_context(dict(STYLE) | dict(_NO_LAYOUT)):
             for _ in range(solutions):
                 engine.execute(figure)
             figure.set_layout_engine(None)
