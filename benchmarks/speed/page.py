@@ -138,8 +138,9 @@ def _samplers(found: Found) -> str:
             "with reading, reduction and warm start. To be on the safe side the chains of "
             "emcee, zeus and NUTS begin at draws of the posterior, so they pay for no search. "
             "`<` marks upper bounds: a nested sampler or a warm-up not done within its time "
-            "(2,000 over that time), and an ensemble whose ESS is not yet twice the number of "
-            "draws that it was given to start from.",
+            "(2,000 over that time), an ensemble whose ESS is not yet twice the number of draws "
+            "that it was given to start from, and a chain that has not mixed, its ESS below 100 "
+            "(one draw a step).",
             *text,
         ]
     )

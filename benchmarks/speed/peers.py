@@ -5,7 +5,8 @@ start at draws of the posterior itself, so that stretch moves, zeus and NUTS pay
 their figures are upper bounds. Only NUTS warms up (step size, mass matrix), and that is counted.
 A nested sampler that is not done at the end of its budget has no effective draws; then only an
 upper bound is known, the size wanted over the time spent. An ensemble whose size is not yet twice
-its number of walkers has hardly more than the draws that it was given: a bound as well.
+its number of walkers has hardly more than the draws that it was given: a bound as well. A chain of
+which no hundred draws are effective has not mixed: one draw a step is its bound.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from speed.problem import model_of, reduced_events
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 TARGET = 2_000
+LEAST_ESS = 100.0  # of a chain that has mixed
 WARM_UP = 300
 BLOCK = 25
 LIVE = 500
@@ -192,7 +194,7 @@ def run_nuts(target: Target, clock: Clock) -> tuple[Array, float, str]:
     import jax
     from numpyro.infer import NUTS
 
-    # no budget reaches into a step: the depth keeps one below a second
+    # no budget reaches into a step: the depth keeps one to some seconds
     kernel = NUTS(potential_fn=target.potential(), dense_mass=True, max_tree_depth=10)
     first = jax.numpy.asarray(target.start[0])
     state = kernel.init(jax.random.PRNGKey(1), WARM_UP, first, (), {})
@@ -296,7 +298,7 @@ def peer_row(
     clock = Clock(budget_s)
     draws, ess, note = PEERS[name](target, clock)
     processor, wall = clock.processor_s, clock.wall_s
-    bounded = ess < max(2.0 * target.given, 1.0)
+    is_mixed = ess >= LEAST_ESS or target.given > 0
     row: Row = {
         "sampler": name,
         "likelihood": "fast" if fast else "plain",
@@ -305,13 +307,13 @@ def peer_row(
         "processor_s": processor,
         "wall_s": wall,
         "ess": ess,
-        "bound": bounded,
+        "bound": ess < max(2.0 * target.given, LEAST_ESS),
         "given": target.given,
-        "ess_per_s": (ess if ess >= 1.0 else TARGET) / processor,
+        "ess_per_s": (ess if is_mixed else len(draws) or TARGET) / processor,
         "reached": ess >= TARGET,
         "note": note,
     }
-    if ess >= 100.0:
+    if ess >= LEAST_ESS:
         scale = reference.std(0)
         shift = np.abs(draws.mean(0) - reference.mean(0)) / scale
         row["largest_shift_sd"] = float(shift.max())
