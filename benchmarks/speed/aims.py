@@ -33,8 +33,7 @@ def aims(found: Found) -> str:
         "## Aims\n\n" + table(header, lines) + "\n\nWall times are those of a busy "
         "machine: where they miss what processor seconds reach, an idle one has the aim in reach, "
         "but that was not seen. A sampler without a figure within its time gives a bound only: "
-        "where bounds leave it open, an aim is not shown to be reached. A first event costs more "
-        "than each further one, as work that all events share is done once per call."
+        "where bounds leave it open, an aim is not shown to be reached."
     )
 
 

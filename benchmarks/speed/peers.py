@@ -287,6 +287,11 @@ PEERS: Mapping[str, Callable[[Target, Clock], tuple[Array, float, str]]] = {
 }
 
 
+def _most_effective(draws: Array, target: Target) -> int:
+    """Draws that may be effective at most: those of a chain, else as many as are wanted."""
+    return len(draws) if len(draws) and target.given == 0 else TARGET
+
+
 def peer_row(
     name: str, fast: bool, noise: bool, folders: list[Any], budget_s: float, reference: Array
 ) -> Row:
@@ -298,7 +303,7 @@ def peer_row(
     clock = Clock(budget_s)
     draws, ess, note = PEERS[name](target, clock)
     processor, wall = clock.processor_s, clock.wall_s
-    is_mixed = ess >= LEAST_ESS or target.given > 0
+    is_mixed = ess >= LEAST_ESS or (target.given > 0 and ess >= 1.0)
     row: Row = {
         "sampler": name,
         "likelihood": "fast" if fast else "plain",
@@ -309,7 +314,7 @@ def peer_row(
         "ess": ess,
         "bound": ess < max(2.0 * target.given, LEAST_ESS),
         "given": target.given,
-        "ess_per_s": (ess if is_mixed else len(draws) or TARGET) / processor,
+        "ess_per_s": (ess if is_mixed else _most_effective(draws, target)) / processor,
         "reached": ess >= TARGET,
         "note": note,
     }

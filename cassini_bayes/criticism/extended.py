@@ -73,7 +73,7 @@ class TelemetrySource:
 
 @dataclass(frozen=True)
 class Oscillation:
-    """A damped oscillation about a body axis: frequency and damping of the clamped appendage.
+    """A damped oscillation about a body axis (0, 1, 2): frequency and damping of it clamped.
 
     Departures from them are counted in what ``span_s`` can tell apart: 1/T of the frequency,
     1/(ΩT) of the damping. ``step_s`` lies between the rates that tell how the body moves.

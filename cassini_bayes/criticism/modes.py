@@ -36,9 +36,9 @@ LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
 class Mode:
     """A hypothesis's mode in z, lower factor of its Laplace covariance, log evidence by it."""
 
-    point: Array
-    factor: Array
-    log_evidence: float
+    point: Array  # (d,)
+    factor: Array  # (d, d)
+    log_evidence: float  # nats
     is_whole: bool = False  # the curvature is that at this point, in all coordinates
 
     @property
@@ -54,7 +54,7 @@ class Mode:
 
 
 def look(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Array]:
-    """Value and gradient in the coordinates u of z = point + axes u, from one-sided differences.
+    """Value and gradient (k,) in the coordinates u of z = point (d,) + axes (d, k) u, one-sided.
 
     Along white axes the curvature is one: g_j = (f(h e_j) − f(0)) / h + h / 2. Where it is not, the
     mode found with such gradients is off by less than h / 2.
@@ -64,7 +64,7 @@ def look(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Arr
 
 
 def climb(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -> Array:
-    """Maximum from ``point`` in whitened coordinates.
+    """Maximum (d,) from ``point`` (d,) in the coordinates that ``axes`` (d, k) make white.
 
     Where the axes are white a gradient is a Newton step; L-BFGS goes on where that does not gain
     what it foretells.
@@ -91,7 +91,7 @@ def climb(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -
 
 
 def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
-    """Mode with its whole curvature, from a point and rough axes.
+    """Mode with its whole curvature, from a point (d,) and rough axes (d, d).
 
     Looks at the curvature and climbs along the axes that it whitens, until a look finds its own
     axes white: along the ridge on which all masses and thrusts scale together one look from the
@@ -110,7 +110,7 @@ def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
 
 
 def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
-    """Mode and Laplace factor from the centre of the prior or a start.
+    """Mode and Laplace factor from the centre of the prior or a start (d,).
 
     Raises
     ------
@@ -125,7 +125,7 @@ def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -
 
 
 def mode_at(log_density: LogDensity, point: Array, factor: Array) -> Mode:
-    """A point with its Laplace factor as a mode."""
+    """A point (d,) with its Laplace factor (d, d) as a mode."""
     return Mode(point, factor, float(log_density(point[None])[0]) + volume(factor))
 
 

@@ -213,6 +213,8 @@ def _external_torque(physics: Physics, _: Parameters, values: Values, __: Settin
 
 
 def _leak(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
+    if physics.arms_m.shape[-1] == 0:
+        return physics
     arm = physics.arms_m[..., setting.thruster]
     torque = values["leak_n"][..., None] * arm
     return replace(physics, steady_torque_n_m=np.asarray(physics.steady_torque_n_m) + torque)

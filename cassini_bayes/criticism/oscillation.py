@@ -109,8 +109,9 @@ def find_oscillation(
         for shift in FINER
         for damping in COARSE_DAMPINGS
     ]
-    best = sorted(tried, key=lambda line: -score(*line))[:PEAKS]
-    tried = [(frequency, damping, axis) for frequency, _, axis in best for damping in DAMPINGS]
+    ranked = sorted(tried, key=lambda line: -score(*line))
+    best = list(dict.fromkeys((frequency, axis) for frequency, _, axis in ranked))[:PEAKS]
+    tried = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
     frequency, damping, axis = max(tried, key=lambda line: score(*line))
 
     def loss(x: Array) -> float:

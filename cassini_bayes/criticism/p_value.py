@@ -2,10 +2,10 @@
 
 Two statistics see two kinds of misfit: slow drifts (:func:`slow_statistic`) and oscillations
 (:func:`line_statistic`). Replicates of the target are drawn from the linear model and refitted in
-the same way, a parametric bootstrap, single cut tails among what is drawn and refitted
-(:mod:`cassini_bayes.criticism.cut_tails`). The two are combined by the smaller of their ranks among
-data and replicates, which is ranked again among the same, so that neither has to be independent of
-the other: uniform where the model is true.
+the same way, a parametric bootstrap, what counters leave open among what is drawn and refitted
+(:mod:`cassini_bayes.criticism.unresolved`). The two are combined by the smaller of their ranks
+among data and replicates, which is ranked again among the same, so that neither has to be
+independent of the other: uniform where the model is true.
 """
 
 from __future__ import annotations

@@ -28,8 +28,9 @@ def size_draws(
 
     ``rows`` are those of the case where they are at hand.
 
-    What counters leave open is in them (:func:`with_unresolved`). Pulses start with control cycles
-    and records show whole cycles, so that records late by τ and by the cycles in τ are the same.
+    What counters leave open is in them (:func:`with_unresolved`). Pulses start with control cycles,
+    and rows with a pulse under way do not enter the balance: those that do cannot tell records late
+    by τ from records late by the whole cycles in τ.
     """
     z, weights = effect_draws(weighed, rng)
     line = weighed.hypothesis.oscillation
@@ -97,7 +98,7 @@ def _seen_from_outside(values: dict[str, Array], line: Oscillation) -> dict[str,
 def weighted_interval(
     values: Array, weights: Array, probability: float = 0.9
 ) -> tuple[float, float]:
-    """Shortest interval of a weighted sample with at least this probability."""
+    """Shortest interval with at least this probability of values (n,) with weights (n,)."""
     order = np.argsort(values)
     ordered, cumulative = values[order], np.cumsum(weights[order])
     starts = np.concatenate([[0.0], cumulative[:-1]])
@@ -116,17 +117,19 @@ def with_unresolved(
     rng: np.random.Generator,
     rows: Sequence[Rows] | None = None,
 ) -> Array:
-    """Posterior draws z (n, d) about a mode, moved and widened by what counters leave open.
+    """Posterior draws z (n, d) about a mode (d,), moved and widened by what counters leave open.
 
     With X the linear model's columns, U those of what is open (:mod:`unresolved`), r what the
     model leaves at its mode, G and G' the Gram matrices of X and of (X, U) with their priors'
     precision, draws move by Δ and are widened by N(0, Σ' − Σ), where
 
-        (Δ, u) = G'⁻¹ (0, Uᵀ r),  Σ = (G⁻¹)_zz,  Σ' = (G'⁻¹)_zz.
+        (Δ, u) = G'⁻¹ (0, Uᵀ r),  Σ = (G⁻¹)_zz,  Σ' = (G'⁻¹)_zz,
 
-    Hypotheses of gyro errors, of which attitudes speak that are not in the rows, stay as they are.
+    and (−Xᵀ m, Uᵀ (r − m)) in place of (0, Uᵀ r) where what is open has a mean m. Stay as they are:
+    hypotheses of gyro errors, of which attitudes speak that are not in the rows, and cases with
+    totals rows, whose information the linear model does not have.
     """
-    if not case.sources or hypothesis.rates is not None:
+    if not case.sources or case.totals is not None or hypothesis.rates is not None:
         return z
     linear, rows, factors = linearise(case, hypothesis, mode, known=rows)
     opened = [unresolved(case, hypothesis, mode, i, own.time_s) for i, own in enumerate(rows)]

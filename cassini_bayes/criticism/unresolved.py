@@ -7,8 +7,9 @@ each firing departs from them by an amount of its own:
 - with records late by τ a row at t shows what had been fired by t + τ, which lies within an
   interval: the share f of its time has gone by, but a pulse has been fired or not, with variance
   f (1 − f);
-- a pulse drives an appendage from when it was fired: with δ the time from the middle of an interval
-  of length Δ its answer has sin Ωδ out of phase, of variance (1 − sin ΩΔ / ΩΔ) / 2.
+- a pulse drives an appendage from when it was fired: with δ the time from the middle of a slope of
+  length Δ, from one measured rate to the next, its answer has sin Ωδ out of phase, of variance
+  (1 − sin ΩΔ / ΩΔ) / 2. The middle is taken to be that of the counter interval.
 
 Rows can have a column for every one, which a Gram matrix could not.
 """
@@ -32,14 +33,15 @@ Array = NDArray[np.float64]
 Unknowns = tuple[Array, Array, Array]
 TIMED: Final = ("time_offset", "flexible_mode")
 """Kinds whose columns depend on when in an interval a pulse was fired."""
+LEAST_IDLE: Final = 1e-3  # of an interval: where firing fills it nothing is open
 
 
 @dataclass(frozen=True)
 class Firings:
-    """Counter intervals (m,) in which thrusters that only fire together did.
+    """Counter intervals (m,) in which thrusters that only fire together did, not without pause.
 
     ``momentum_n_m_s`` (m, 3) is what they gave, ``scatter`` (m,) the variance that single moments
-    have left: 1/n of one pulse's with n pulses, and nothing where firing filled the interval.
+    have left: 1/n of one pulse's with n pulses, times the share of the interval without firing.
     """
 
     start_s: Array
@@ -59,12 +61,14 @@ def firings(samples: Samples, members: tuple[int, ...], force: Array) -> Firings
     on_time, pulses = on_time[fired], pulses[fired]
     start, end = time[:-1][fired], time[1:][fired]
     given = (on_time + TAIL_S * pulses) @ force[:, places].T
-    idle = np.clip(1.0 - on_time.max(1, initial=0.0) / (end - start), 0.0, 1.0)
-    return Firings(start, end, given, idle / np.maximum(pulses.max(1, initial=0.0), 1.0))
+    idle = 1.0 - on_time.max(1, initial=0.0) / (end - start)
+    scatter = idle / np.maximum(pulses.max(1, initial=0.0), 1.0)
+    kept = idle > LEAST_IDLE
+    return Firings(start[kept], end[kept], given[kept], scatter[kept])
 
 
 def late_firings(fired: Firings, time_s: Array, offset_s: float) -> tuple[Array, Array]:
-    """Columns (n, 3, s) and variances (s,) of firings of which a late record shows a part.
+    """Columns (n, 3, s), N m s, and variances (s,) of firings of which a late record shows a part.
 
     One unknown for every firing, √(f (1 − f)) of its momentum at the rows at ``time_s`` (n,).
     """
@@ -77,18 +81,22 @@ def late_firings(fired: Firings, time_s: Array, offset_s: float) -> tuple[Array,
 
 
 def driven_answers(
-    fired: Firings, time_s: Array, change_rad_s: Array, frequency_hz: float, damping: float
+    fired: Firings,
+    time_s: Array,
+    change_rad_s: Array,
+    line: tuple[float, float],
+    step_s: float,
 ) -> tuple[Array, Array]:
     """Answers (n, s) of an appendage, rad/s, per unit of sin Ωδ, and the variances (s,) of that.
 
-    ``change_rad_s`` (s,) is what every firing changes in the body's rate about the axis.
+    ``change_rad_s`` (s,) is what every firing changes in the body's rate about the axis, ``line``
+    frequency (Hz) and damping, ``step_s`` lies between the rates that show the change as a slope.
     """
-    omega = 2.0 * np.pi * frequency_hz
-    length = fired.end_s - fired.start_s
+    omega, damping = 2.0 * np.pi * line[0], line[1]
     after = time_s[:, None] - 0.5 * (fired.start_s + fired.end_s)
     after = np.where(time_s[:, None] >= fired.end_s, after, 0.0)
     answers = change_rad_s * np.exp(-damping * omega * after) * np.sin(omega * after)
-    variance = 0.5 * (1.0 - np.sinc(omega * length / np.pi)) * fired.scatter
+    variance = 0.5 * (1.0 - np.sinc(omega * step_s / np.pi)) * fired.scatter
     return answers, variance
 
 
@@ -134,9 +142,10 @@ def _driven(
     """Columns (n, 3, s) in N m s of what an appendage with a share of the inertia answers."""
     line = hypothesis.oscillation
     assert line is not None  # flexible_mode comes with its line
-    seen = np.isfinite(samples.rate_rad_s).all(1)
-    rate = samples.time_s[seen], samples.rate_rad_s[seen, line.axis]
-    change = np.interp(fired.end_s, *rate) - np.interp(fired.start_s, *rate)
-    answers, variance = driven_answers(fired, time_s, change, line.frequency_hz, line.damping)
-    moment = float(np.ravel(physics.inertia_kg_m2[..., line.axis, line.axis])[0])
-    return share * moment * answers[:, None] * np.eye(3)[line.axis][:, None], variance
+    step = float(np.median(np.diff(samples.time_s[np.isfinite(samples.rate_rad_s).all(1)])))
+    inertia = np.broadcast_to(physics.inertia_kg_m2, (1, 3, 3))[0]
+    change = np.linalg.solve(inertia, fired.momentum_n_m_s.T)[line.axis]
+    shape = line.frequency_hz, line.damping
+    answers, variance = driven_answers(fired, time_s, change, shape, step)
+    moment = share * inertia[line.axis, line.axis]
+    return moment * answers[:, None] * np.eye(3)[line.axis][:, None], variance

@@ -79,9 +79,10 @@ def make_figures(review: Review) -> dict[str, Figure]:
 def settle(figure: Figure, solutions: int = 2) -> None:
     """Lay the figure out once and for all: faster to write, and the same in every format.
 
-    The layout is solved twice, because labels may change with the size of their axes; ticks get
-    their size for good, because those made later would take it from the session's settings. A
-    figure that keeps an engine, even one that does nothing, is drawn twice for every file.
+    The layout is solved ``solutions`` times, because labels may change with the size of their axes;
+    ticks get their size for good, because those made later would take it from the session's
+    settings. A figure that keeps an engine, even one that does nothing, is drawn twice for every
+    file.
     """
     engine = figure.get_layout_engine()
     if engine is not None:
