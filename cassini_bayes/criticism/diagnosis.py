@@ -14,9 +14,10 @@ from cassini_bayes.criticism.catalogue import Catalogue, read_catalogue
 from cassini_bayes.criticism.correlations import Shown, show
 from cassini_bayes.criticism.evidence import Weighed
 from cassini_bayes.criticism.extended import Case
-from cassini_bayes.criticism.gain import LEAST_EVENTS, HeldOut, case_of, held_out
+from cassini_bayes.criticism.gain import LEAST_EVENTS, HeldOut, held_out
 from cassini_bayes.criticism.innovations import EventRows, Linear, event_rows, innovations
 from cassini_bayes.criticism.naming import Verdict, name_causes
+from cassini_bayes.criticism.oscillation import case_of
 from cassini_bayes.criticism.p_value import p_value
 from cassini_bayes.criticism.separation import separating_measurement
 from cassini_bayes.criticism.sizes import size_draws, weighted_interval
@@ -158,7 +159,7 @@ def _extended_innovations(
     """Linear model and innovations of the extended model: the baseline's where it adds no cause."""
     if verdict.linear is None or not extended.hypothesis.effects:
         return verdict.linear, verdict.rows
-    case = case_of(verdict.case, extended)
+    case = case_of(verdict.case, extended.hypothesis)
     linear, rows = innovations(case, extended.hypothesis, extended.mode.point)
     return linear, tuple(rows)
 

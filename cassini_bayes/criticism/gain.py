@@ -27,7 +27,7 @@ from cassini_bayes.criticism.extended import (
 from cassini_bayes.criticism.innovations import Linear, linearise
 from cassini_bayes.criticism.modes import Mode, climb, settled
 from cassini_bayes.criticism.naming import Verdict
-from cassini_bayes.criticism.oscillation import flexible_case
+from cassini_bayes.criticism.oscillation import case_of
 from cassini_bayes.parallel import on_threads
 from cassini_bayes.warmstart import lower_factor
 
@@ -57,15 +57,9 @@ class HeldOut:
         return float(np.sqrt(n) * self.log_scores.std(ddof=1)) if n > 1 else float("nan")
 
 
-def case_of(case: Case, weighed: Weighed) -> Case:
-    """A case with the columns that a hypothesis needs."""
-    line = weighed.hypothesis.oscillation
-    return case if line is None else flexible_case(case, line)
-
-
 def fitted_to(case: Case, catalogue: Catalogue, weighed: Weighed) -> tuple[Hypothesis, Mode]:
     """A weighed hypothesis and its mode on another case, such as one with an event left out."""
-    needed = case_of(case, weighed)
+    needed = case_of(case, weighed.hypothesis)
     if weighed.name == "unknown":
         full = unknown_hypothesis(case, catalogue)
     else:
@@ -106,7 +100,7 @@ def held_out(
         return whole.log_evidence - mode.log_evidence
 
     scores = on_threads(score, events, threads)
-    case = case_of(verdict.case, weighed)
+    case = case_of(verdict.case, weighed.hypothesis)
     linear, _, factors = linearise(case, weighed.hypothesis, weighed.mode.point)
     centre = -weighed.mode.point
     residuals, inside = [], []

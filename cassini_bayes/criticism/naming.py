@@ -33,6 +33,7 @@ from cassini_bayes.criticism.extended import (
 from cassini_bayes.criticism.innovations import EventRows, Linear, innovations
 from cassini_bayes.criticism.modes import Mode, baseline_mode
 from cassini_bayes.criticism.oscillation import (
+    case_of,
     find_oscillation,
     flexible_case,
     motions_of,
@@ -279,7 +280,7 @@ def second_cause(
     best, catalogue = verdict.best_cause, verdict.catalogue
     (first,) = best.hypothesis.effects
     line = best.hypothesis.oscillation
-    case = verdict.case if line is None else flexible_case(verdict.case, line)
+    case = case_of(verdict.case, best.hypothesis)
     full = extend(none_hypothesis(case, catalogue), [first], case)
     base = renewed(best.hypothesis, best.mode)
     pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]

@@ -26,7 +26,7 @@ from cassini_bayes.criticism.columns import (
     oscillation_series,
     telemetry_columns,
 )
-from cassini_bayes.criticism.extended import Case, Oscillation, reduce_source
+from cassini_bayes.criticism.extended import Case, Hypothesis, Oscillation, reduce_source
 from cassini_bayes.criticism.innovations import EventRows, Linear
 
 Array = NDArray[np.float64]
@@ -61,6 +61,12 @@ def flexible_case(case: Case, oscillation: Oscillation) -> Case:
         )
     )
     return replace(case, statistics=statistics, oscillation=oscillation)
+
+
+def case_of(case: Case, hypothesis: Hypothesis) -> Case:
+    """The case with the columns that a hypothesis needs: the same where it has no oscillation."""
+    line = hypothesis.oscillation
+    return case if line is None else flexible_case(case, line)
 
 
 def find_oscillation(

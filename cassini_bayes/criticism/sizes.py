@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cassini_bayes.criticism.evidence import TRUSTED_K, Weighed
 from cassini_bayes.criticism.extended import Case, Hypothesis, Oscillation
 from cassini_bayes.criticism.innovations import linearise, with_unknowns
-from cassini_bayes.criticism.oscillation import flexible_case
+from cassini_bayes.criticism.oscillation import case_of
 from cassini_bayes.criticism.unresolved import unresolved
 from cassini_bayes.statistics.columns import Rows
 from cassini_bayes.telemetry_terms import CONTROL_CYCLE_S
@@ -33,10 +33,9 @@ def size_draws(
     by τ from records late by the whole cycles in τ.
     """
     z, weights = effect_draws(weighed, rng)
-    line = weighed.hypothesis.oscillation
-    if line is not None:
-        case, rows = flexible_case(case, line), None
-    z = with_unresolved(case, weighed.hypothesis, weighed.mode.point, z, rng, rows)
+    own = case_of(case, weighed.hypothesis)
+    known = rows if own is case else None
+    z = with_unresolved(own, weighed.hypothesis, weighed.mode.point, z, rng, known)
     values = effect_values(weighed, z)
     if LATE in values:
         values[LATE] = values[LATE] + rng.uniform(0.0, CONTROL_CYCLE_S, len(z))

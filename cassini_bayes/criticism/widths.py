@@ -16,9 +16,9 @@ from scipy.special import logsumexp
 
 from cassini_bayes.criticism.evidence import TRUSTED_K, Weighed
 from cassini_bayes.criticism.extended import Hypothesis, compact, extend, none_hypothesis
-from cassini_bayes.criticism.gain import case_of
 from cassini_bayes.criticism.modes import settled
 from cassini_bayes.criticism.naming import Verdict
+from cassini_bayes.criticism.oscillation import case_of
 from cassini_bayes.parallel import on_threads
 from cassini_bayes.warmstart import pareto_k
 
@@ -65,7 +65,7 @@ def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) 
     is_good = k < max(TRUSTED_K, weighed.pareto_k)
     if is_good or verdict.probabilities[weighed.name] < WORTH_A_SEARCH:
         return found
-    case = case_of(verdict.case, weighed)
+    case = case_of(verdict.case, weighed.hypothesis)
     full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)
     effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
     hypothesis = compact(extend(full, effects, case))
