@@ -11,6 +11,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
+from cassini_bayes.arviz_import import arviz
 from cassini_bayes.baselines import perturbation_bars
 from cassini_bayes.delta_v import predicted_delta_v
 from cassini_bayes.joint import JointModel
@@ -113,8 +114,6 @@ def summarise(fit: Fit) -> pd.DataFrame:
     Chains are ensembles. Split R-hat is ArviZ's, effective sample sizes are the smaller of ArviZ's
     over ensembles and over walkers (:func:`cassini_bayes.sampling.stored_ess`).
     """
-    import arviz  # two seconds to import: only where it is needed
-
     posterior, prior = fit.posterior, fit.prior
     walkers = int(fit.attributes["walkers"])
     rows = []
@@ -123,7 +122,7 @@ def summarise(fit: Fit) -> pd.DataFrame:
         dims = [str(dim) for dim in variable.dims[2:]]
         before = prior[quantity].sel({dim: variable.coords[dim] for dim in dims})
         alone = variable.to_dataset(name=str(quantity))
-        rhat, error = arviz.rhat(alone)[quantity], arviz.mcse(alone, method="mean")[quantity]
+        rhat, error = arviz().rhat(alone)[quantity], arviz().mcse(alone, method="mean")[quantity]
         for place in np.ndindex(variable.shape[2:]):
             labels = {
                 dim: str(variable.coords[dim].values[i]) for dim, i in zip(dims, place, strict=True)

@@ -18,6 +18,7 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arviz_import import arviz
 from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.parallel import in_lock_step
@@ -140,8 +141,6 @@ def check_convergence(
     independent chains) < 1.01; bulk and tail effective sample sizes at least the target, each the
     smaller of emcee's and ArviZ's.
     """
-    from arviz import ess, rhat  # two seconds to import: only where it is needed
-
     m, steps, walkers, d = z.shape
     every_walker = np.moveaxis(z, 0, 1).reshape(steps, m * walkers, d)
     tau = np.maximum(emcee.autocorr.integrated_time(every_walker, tol=0, quiet=True), 1.0)
@@ -150,12 +149,12 @@ def check_convergence(
     flat = kept.reshape(m, -1, d)
     per_walker = np.moveaxis(kept, 2, 1).reshape(m * walkers, -1, d)
     from_emcee = kept.shape[0] * kept.shape[1] * walkers / tau
-    between = np.array([float(rhat(flat[:, :, j])) for j in range(d)])
+    between = np.array([float(arviz().rhat(flat[:, :, j])) for j in range(d)])
     sizes = np.array(
         [
             min(
-                float(ess(per_walker[:, :, j], method="bulk")),
-                float(ess(per_walker[:, :, j], method="tail")),
+                float(arviz().ess(per_walker[:, :, j], method="bulk")),
+                float(arviz().ess(per_walker[:, :, j], method="tail")),
                 from_emcee[j],
             )
             for j in range(d)
@@ -188,8 +187,7 @@ def stored_ess(draws: Array, walkers: int) -> tuple[float, float]:
     before the same walker comes round again; so each walker is also taken as a chain of its own,
     and the smaller of the two counts (where there are steps enough to tell).
     """
-    from arviz import ess  # two seconds to import: only where it is needed
-
+    ess = arviz().ess
     m, n = draws.shape
     if n < FEWEST_STEPS * walkers:
         return float(ess(draws, method="bulk")), float(ess(draws, method="tail"))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import gammaln, logsumexp
 
+from cassini_bayes.arviz_import import arviz
 from cassini_bayes.errors import CassiniBayesError
 
 Array = NDArray[np.float64]
@@ -218,11 +219,9 @@ def importance(
 
 def pareto_k(log_weights: Array) -> float:
     """Tail index of importance weights, by Pareto-smoothed importance sampling."""
-    from arviz import psislw  # two seconds to import: only where it is needed
-
     # Candidate tails far from the data have likelihoods below the smallest float: weight zero.
     with np.errstate(over="ignore"):
-        _, shape = psislw(log_weights)
+        _, shape = arviz().psislw(log_weights)
     return float(shape)
 
 

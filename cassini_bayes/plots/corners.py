@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -13,6 +12,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from cassini_bayes.arviz_import import corner
 from cassini_bayes.plots.quantities import MISSING, plus_minus, wrapped_name
 from cassini_bayes.plots.style import INK, POSTERIOR, PRIOR_LINE
 from cassini_bayes.plots.tables import Column, events_of, level_columns, nuisance_column
@@ -82,14 +82,14 @@ def corner_figure(columns: Sequence[Column], title: str) -> Figure | None:
     if len(usable) < 2 or len(usable[0].posterior) <= len(usable):
         return None
     left_out = [c.label for c in columns if not _varies(c.posterior)]
-    corner = _corner_library()
+    library = corner()
     draws = np.column_stack([_thin(c.posterior) for c in usable])
     ranges = [_view(c) for c in usable]
     size = max(PANEL_IN * len(usable) + 0.9, SMALLEST_IN)
     key_in = KEY_IN if len(usable) < ROOM_FOR_KEY else 0.0  # above the panels where few are
     height = size + key_in
     figure = Figure(figsize=(size, height))
-    corner.corner(
+    library.corner(
         draws,
         fig=figure,
         bins=BINS,
@@ -112,7 +112,7 @@ def corner_figure(columns: Sequence[Column], title: str) -> Figure | None:
                 _prior_density(cells[i, i], row, ranges[i])
                 _diagonal(cells[i, i], row)
             else:
-                _prior_contour(corner, cells[i, j], usable[j], row, ranges[j], ranges[i])
+                _prior_contour(library, cells[i, j], usable[j], row, ranges[j], ranges[i])
                 _correlation(cells[i, j], draws[:, j], draws[:, i])
     lines = max(wrapped_name(c.label).count("\n") for c in usable)
     margin_in = 0.85 + 0.16 * lines
@@ -127,14 +127,6 @@ def corner_figure(columns: Sequence[Column], title: str) -> Figure | None:
     _labels(cells, usable)
     _key(figure, title, left_out)
     return figure
-
-
-def _corner_library() -> Any:  # the library carries no types
-    """The corner package: imported when needed, for it brings ArviZ and its daily notice along."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=r"\s*ArviZ is undergoing")
-        import corner
-    return corner
 
 
 def _varies(values: Array) -> bool:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cassini_bayes.arviz_import import arviz
+
 Array = NDArray[np.float64]
 
 WORST_PARETO_K: Final = 0.7
@@ -74,9 +76,7 @@ def smoothed_weights(log_ratio: Array) -> Weights:
     if np.ptp(kept) < _ALL_ALIKE:
         smoothed, k = np.zeros(len(kept)), 0.0
     else:
-        from arviz import psislw  # two seconds to import: only where it is needed
-
-        smoothed, shape = psislw(kept - kept.max())
+        smoothed, shape = arviz().psislw(kept - kept.max())
         k = float(shape)
     values = np.zeros(len(log_ratio))
     values[inside] = np.exp(smoothed - logsumexp(smoothed))
