@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -53,10 +54,17 @@ class Physics:
     rate_scale: Array | float = 0.0  # (..., 3)
     extra: Mapping[str, Array] = field(default_factory=dict)  # column → (..., 3)
 
-    @property
+    @cached_property
     def wheel_weights(self) -> Array:
         """T diag(I_w), (..., 3, W): momentum of the wheels per rad/s."""
         return np.asarray(self.wheel_axes * self.wheel_inertia_kg_m2[..., None, :])
+
+    @cached_property
+    def momentum_per_rate(self) -> Array:
+        """Momentum per measured rate (..., 3, 3): the true one is (measured − bias)/(1 + scale)."""
+        inertia = self.inertia_kg_m2
+        scale = np.broadcast_to(self.rate_scale, inertia.shape[:-1])
+        return np.asarray(inertia / (1.0 + scale)[..., None, :])
 
 
 Modifier = Callable[[Physics, Parameters], Physics]

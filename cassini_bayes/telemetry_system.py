@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from cassini_bayes.physics import Physics
 from cassini_bayes.statistics import contract, explained_by_modes, moments
-from cassini_bayes.telemetry_bands import Band, estimated_wheels, latent_wheels
+from cassini_bayes.telemetry_bands import estimated_wheels, latent_wheels
 from cassini_bayes.telemetry_terms import (
     INITIAL_SD_N_M_S,
+    Reduced,
     TelemetryTerms,
+    covariance_beside_wheels,
+    covariance_of_wheels,
     measured_weights,
-    momentum_per_rate,
-    noise_covariance,
     unknown_weights,
 )
 from cassini_bayes.terms import RAD_S_PER_RPM
@@ -71,92 +72,80 @@ def event_system(
     n, k, reduced = len(physics.inertia_kg_m2), terms.pattern.thrusters, terms.reduced
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
     weights, cut_sd = unknown_weights(terms, physics, n, thrust_n)
+    weights[:, terms.pattern.start[-2] :] = measured_weights(terms, physics, wheels)
+    used = np.ascontiguousarray(weights[:, reduced.entries])
     known_sd = np.broadcast_to([INITIAL_SD_N_M_S] * 3 + list(torque_sd), (n, 6))
     own_sd = np.concatenate([known_sd, cut_sd], axis=1)
     own_mean = np.concatenate([terms.initial_mean_n_m_s, torque_mean, np.zeros(cut_sd.shape[1])])
     walk = parameters["torque_noise_n_m_s05"] ** 2
+    beside = covariance_beside_wheels(terms, physics, parameters)
 
     kept, log_density = latent_wheels(terms.slow, parameters)
     estimates = [kept]
-    used = _at_estimate(terms, physics, weights, wheels @ kept)
-    values, vectors = np.linalg.eigh(noise_covariance(terms, physics, parameters, kept))
+    seen = wheels @ kept
+    _set_wheels(reduced, used, seen)
+    noise = beside + covariance_of_wheels(parameters, seen, wheels)
+    values, vectors = np.linalg.eigh(noise)
     variance = values[:, :, None] + (walk[:, None] * terms.slow.walk)[:, None, :]
     normal = explained_by_modes(
         reduced.slow, reduced.row, reduced.start, used, vectors, 1.0 / variance
     )
     log_scale = log_density - 0.5 * np.log(variance).sum((-2, -1))
 
-    prior = (np.r_[np.full(k, thrust_n), own_mean], own_sd, _THRUST_SPREAD * thrust_n)
-    judged = any(band.motion is not None for band in terms.fast)
-    lacking = _lacking_momentum(terms, physics, weights, normal, prior) if judged else None
+    lacking = None
+    if any(band.motion is not None for band in terms.fast):
+        prior = (np.r_[np.full(k, thrust_n), own_mean], own_sd, _THRUST_SPREAD * thrust_n)
+        lacking = _lacking_momentum(reduced, used, normal, prior)
     for band, gram in zip(terms.fast, reduced.grams, strict=True):
-        kept, covariance, log_density = _fast_band(terms, band, gram, physics, parameters, lacking)
+        other = beside + (walk * band.walk.mean())[:, None, None] * np.eye(3)
+        if lacking is None or band.motion is None:
+            kept = np.broadcast_to(np.eye(wheels.shape[-1]), estimates[0].shape)
+        else:
+            products = moments(gram, reduced.wheels, lacking) / band.rows
+            variance = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
+            kept, log_density = estimated_wheels(band, products, other, wheels, variance)
+            log_scale = log_scale + log_density
         estimates.append(kept)
-        used = _at_estimate(terms, physics, weights, wheels @ kept)
+        seen = wheels @ kept
+        _set_wheels(reduced, used, seen)
+        covariance = other + covariance_of_wheels(parameters, seen, wheels)
+        if lacking is None or band.motion is None:
+            log_scale = log_scale - 0.5 * band.rows * np.linalg.slogdet(covariance)[1]
         precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         normal = normal + contract(gram, reduced.row, reduced.start, used, precision)
-        log_scale = log_scale + log_density
 
     channels = 3 + len(terms.wheel_places)
-    jacobian = np.linalg.slogdet(momentum_per_rate(physics))[1]
+    jacobian = np.linalg.slogdet(physics.momentum_per_rate)[1]
     rows = terms.statistics.rows
     log_scale = log_scale + rows * (jacobian - 0.5 * channels * np.log(2.0 * np.pi))
     return EventSystem(normal, log_scale, own_sd, own_mean, tuple(estimates))
 
 
-def _fast_band(
-    terms: TelemetryTerms,
-    band: Band,
-    gram: Array,
-    physics: Physics,
-    parameters: Mapping[str, Array],
-    lacking: Array | None,
-) -> tuple[Array, Array, Array]:
-    """Estimate of the wheels (n, W, W), covariance of a row (n, 3, 3) and log density (n,)."""
-    n, wheels = len(physics.inertia_kg_m2), physics.wheel_weights[..., list(terms.wheel_places)]
-    drift = parameters["torque_noise_n_m_s05"] ** 2 * band.walk.mean()
-    by_drift = drift[:, None, None] * np.eye(3)
-    if band.motion is None or lacking is None:
-        kept = np.broadcast_to(np.eye(wheels.shape[-1]), (n, *band.vectors.shape))
-        covariance = noise_covariance(terms, physics, parameters, kept) + by_drift
-        return kept, covariance, -0.5 * band.rows * np.linalg.slogdet(covariance)[1]
-    still = np.zeros((n, *band.vectors.shape))
-    other = noise_covariance(terms, physics, parameters, still) + by_drift
-    seen = moments(gram, terms.reduced.wheels, lacking) / band.rows
-    noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
-    kept, log_density = estimated_wheels(band, seen, other, wheels, noise)
-    return kept, noise_covariance(terms, physics, parameters, kept) + by_drift, log_density
-
-
 def _lacking_momentum(
-    terms: TelemetryTerms,
-    physics: Physics,
-    weights: Array,
-    normal: Array,
-    prior: tuple[Array, Array, float],
+    reduced: Reduced, used: Array, normal: Array, prior: tuple[Array, Array, float]
 ) -> Array:
     """Column weights (n, 3, A') of the momentum that all but the wheels leaves to them.
 
     Unknowns are taken where the slow band and their priors (mean (P,), sd of the own ones (n, U),
     sd of thrusts) have them: good enough to tell how much the wheels move at higher frequencies.
+    ``used`` are the weights (n, B', 3) of the entries.
     """
-    n, reduced = len(normal), terms.reduced
     mean, own_sd, thrust_sd = prior
-    sd = np.concatenate([np.full((n, terms.pattern.thrusters), thrust_sd), own_sd], axis=1)
+    n = len(normal)
+    sd = np.concatenate(
+        [np.full((n, len(mean) - own_sd.shape[1]), thrust_sd), own_sd],
+        axis=1,
+    )
     to_all = normal[:, :-1, :-1]
     precision = sd[:, :, None] * to_all * sd[:, None, :] + np.eye(len(mean))
     target = sd * (normal[:, :-1, -1] - to_all @ mean)
     at = mean + sd * np.linalg.solve(precision, target[..., None])[..., 0]
-    still = np.zeros((n, 3, len(terms.wheel_places)))
-    used = _at_estimate(terms, physics, weights, still)
-    owner = np.repeat(np.arange(len(reduced.start) - 1), np.diff(reduced.start))
-    signed = used * np.concatenate([at, np.full((n, 1), -1.0)], axis=1)[:, owner, None]
-    scatter = np.zeros((len(reduced.row), reduced.slow.shape[1]))
-    scatter[np.arange(len(reduced.row)), reduced.row] = 1.0
-    return np.asarray(np.swapaxes(signed, -1, -2) @ scatter)
+    signs = np.concatenate([at, np.full((n, 1), -1.0)], axis=1)[:, reduced.owner, None]
+    signed = used * signs
+    signed[:, reduced.wheel_entries] = 0.0
+    return np.asarray(np.swapaxes(signed, -1, -2) @ reduced.scatter)
 
 
-def _at_estimate(terms: TelemetryTerms, physics: Physics, weights: Array, wheels: Array) -> Array:
-    """Weights (n, B', 3) of the entries used, the measured momentum with ``wheels`` (n, 3, W)."""
-    weights[:, terms.pattern.start[-2] :] = measured_weights(terms, physics, wheels)
-    return np.ascontiguousarray(weights[:, terms.reduced.entries])
+def _set_wheels(reduced: Reduced, used: Array, wheels: Array) -> None:
+    """Give the entries (n, B', 3) of measured wheel rates the weights (n, 3, W)."""
+    used[:, reduced.wheel_entries] = np.swapaxes(wheels, -1, -2)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -36,13 +37,21 @@ class Pattern:
     """Which columns enter which unknown: entries in order of owner (contraction.py).
 
     Unknowns are the K thrusts, the initial momentum (3), the steady torque (3), the cut tails (S),
-    and last the measured momentum.
+    and last the measured momentum. The other fields are places among the entries: by what a thrust
+    acts, and wheel rates.
     """
 
     row: Places
     start: Places
     thrusters: int
     cuts: tuple[int, ...]  # places among the counts of close pairs that are not all zero
+    fired: Places  # (9 K,)
+    pulses: Places  # (K,)
+    lost: Places  # (L,) close pairs whose tail may have been cut
+    lost_by: Places  # (L,) the thruster
+    members: Array  # (S, K) ones where a thruster is of the couple whose tails may have been cut
+    brought: tuple[tuple[int, int, str], ...]  # columns of effects: entry, thruster, name
+    wheels: Places  # (W,)
 
 
 @dataclass(frozen=True)
@@ -57,8 +66,19 @@ class Reduced:
     row: Places
     start: Places
     wheels: Places  # (W,) columns of the wheel rates
+    wheel_entries: Places  # (W,) places among the entries
     grams: tuple[Array, ...]  # (3, 3, A', A') of the fast bands
     slow: Array  # (3, A', M) coordinates on the slow modes
+
+    @cached_property
+    def owner(self) -> Places:
+        """The new column (B',) that every entry is of."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+    @cached_property
+    def scatter(self) -> Array:
+        """Ones (B', A') where an entry is of a column."""
+        return np.eye(self.slow.shape[1])[self.row]
 
 
 @dataclass(frozen=True)
@@ -85,16 +105,10 @@ class TelemetryTerms:
         """Name of the event."""
         return self.statistics.event_id
 
-    @property
+    @cached_property
     def extra(self) -> tuple[str, ...]:
         """Names of the columns that effects brought and that act on their own."""
         return tuple(name for name in self.statistics.layout.extra if "@" not in name)
-
-    def extra_of(self, thruster: int) -> tuple[str, ...]:
-        """Names of the columns of effects that act through a thruster's thrust."""
-        layout = self.statistics.layout
-        ending = f"@{layout.thrusters[thruster]}"
-        return tuple(name for name in layout.extra if name.endswith(ending))
 
     @property
     def fires(self) -> bool:
@@ -153,6 +167,7 @@ def make_terms(
             pattern.row,
             pattern.start,
             np.arange(layout.wheel.start, layout.wheel.stop),
+            pattern.wheels,
             grams,
             slow_modes,
         ),
@@ -182,6 +197,7 @@ def without_idle_columns(
         row=np.searchsorted(columns, pattern.row[entries]),
         start=np.concatenate([[0], np.cumsum(counts)]),
         wheels=np.searchsorted(columns, full.wheels),
+        wheel_entries=np.searchsorted(entries, pattern.wheels),
         grams=tuple(
             np.ascontiguousarray(gram[:, :, columns[:, None], columns]) for gram in full.grams
         ),
@@ -221,20 +237,43 @@ def _pattern(statistics: EventStatistics) -> Pattern:
     layout = statistics.layout
     cuts = tuple(int(place) for place in np.flatnonzero(statistics.close_pairs > 0))
     entries: list[list[int]] = []
+    lost: list[tuple[int, int]] = []
+    brought: list[tuple[int, int, str]] = []
     for k, name in enumerate(layout.thrusters):
         first = layout.fired.start + 9 * k
         couple = next(g for g, members in enumerate(layout.couples) if k in members)
         own = [layout.cut.start + place for place in cuts if place // CUT_PARTS == couple]
         count = layout.pulse_count.start + k
-        entries.append([*range(first, first + 9), count, *own, *_owned(layout, name)])
+        after = sum(map(len, entries)) + 10
+        lost += [(after + i, k) for i in range(len(own))]
+        added = _owned(layout, name)
+        names = [layout.extra[column - layout.extra_place.start] for column in added]
+        brought += [(after + len(own) + i, k, own_name) for i, own_name in enumerate(names)]
+        entries.append([*range(first, first + 9), count, *own, *added])
     entries += [[column] for column in range(layout.torque.stop)]
     entries += [[layout.cut.start + place] for place in cuts]
     measured = [*range(layout.rate.start, layout.wheel.stop)]
     torque = range(layout.torque.start, layout.torque.stop)
     entries.append([*measured, *torque, *_owned(layout, "")])
-    start = np.cumsum([0, *map(len, entries)])
-    row = [column for own in entries for column in own]
-    return Pattern(np.array(row), start.astype(np.int64), len(layout.thrusters), cuts)
+    start = np.cumsum([0, *map(len, entries)]).astype(np.int64)
+    thrusters = len(layout.thrusters)
+    members = np.zeros((len(cuts), thrusters))
+    for i, place in enumerate(cuts):
+        members[i, list(layout.couples[place // CUT_PARTS])] = 1.0
+    places = np.array(lost, dtype=np.int64).reshape(-1, 2)
+    return Pattern(
+        row=np.array([column for own in entries for column in own]),
+        start=start,
+        thrusters=thrusters,
+        cuts=cuts,
+        fired=(start[:thrusters, None] + np.arange(9)).ravel(),
+        pulses=start[:thrusters] + 9,
+        lost=places[:, 0],
+        lost_by=places[:, 1],
+        members=members,
+        brought=tuple(brought),
+        wheels=start[-2] + np.arange(len(measured))[-len(layout.wheels) :],
+    )
 
 
 def _owned(layout: Layout, thruster: str) -> list[int]:
@@ -274,24 +313,29 @@ def noise_covariance(
     ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
     estimated.
     """
-    by_rate = momentum_per_rate(physics)
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
-    wheel = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
-    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
     left = wheels if kept is None else wheels @ kept
-    return np.asarray(
-        rate * by_rate @ np.swapaxes(by_rate, -1, -2)
-        + wheel * left @ np.swapaxes(wheels, -1, -2)
-        + attitude * terms.spin
-    )
+    other = covariance_beside_wheels(terms, physics, parameters)
+    return other + covariance_of_wheels(parameters, left, wheels)
 
 
-def momentum_per_rate(physics: Physics) -> Array:
-    """Momentum per measured rate (n, 3, 3): the true rate is (measured − bias)/(1 + scale)."""
-    inertia = physics.inertia_kg_m2
-    scale = np.broadcast_to(physics.rate_scale, inertia.shape[:-1])
-    return np.asarray(inertia / (1.0 + scale)[..., None, :])
+def covariance_beside_wheels(
+    terms: TelemetryTerms, physics: Physics, parameters: Mapping[str, Array]
+) -> Array:
+    """Covariance (n, 3, 3) of what rates and attitudes put into a row, (N m s)²."""
+    by_rate = physics.momentum_per_rate
+    rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
+    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
+    return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * terms.spin)
+
+
+def covariance_of_wheels(parameters: Mapping[str, Array], left: Array, wheels: Array) -> Array:
+    """Covariance (n, 3, 3) of what measured wheel rates put into a row, (N m s)².
+
+    ``wheels`` (n, 3, W) is the momentum per true rate, ``left`` that per measured one.
+    """
+    noise = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
+    return np.asarray(noise * left @ np.swapaxes(wheels, -1, -2))
 
 
 def measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> Array:
@@ -299,7 +343,7 @@ def measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> 
 
     What a steady torque or an effect's own column puts in is taken off the measured momentum.
     """
-    n, by_rate = len(wheels), momentum_per_rate(physics)
+    n, by_rate = len(wheels), physics.momentum_per_rate
     bias = np.broadcast_to(physics.rate_bias_rad_s, (n, 3))
     shift = by_rate @ bias[..., None]
     torque = -np.broadcast_to(physics.steady_torque_n_m, (n, 3))
@@ -333,25 +377,20 @@ def unknown_weights(
         factor = np.broadcast_to(physics.thrust_factor, (n, k))
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
         probability = cut_probability(terms.statistics.counter_interval_s)
-        for thruster in range(k):
-            first, stop = pattern.start[thruster], pattern.start[thruster + 1]
-            arm = arms[..., thruster]
-            strength = factor[:, thruster, None] * pulse
-            fired = (arm[:, :, None] * strength[:, None, :]).reshape(n, 9, 1)
-            weights[:, first : first + 9] = fired
-            weights[:, first + 9] = offset[:, thruster, None] * arm
-            names = terms.extra_of(thruster)
-            cuts = stop - len(names)
-            weights[:, first + 10 : cuts] = (-probability * lost[:, None] * arm)[:, None, :]
-            for i, name in enumerate(names):
-                if name in physics.extra:
-                    on_time = factor[:, thruster] * np.asarray(physics.extra[name])
-                    weights[:, cuts + i] = on_time[:, None] * arm
-        couples = terms.statistics.layout.couples
+        arm = np.swapaxes(arms, -1, -2)
+        strength = factor[:, :, None] * pulse[:, None, :]
+        fired = arm[..., :, None] * strength[..., None, :]
+        weights[:, pattern.fired] = fired.reshape(n, 9 * k, 1)
+        weights[:, pattern.pulses] = offset[:, :, None] * arm
+        weights[:, pattern.lost] = -probability * lost[:, None, None] * arm[:, pattern.lost_by]
+        for entry, thruster, name in pattern.brought:
+            if name in physics.extra:
+                on_time = factor[:, thruster] * np.asarray(physics.extra[name])
+                weights[:, entry] = on_time[:, None] * arm[:, thruster]
         own_sd[:] = cut_tail_sd(terms)
-        for i, place in enumerate(pattern.cuts):
-            members = list(couples[place // CUT_PARTS])
-            weights[:, own + 6 + i] = thrust_n * lost[:, None] * arms[..., members].sum(-1)
+        weights[:, own + 6 : own + 6 + len(pattern.cuts)] = (
+            thrust_n * lost[:, None, None] * (pattern.members @ arm)
+        )
     return weights, own_sd
 
 

@@ -27,7 +27,6 @@ from cassini_bayes.telemetry import read_chunks
 from cassini_bayes.telemetry_terms import (
     TelemetryTerms,
     balance_weights,
-    momentum_per_rate,
     noise_covariance,
 )
 
@@ -152,7 +151,7 @@ def balances(
             predicted=predicted,
             covariance=noise_covariance(terms, physics, full),
             walk=full["torque_noise_n_m_s05"] ** 2,
-            by_rate=momentum_per_rate(physics),
+            by_rate=physics.momentum_per_rate,
             by_wheel=physics.wheel_weights[..., list(terms.wheel_places)],
         )
 
