@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from scipy.stats import kstest
 
 from cassini_bayes.criticism.blind_flights import source_of
+from cassini_bayes.criticism.catalogue import DEFAULT
 from cassini_bayes.criticism.diagnosis import catalogue_of
 from cassini_bayes.criticism.evidence import Weighed, weigh_beside
 from cassini_bayes.criticism.extended import Case, compact, extend, none_hypothesis, prepare
@@ -23,6 +25,7 @@ from cassini_bayes.criticism.sizes import (
     weighted_interval,
     with_unresolved,
 )
+from cassini_bayes.errors import InputError
 from cassini_bayes.priors import read_priors
 from cassini_bayes.scenario import simulate_file
 from cassini_bayes.simulation import scenario_of
@@ -115,6 +118,41 @@ def test_a_control_cycle_is_left_open() -> None:
     moved = with_unresolved(case, weighed.hypothesis, weighed.mode.point, z, rng)
     added = values[LATE] - effect_values(weighed, moved)[LATE]
     assert kstest(added / CONTROL_CYCLE_S, "uniform").pvalue > 1e-3
+
+
+def test_what_a_form_leaves_out_widens_its_sizes_alone() -> None:
+    """A share of 30 % is in the draws, as wide as said; without it they are the same as before."""
+    case, weighed = late_records()
+    (effect,) = weighed.hypothesis.effects
+    wider = replace(effect, form_error=((LATE, 0.3),))
+    own = replace(weighed, hypothesis=replace(weighed.hypothesis, effects=(wider,)))
+    values, _ = size_draws(case, weighed, np.random.default_rng(4))
+    spread, _ = size_draws(case, own, np.random.default_rng(4))
+    ratio = spread[LATE] / values[LATE] - 1.0
+    n = len(ratio)
+    assert ratio.std() == pytest.approx(0.3, abs=4.0 * 0.3 / np.sqrt(2.0 * n))
+    assert abs(ratio.mean()) < 4.0 * 0.3 / np.sqrt(n)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("3", "a table of shares by size"),
+        ("{ warmup_tme_s = 0.1 }", "warmup_time_s"),
+        ("{ warmup_time_s = 7 }", "a share of the size, 0 to 1"),
+        ("{ warmup_time_s = true }", "a share of the size, 0 to 1"),
+    ],
+)
+def test_form_errors_that_are_none_are_told(tmp_path: Path, table: str, said: str) -> None:
+    """A word, a misspelt size, percent, a truth value."""
+    case, _ = late_records()
+    lines = DEFAULT.read_text(encoding="utf-8").splitlines()
+    first = lines.index("[effects.thrust_warmup.form_error]")
+    path = tmp_path / "effects.toml"
+    told = [f"form_error = {table}"]
+    path.write_text("\n".join([*lines[:first], *told, *lines[first + 3 :]]), encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        catalogue_of(case, path)
 
 
 def test_shortest_interval_of_a_weighted_sample() -> None:

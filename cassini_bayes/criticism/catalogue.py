@@ -22,6 +22,7 @@ DEFAULT: Final = Path(__file__).with_name("effects.toml")
 AXES: Final = ("x", "y", "z")
 ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 ROLES: Final = ("value", "departure")
+SEEN_FROM_OUTSIDE: Final = ("amplitude_rad_s", "frequency_hz", "damping")  # of an oscillation
 _OWN_KEYS: Final = ("role", "dist", "times_prior", "low", "high", "unit")
 
 
@@ -42,7 +43,11 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """A cause: an entry of the catalogue with its target and its share of prior probability."""
+    """A cause: an entry of the catalogue with its target and its share of prior probability.
+
+    ``form_error`` is the standard deviation, by the name of a size and as a share of it, of what
+    the term's form leaves out.
+    """
 
     name: str
     kind: str
@@ -50,6 +55,7 @@ class Effect:
     parameters: tuple[EffectParameter, ...]
     prior_probability: float
     inputs: tuple[str, ...]
+    form_error: tuple[tuple[str, float], ...] = ()
 
     def scaled(self, width: float) -> Effect:
         """The same effect with all priors of its size wider by a factor."""
@@ -258,7 +264,30 @@ def _effect(
             )
         )
     name = f"{kind}:{target}" if target else kind
-    return Effect(name, kind, target, tuple(parameters), 0.0, tuple(entry["inputs"]))
+    form_error = _form_error(where, entry)
+    return Effect(name, kind, target, tuple(parameters), 0.0, tuple(entry["inputs"]), form_error)
+
+
+def _form_error(where: str, entry: Mapping[str, Any]) -> tuple[tuple[str, float], ...]:
+    table = entry.get("form_error", {})
+    if not isinstance(table, dict):
+        raise InputError(
+            f"{where}.form_error", "a table of shares by size", repr(table), "write one, or none"
+        )
+    known = (*entry["parameters"], *SEEN_FROM_OUTSIDE)
+    for key, share in table.items():
+        if key not in known:
+            raise InputError(
+                f"{where}.form_error.{key}", "a size of the effect", repr(key), nearest(key, known)
+            )
+        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share < 1:
+            raise InputError(
+                f"{where}.form_error.{key}",
+                "a share of the size, 0 to 1",
+                repr(share),
+                "give the standard deviation of what the form leaves out, over the size",
+            )
+    return tuple((key, float(share)) for key, share in table.items())
 
 
 def _prior_sd(priors: Priors, name: str) -> float | None:

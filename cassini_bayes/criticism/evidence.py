@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cassini_bayes.criticism.extended import Hypothesis
 from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.criticism.search import (
+    UNSURE_NATS,
     Sought,
     extended_mode,
     has_moved,
@@ -72,8 +73,8 @@ def weigh_beside(
     """Extensions of one baseline by Laplace evidence.
 
     Newton steps beside the baseline's mode first; then longer and longer searches, each for those
-    whose search has not ended and that could still come within thirty nats of the best (or of
-    ``floor``). The others keep what they have.
+    whose search has not ended and that could still come to ``floor`` and within thirty nats of the
+    best. The best is searched for before the others. What is out of reach keeps what it has.
     """
     if not hypotheses:
         return []
@@ -95,17 +96,26 @@ def weigh_beside(
         due = hopeful(found, floor)
         if due:
             say(f"{len(due)} causes {what}")
-            anew = dict(zip(due, on_threads(search, due, threads), strict=True))
+        for part in (due[:1], due[1:]):
+            still = [i for i in part if i in hopeful(found, floor)]
+            anew = dict(zip(still, on_threads(search, still, threads), strict=True))
             found = [anew.get(i, own) for i, own in enumerate(found)]
     weighed = [by_laplace(own, at.mode) for own, at in zip(hypotheses, found, strict=True)]
-    return [replace(w, unsure=MOVED_NATS) if has_moved(w.mode, base) else w for w in weighed]
+    return [
+        replace(w, unsure=MOVED_NATS if has_moved(w.mode, base) else min(at.reach, UNSURE_NATS))
+        for w, at in zip(weighed, found, strict=True)
+    ]
 
 
 def hopeful(found: Sequence[Sought], floor: float) -> list[int]:
-    """Those whose search has not ended and that could come within thirty nats of the best."""
-    least = max(floor, *(own.mode.log_evidence for own in found)) - MARGIN_NATS
+    """Those whose search has not ended and that could be of use, the best first.
+
+    Of use is what comes to ``floor`` and within thirty nats of the best.
+    """
+    least = max(floor, *(own.mode.log_evidence - MARGIN_NATS for own in found))
     reached = [own.mode.log_evidence + own.reach for own in found]
-    return [i for i, own in enumerate(found) if own.reach > 0.0 and reached[i] > least]
+    due = [i for i, own in enumerate(found) if own.reach > UNSURE_NATS and reached[i] > least]
+    return sorted(due, key=lambda i: -found[i].mode.log_evidence)
 
 
 def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = FEW_DRAWS) -> Weighed:

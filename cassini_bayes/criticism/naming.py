@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
 from cassini_bayes.criticism.evidence import (
     FEW_DRAWS,
+    MARGIN_NATS,
     Say,
     Weighed,
     by_laplace,
@@ -49,6 +50,7 @@ SECOND_CAUSE_NATS: Final = 4.0
 CONFOUNDED_NATS: Final = 3.0
 ALIKE_NATS: Final = 5.0
 BENT: Final = 5.0  # prior standard deviations of the baseline's parameters
+TOGETHER: Final = 4
 UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
 
 
@@ -156,10 +158,13 @@ def name_causes(
         oscillation = _look_for_oscillation(case, catalogue, (full, base.point), (linear, rows))
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
-    causes = weigh_beside(hypotheses, base, tell, threads, unknown_mode.log_evidence)
+    floor = unknown_mode.log_evidence - MARGIN_NATS
+    causes = weigh_beside(hypotheses, base, tell, threads, floor)
     if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
-        tell("no cause mends a baseline that bent: all searched from the centre of the prior")
-        causes = on_threads(_from_centre, causes, threads)
+        tell(
+            "no cause mends a baseline that bent: searched from the centre of the prior, best first"
+        )
+        causes = _all_from_centre(causes, unknown_mode, threads)
     weighed += causes
     if oscillation is not None:
         best = max(own.log_evidence for own in weighed)
@@ -197,6 +202,24 @@ def _is_mended(causes: Sequence[Weighed], unknown: Mode) -> bool:
     """Whether the best cause beats ``unknown`` with parameters that are not far out themselves."""
     best = max(causes, key=lambda own: own.log_evidence)
     return best.log_evidence > unknown.log_evidence and not _is_bent(best.mode)
+
+
+def _all_from_centre(causes: Sequence[Weighed], unknown: Mode, threads: int) -> list[Weighed]:
+    """Causes searched from the centre of the prior, the best first, until one mends the baseline.
+
+    They go in parts of :data:`TOGETHER`, so that what the data cannot tell apart is searched alike.
+    """
+    found = list(causes)
+    order = sorted(range(len(found)), key=lambda i: -found[i].log_evidence)
+    for start in range(0, len(order), TOGETHER):
+        part = order[start : start + TOGETHER]
+        for i, own in zip(
+            part, on_threads(_from_centre, [found[i] for i in part], threads), strict=True
+        ):
+            found[i] = own
+        if _is_mended(found, unknown):
+            break
+    return found
 
 
 def _from_centre(weighed: Weighed) -> Weighed:
@@ -246,7 +269,7 @@ def _flexible(
     """``flexible_mode`` at the line found, beside other effects or alone."""
     own, shown = catalogue.effect("flexible_mode"), flexible_case(case, oscillation)
     hypothesis = compact(extend(none_hypothesis(shown, catalogue), [*beside, own], shown))
-    (weighed,) = weigh_beside([hypothesis], base, _silent, floor=best)
+    (weighed,) = weigh_beside([hypothesis], base, _silent, floor=best - MARGIN_NATS)
     return weighed
 
 
@@ -284,13 +307,13 @@ def second_cause(
     full = extend(none_hypothesis(case, catalogue), [first], case)
     base = renewed(best.hypothesis, best.mode)
     pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]
-    tried = weigh_beside(pairs, base, _silent, threads)
+    least = best.net_evidence + SECOND_CAUSE_NATS
+    tried = weigh_beside(pairs, base, _silent, threads, least)
     if line is None and case.sources:
         at = best.hypothesis, base.point
         further = _look_for_oscillation(case, catalogue, at, innovations(case, *at))
         if further is not None:
             tried.append(_flexible(case, catalogue, further, [first], base, base.log_evidence))
-    least = best.net_evidence + SECOND_CAUSE_NATS
     tried = _sample_pairs(tried, least, rng, threads)
     found = max(tried, key=lambda own: own.net_evidence, default=None)
     if found is None or found.net_evidence < least:

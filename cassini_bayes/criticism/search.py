@@ -41,10 +41,13 @@ ROUNDING: Final = 1e-6  # nats by which the same point may differ between batche
 SHORTER: Final = 0.3
 FEW_STEPS: Final = 6
 LACKING_NATS: Final = 30.0
-LACKING_SHARE: Final = 2.0  # of the gain so far
+NEAR_LACKING: Final = 3.0  # of the gain so far, and of what a step foretells
+LACKING_SHARE: Final = 1.0  # of the gain so far
+UNSURE_NATS: Final = 3.0  # of the volume of a peak whose ridge is not straight
 LEAST_CROSS: Final = 0.1
 FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
 LEAST_RIDGE: Final = 1e-6
+BENT: Final = 0.03  # of the steepest curvature
 FAR_MOVED: Final = 3.0  # baseline standard deviations along an axis
 OWN_SCALES: Final = (0.3, 0.03, 0.003, 0.0003)  # prior standard deviations
 STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
@@ -53,7 +56,10 @@ NEAR_STARTS: Final = (-3.5, -2.5, -1.8, -1.2, -0.7, -0.3, 0.0, 0.4, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Sought:
-    """How far the search for a hypothesis's mode has come, and what it may still gain (nats)."""
+    """How far the search for a hypothesis's mode has come, and what it may still gain (nats).
+
+    What is within :data:`UNSURE_NATS` is left to importance draws.
+    """
 
     mode: Mode
     reach: float = 0.0
@@ -89,7 +95,7 @@ def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
     seen = density(tried)
     point, value = tried[int(np.nanargmax(seen))], float(np.nanmax(seen))
     axes = _own_axes(density, point, base, extra)
-    step, foretold, turns = np.zeros(d + extra), 0.0, 0
+    step, foretold, turns, most = np.zeros(d + extra), 0.0, 0, 0.0
     for _ in range(NEAR_ROUNDS):
         rows = _own_rows(density, point + step, axes, d)
         if not rows.value - value >= LEAST_SHARE * foretold - ROUNDING:
@@ -97,6 +103,7 @@ def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
             continue
         point, value, step, foretold = point + step, rows.value, np.zeros(d + extra), 0.0
         ridge, is_white = _ridge(axes, rows.inner, d)
+        most = _larger(most, 0.5 * float(rows.slope @ rows.slope))
         if not is_white:
             turns += 1
             if turns > NEAR_TURNS:
@@ -108,14 +115,18 @@ def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
         turned = axes @ vectors / np.sqrt(values)
         slope = vectors.T @ rows.slope / np.sqrt(values)
         foretold = 0.5 * float(slope @ slope)
+        most = _larger(most, foretold)
         if foretold > NEAR_FAR:
             break
         if foretold < NEAR_LEFT:
             mode = mode_at(density, point, lower_factor(turned))
-            gain = value + 0.5 * extra * LOG_2_PI - base.value
-            return Sought(mode, 0.0 if gain < NEAR_GAIN else _lacking(mode, base))
+            is_small = _gain(value, extra, base) < NEAR_GAIN
+            return Sought(mode, 0.0 if is_small else _lacking(mode, base, NEAR_LACKING))
         step = turned @ slope
-    return Sought(mode_at(density, point, lower_factor(axes)), np.inf)
+    mode = mode_at(density, point, lower_factor(axes))
+    if _gain(value, extra, base) < NEAR_GAIN:
+        return Sought(mode, NEAR_GAIN + NEAR_LACKING * most)
+    return Sought(mode, _lacking(mode, base, NEAR_LACKING) + NEAR_LACKING * most)
 
 
 def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
@@ -133,24 +144,37 @@ def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
     axes, _, _ = _along_ridges(density, point, _own_axes(density, point, base, extra), d)
     point = climb(density, point, axes, FEW_STEPS)
     turned, rows, is_white = _along_ridges(density, point, axes, d)
-    if not is_white or 0.5 * float(rows.slope @ rows.slope) > SLOPE_LEFT:
+    foretold = 0.5 * float(rows.slope @ rows.slope)
+    if not is_white or foretold > SLOPE_LEFT:
         mode = mode_at(density, point, lower_factor(axes))
-        return Sought(mode, _lacking(mode, base))
+        if _gain(rows.value, extra, base) > NEAR_GAIN:
+            return Sought(mode, _lacking(mode, base, LACKING_SHARE))
+        return Sought(mode, UNSURE_NATS + NEAR_LACKING * _larger(0.0, foretold))
     values, vectors = np.linalg.eigh(rows.inner)
     turned = turned @ vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
     return Sought(mode_at(density, point, lower_factor(turned)))
 
 
-def _lacking(mode: Mode, base: Mode) -> float:
-    """Nats that a search which has not ended may lack: thirty, and twice what it gained."""
-    return LACKING_NATS + LACKING_SHARE * max(mode.log_evidence - base.log_evidence, 0.0)
+def _gain(value: float, extra: int, base: Mode) -> float:
+    """Nats gained in density over the baseline, the prior of ``extra`` coordinates at its peak."""
+    return value + 0.5 * extra * LOG_2_PI - base.value
+
+
+def _larger(one: float, other: float) -> float:
+    """The larger of two; infinite where one is not a number."""
+    return max(one, other) if np.isfinite(other) else np.inf
+
+
+def _lacking(mode: Mode, base: Mode, share: float) -> float:
+    """Nats that a search which has not ended may lack: thirty, and a share of what it gained."""
+    return LACKING_NATS + share * max(mode.log_evidence - base.log_evidence, 0.0)
 
 
 def higher(new: Sought, old: Sought, base: Mode) -> Sought:
     """The search that came higher; the older one has not ended where that is the one."""
     if new.mode.log_evidence >= old.mode.log_evidence:
         return new
-    return Sought(old.mode, _lacking(old.mode, base))
+    return Sought(old.mode, _lacking(old.mode, base, LACKING_SHARE))
 
 
 def has_moved(mode: Mode, base: Mode) -> bool:
@@ -179,11 +203,13 @@ def _ridge(axes: Array, inner: Array, d: int) -> tuple[Array, bool]:
     cross, own = inner[:d, d:], inner[d:, d:]
     values, vectors = np.linalg.eigh(own - cross.T @ cross)
     is_white = (cross**2).sum() < LEAST_CROSS and WHITE[0] < values[0] and values[-1] < WHITE[1]
-    least = max(FLATTEST * float(np.abs(np.diagonal(own)).max()), LEAST_RIDGE)
-    turn = vectors / np.sqrt(np.maximum(values, least))
+    most = float(np.abs(np.diagonal(own)).max())
+    least = max(FLATTEST * most, LEAST_RIDGE)
+    # where it comes out negative the ridge is bent: its direction is used, its length is not
+    length = np.where(values > -BENT * most, np.maximum(values, least), most)
+    turn = vectors / np.sqrt(length)
     ridge = axes @ np.concatenate([-cross @ turn, turn])
-    length = np.abs(ridge[d:]).max(0)
-    return ridge / np.maximum(length, 1.0), bool(is_white)
+    return ridge / np.maximum(np.abs(ridge[d:]).max(0), 1.0), bool(is_white)
 
 
 def _along_ridges(

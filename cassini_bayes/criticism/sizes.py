@@ -30,7 +30,8 @@ def size_draws(
 
     What counters leave open is in them (:func:`with_unresolved`). Pulses start with control cycles,
     and rows with a pulse under way do not enter the balance: those that do cannot tell records late
-    by τ from records late by the whole cycles in τ.
+    by τ from records late by the whole cycles in τ. So is what a term's form leaves out
+    (``form_error`` of its entry in the catalogue).
     """
     z, weights = effect_draws(weighed, rng)
     own = case_of(case, weighed.hypothesis)
@@ -39,6 +40,9 @@ def size_draws(
     values = effect_values(weighed, z)
     if LATE in values:
         values[LATE] = values[LATE] + rng.uniform(0.0, CONTROL_CYCLE_S, len(z))
+    for effect in weighed.hypothesis.effects:
+        for key, share in effect.form_error:
+            values[key] = values[key] * (1.0 + share * rng.standard_normal(len(z)))
     return values, weights
 
 
