@@ -25,6 +25,7 @@ from cassini_bayes.criticism.symptoms import Symptom, find_symptoms
 from cassini_bayes.criticism.totals_gain import held_out_totals
 from cassini_bayes.criticism.widths import LEAST_PROBABILITY, width_sensitivity
 from cassini_bayes.events import TotalsEvent
+from cassini_bayes.parallel import on_threads
 from cassini_bayes.spacecraft import couples
 from cassini_bayes.statistics.columns import Rows
 
@@ -98,7 +99,7 @@ def diagnose(
         "p_value": p,
         "symptoms": [asdict(symptom) for symptom in symptoms],
         "closure": [] if shown is None else _closure(*shown),
-        "causes": _cause_records(verdict, rng),
+        "causes": _cause_records(verdict, rng, threads),
         "extended": {
             "causes": _names(extended),
             **_fit_record(extended, own_score, extended_rows),
@@ -247,24 +248,28 @@ def _gain(base: HeldOut | None, own: HeldOut | None, p: float | None) -> dict[st
     }
 
 
-def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str, Any]]:
-    records = []
+def _cause_records(
+    verdict: Verdict, rng: np.random.Generator, threads: int
+) -> list[dict[str, Any]]:
     rows = [event_rows(verdict.case, place) for place in range(len(verdict.case.sources))]
-    for weighed, log_probability in zip(verdict.weighed, verdict.log_probabilities, strict=True):
-        hypothesis = weighed.hypothesis
-        shown = weighed.z is not None or float(log_probability) > np.log(LEAST_PROBABILITY)
-        records.append(
-            {
-                "name": weighed.name,
-                "probability": float(np.exp(log_probability)),
-                "log_bayes_factor": float(weighed.net_evidence - verdict.none.log_evidence),
-                "parameters": _parameters(verdict.case, weighed, rng, rows)
-                if shown and hypothesis.effects
-                else {},
-                "confounded_with": list(verdict.confounded_with(weighed.name)) if shown else [],
-            }
-        )
-    return records
+
+    def record(own: tuple[Weighed, float, np.random.Generator]) -> dict[str, Any]:
+        weighed, log_probability, generator = own
+        shown = weighed.z is not None or log_probability > np.log(LEAST_PROBABILITY)
+        return {
+            "name": weighed.name,
+            "probability": float(np.exp(log_probability)),
+            "log_bayes_factor": float(weighed.net_evidence - verdict.none.log_evidence),
+            "parameters": _parameters(verdict.case, weighed, generator, rows)
+            if shown and weighed.hypothesis.effects
+            else {},
+            "confounded_with": list(verdict.confounded_with(weighed.name)) if shown else [],
+        }
+
+    probabilities = verdict.log_probabilities.tolist()
+    generators = rng.spawn(len(probabilities))
+    each = zip(verdict.weighed, probabilities, generators, strict=True)
+    return on_threads(record, each, threads)
 
 
 def _parameters(
