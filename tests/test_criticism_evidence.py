@@ -9,12 +9,14 @@ from typing import cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.integrate import dblquad
+from scipy.integrate import dblquad, quad
 
+from cassini_bayes.criticism import evidence
 from cassini_bayes.criticism.evidence import Weighed, hopeful, sampled, weigh_beside
 from cassini_bayes.criticism.extended import Hypothesis
 from cassini_bayes.criticism.modes import Mode, baseline_mode
 from cassini_bayes.criticism.search import (
+    UNSURE_NATS,
     Sought,
     extended_mode,
     has_moved,
@@ -156,6 +158,58 @@ def test_only_causes_that_may_come_near_the_best_are_searched_further() -> None:
     found = [sought(0.0, 0.0), sought(-20.0, 30.0), sought(-500.0, 30.0), sought(-900.0, np.inf)]
     assert hopeful(found, -np.inf) == [1, 3]
     assert hopeful(found, 50.0) == [3]
+    assert hopeful([sought(0.0, 0.0), sought(-5.0, 30.0), sought(-2.0, 30.0)], -50.0) == [2, 1]
+    assert hopeful([sought(0.0, 0.0), sought(-1.0, 3.0)], -50.0) == []  # for importance draws
+
+
+def test_what_the_best_leaves_behind_is_not_searched_further(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The best goes first; what it then gains is out of reach of the next, not of the one after."""
+    at = {"best": (100.0, 500.0), "weak": (20.0, 100.0), "strong": (50.0, 800.0)}
+    searched: list[str] = []
+
+    def near(own: Hypothesis, base: Mode) -> Sought:
+        value, reach = at[own.name]
+        return Sought(Mode(base.point, base.factor, value), reach)
+
+    def further(own: Hypothesis, base: Mode) -> Sought:
+        searched.append(own.name)
+        gained = {"best": 600.0}.get(own.name, 60.0)
+        return Sought(Mode(base.point, base.factor, gained))
+
+    monkeypatch.setattr(evidence, "near_mode", near)
+    monkeypatch.setattr(evidence, "extended_mode", further)
+    base = Mode(np.zeros(1), np.eye(1), 0.0)
+    causes = [hypothesis(linear(np.eye(1), np.zeros(1)), 1, name) for name in at]
+    found = weigh_beside(causes, base, lambda _: None)
+    assert searched == ["best", "strong"]
+    assert [own.log_evidence for own in found] == [600.0, 20.0, 60.0]
+
+
+def test_a_small_gain_on_a_bent_ridge_is_told_by_draws() -> None:
+    """A banana of effect and nuisance: Laplace within 3 nats of the integral, draws in error."""
+    sd = 0.05
+
+    def banana(z: Array) -> Array:
+        bent = z[..., 0] + 4.0 * z[..., 1] + 0.5 * z[..., 1] ** 2 - 0.5
+        prior = -0.5 * (z**2).sum(-1) - 0.5 * z.shape[-1] * np.log(2.0 * np.pi)
+        return np.asarray(prior - 0.5 * (bent / sd) ** 2)
+
+    def alone(z: Array) -> Array:
+        return np.asarray(banana(np.c_[z, np.zeros(len(z))]) + 0.5 * np.log(2.0 * np.pi))
+
+    def along(effect: float) -> float:  # the nuisance integrated out
+        middle = 0.5 - 4.0 * effect - 0.5 * effect**2
+        square = effect**2 + middle**2 / (1.0 + sd**2)
+        return float(np.exp(-0.5 * square)) * sd / np.sqrt(2.0 * np.pi * (1.0 + sd**2))
+
+    wanted = np.log(quad(along, -8.0, 8.0, points=[0.1])[0])
+    (found,) = weigh_beside([hypothesis(banana, 2)], baseline_mode(alone, 1), lambda _: None)
+    assert found.unsure > 0.0
+    assert abs(found.log_evidence - wanted) < UNSURE_NATS
+    told = sampled(found, np.random.default_rng(6), 4_000)
+    assert abs(told.log_evidence - wanted) < 4.0 * told.log_evidence_se
 
 
 def test_a_second_sampling_starts_from_the_proposal_found() -> None:
