@@ -54,6 +54,17 @@ def on_threads(
         return list(pool.map(function, items))
 
 
+def renewed_at(
+    places: Sequence[int],
+    function: Callable[[int], Item],
+    items: Sequence[Item],
+    threads: int,
+) -> list[Item]:
+    """Items with those at some places made anew by a function of the place, on threads."""
+    anew = dict(zip(places, on_threads(function, places, threads), strict=True))
+    return [anew.get(i, item) for i, item in enumerate(items)]
+
+
 def _parts(z: Array) -> list[Array]:
     return np.array_split(z, max(1, -(-len(z) // PART)))
 

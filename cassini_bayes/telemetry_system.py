@@ -98,9 +98,10 @@ def event_system(
         lacking = _lacking_momentum(reduced, used, normal, prior)
     for band, gram in zip(terms.fast, reduced.grams, strict=True):
         other = beside + (walk * band.walk.mean())[:, None, None] * np.eye(3)
-        if lacking is None or band.motion is None:
+        if band.motion is None:
             kept = np.broadcast_to(np.eye(wheels.shape[-1]), estimates[0].shape)
         else:
+            assert lacking is not None  # where a band has motion
             products = moments(gram, reduced.wheels, lacking) / band.rows
             variance = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2
             kept, log_density = estimated_wheels(band, products, other, wheels, variance)
@@ -109,7 +110,7 @@ def event_system(
         seen = wheels @ kept
         _set_wheels(reduced, used, seen)
         covariance = other + covariance_of_wheels(parameters, seen, wheels)
-        if lacking is None or band.motion is None:
+        if band.motion is None:
             log_scale = log_scale - 0.5 * band.rows * np.linalg.slogdet(covariance)[1]
         precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         normal = normal + contract(gram, reduced.row, reduced.start, used, precision)
@@ -132,10 +133,8 @@ def _lacking_momentum(
     """
     mean, own_sd, thrust_sd = prior
     n = len(normal)
-    sd = np.concatenate(
-        [np.full((n, len(mean) - own_sd.shape[1]), thrust_sd), own_sd],
-        axis=1,
-    )
+    thrusters = len(mean) - own_sd.shape[1]
+    sd = np.concatenate([np.full((n, thrusters), thrust_sd), own_sd], axis=1)
     to_all = normal[:, :-1, :-1]
     precision = sd[:, :, None] * to_all * sd[:, None, :] + np.eye(len(mean))
     target = sd * (normal[:, :-1, -1] - to_all @ mean)

@@ -247,14 +247,13 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         after = sum(map(len, entries)) + 10
         lost += [(after + i, k) for i in range(len(own))]
         added = _owned(layout, name)
-        names = [layout.extra[column - layout.extra_place.start] for column in added]
-        brought += [(after + len(own) + i, k, own_name) for i, own_name in enumerate(names)]
-        entries.append([*range(first, first + 9), count, *own, *added])
+        brought += [(after + len(own) + i, k, column) for i, column in enumerate(added)]
+        entries.append([*range(first, first + 9), count, *own, *added.values()])
     entries += [[column] for column in range(layout.torque.stop)]
     entries += [[layout.cut.start + place] for place in cuts]
     measured = [*range(layout.rate.start, layout.wheel.stop)]
     torque = range(layout.torque.start, layout.torque.stop)
-    entries.append([*measured, *torque, *_owned(layout, "")])
+    entries.append([*measured, *torque, *_owned(layout, "").values()])
     start = np.cumsum([0, *map(len, entries)]).astype(np.int64)
     thrusters = len(layout.thrusters)
     members = np.zeros((len(cuts), thrusters))
@@ -272,17 +271,17 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         lost_by=places[:, 1],
         members=members,
         brought=tuple(brought),
-        wheels=start[-2] + np.arange(len(measured))[-len(layout.wheels) :],
+        wheels=start[-2] + np.arange(len(measured) - len(layout.wheels), len(measured)),
     )
 
 
-def _owned(layout: Layout, thruster: str) -> list[int]:
+def _owned(layout: Layout, thruster: str) -> dict[str, int]:
     """Extra columns that act through a thruster's thrust (named ``what@thruster``), or the rest."""
-    return [
-        layout.extra_place.start + i
+    return {
+        name: layout.extra_place.start + i
         for i, name in enumerate(layout.extra)
         if name.partition("@")[2] == thruster
-    ]
+    }
 
 
 def balance_weights(

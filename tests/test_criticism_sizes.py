@@ -141,10 +141,11 @@ def test_what_a_form_leaves_out_widens_its_sizes_alone() -> None:
         ("{ warmup_tme_s = 0.1 }", "warmup_time_s"),
         ("{ warmup_time_s = 7 }", "a share of the size, 0 to 1"),
         ("{ warmup_time_s = true }", "a share of the size, 0 to 1"),
+        ("{ damping = 0.1 }", "a size of the effect"),
     ],
 )
 def test_form_errors_that_are_none_are_told(tmp_path: Path, table: str, said: str) -> None:
-    """A word, a misspelt size, percent, a truth value."""
+    """A word, a misspelt size, percent, a truth value, a size of another effect."""
     case, _ = late_records()
     lines = DEFAULT.read_text(encoding="utf-8").splitlines()
     first = lines.index("[effects.thrust_warmup.form_error]")

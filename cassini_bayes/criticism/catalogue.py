@@ -22,7 +22,7 @@ DEFAULT: Final = Path(__file__).with_name("effects.toml")
 AXES: Final = ("x", "y", "z")
 ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 ROLES: Final = ("value", "departure")
-SEEN_FROM_OUTSIDE: Final = ("amplitude_rad_s", "frequency_hz", "damping")  # of an oscillation
+OSCILLATION_SIZES: Final = ("amplitude_rad_s", "frequency_hz", "damping", "inertia_fraction")
 _OWN_KEYS: Final = ("role", "dist", "times_prior", "low", "high", "unit")
 
 
@@ -264,21 +264,24 @@ def _effect(
             )
         )
     name = f"{kind}:{target}" if target else kind
-    form_error = _form_error(where, entry)
+    sizes = OSCILLATION_SIZES if kind == "flexible_mode" else tuple(p.key for p in parameters)
+    form_error = _form_error(where, entry, target, sizes)
     return Effect(name, kind, target, tuple(parameters), 0.0, tuple(entry["inputs"]), form_error)
 
 
-def _form_error(where: str, entry: Mapping[str, Any]) -> tuple[tuple[str, float], ...]:
+def _form_error(
+    where: str, entry: Mapping[str, Any], target: str, sizes: Sequence[str]
+) -> tuple[tuple[str, float], ...]:
     table = entry.get("form_error", {})
     if not isinstance(table, dict):
         raise InputError(
             f"{where}.form_error", "a table of shares by size", repr(table), "write one, or none"
         )
-    known = (*entry["parameters"], *SEEN_FROM_OUTSIDE)
-    for key, share in table.items():
-        if key not in known:
+    shares = {key.replace("{target}", target): share for key, share in table.items()}
+    for key, share in shares.items():
+        if key not in sizes:
             raise InputError(
-                f"{where}.form_error.{key}", "a size of the effect", repr(key), nearest(key, known)
+                f"{where}.form_error.{key}", "a size of the effect", repr(key), nearest(key, sizes)
             )
         if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share < 1:
             raise InputError(
@@ -287,7 +290,7 @@ def _form_error(where: str, entry: Mapping[str, Any]) -> tuple[tuple[str, float]
                 repr(share),
                 "give the standard deviation of what the form leaves out, over the size",
             )
-    return tuple((key, float(share)) for key, share in table.items())
+    return tuple((key, float(share)) for key, share in shares.items())
 
 
 def _prior_sd(priors: Priors, name: str) -> float | None:

@@ -20,7 +20,7 @@ from cassini_bayes.criticism.search import (
     near_mode,
     renewed,
 )
-from cassini_bayes.parallel import on_threads
+from cassini_bayes.parallel import on_threads, renewed_at
 from cassini_bayes.warmstart import ImportanceDraws, Proposal, importance, refined
 
 Array = NDArray[np.float64]
@@ -97,9 +97,8 @@ def weigh_beside(
         if due:
             say(f"{len(due)} causes {what}")
         for part in (due[:1], due[1:]):
-            still = [i for i in part if i in hopeful(found, floor)]
-            anew = dict(zip(still, on_threads(search, still, threads), strict=True))
-            found = [anew.get(i, own) for i, own in enumerate(found)]
+            still = [i for i in hopeful(found, floor) if i in part]
+            found = renewed_at(still, search, found, threads)
     weighed = [by_laplace(own, at.mode) for own, at in zip(hypotheses, found, strict=True)]
     return [
         replace(w, unsure=MOVED_NATS if has_moved(w.mode, base) else min(at.reach, UNSURE_NATS))
@@ -169,11 +168,7 @@ def drawn(
 ) -> list[Weighed]:
     """Those named (places) with importance draws, each with a generator of its own."""
     own = dict(zip(which, rng.spawn(len(which)), strict=True))
-    return on_threads(
-        lambda i: sampled(weighed[i], own[i], draws) if i in own else weighed[i],
-        range(len(weighed)),
-        threads,
-    )
+    return renewed_at(which, lambda i: sampled(weighed[i], own[i], draws), weighed, threads)
 
 
 def score(weighed: Weighed) -> float:

@@ -40,7 +40,7 @@ from cassini_bayes.criticism.oscillation import (
     motions_of,
 )
 from cassini_bayes.criticism.search import renewed
-from cassini_bayes.parallel import on_threads
+from cassini_bayes.parallel import renewed_at
 
 Array = NDArray[np.float64]
 NEAR_NATS: Final = 10.0
@@ -213,10 +213,7 @@ def _all_from_centre(causes: Sequence[Weighed], unknown: Mode, threads: int) -> 
     order = sorted(range(len(found)), key=lambda i: -found[i].log_evidence)
     for start in range(0, len(order), TOGETHER):
         part = order[start : start + TOGETHER]
-        for i, own in zip(
-            part, on_threads(_from_centre, [found[i] for i in part], threads), strict=True
-        ):
-            found[i] = own
+        found = renewed_at(part, lambda i: _from_centre(causes[i]), found, threads)
         if _is_mended(found, unknown):
             break
     return found

@@ -124,9 +124,9 @@ def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
             return Sought(mode, 0.0 if is_small else _lacking(mode, base, NEAR_LACKING))
         step = turned @ slope
     mode = mode_at(density, point, lower_factor(axes))
-    if _gain(value, extra, base) < NEAR_GAIN:
-        return Sought(mode, NEAR_GAIN + NEAR_LACKING * most)
-    return Sought(mode, _lacking(mode, base, NEAR_LACKING) + NEAR_LACKING * most)
+    is_small = _gain(value, extra, base) < NEAR_GAIN
+    lacking = NEAR_GAIN if is_small else _lacking(mode, base, NEAR_LACKING)
+    return Sought(mode, lacking + NEAR_LACKING * most)
 
 
 def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
