@@ -52,6 +52,7 @@ from cassini_bayes.priors import ParameterSpace, Priors
 from cassini_bayes.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft import Spacecraft, couples, thruster_directions
 from cassini_bayes.statistics import EventStatistics, Sampling
+from cassini_bayes.telemetry_kernel import without_own
 from cassini_bayes.telemetry_system import EventSystem, event_system
 from cassini_bayes.telemetry_terms import (
     TelemetryTerms,
@@ -255,9 +256,9 @@ def with_equal_bands_merged(model: JointModel) -> JointModel:
 
 def full_parameters(model: JointModel, z: Array) -> dict[str, Array]:
     """Every parameter the physics may ask for at walked coordinates z (n, d), as (n,) arrays."""
-    values = {**model.space.to_parameters(z), **model.absent_wheel_parameters}
+    values = {**model.absent_wheel_parameters, **model.space.to_parameters(z)}
     return {
-        name: np.broadcast_to(np.asarray(value, dtype=np.float64), (len(z),))
+        name: value if isinstance(value, np.ndarray) else np.full(len(z), value)
         for name, value in values.items()
     }
 
@@ -400,41 +401,17 @@ def eliminate_own(
     With M the normal equations and v the standardised own unknowns, their precision is
     1 + s M_vv s; what is left is the information on the thrusts (docs/telemetry-likelihood.md §5).
     """
-    normal, k = event.normal, thrusters
-    mean, sd = event.own_mean, event.own_sd
-    own = slice(k, k + len(mean))
-    to_own = normal[:, own]
-    # the measured momentum less that of the own unknowns at their prior means
-    target_own = to_own[:, :, -1] - to_own[:, :, own] @ mean
-    target_thrust = normal[:, :k, -1] - normal[:, :k, own] @ mean
-    square = (
-        normal[:, -1, -1]
-        - 2.0 * normal[:, -1, own] @ mean
-        + np.einsum("u,nuv,v->n", mean, to_own[:, :, own], mean)
-    )
-    precision = sd[:, :, None] * to_own[:, :, own] * sd[:, None, :] + np.eye(len(mean))
-    factor = np.asarray(np.linalg.cholesky(precision), dtype=np.float64)
-    right = sd[:, :, None] * np.concatenate([to_own[:, :, :k], target_own[..., None]], axis=2)
-    solved = np.linalg.solve(factor, right)
-    coupling, shift = solved[..., :k], solved[..., k]
-    matrix = normal[:, :k, :k] - np.swapaxes(coupling, -1, -2) @ coupling
-    vector = target_thrust - (np.swapaxes(coupling, -1, -2) @ shift[..., None])[..., 0]
-    by_common = matrix.sum(-1)
-    constant = (
-        event.log_scale
-        - 0.5 * square
-        + 0.5 * (shift**2).sum(-1)
-        - np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
-        + common_n * vector.sum(-1)
-        - 0.5 * common_n**2 * by_common.sum(-1)
+    factor, shift, coupling, matrix, vector, constant = without_own(
+        event.normal,
+        thrusters,
+        event.own_mean,
+        event.own_sd,
+        np.ascontiguousarray(common_n),
     )
     information = ThrustInformation(
-        common_n,
-        matrix[:, None],
-        (vector - common_n[:, None] * by_common)[:, None],
-        constant[:, None],
+        common_n, matrix[:, None], vector[:, None], (event.log_scale + constant)[:, None]
     )
-    return OwnFactors(factor, shift, coupling, sd, mean), information
+    return OwnFactors(factor, shift, coupling, event.own_sd, event.own_mean), information
 
 
 def joint_log_likelihood(model: JointModel, z: Array) -> Array:

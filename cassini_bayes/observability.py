@@ -117,10 +117,10 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
         system = system_of(model, terms, physics, full)
         nominal = {name: values[:1] for name, values in full.items()}
         bands = zip(
-            (terms.slow, *terms.fast), (None, *terms.reduced.grams), system.kept, strict=True
+            (terms.slow, *terms.fast), (None, *terms.reduced.grams), system.kept[0], strict=True
         )
         for band, gram, estimate in bands:
-            kept = estimate[:1]
+            kept = estimate[None]
             weights = balance_weights(terms, physics, model.linear.common_mean_n, kept)
             columns = _columns(model, terms, weights)
             noise = noise_covariance(terms, physics, full, kept)[0]
@@ -244,7 +244,7 @@ def _channel_noise(terms: TelemetryTerms, band: Band, nominal: Mapping[str, Arra
     Noise that drives a regressor tells nothing; the likelihood's Jacobian sees to the same.
     """
     layout = terms.statistics.layout
-    used = np.unique(terms.pattern.row[terms.reduced.entries])
+    used = terms.reduced.columns
     square = np.zeros(len(used))
     square[(used >= layout.rate.start) & (used < layout.rate.stop)] = (
         nominal["rate_noise_rad_s"][0] ** 2

@@ -8,7 +8,6 @@ a measured wheel rate says of the true one differs by band: docs/telemetry-likel
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cassini_bayes.statistics import EventStatistics, Layout
-from cassini_bayes.terms import RAD_S_PER_RPM
+from cassini_bayes.telemetry_kernel import LEAST_SQUARE
 
 Array = NDArray[np.float64]
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
@@ -29,8 +28,6 @@ SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
 STILL: Final = 0.5  # probability that wheels do not move in a band
 SPARSE_STILL: Final = 0.2  # the same in the fast bands of sparse rows
 _INDEPENDENT: Final = 1e-9  # least share of the largest square that a mode of its own has
-_LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured to move at all
-_LEAST_SPREAD: Final = 1e-14
 LOG_MOTION: Final = (-9.0, 34.0)  # range of the log of the wheels' motion over their noise
 _LOG_NOISE: Final = (-32.0, 12.0)  # range of the log of the noise over the measured mean square
 _NODES: Final = 800
@@ -51,8 +48,15 @@ class Band:
     walk: Array
     motion: CubicSpline | None  # of :func:`motion_table`
 
+    @property
+    def table(self) -> tuple[Array, Array]:
+        """Nodes (T,) and coefficients (4, T − 1, 2) of the spline, of no length without one."""
+        if self.motion is None:
+            return np.zeros(0), np.zeros((4, 0, 2))
+        return self.motion.x, np.ascontiguousarray(self.motion.c)
 
-Bands = tuple[Band, tuple[Band, ...], Array, tuple[Array, ...]]
+
+Bands = tuple[Band, tuple[Band, ...], Array, Array]
 _MADE: WeakKeyDictionary[EventStatistics, Bands] = WeakKeyDictionary()
 
 
@@ -92,7 +96,13 @@ def _bands(statistics: EventStatistics) -> Bands:
         motion = None if turning else motion_table(rows, still)
         bands.append(_band(statistics.layout, rest, left, rows, motion))
         grams.append(rest)
-    return bands[0], tuple(bands[1:]), modes[..., : bands[0].rows], tuple(grams[1:])
+    slow = np.ascontiguousarray(modes[..., : bands[0].rows])
+    return (
+        bands[0],
+        tuple(bands[1:]),
+        slow,
+        np.array(grams[1:]).reshape(len(bands) - 1, *rest.shape),
+    )
 
 
 def is_sparse(statistics: EventStatistics) -> bool:
@@ -112,7 +122,7 @@ def _edges(statistics: EventStatistics, modes: int) -> list[int]:
 def _band(layout: Layout, gram: Array, walk: Array, rows: int, motion: CubicSpline | None) -> Band:
     square = gram[0, 0, layout.wheel, layout.wheel]
     values, vectors = np.linalg.eigh(square / rows)
-    return Band(rows, np.maximum(values, _LEAST_SQUARE), vectors, walk, motion)
+    return Band(rows, np.maximum(values, LEAST_SQUARE), vectors, walk, motion)
 
 
 def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
@@ -138,79 +148,6 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
     constant = np.stack([gram[0, c, one] for c in range(3)])
     seen = np.concatenate([constant[None], statistics.projection])
     return values, np.einsum("lm,l,lca->cam", turn / np.sqrt(values), scale, seen)
-
-
-def latent_wheels(band: Band, parameters: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Best linear estimate of the true wheel rates of the slow band, and their own log density.
-
-    Along every principal axis the R measured rates have variance V = S + σ². With even odds there
-    is no motion, S = 0, or the log of S/σ² is uniform on :data:`LOG_MOTION`. Returns the matrix
-    E[S/V] (n, W, W) that takes measured rates to their estimate, and the log density (n,),
-    constants left out; in slews all is motion, and the density flat.
-    """
-    if band.motion is None:
-        n = len(parameters["wheel_noise_rpm"])
-        return np.broadcast_to(np.eye(len(band.values)), (n, *band.vectors.shape)), np.zeros(n)
-    noise = (parameters["wheel_noise_rpm"][:, None] * RAD_S_PER_RPM) ** 2
-    log_density, spread = _looked_up(band, band.values / noise)
-    kept = (band.vectors * (1.0 - spread)[:, None, :]) @ band.vectors.T
-    return kept, (log_density - 0.5 * band.rows * np.log(noise)).sum(-1)
-
-
-def estimated_wheels(
-    band: Band, moments: Array, other: Array, weights: Array, noise: Array
-) -> tuple[Array, Array]:
-    """Best estimate of the true wheel rates of a fast band, and the log density of the band.
-
-    The wheels are seen twice: measured, and through the momentum that everything else lacks,
-    u = H ρ + e. The mean squares of both together say how much of it is motion
-    (docs/telemetry-likelihood.md §3).
-
-    Parameters
-    ----------
-    moments
-        (n, 3 + W, 3 + W) mean products of u, N m s, and the measured rates, rad/s.
-    other
-        (n, 3, 3) covariance of e.
-    weights
-        (n, 3, W) H, momentum per wheel rate.
-    noise
-        (n,) variance of measured wheel rates.
-
-    Returns
-    -------
-    The matrix (n, W, W) that takes measured rates to their estimate, and the log density (n,) of
-    u and ρ_m beyond their quadratic form at that estimate; constants left out.
-    """
-    wheels, half = weights.shape[-1], 0.5 * band.rows
-    each = np.eye(wheels) / noise[:, None, None]
-    by_other = np.swapaxes(np.linalg.solve(other, weights), -1, -2)
-    factor = np.linalg.cholesky(each + by_other @ weights)
-    # of unit noise: what both say of the wheels together
-    together = np.linalg.solve(factor, np.concatenate([by_other, each], axis=-1))
-    squares, axes = np.linalg.eigh(together @ moments @ np.swapaxes(together, -1, -2))
-    log_density, spread = _looked_up(band, squares)
-    # K = S (S + σ²)⁻¹ for S = X (1/q − 1) Xᵀ, q the spread: well conditioned for any q in 0 … 1
-    axes = np.linalg.solve(np.swapaxes(factor, -1, -2), axes)
-    moving = axes * np.sqrt((1.0 - spread) / noise[:, None])[:, None, :]
-    inner = np.swapaxes(moving, -1, -2) @ moving + spread[:, :, None] * np.eye(wheels)
-    kept = moving @ np.linalg.solve(inner, np.swapaxes(moving, -1, -2))
-    explained = np.maximum(squares, _LEAST_SQUARE) * spread
-    own = np.einsum("nab,nba->n", np.eye(wheels) - kept, moments[:, 3:, 3:]) / noise
-    log_total = log_density.sum(-1) + half * (
-        explained.sum(-1) - own - np.linalg.slogdet(other)[1] - wheels * np.log(noise)
-    )
-    return kept, log_total
-
-
-def _looked_up(band: Band, squares: Array) -> tuple[Array, Array]:
-    """Log density of measured rates, and E[1/(1 + s)], by their mean squares over the noise."""
-    assert band.motion is not None
-    # below the table's end the density is flat, above it is all motion
-    log_square = np.clip(np.log(np.maximum(squares, _LEAST_SQUARE)), -_LOG_NOISE[1], None)
-    log_density, explained = np.moveaxis(band.motion(np.maximum(-log_square, _LOG_NOISE[0])), -1, 0)
-    spread = np.clip(explained * np.exp(-log_square), _LEAST_SPREAD, 1.0)
-    return log_density - 0.5 * band.rows * log_square, spread
 
 
 def motion_table(rows: int, no_motion: float = STILL) -> CubicSpline:

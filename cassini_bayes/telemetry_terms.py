@@ -23,6 +23,7 @@ from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.statistics.columns import CUT_PARTS
 from cassini_bayes.telemetry_bands import Band, make_bands
+from cassini_bayes.telemetry_kernel import Entries, FastBands, SlowBand
 from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
@@ -58,27 +59,24 @@ class Pattern:
 class Reduced:
     """The part of the Gram matrices that can have weight: a lever arm may be zero by design.
 
-    ``entries`` are the places of the pattern's entries that are ever used; ``row`` and ``start``
-    are the pattern for them, on the columns of ``gram`` and ``projection`` that are left.
+    ``entries`` are the places of the pattern's entries that are ever used, ``columns`` the columns
+    of the layout that are left; ``row`` and ``start`` are the pattern for these.
     """
 
     entries: Places
+    columns: Places  # (A',)
     row: Places
     start: Places
     wheels: Places  # (W,) columns of the wheel rates
     wheel_entries: Places  # (W,) places among the entries
-    grams: tuple[Array, ...]  # (3, 3, A', A') of the fast bands
+    grams: Array  # (F, 3, 3, A', A') of the fast bands
     slow: Array  # (3, A', M) coordinates on the slow modes
 
     @cached_property
-    def owner(self) -> Places:
-        """The new column (B',) that every entry is of."""
-        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
-
-    @cached_property
-    def scatter(self) -> Array:
-        """Ones (B', A') where an entry is of a column."""
-        return np.eye(self.slow.shape[1])[self.row]
+    def places(self) -> Entries:
+        """The same for compiled code."""
+        last = np.maximum.accumulate(self.row)[self.start[1:] - 1]
+        return Entries(self.row, self.start, last + 1, self.wheels, self.wheel_entries)
 
 
 @dataclass(frozen=True)
@@ -109,6 +107,27 @@ class TelemetryTerms:
     def extra(self) -> tuple[str, ...]:
         """Names of the columns that effects brought and that act on their own."""
         return tuple(name for name in self.statistics.layout.extra if "@" not in name)
+
+    @cached_property
+    def bands(self) -> tuple[SlowBand, FastBands]:
+        """The bands for compiled code."""
+        nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
+        slow = SlowBand(
+            self.reduced.slow,
+            self.slow.walk,
+            self.slow.values,
+            self.slow.vectors,
+            nodes[0],
+            coefficients[0],
+        )
+        fast = FastBands(
+            self.reduced.grams,
+            np.array([float(band.rows) for band in self.fast]),
+            np.array([band.walk.mean() for band in self.fast]),
+            np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
+            np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
+        )
+        return slow, fast
 
     @property
     def fires(self) -> bool:
@@ -164,6 +183,7 @@ def make_terms(
         spin=np.trace(squares) * np.eye(3) - squares,
         reduced=Reduced(
             everything,
+            np.arange(slow_modes.shape[1]),
             pattern.row,
             pattern.start,
             np.arange(layout.wheel.start, layout.wheel.stop),
@@ -188,19 +208,22 @@ def without_idle_columns(
     weights[:, pattern.start[-2] :] = measured_weights(terms, physics, wheels)
     used = np.any(weights != 0.0, axis=(0, 2))
     entries = np.flatnonzero(used)
-    columns = np.unique(pattern.row[entries])
+    # in the order in which the unknowns need them: inner products are symmetric
+    columns, first = np.unique(pattern.row[entries], return_index=True)
+    columns = columns[np.argsort(first)]
+    place = np.empty(len(terms.reduced.slow[0]), dtype=np.int64)
+    place[columns] = np.arange(len(columns))
     owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
     counts = np.bincount(owner[entries], minlength=len(pattern.start) - 1)
     full = terms.reduced
     reduced = Reduced(
         entries=entries,
-        row=np.searchsorted(columns, pattern.row[entries]),
+        columns=columns,
+        row=place[pattern.row[entries]],
         start=np.concatenate([[0], np.cumsum(counts)]),
-        wheels=np.searchsorted(columns, full.wheels),
+        wheels=place[full.wheels],
         wheel_entries=np.searchsorted(entries, pattern.wheels),
-        grams=tuple(
-            np.ascontiguousarray(gram[:, :, columns[:, None], columns]) for gram in full.grams
-        ),
+        grams=np.ascontiguousarray(full.grams[..., columns[:, None], columns]),
         slow=np.ascontiguousarray(full.slow[:, columns]),
     )
     return replace(terms, reduced=reduced)
@@ -219,7 +242,7 @@ def merged_bands(terms: TelemetryTerms) -> TelemetryTerms:
     return replace(
         terms,
         fast=(replace(first, rows=rows, walk=np.zeros(1)),),
-        reduced=replace(reduced, grams=(np.sum(reduced.grams, axis=0),)),
+        reduced=replace(reduced, grams=reduced.grams.sum(axis=0, keepdims=True)),
     )
 
 

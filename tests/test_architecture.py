@@ -45,6 +45,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("statistics",),
     ("model",),
     ("posterior",),
+    ("telemetry_kernel",),
     ("telemetry_bands",),
     ("telemetry_terms",),
     ("telemetry_system",),

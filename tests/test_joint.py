@@ -27,8 +27,9 @@ from cassini_bayes.joint import (
 )
 from cassini_bayes.physics import physical_inertia
 from cassini_bayes.priors import Priors
-from cassini_bayes.telemetry_bands import Band, estimated_wheels, is_sparse, motion_table
+from cassini_bayes.telemetry_bands import is_sparse, motion_table
 from cassini_bayes.telemetry_calibration import without_jacobian
+from cassini_bayes.telemetry_kernel import estimated_wheels
 from cassini_bayes.warmstart import warm_start
 
 
@@ -226,16 +227,19 @@ def test_inertia_is_physical_or_said_not_to_be() -> None:
 
 def test_wheels_that_show_nothing_leave_the_density_finite() -> None:
     """Fewer rows than directions leave mean squares of zero: the density is flat there."""
-    band = Band(3, np.ones(3), np.eye(3), np.ones(1), motion_table(3))
-    weights, noise = np.eye(3)[None], np.array([1.0])
+    spline = motion_table(3)
+    nodes, coefficients = spline.x, np.ascontiguousarray(spline.c)
     found = [
         estimated_wheels(
-            band,
-            square * np.diag([0.0] * 3 + [1.0, 1.0, 0.0])[None],
-            np.eye(3)[None],
-            weights,
-            noise,
-        )[1][0]
+            3.0,
+            nodes,
+            coefficients,
+            square * np.diag([0.0] * 3 + [1.0, 1.0, 0.0]),
+            np.eye(3),
+            np.eye(3),
+            1.0,
+            np.empty((3, 3)),
+        )
         for square in (1.0, 1e-6, 1e-12, 1e-24, 0.0)
     ]
     assert np.all(np.isfinite(found))

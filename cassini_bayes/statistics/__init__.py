@@ -10,7 +10,6 @@ from cassini_bayes.statistics.columns import (
     Sampling,
     settle,
 )
-from cassini_bayes.statistics.contraction import contract, explained_by_modes, moments
 from cassini_bayes.statistics.reduction import (
     EventStatistics,
     load_statistics,
@@ -27,10 +26,7 @@ __all__ = [
     "RowContext",
     "Samples",
     "Sampling",
-    "contract",
-    "explained_by_modes",
     "load_statistics",
-    "moments",
     "reduce_chunks",
     "save_statistics",
     "settle",

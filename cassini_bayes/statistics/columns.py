@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.pulses import PulseShape
-from cassini_bayes.statistics.contraction import turned_into_body
 from cassini_bayes.statistics.rows import Samples, quiet_rows
+from cassini_bayes.statistics.turning import turned_into_body
 
 Array = NDArray[np.float64]
 AXES = "xyz"
