@@ -9,6 +9,7 @@ a measured wheel rate says of the true one differs by band: docs/telemetry-likel
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import Final
 from weakref import WeakKeyDictionary
@@ -82,7 +83,7 @@ def _bands(statistics: EventStatistics) -> Bands:
     bands, grams, rest = [], [], statistics.gram
     for start, stop in pairwise(edges):
         part = modes[..., start:stop]
-        gram = np.einsum("cam,dbm->cdab", part, part)
+        gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         motion = None if turning else motion_table(stop - start, still)
         bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion))
         grams.append(gram)
@@ -147,9 +148,11 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
     values, turn = values[kept], turn[:, kept]
     constant = np.stack([gram[0, c, one] for c in range(3)])
     seen = np.concatenate([constant[None], statistics.projection])
-    return values, np.einsum("lm,l,lca->cam", turn / np.sqrt(values), scale, seen)
+    turned = turn / np.sqrt(values) * scale[:, None]
+    return values, np.tensordot(seen, turned, (0, 0))
 
 
+@lru_cache(maxsize=64)
 def motion_table(rows: int, no_motion: float = STILL) -> CubicSpline:
     """Log density of R measured rates and E[V̂/(σ² (1 + s))], against t = log(σ²/V̂).
 

@@ -5,42 +5,26 @@ needs are the inner products of these under the noise of every band. The weights
 says that column ``row[b]`` enters the new column that ``start`` gives it to. Point by point all
 that belongs to one stays in the processor's cache, and other threads may work on other points.
 
-All compiled functions of the likelihood are in this one file: numba's cache on disk does not notice
-a change in another one. Linear algebra on three or four wheels is written out: calls of LAPACK from
+Linear algebra on three or four wheels is written out: calls of LAPACK from
 compiled code hold the interpreter's lock and cost more than the work.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Final, NamedTuple, TypeVar, cast
+from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cassini_bayes.compilation import compiled_sums
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured to move at all
 _LEAST_SPREAD: Final = 1e-14
 _SWEEPS: Final = 30
 _TURNED: Final = 1e-15  # of the geometric mean of two diagonal elements
-
-# nogil: other threads may evaluate other points meanwhile
-OPTIONS: Final[dict[str, Any]] = {
-    "error_model": "numpy",
-    "fastmath": {"reassoc", "contract"},
-    "nogil": True,
-}
-
-
-def _compiled(function: Function) -> Function:
-    try:
-        return cast(Function, njit(cache=True, **OPTIONS)(function))
-    except RuntimeError:  # the package's folder cannot be written: compile in every process
-        return cast(Function, njit(**OPTIONS)(function))
 
 
 class Entries(NamedTuple):
@@ -103,7 +87,7 @@ class Placed(NamedTuple):
     own_sd: Array  # (n, U)
 
 
-@_compiled
+@compiled_sums
 def normal_equations(
     weights: Array, noise: Noise, entries: Entries, slow: SlowBand, fast: FastBands, placed: Placed
 ) -> tuple[Array, Array, Array]:  # pragma: no cover - compiled
@@ -184,7 +168,7 @@ def normal_equations(
     return normal, log_scale, kept
 
 
-@_compiled
+@compiled_sums
 def without_own(
     normal: Array, thrusters: int, mean: Array, sd: Array, common: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:  # pragma: no cover - compiled
@@ -256,7 +240,7 @@ def without_own(
     return factor, solved[:, :, k], solved[:, :, :k], matrix, vector, constant
 
 
-@_compiled
+@compiled_sums
 def _see(
     own: Array, kept: Array, places: Places, used: Array, seen: Array
 ) -> None:  # pragma: no cover - compiled
@@ -271,7 +255,7 @@ def _see(
             used[places[j], c] = value
 
 
-@_compiled
+@compiled_sums
 def _add_wheels(
     beside: Array, variance: float, seen: Array, own: Array, out: Array
 ) -> None:  # pragma: no cover - compiled
@@ -284,7 +268,7 @@ def _add_wheels(
             out[c, d] = out[d, c] = beside[c, d] + variance * value
 
 
-@_compiled
+@compiled_sums
 def _slow_wheels(
     band: SlowBand, variance: float, kept: Array
 ) -> float:  # pragma: no cover - compiled
@@ -309,7 +293,7 @@ def _slow_wheels(
     return log_total
 
 
-@_compiled
+@compiled_sums
 def _looked_up(
     rows: float, nodes: Array, coefficients: Array, square: float
 ) -> tuple[float, float]:  # pragma: no cover - compiled
@@ -326,7 +310,7 @@ def _looked_up(
     return log_density - 0.5 * rows * log_square, spread
 
 
-@_compiled
+@compiled_sums
 def estimated_wheels(
     rows: float,
     nodes: Array,
@@ -435,7 +419,7 @@ def estimated_wheels(
     return log_total
 
 
-@_compiled
+@compiled_sums
 def _add_modes(
     projection: Array,
     entries: Entries,
@@ -473,7 +457,7 @@ def _add_modes(
             normal[k, other] += value
 
 
-@_compiled
+@compiled_sums
 def _place(
     entries: Entries, used: Array, normal: Array, placed: Placed, point: int, lacking: Array
 ) -> None:  # pragma: no cover - compiled
@@ -510,7 +494,7 @@ def _place(
             lacking[c, place] = 0.0
 
 
-@_compiled
+@compiled_sums
 def _moments(
     gram: Array, places: Places, weights: Array, rows: float, out: Array
 ) -> None:  # pragma: no cover - compiled
@@ -542,7 +526,7 @@ def _moments(
             out[3 + j, 3 + k] = gram[0, 0, places[j], places[k]] / rows
 
 
-@_compiled
+@compiled_sums
 def _contract(
     gram: Array, entries: Entries, used: Array, precision: Array, normal: Array
 ) -> None:  # pragma: no cover - compiled
@@ -568,7 +552,7 @@ def _contract(
             normal[k, other] += value
 
 
-@_compiled
+@compiled_sums
 def _diagonalise(matrix: Array, vectors: Array) -> None:  # pragma: no cover - compiled
     """Turn a symmetric matrix (m, m) to diagonal form in place; columns of ``vectors`` the axes.
 
@@ -604,7 +588,7 @@ def _diagonalise(matrix: Array, vectors: Array) -> None:  # pragma: no cover - c
             return
 
 
-@_compiled
+@compiled_sums
 def _factor(matrix: Array, lower: Array) -> float:  # pragma: no cover - compiled
     """Cholesky's lower factor (m, m) of a positive matrix, and the log of its determinant.
 
@@ -625,7 +609,7 @@ def _factor(matrix: Array, lower: Array) -> float:  # pragma: no cover - compile
     return log_determinant
 
 
-@_compiled
+@compiled_sums
 def _solve(lower: Array, vector: Array) -> None:  # pragma: no cover - compiled
     """Replace a vector (m,) by L⁻¹ of it."""
     for i in range(len(vector)):
@@ -635,7 +619,7 @@ def _solve(lower: Array, vector: Array) -> None:  # pragma: no cover - compiled
         vector[i] = value / lower[i, i]
 
 
-@_compiled
+@compiled_sums
 def _solve_transposed(lower: Array, vector: Array) -> None:  # pragma: no cover - compiled
     """Replace a vector (m,) by L⁻ᵀ of it."""
     for i in range(len(vector) - 1, -1, -1):
@@ -645,7 +629,7 @@ def _solve_transposed(lower: Array, vector: Array) -> None:  # pragma: no cover 
         vector[i] = value / lower[i, i]
 
 
-@_compiled
+@compiled_sums
 def _invert(matrix: Array, inverse: Array) -> float:  # pragma: no cover - compiled
     """Inverse (m, m) of a positive matrix, and the log of its determinant."""
     lower = np.empty_like(matrix)

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from cassini_bayes.criticism.appendage import answers
 from cassini_bayes.statistics import ExtraColumn, RowContext
 
 Array = NDArray[np.float64]
@@ -127,10 +127,13 @@ def flexible_slopes(name: str) -> tuple[str, str]:
 
 
 def oscillation_series(
-    time_s: Array, motion: KnownMotion, frequency_hz: float, damping: float
+    time_s: Array, motion: KnownMotion, frequency_hz: Array | float, damping: float
 ) -> tuple[Array, Array, Array]:
-    """exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt (n,), and the driven rate (n, c), Ω = 2π f."""
-    phase = 2.0 * np.pi * frequency_hz * time_s
+    """exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt (..., n), and the driven rate (..., n, c), Ω = 2π f.
+
+    Frequencies (...) are a number or many.
+    """
+    phase = 2.0 * np.pi * np.asarray(frequency_hz)[..., None] * time_s
     decay = np.exp(-damping * phase)
     driven = motion.driven(time_s, frequency_hz, damping)
     return decay * np.cos(phase), decay * np.sin(phase), driven
@@ -149,23 +152,26 @@ class KnownMotion:
     slope: Array  # (g, c) of the rate after each grid point, rad/s²
     change: Array  # (g, c) of the last slope by that of the step before
 
-    def driven(self, time_s: Array, frequency_hz: float, damping: float) -> Array:
-        """Rate (n, c) of an appendage against its body at times (n,) of rows, rad/s.
+    def driven(self, time_s: Array, frequency_hz: Array | float, damping: float) -> Array:
+        """Rates (..., n, c) of appendages against their body at times (n,) of rows, rad/s.
 
-        θ'' + 2 ζ Ω θ' + Ω² θ = −ω' with Ω = 2π f, at rest at the first row; ω goes in straight
-        lines from row to row, and the response to them is exact.
+        θ'' + 2 ζ Ω θ' + Ω² θ = −ω' with Ω = 2π f at frequencies (...), at rest at the first row; ω
+        goes in straight lines from row to row, and the response to them is exact.
         """
-        omega, step = 2.0 * np.pi * frequency_hz, self.step_s
+        frequency = np.asarray(frequency_hz, dtype=np.float64)
+        omega, step = 2.0 * np.pi * frequency.reshape(-1), self.step_s
         turned = omega * np.sqrt(1.0 - damping**2)
         decay = np.exp(-damping * omega * step)
         cosine, sine = decay * np.cos(turned * step), decay * np.sin(turned * step) / turned
         # of the transition of (θ, θ') over a step: its first column, and what a steady ω' adds
         first, second = cosine + damping * omega * sine, -(omega**2) * sine
         added = -(1.0 - first) / omega**2, -sine
-        ahead = [0.0, added[1], second * added[0] - first * added[1]]
-        answer = lfilter(ahead, [1.0, -2.0 * cosine, decay**2], self.slope, axis=0)
-        place = np.round((time_s - self.start_s) / step).astype(np.intp)
-        return np.asarray((answer + added[1] * self.change)[np.clip(place, 0, len(answer) - 1)])
+        ahead = second * added[0] - first * added[1]
+        coefficients = np.stack([added[1], ahead, -2.0 * cosine, decay**2], axis=1)
+        place = np.round((time_s - self.start_s) / step).astype(np.int64)
+        place = np.clip(place, 0, len(self.slope) - 1)
+        found = answers(self.slope, self.change, coefficients, place)
+        return np.asarray(found.reshape(*frequency.shape, *found.shape[1:]))
 
 
 def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:

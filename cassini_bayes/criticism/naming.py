@@ -155,7 +155,8 @@ def name_causes(
     weighed = [by_laplace(none, base), by_laplace(unknown, unknown_mode)]
     oscillation = None
     if linear is not None:
-        oscillation = _look_for_oscillation(case, catalogue, (full, base.point), (linear, rows))
+        at = full, base.point
+        oscillation = _look_for_oscillation(case, catalogue, at, (linear, rows), threads)
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     floor = unknown_mode.log_evidence - MARGIN_NATS
@@ -240,6 +241,7 @@ def _look_for_oscillation(
     catalogue: Catalogue,
     weighed: tuple[Hypothesis, Array],
     left: tuple[Linear, Sequence[EventRows]],
+    threads: int,
 ) -> Oscillation | None:
     """The oscillation in the innovations that a hypothesis leaves at a point."""
     if "flexible_mode" not in catalogue.names:
@@ -252,7 +254,7 @@ def _look_for_oscillation(
         for p in catalogue.effect("flexible_mode").parameters
     }
     scales = scale["cosine_rad_s"], scale["inertia_fraction"]
-    return find_oscillation(rows, motions_of(case), linear, np.array(inertia), scales)
+    return find_oscillation(rows, motions_of(case), linear, np.array(inertia), scales, threads)
 
 
 def _flexible(
@@ -308,7 +310,7 @@ def second_cause(
     tried = weigh_beside(pairs, base, _silent, threads, least)
     if line is None and case.sources:
         at = best.hypothesis, base.point
-        further = _look_for_oscillation(case, catalogue, at, innovations(case, *at))
+        further = _look_for_oscillation(case, catalogue, at, innovations(case, *at), threads)
         if further is not None:
             tried.append(_flexible(case, catalogue, further, [first], base, base.log_evidence))
     tried = _sample_pairs(tried, least, rng, threads)

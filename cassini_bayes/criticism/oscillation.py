@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from cassini_bayes.criticism.columns import (
 )
 from cassini_bayes.criticism.extended import Case, Hypothesis, Oscillation, reduce_source
 from cassini_bayes.criticism.innovations import EventRows, Linear
+from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
 LEAST_CYCLES: Final = 4.0  # in the longest event: what is slower is a drift
@@ -37,7 +38,7 @@ PEAKS: Final = 6
 FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width
 LARGEST_ROOT: Final = 0.3  # of the damping
 MOST_LOOKS: Final = 60  # for the last digits of frequency and damping
-CHUNK: Final = 128  # frequencies at once
+CHUNK: Final = 16  # frequencies at once: what fits into the processor's cache
 
 
 def motions_of(case: Case) -> tuple[KnownMotion, ...]:
@@ -75,6 +76,7 @@ def find_oscillation(
     linear: Linear,
     inertia_kg_m2: Array,
     scales: tuple[float, float],
+    threads: int = 1,
 ) -> Oscillation | None:
     """The oscillation of most evidence; None where the events are too short for any.
 
@@ -90,6 +92,8 @@ def find_oscillation(
         Moments (3,) about body axes.
     scales
         Prior scales of the amplitude (rad/s) and of the appendage's share φ of the inertia.
+    threads
+        On which frequencies are looked at side by side.
     """
     span = max(float(own.time_s[-1] - own.time_s[0]) for own in rows)
     highest = 0.5 / min(float(np.median(np.diff(own.time_s))) for own in rows)
@@ -97,17 +101,24 @@ def find_oscillation(
     if len(frequencies) == 0:
         return None
     size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
-    scores = np.concatenate(
-        [
-            np.maximum.reduce([_coarse(rows, motions, part, own, size) for own in COARSE_DAMPINGS])
-            for part in np.array_split(frequencies, -(-len(frequencies) // CHUNK))
-        ]
-    )
-    factor = cho_factor(linear.gram())
 
-    def score(frequency: float, damping: float, axis: int) -> float:
-        gram, seen = _fine(rows, motions, linear, factor, (frequency, damping, axis))
+    def coarse(part: Array) -> Array:
+        each = [_coarse(rows, motions, part, own, size) for own in COARSE_DAMPINGS]
+        return np.asarray(np.maximum.reduce(each))
+
+    parts = np.array_split(frequencies, -(-len(frequencies) // CHUNK))
+    scores = np.concatenate(on_threads(coarse, parts, threads))
+    factor = cho_factor(linear.gram())
+    abouts = [_about(rows, linear, axis) for axis in range(3)]
+
+    def score(line: tuple[float, float, int]) -> float:
+        frequency, damping, axis = line
+        gram, seen = _fine(rows, motions, abouts[axis], factor, (frequency, damping, axis))
         return float(_log_evidence(gram, seen, size[axis]))
+
+    def best_of(lines: Sequence[tuple[float, float, int]]) -> list[tuple[float, float, int]]:
+        scored = dict(zip(lines, on_threads(score, lines, threads), strict=True))
+        return sorted(lines, key=lambda line: -scored[line])
 
     tried = [
         (float(frequencies[f] + shift / span), damping, axis)
@@ -115,13 +126,12 @@ def find_oscillation(
         for shift in FINER
         for damping in COARSE_DAMPINGS
     ]
-    ranked = sorted(tried, key=lambda line: -score(*line))
-    best = list(dict.fromkeys((frequency, axis) for frequency, _, axis in ranked))[:PEAKS]
+    best = list(dict.fromkeys((frequency, axis) for frequency, _, axis in best_of(tried)))[:PEAKS]
     tried = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
-    frequency, damping, axis = max(tried, key=lambda line: score(*line))
+    frequency, damping, axis = best_of(tried)[0]
 
     def loss(x: Array) -> float:
-        return -score(frequency + x[0] / span, x[1] ** 2, axis)
+        return -score((frequency + float(x[0]) / span, float(x[1]) ** 2, axis))
 
     root = float(np.sqrt(damping))
     corners = np.array([[0.0, root], [0.1, root], [0.0, root + 0.01]])
@@ -155,16 +165,14 @@ def _coarse(
     for own, motion in zip(rows, motions, strict=True):
         directions = np.linalg.inv(own.noise_factor)  # column a: a unit of momentum, whitened
         lengths = (directions**2).sum(0)
-        left = own.white @ directions  # (n, 3)
-        series = [oscillation_series(own.time_s, motion, f, damping) for f in frequencies]
-        cosine, sine, driven = (np.stack(part) for part in zip(*series, strict=True))
+        cosine, sine, driven = oscillation_series(own.time_s, motion, frequencies, damping)
+        columns = np.concatenate([cosine[..., None], sine[..., None], -driven], axis=2)  # (f, n, 5)
+        products = np.swapaxes(columns, 1, 2) @ columns
+        along = np.swapaxes(columns, 1, 2) @ (own.white @ directions)  # (f, 5, 3)
         for axis in range(3):
-            columns = (cosine, sine, -driven[:, :, axis])  # each (f, n)
-            for i, one in enumerate(columns):
-                seen[:, axis, i] += one @ left[:, axis]
-                for j in range(i + 1):
-                    gram[:, axis, i, j] += lengths[axis] * np.einsum("fn,fn->f", one, columns[j])
-                    gram[:, axis, j, i] = gram[:, axis, i, j]
+            places = np.array([0, 1, 2 + axis])
+            gram[:, axis] += lengths[axis] * products[:, places[:, None], places]
+            seen[:, axis] += along[:, places, axis]
     return _log_evidence(gram, seen, size)
 
 
@@ -180,26 +188,48 @@ def _peaks(scores: Array) -> list[tuple[int, int]]:
     return found
 
 
+class _About(NamedTuple):
+    """What one event's rows show about an axis: whitened momentum along it is weighed with these.
+
+    ``length`` is the square of a whitened unit, ``white`` (n,) and ``columns`` (n, p) innovations
+    and the linear model's columns along it.
+    """
+
+    length: float
+    white: Array
+    columns: Array
+
+
+def _about(rows: Sequence[EventRows], linear: Linear, axis: int) -> list[_About]:
+    """Every event's view of an axis."""
+    found = []
+    for own, part in zip(rows, linear.parts, strict=True):
+        direction = np.linalg.inv(own.noise_factor)[:, axis]
+        columns = linear.columns[part].reshape(len(own.white), 3, -1)
+        along = np.tensordot(columns, direction, (1, 0))
+        found.append(_About(float(direction @ direction), own.white @ direction, along))
+    return found
+
+
 def _fine(
     rows: Sequence[EventRows],
     motions: Sequence[KnownMotion],
-    linear: Linear,
+    abouts: Sequence[_About],
     factor: tuple[Array, bool],
     line: tuple[float, float, int],
 ) -> tuple[Array, Array]:
     """Gram (3, 3) and Aᵀy (3,) of one oscillation's columns, what the fit takes away taken off.
 
-    ``line`` is its frequency (Hz), damping and axis, ``factor`` that of the linear model's Gram.
+    ``line`` is its frequency (Hz), damping and axis, ``abouts`` the view of that axis, ``factor``
+    that of the linear model's Gram.
     """
     frequency_hz, damping, axis = line
     gram, seen = np.zeros((3, 3)), np.zeros(3)
-    across = np.zeros((linear.columns.shape[1], 3))
-    for own, motion, part in zip(rows, motions, linear.parts, strict=True):
+    across = np.zeros((abouts[0].columns.shape[1], 3))
+    for own, motion, about in zip(rows, motions, abouts, strict=True):
         cosine, sine, driven = oscillation_series(own.time_s, motion, frequency_hz, damping)
         series = np.stack([cosine, sine, -driven[:, axis]], axis=1)
-        direction = np.linalg.inv(own.noise_factor)[:, axis]
-        columns = (series[:, None, :] * direction[:, None]).reshape(-1, 3)
-        gram += columns.T @ columns
-        seen += columns.T @ own.white.reshape(-1)
-        across += linear.columns[part].T @ columns
+        gram += about.length * series.T @ series
+        seen += about.white @ series
+        across += about.columns.T @ series
     return gram - across.T @ cho_solve(factor, across), seen

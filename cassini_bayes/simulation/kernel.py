@@ -9,30 +9,20 @@ equations.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, Final, NamedTuple, TypeVar, cast
+from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cassini_bayes.compilation import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
 HYDRAZINE_DENSITY_KG_M3: Final = 1008.0
 HOLD_WHEELS, BIAS_WHEELS, TORQUE_WHEELS = 0, 1, 2  # what the wheels do
 EDGE_TOLERANCE_S: Final = 1e-12
-
-
-def _compiled(function: Function) -> Function:
-    # numpy's division: checks for zero would cost a third of the time, and nothing here divides by
-    # a number that the readers let be zero
-    try:
-        return cast(Function, njit(cache=True, error_model="numpy")(function))
-    except RuntimeError:  # no folder where compiled code may be kept: compile in every process
-        return cast(Function, njit(error_model="numpy")(function))
 
 
 class Body(NamedTuple):
@@ -162,7 +152,7 @@ class Record(NamedTuple):
     propellant_kg: Array  # (N,)
 
 
-@_compiled
+@compiled
 def drag_torque(coulomb: float, viscous: float, speed: float) -> float:
     """Drag on a wheel, N m: Coulomb (smoothed within about 1 rad/s of rest) and viscous."""
     if coulomb == 0.0:
@@ -170,14 +160,14 @@ def drag_torque(coulomb: float, viscous: float, speed: float) -> float:
     return coulomb * math.tanh(speed) + viscous * speed
 
 
-@_compiled
+@compiled
 def speed_loop_torque(loop: WheelLoop, inertia: float, target: float, speed: float) -> float:
     """Accelerating torque of the speed loop: I_w (target − speed)/τ_W within the torque limit."""
     wanted = inertia * (target - speed) / loop.time_constant_s
     return min(max(wanted, -loop.torque_limit_n_m), loop.torque_limit_n_m)
 
 
-@_compiled
+@compiled
 def external_torque(torque: Torque, time: float, out: Array) -> None:
     """External torque in body axes at a time, into ``out``."""
     factor = 0.0
@@ -188,7 +178,7 @@ def external_torque(torque: Torque, time: float, out: Array) -> None:
         out[i] = torque.steady_n_m[i] + factor * torque.peak_n_m[i]
 
 
-@_compiled
+@compiled
 def derivative(
     time: float,
     y: Array,
@@ -272,7 +262,7 @@ def derivative(
     out[6] = az
 
 
-@_compiled
+@compiled
 def runge_kutta_step(
     time: float,
     step: float,
@@ -307,7 +297,7 @@ def runge_kutta_step(
         y[i] *= scale
 
 
-@_compiled
+@compiled
 def to_inertial(y: Array, vector: Array, out: Array) -> None:
     """A body vector in the inertial frame, Cᵀ v with C of the quaternion y[:4], into ``out``."""
     x, yy, z, s = y[0], y[1], y[2], y[3]
@@ -321,7 +311,7 @@ def to_inertial(y: Array, vector: Array, out: Array) -> None:
     out[2] = (square * vz + 2.0 * z * dot + 2.0 * s * cz) / norm
 
 
-@_compiled
+@compiled
 def exponential_approach(level: float, goal: float, tau: float, span: float) -> tuple[float, float]:
     """Level after ``span`` of ẋ = (goal − x)/τ, and ∫ x dt: exact, with the limit at τ = 0."""
     if tau <= 0.0:
@@ -330,7 +320,7 @@ def exponential_approach(level: float, goal: float, tau: float, span: float) -> 
     return level + (goal - level) * gone, goal * span + (level - goal) * tau * gone
 
 
-@_compiled
+@compiled
 def thrust_step(
     level: float, time: float, step: float, on: Array, width: Array, count: int, shape: Thrusters
 ) -> tuple[float, float]:
@@ -378,7 +368,7 @@ def thrust_step(
     return level, integral
 
 
-@_compiled
+@compiled
 def specific_impulse(isp: Array, duty: float) -> float:
     """I_sp(μ) = P0 − P1 exp(−P2 μ) − P3 exp(−P4 μ), in s (paper 001 eq. 19)."""
     first: float = isp[1] * math.exp(-isp[2] * duty)
@@ -387,7 +377,7 @@ def specific_impulse(isp: Array, duty: float) -> float:
     return plateau - first - second
 
 
-@_compiled
+@compiled
 def attitude_error(target: Array, y: Array, out: Array) -> None:
     """Small-angle error of the attitude against the target, body axes, rad, into ``out``."""
     tx, ty, tz, ts = target[0], target[1], target[2], target[3]
@@ -400,7 +390,7 @@ def attitude_error(target: Array, y: Array, out: Array) -> None:
     out[0], out[1], out[2] = sign * ex, sign * ey, sign * ez
 
 
-@_compiled
+@compiled
 def profile(
     time: float, angle: float, rate: float, acceleration: float
 ) -> tuple[float, float, float]:
@@ -430,7 +420,7 @@ def profile(
     return sign * size, 0.0, 0.0
 
 
-@_compiled
+@compiled
 def slew_target(law: RwaLaw, time: float, target: Array, rate: Array, acceleration: Array) -> None:
     """Commanded attitude, rate and acceleration (body axes) at a time, into the arrays."""
     current = -1
@@ -462,7 +452,7 @@ def slew_target(law: RwaLaw, time: float, target: Array, rate: Array, accelerati
         acceleration[i] = ramp * axis[i]
 
 
-@_compiled
+@compiled
 def wheel_command(
     law: RwaLaw,
     body: Body,
@@ -502,7 +492,7 @@ def wheel_command(
         motor[j] = min(max(value, -law.torque_limit_n_m), law.torque_limit_n_m)
 
 
-@_compiled
+@compiled
 def demanded_widths(law: RcsLaw, error: Array, rate: Array, time: float, memory: Array) -> None:
     """Pulse width demanded of +x −x +y −y +z −z this cycle, into memory[0].
 
@@ -544,7 +534,7 @@ def demanded_widths(law: RcsLaw, error: Array, rate: Array, time: float, memory:
             memory[3, row] = time
 
 
-@_compiled
+@compiled
 def thruster_widths(law: RcsLaw, widths: Array, burning: bool, out: Array) -> None:
     """Width commanded to every thruster, from the widths demanded of the six directions.
 
@@ -592,7 +582,7 @@ def thruster_widths(law: RcsLaw, widths: Array, burning: bool, out: Array) -> No
         out[k] = 0.0 if rest < law.pulse_min_s else rest
 
 
-@_compiled
+@compiled
 def log_pulses(pulses: Pulses, time: float, widths: Array) -> None:
     """Add this cycle's pulses to the log; a pulse that touches the one before makes it longer."""
     for k in range(widths.shape[0]):
@@ -607,7 +597,7 @@ def log_pulses(pulses: Pulses, time: float, widths: Array) -> None:
             pulses.number[k] += 1
 
 
-@_compiled
+@compiled
 def can_thrust(time: float, thrusters: Thrusters, pulses: Pulses, levels: Array) -> bool:
     """Whether any thruster can push in the control cycle that begins: a tail, or a pulse."""
     for k in range(levels.shape[0]):
@@ -620,7 +610,7 @@ def can_thrust(time: float, thrusters: Thrusters, pulses: Pulses, levels: Array)
     return False
 
 
-@_compiled
+@compiled
 def deliver(
     time: float,
     step: float,
@@ -692,7 +682,7 @@ def empty_record(rows: int, wheels: int, modes: int) -> Record:
     )
 
 
-@_compiled
+@compiled
 def advance(
     y: Array,
     motor: Array,

@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Final, TypeVar, cast
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cassini_bayes.compilation import compiled_sums
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-# nogil: other threads may evaluate other points meanwhile
-OPTIONS: Final[dict[str, Any]] = {
-    "error_model": "numpy",
-    "fastmath": {"reassoc", "contract"},
-    "nogil": True,
-}
 
 
-def _compiled(function: Function) -> Function:
-    try:
-        return cast(Function, njit(cache=True, **OPTIONS)(function))
-    except RuntimeError:  # the package's folder cannot be written: compile in every process
-        return cast(Function, njit(**OPTIONS)(function))
-
-
-@_compiled
+@compiled_sums
 def turned_into_body(
     body: Array, inertial: Array, index: Places, out: Array
 ) -> None:  # pragma: no cover - compiled

@@ -7,16 +7,15 @@ change in them. Plain decimal numbers are read here; whatever else a cell holds 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cassini_bayes.compilation import compiled
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 COMMA: Final = 44
 NEWLINE: Final = 10
@@ -28,13 +27,6 @@ BAD_LENGTH: Final = -1
 """In place of a column of an odd cell: the line has another number of cells than the header."""
 
 
-def _compiled(function: Function) -> Function:
-    try:
-        return cast(Function, njit(cache=True, error_model="numpy")(function))
-    except RuntimeError:  # no folder where compiled code may be kept: compile in every process
-        return cast(Function, njit(error_model="numpy")(function))
-
-
 def powers_of_ten() -> Array:
     """10^k as the exact sum of two doubles (2, 41), k = 0 … 40."""
     whole = [10**k for k in range(MOST_TENS + 1)]
@@ -43,7 +35,7 @@ def powers_of_ten() -> Array:
     return np.array([high, rest])
 
 
-@_compiled
+@compiled
 def _scaled(digits: np.int64, exponent: int, powers: Array) -> float:
     """digits · 10^exponent, rounded once: the error of the first rounding is added back.
 
@@ -71,12 +63,12 @@ def _scaled(digits: np.int64, exponent: int, powers: Array) -> float:
     return other + remainder / power
 
 
-@_compiled
+@compiled
 def _is_digit(byte: np.uint8) -> bool:
     return bool(48 <= byte <= 57)
 
 
-@_compiled
+@compiled
 def _number(text: NDArray[np.uint8], start: int, powers: Array) -> tuple[int, float]:
     """Read ``[+-]digits[.digits][e[+-]digits]``: the place behind it, or -1 if it is no such."""
     place = start
@@ -126,13 +118,13 @@ def _number(text: NDArray[np.uint8], start: int, powers: Array) -> tuple[int, fl
     return place, -value if negative else value
 
 
-@_compiled
+@compiled
 def _is_nan(text: NDArray[np.uint8], place: int) -> bool:
     first, second, third = text[place] | 32, text[place + 1] | 32, text[place + 2] | 32
     return bool(first == 110 and second == 97 and third == 110)
 
 
-@_compiled
+@compiled
 def read_cells(
     text: NDArray[np.uint8],
     start: int,
