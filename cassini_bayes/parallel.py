@@ -1,4 +1,4 @@
-"""Log densities on several threads: batches cut into parts, ensembles advanced in lock-step.
+"""Work on several cores: batches cut into parts, ensembles in lock-step, forked processes.
 
 The likelihood spends its time in compiled code that lets other threads run, and costs less per
 point in large batches. Neither the cut nor the order of what is evaluated together depends on the
@@ -8,11 +8,13 @@ small matrices would only compete (three times as slow on two cores).
 
 from __future__ import annotations
 
+import multiprocessing
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +65,39 @@ def renewed_at(
     """Items with those at some places made anew by a function of the place, on threads."""
     anew = dict(zip(places, on_threads(function, places, threads), strict=True))
     return [anew.get(i, item) for i, item in enumerate(items)]
+
+
+def in_processes(
+    function: Callable[[Item], Result], items: Iterable[Item], processes: int
+) -> list[Result]:
+    """Results of independent pieces of work in processes forked from this one, in order.
+
+    For work that holds the interpreter's lock, like drawing. Function and items are inherited,
+    results come back by pickle through a pipe. Where forking is not the system's way all is done
+    here.
+
+    Raises
+    ------
+    Whatever the first piece that failed raised.
+    """
+    work = [(function, item) for item in items]
+    if processes < 2 or len(work) < 2 or sys.platform != "linux":
+        return [function(item) for _, item in work]
+    context = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(processes, context, _inherit, (work,)) as pool:
+        return list(pool.map(_inherited, range(len(work))))
+
+
+_work: list[tuple[Callable[[Any], Any], Any]] = []  # of a forked process
+
+
+def _inherit(work: list[tuple[Callable[[Any], Any], Any]]) -> None:
+    _work[:] = work
+
+
+def _inherited(place: int) -> Any:
+    function, item = _work[place]
+    return function(item)
 
 
 def _parts(z: Array) -> list[Array]:

@@ -52,6 +52,7 @@ def diagnose_command(
         estimated = _diagnose_estimates(events, priors, out, number)
         typer.echo(diagnosis_json(estimated).rstrip() if as_json else str(out / "report.html"))
         return
+    cores = len(os.sched_getaffinity(0))
     case = read_case(events, priors, source, reporter.say)
     catalogue = catalogue_of(case, effects)
     result = diagnose(
@@ -61,11 +62,11 @@ def diagnose_command(
         measure_gain=gain,
         rows=totals_rows(events, case.priors, source),
         say=reporter.say,
-        threads=len(os.sched_getaffinity(0)),
+        threads=cores,
     )
     result.record["seed"] = number
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
-    write_diagnosis(result, out, out.name)
+    write_diagnosis(result, out, out.name, cores)
     if then_fit:
         from cassini_bayes.criticism.read import reduced_events
         from cassini_bayes.criticism.refit import fit_extended
@@ -91,7 +92,7 @@ def _diagnose_estimates(
         read_estimates,
     )
     from cassini_bayes.priors import read_priors
-    from cassini_bayes.report.diagnosis import cause_picture, write_record
+    from cassini_bayes.report.diagnosis import cause_picture, draw, write_record
 
     other = [reference for reference in references if not is_estimates(Path(reference))]
     if other:
@@ -101,7 +102,7 @@ def _diagnose_estimates(
     rows = [row for reference in references for row in read_estimates(Path(reference), thrusters)]
     record = diagnose_estimates(estimate_case(rows, read), np.random.default_rng(seed))
     record |= {"seed": seed, "command": ["cassini-bayes", *sys.argv[1:]]}
-    write_record(record, [cause_picture(record)], out, out.name)
+    write_record(record, [draw(cause_picture(record))], out, out.name)
     return record
 
 

@@ -160,13 +160,7 @@ def linearise(
         unknown = centre[:, :, :-1]
         at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
         target = centre[:, :, -1] - unknown @ at
-        slopes = np.stack(
-            [
-                _slope(terms, smooth, weights[1 + i] - weights[1 + d + i], at) / (2.0 * _STEP)
-                for i in range(d)
-            ],
-            axis=2,
-        )
+        slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
         own = unknown[:, :, k:]
         shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
         apart = unknown[:, :, :k] @ model.linear.own if k else unknown[:, :, :0]
@@ -180,14 +174,24 @@ def linearise(
     return _stacked(targets, blocks, own_precision, factors, shared_width), all_rows, factors
 
 
-def _slope(terms: TelemetryTerms, rows: Rows, difference: Array, at: Array) -> Array:
-    """Change of what the unknowns predict less the measured momentum, (n, 3)."""
+def _slopes(terms: TelemetryTerms, rows: Rows, differences: Array, at: Array) -> Array:
+    """Changes (n, 3, d) of what the unknowns predict less the measured momentum.
+
+    ``differences`` (d, B, 3) are those of the weights along every coordinate.
+    """
     pattern, vectors = terms.pattern, rows.vector.shape[2]
     share = np.repeat(np.r_[at, -1.0], np.diff(pattern.start))
-    weights = np.zeros((vectors + rows.scalar.shape[1], 3))
-    np.add.at(weights, pattern.row, share[:, None] * difference)
-    turned = np.einsum("nca,ac->nc", rows.vector, weights[:vectors])
-    return np.asarray(turned + rows.scalar @ weights[vectors:])
+    weights = np.zeros((vectors + rows.scalar.shape[1], 3, len(differences)))
+    np.add.at(weights, pattern.row, np.moveaxis(share[:, None] * differences, 0, -1))
+    used = np.flatnonzero(np.any(weights[:vectors], axis=(1, 2)))
+    by_vector, by_scalar = weights[used], weights[vectors:]
+    return np.stack(
+        [
+            rows.vector[:, c, used] @ by_vector[:, c] + rows.scalar @ by_scalar[:, c]
+            for c in range(3)
+        ],
+        axis=1,
+    )
 
 
 def _own_sd(terms: TelemetryTerms, torque_sd: Array) -> Array:

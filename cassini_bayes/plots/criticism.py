@@ -99,8 +99,11 @@ def correlation_figure(event: str, before: Shown, after: Shown | None) -> Figure
                 tests = () if shown is None else shown.drivers
                 own = [t for t in tests if (t.event, t.axis) == (event, axis)]
                 panel.plot([t.z for t in own], [places[t.driver] for t in own], **style)
-            for name in {t.driver for t in before.drivers if _untested(t, event, axis)}:
-                panel.text(0.0, places[name], "no test", ha="center", va="center", fontsize=6.5)
+            for t in before.drivers:
+                if _untested(t, event, axis):
+                    panel.text(
+                        0.0, places[t.driver], "no test", ha="center", va="center", fontsize=6.5
+                    )
             panel.set_title(f"{event}, {axis.upper()}", loc="left")
             panel.set_xscale("symlog", linthresh=10.0, linscale=3.0)
             panel.set_ylim(-0.7, len(names) - 0.3)

@@ -7,7 +7,6 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -20,6 +19,7 @@ from cassini_bayes import __version__
 from cassini_bayes.criticism.correlations import POINTWISE, Shown
 from cassini_bayes.criticism.diagnosis import Diagnosis
 from cassini_bayes.criticism.discrepancy import Curve, verdict_curves
+from cassini_bayes.parallel import in_processes
 from cassini_bayes.plots import Figure, encode, settle
 from cassini_bayes.plots.criticism import (
     cause_figure,
@@ -54,10 +54,15 @@ class Picture:
     caption: str
     figure: Figure
 
-    @cached_property
-    def png(self) -> bytes:
-        """The figure drawn, once for its file and the page."""
-        return encode(self.figure, "png")
+
+@dataclass(frozen=True)
+class Drawn:
+    """A picture drawn, for its files and the page."""
+
+    name: str
+    caption: str
+    png: bytes
+    svg: bytes
 
 
 def diagnosis_pictures(diagnosis: Diagnosis, curves: Sequence[Curve]) -> list[Picture]:
@@ -89,10 +94,18 @@ def _optional(name: str, figure: Figure | None) -> list[Picture]:
     return [] if figure is None else [Picture(name, CAPTIONS[name], figure)]
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: Path, name: str) -> None:
+def draw(picture: Picture) -> Drawn:
+    """Lay a picture out and draw it."""
+    figure = picture.figure
+    settle(figure, solutions=1)
+    return Drawn(picture.name, picture.caption, encode(figure, "png"), encode(figure, "svg"))
+
+
+def write_diagnosis(diagnosis: Diagnosis, folder: Path, name: str, processes: int = 1) -> None:
     """Write ``diagnosis.json``, tables, ``figures/`` and ``report.html``.
 
     ``discrepancy.csv`` and ``correlation.csv`` hold what the figures of those names show.
+    ``processes`` is how many draw the figures side by side.
 
     Raises
     ------
@@ -104,12 +117,13 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, name: str) -> None:
         write_text(folder / "discrepancy.csv", curve_table(curves).to_csv(index=False))
         table = driver_table(*diagnosis.shown)
         write_text(folder / "correlation.csv", table.to_csv(index=False))
-    write_record(diagnosis.record, diagnosis_pictures(diagnosis, curves), folder, name, curves)
+    pictures = in_processes(draw, diagnosis_pictures(diagnosis, curves), processes)
+    write_record(diagnosis.record, pictures, folder, name, curves)
 
 
 def write_record(
     record: Mapping[str, Any],
-    pictures: Sequence[Picture],
+    pictures: Sequence[Drawn],
     folder: Path,
     name: str,
     curves: Sequence[Curve] = (),
@@ -117,9 +131,8 @@ def write_record(
     """Write ``diagnosis.json``, ``figures/`` and ``report.html`` of any diagnosis."""
     write_text(folder / "diagnosis.json", diagnosis_json(record))
     for own in pictures:
-        settle(own.figure, solutions=1)
         write_bytes(folder / "figures" / f"{own.name}.png", own.png)
-        write_bytes(folder / "figures" / f"{own.name}.svg", encode(own.figure, "svg"))
+        write_bytes(folder / "figures" / f"{own.name}.svg", own.svg)
     write_text(folder / "report.html", render_diagnosis(record, pictures, name, curves))
 
 
@@ -260,7 +273,7 @@ def _closure_rows(record: Mapping[str, Any], curves: Sequence[Curve]) -> list[di
 
 def render_diagnosis(
     record: Mapping[str, Any],
-    pictures: Sequence[Picture],
+    pictures: Sequence[Drawn],
     name: str,
     curves: Sequence[Curve] = (),
 ) -> str:
@@ -305,5 +318,5 @@ def render_diagnosis(
     )
 
 
-def _address(picture: Picture) -> str:
+def _address(picture: Drawn) -> str:
     return f"data:image/png;base64,{base64.b64encode(picture.png).decode('ascii')}"
