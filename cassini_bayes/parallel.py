@@ -56,36 +56,40 @@ def on_threads(
         return list(pool.map(function, items))
 
 
-def renewed_at(
-    places: Sequence[int],
-    function: Callable[[int], Item],
-    items: Sequence[Item],
-    threads: int,
-) -> list[Item]:
-    """Items with those at some places made anew by a function of the place, on threads."""
-    anew = dict(zip(places, on_threads(function, places, threads), strict=True))
-    return [anew.get(i, item) for i, item in enumerate(items)]
-
-
 def in_processes(
-    function: Callable[[Item], Result], items: Iterable[Item], processes: int
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    processes: int,
+    done: Callable[[int], None] | None = None,
 ) -> list[Result]:
     """Results of independent pieces of work in processes forked from this one, in order.
 
-    For work that holds the interpreter's lock, like drawing. Function and items are inherited,
-    results come back by pickle through a pipe. Where forking is not the system's way all is done
-    here.
+    For work that holds the interpreter's lock much of its time. Function and items are inherited,
+    results come back by pickle through a pipe; ``done`` is told here how many are there. Where
+    forking is not the system's way there are threads instead.
 
     Raises
     ------
     Whatever the first piece that failed raised.
     """
     work = [(function, item) for item in items]
-    if processes < 2 or len(work) < 2 or sys.platform != "linux":
-        return [function(item) for _, item in work]
+    results: list[Result] = []
+
+    def gather(found: Iterable[Result]) -> list[Result]:
+        for result in found:
+            results.append(result)
+            if done is not None:
+                done(len(results))
+        return results
+
+    if processes < 2 or len(work) < 2:
+        return gather(function(item) for _, item in work)
+    if sys.platform != "linux":
+        with threadpool_limits(1), ThreadPoolExecutor(processes, "work") as threads:
+            return gather(threads.map(function, (item for _, item in work)))
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(processes, context, _inherit, (work,)) as pool:
-        return list(pool.map(_inherited, range(len(work))))
+        return gather(pool.map(_inherited, range(len(work))))
 
 
 _work: list[tuple[Callable[[Any], Any], Any]] = []  # of a forked process

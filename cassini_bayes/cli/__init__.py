@@ -49,6 +49,9 @@ def _version(
 
 def main() -> None:
     """Entry point: errors become one line on standard error, never a traceback."""
+    # numbers are in arrays: there is little to collect, and what was imported stays
+    gc.set_threshold(100_000)
+    gc.freeze()
     try:
         # work is spread over threads and processes, whose small matrices more threads would delay
         with threadpool_limits(1):

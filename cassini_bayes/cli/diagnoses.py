@@ -62,7 +62,7 @@ def diagnose_command(
         measure_gain=gain,
         rows=totals_rows(events, case.priors, source),
         say=reporter.say,
-        threads=cores,
+        workers=cores,
     )
     result.record["seed"] = number
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]

@@ -25,7 +25,7 @@ from cassini_bayes.criticism.symptoms import Symptom, find_symptoms
 from cassini_bayes.criticism.totals_gain import held_out_totals
 from cassini_bayes.criticism.widths import LEAST_PROBABILITY, width_sensitivity
 from cassini_bayes.events import TotalsEvent
-from cassini_bayes.parallel import on_threads
+from cassini_bayes.parallel import in_processes
 from cassini_bayes.spacecraft import couples
 from cassini_bayes.statistics.columns import Rows
 
@@ -56,7 +56,7 @@ def diagnose(
     measure_gain: bool = True,
     rows: Sequence[TotalsEvent] = (),
     say: Say | None = None,
-    threads: int = 1,
+    workers: int = 1,
 ) -> Diagnosis:
     """Show, name, extend and measure; returns everything for JSON and report.
 
@@ -72,22 +72,31 @@ def diagnose(
         What the totals of a case without telemetry were built from: held out one by one.
     say
         Told how far it got.
-    threads
-        On which causes, widths and held-out events are worked side by side.
+    workers
+        Processes among which causes and measures are shared out; the result does not depend on it.
     """
-    verdict = name_causes(case, catalogue, rng, say=say, threads=threads)
+    verdict = name_causes(case, catalogue, rng, say=say, workers=workers)
     extended = verdict.pair if verdict.pair is not None else verdict.best
     linear, extended_rows = _extended_innovations(verdict, extended)
-    p, extended_p = _p_values(verdict, linear, rng)
-    shown = _shown(verdict, linear, extended_rows, rng.spawn(1)[0])
-    base_score, own_score = None, None
+    # a generator for each: what is drawn does not depend on how the work is shared out
+    of_causes, of_baseline, of_extended, of_p, of_extended_p, of_shown = rng.spawn(6)
+    parts: dict[str, Callable[[], Any]] = {"causes": partial(_cause_records, verdict, of_causes)}
     if measure_gain:
-        generators = rng.spawn(2)
-        score = partial(_held_out_score, verdict, rows, say=say, threads=threads)
-        base_score = score(verdict.none, generators[0])
-        own_score = base_score
+        score = partial(_held_out_score, verdict, rows, say=say)
+        parts["baseline score"] = partial(score, verdict.none, of_baseline)
         if extended is not verdict.none:
-            own_score = score(extended, generators[1])
+            parts["score"] = partial(score, extended, of_extended)
+    parts["sensitivity"] = partial(width_sensitivity, verdict)
+    if linear is not verdict.linear:
+        parts["extended p"] = partial(_p_value, linear, verdict.rows, of_extended_p)
+    parts["p"] = partial(_p_value, verdict.linear, verdict.rows, of_p)
+    parts["shown"] = partial(_shown, verdict, linear, extended_rows, of_shown)
+    found = dict(
+        zip(parts, in_processes(lambda part: part(), parts.values(), workers), strict=True)
+    )
+    base_score = found.get("baseline score")
+    own_score = found.get("score", base_score)
+    p, shown = found["p"], found["shown"]
     symptoms: tuple[Symptom, ...] = ()
     if shown is not None and _is_discrepant(verdict):
         symptoms = find_symptoms(verdict.rows, shown[0])
@@ -99,13 +108,13 @@ def diagnose(
         "p_value": p,
         "symptoms": [asdict(symptom) for symptom in symptoms],
         "closure": [] if shown is None else _closure(*shown),
-        "causes": _cause_records(verdict, rng, threads),
+        "causes": found["causes"],
         "extended": {
             "causes": _names(extended),
             **_fit_record(extended, own_score, extended_rows),
         },
-        "gain": _gain(base_score, own_score, extended_p),
-        "sensitivity": width_sensitivity(verdict, threads),
+        "gain": _gain(base_score, own_score, found.get("extended p", p)),
+        "sensitivity": found["sensitivity"],
         "second_cause_nats": None
         if verdict.pair is None
         else float(verdict.pair.net_evidence - verdict.best_cause.net_evidence),
@@ -128,12 +137,11 @@ def _held_out_score(
     rng: np.random.Generator,
     *,
     say: Say | None,
-    threads: int,
 ) -> HeldOut | None:
     """Score on telemetry events or on totals rows; None for few of them and for a mix of both."""
     case = verdict.case
     if case.totals is None and len(case.sources) >= LEAST_EVENTS:
-        return held_out(verdict, weighed, say, threads)
+        return held_out(verdict, weighed, say)
     if not case.sources and len(rows) >= LEAST_EVENTS:
         return held_out_totals(case, rows, verdict.catalogue, weighed, rng, say)
     return None
@@ -165,15 +173,10 @@ def _extended_innovations(
     return linear, tuple(rows)
 
 
-def _p_values(
-    verdict: Verdict, extended: Linear | None, rng: np.random.Generator
-) -> tuple[float | None, float | None]:
-    """p-values of the baseline and the extended model."""
-    if verdict.linear is None or extended is None:
-        return None, None
-    times = [own.time_s for own in verdict.rows]
-    p = p_value(verdict.linear, times, rng)
-    return p, p if extended is verdict.linear else p_value(extended, times, rng)
+def _p_value(
+    linear: Linear | None, rows: Sequence[EventRows], rng: np.random.Generator
+) -> float | None:
+    return None if linear is None else p_value(linear, [own.time_s for own in rows], rng)
 
 
 def _shown(
@@ -248,9 +251,7 @@ def _gain(base: HeldOut | None, own: HeldOut | None, p: float | None) -> dict[st
     }
 
 
-def _cause_records(
-    verdict: Verdict, rng: np.random.Generator, threads: int
-) -> list[dict[str, Any]]:
+def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str, Any]]:
     rows = [event_rows(verdict.case, place) for place in range(len(verdict.case.sources))]
 
     def record(own: tuple[Weighed, float, np.random.Generator]) -> dict[str, Any]:
@@ -269,7 +270,7 @@ def _cause_records(
     probabilities = verdict.log_probabilities.tolist()
     generators = rng.spawn(len(probabilities))
     each = zip(verdict.weighed, probabilities, generators, strict=True)
-    return on_threads(record, each, threads)
+    return [record(own) for own in each]
 
 
 def _parameters(

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arviz_import import arviz
 from cassini_bayes.criticism.extended import Hypothesis
 from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.criticism.search import (
@@ -20,7 +21,7 @@ from cassini_bayes.criticism.search import (
     near_mode,
     renewed,
 )
-from cassini_bayes.parallel import on_threads, renewed_at
+from cassini_bayes.parallel import in_processes
 from cassini_bayes.warmstart import ImportanceDraws, Proposal, importance, refined
 
 Array = NDArray[np.float64]
@@ -67,7 +68,7 @@ def weigh_beside(
     hypotheses: Sequence[Hypothesis],
     base: Mode,
     say: Say,
-    threads: int = 1,
+    workers: int = 1,
     floor: float = -np.inf,
 ) -> list[Weighed]:
     """Extensions of one baseline by Laplace evidence.
@@ -78,16 +79,12 @@ def weigh_beside(
     """
     if not hypotheses:
         return []
-    done: list[str] = []
 
-    def near(hypothesis: Hypothesis) -> Sought:
-        found = near_mode(hypothesis, base)
-        done.append(hypothesis.name)
-        if len(done) % 10 == 0:
-            say(f"{len(done)} of {len(hypotheses)} causes weighed")
-        return found
+    def told(count: int) -> None:
+        if count % 10 == 0:
+            say(f"{count} of {len(hypotheses)} causes weighed")
 
-    found = on_threads(near, hypotheses, threads)
+    found = in_processes(lambda own: near_mode(own, base), hypotheses, workers, told)
     longer: tuple[tuple[str, Callable[[int], Sought]], ...] = (
         ("searched further", lambda i: higher(extended_mode(hypotheses[i], base), found[i], base)),
         ("searched along all axes", lambda i: Sought(renewed(hypotheses[i], found[i].mode))),
@@ -98,7 +95,8 @@ def weigh_beside(
             say(f"{len(due)} causes {what}")
         for part in (due[:1], due[1:]):
             still = [i for i in hopeful(found, floor) if i in part]
-            found = renewed_at(still, search, found, threads)
+            anew = dict(zip(still, in_processes(search, still, workers), strict=True))
+            found = [anew.get(i, own) for i, own in enumerate(found)]
     weighed = [by_laplace(own, at.mode) for own, at in zip(hypotheses, found, strict=True)]
     return [
         replace(w, unsure=MOVED_NATS if has_moved(w.mode, base) else min(at.reach, UNSURE_NATS))
@@ -123,22 +121,27 @@ def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = FEW_DRAWS) 
     Where that was poor the curvature is taken anew, and refined by the draws themselves if that
     helps. What was sampled before is sampled again from the proposal found then.
     """
-    density = weighed.hypothesis.log_density
+    return _with_draws(weighed, *_draw(weighed, rng, draws))
+
+
+def _draw(
+    weighed: Weighed, rng: np.random.Generator, draws: int
+) -> tuple[Mode, Proposal, ImportanceDraws]:
+    density, mode = weighed.hypothesis.log_density, weighed.mode
     if weighed.proposal is not None:
-        again = importance(density, weighed.proposal, rng, draws)
-        return _with_draws(weighed, weighed.proposal, again)
-    proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
+        return mode, weighed.proposal, importance(density, weighed.proposal, rng, draws)
+    proposal = Proposal(mode.point, mode.factor, DOF)
     found = importance(density, proposal, rng, draws)
-    if _is_poor(found) and not weighed.mode.is_whole:
-        weighed = replace(weighed, mode=renewed(weighed.hypothesis, weighed.mode))
-        proposal = Proposal(weighed.mode.point, weighed.mode.factor, DOF)
+    if _is_poor(found) and not mode.is_whole:
+        mode = renewed(weighed.hypothesis, mode)
+        proposal = Proposal(mode.point, mode.factor, DOF)
         found = importance(density, proposal, rng, draws)
     if _is_poor(found):
         turned = refined(proposal, found)
         again = importance(density, turned, rng, 2 * draws)
         if again.efficiency > found.efficiency:
             proposal, found = turned, again
-    return _with_draws(weighed, proposal, found)
+    return mode, proposal, found
 
 
 def _is_poor(draws: ImportanceDraws) -> bool:
@@ -146,9 +149,12 @@ def _is_poor(draws: ImportanceDraws) -> bool:
     return draws.efficiency < LEAST_EFFICIENCY or draws.pareto_k > TRUSTED_K
 
 
-def _with_draws(weighed: Weighed, proposal: Proposal, draws: ImportanceDraws) -> Weighed:
+def _with_draws(
+    weighed: Weighed, mode: Mode, proposal: Proposal, draws: ImportanceDraws
+) -> Weighed:
     return replace(
         weighed,
+        mode=mode,
         proposal=proposal,
         unsure=0.0,
         log_evidence=draws.log_evidence,
@@ -164,11 +170,14 @@ def drawn(
     which: Sequence[int],
     draws: int,
     rng: np.random.Generator,
-    threads: int,
+    workers: int,
 ) -> list[Weighed]:
     """Those named (places) with importance draws, each with a generator of its own."""
+    arviz()  # imported before processes are forked, not in each of them
     own = dict(zip(which, rng.spawn(len(which)), strict=True))
-    return renewed_at(which, lambda i: sampled(weighed[i], own[i], draws), weighed, threads)
+    found = in_processes(lambda i: _draw(weighed[i], own[i], draws), which, workers)
+    anew = dict(zip(which, found, strict=True))
+    return [_with_draws(w, *anew[i]) if i in anew else w for i, w in enumerate(weighed)]
 
 
 def score(weighed: Weighed) -> float:

@@ -28,7 +28,6 @@ from cassini_bayes.criticism.innovations import Linear, linearise
 from cassini_bayes.criticism.modes import Mode, climb, settled
 from cassini_bayes.criticism.naming import Verdict
 from cassini_bayes.criticism.oscillation import case_of
-from cassini_bayes.parallel import on_threads
 from cassini_bayes.warmstart import lower_factor
 
 Array = NDArray[np.float64]
@@ -86,7 +85,6 @@ def held_out(
     verdict: Verdict,
     weighed: Weighed,
     say: Callable[[str], None] | None = None,
-    threads: int = 1,
 ) -> HeldOut:
     """Every telemetry event of the verdict's case held out in turn."""
     events = [source.id for source in verdict.case.sources]
@@ -99,7 +97,7 @@ def held_out(
             say(f"{weighed.name}: {event} held out")
         return whole.log_evidence - mode.log_evidence
 
-    scores = on_threads(score, events, threads)
+    scores = np.array([score(event) for event in events])
     case = case_of(verdict.case, weighed.hypothesis)
     linear, _, factors = linearise(case, weighed.hypothesis, weighed.mode.point)
     centre = -weighed.mode.point
@@ -109,7 +107,7 @@ def held_out(
         residuals.append((white.reshape(-1, 3) @ factors[place].T).ravel())
         inside.append(np.abs(white) < WITHIN * spread)
     return HeldOut(
-        np.array(scores),
+        scores,
         float(
             np.sqrt(
                 np.concatenate(residuals) @ np.concatenate(residuals) / sum(map(len, residuals))

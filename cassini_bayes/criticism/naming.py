@@ -40,7 +40,7 @@ from cassini_bayes.criticism.oscillation import (
     motions_of,
 )
 from cassini_bayes.criticism.search import renewed
-from cassini_bayes.parallel import renewed_at
+from cassini_bayes.parallel import in_processes
 
 Array = NDArray[np.float64]
 NEAR_NATS: Final = 10.0
@@ -123,7 +123,7 @@ def name_causes(
     *,
     pairs: bool = True,
     say: Say | None = None,
-    threads: int = 1,
+    workers: int = 1,
 ) -> Verdict:
     """Weigh ``none``, ``unknown`` and every cause of the catalogue.
 
@@ -139,8 +139,8 @@ def name_causes(
         Whether to look for a second cause.
     say
         Told how far it got.
-    threads
-        On which causes are weighed side by side; the verdict does not depend on it.
+    workers
+        Processes among which causes are shared out; the verdict does not depend on it.
     """
     tell = say if say is not None else _silent
     full = none_hypothesis(case, catalogue)
@@ -156,21 +156,21 @@ def name_causes(
     oscillation = None
     if linear is not None:
         at = full, base.point
-        oscillation = _look_for_oscillation(case, catalogue, at, (linear, rows), threads)
+        oscillation = _look_for_oscillation(case, catalogue, at, (linear, rows), workers)
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
     floor = unknown_mode.log_evidence - MARGIN_NATS
-    causes = weigh_beside(hypotheses, base, tell, threads, floor)
+    causes = weigh_beside(hypotheses, base, tell, workers, floor)
     if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
         tell(
             "no cause mends a baseline that bent: searched from the centre of the prior, best first"
         )
-        causes = _all_from_centre(causes, unknown_mode, threads)
+        causes = _all_from_centre(causes, unknown_mode, workers)
     weighed += causes
     if oscillation is not None:
         best = max(own.log_evidence for own in weighed)
         weighed.append(_flexible(case, catalogue, oscillation, (), base, best))
-    weighed = _sample_near(weighed, rng, threads)
+    weighed = _sample_near(weighed, rng, workers)
     weighed, log_probabilities = _ranked(weighed)
     verdict = Verdict(
         case,
@@ -186,7 +186,7 @@ def name_causes(
     )
     if pairs and verdict.best is not verdict.none:
         tell(f"looking for a second cause beside {verdict.best_cause.name}")
-        pair, alike = second_cause(verdict, rng, threads)
+        pair, alike = second_cause(verdict, rng, workers)
         verdict = replace(verdict, pair=pair, pair_alike=alike)
     return verdict
 
@@ -205,7 +205,7 @@ def _is_mended(causes: Sequence[Weighed], unknown: Mode) -> bool:
     return best.log_evidence > unknown.log_evidence and not _is_bent(best.mode)
 
 
-def _all_from_centre(causes: Sequence[Weighed], unknown: Mode, threads: int) -> list[Weighed]:
+def _all_from_centre(causes: Sequence[Weighed], unknown: Mode, workers: int) -> list[Weighed]:
     """Causes searched from the centre of the prior, the best first, until one mends the baseline.
 
     They go in parts of :data:`TOGETHER`, so that what the data cannot tell apart is searched alike.
@@ -214,17 +214,20 @@ def _all_from_centre(causes: Sequence[Weighed], unknown: Mode, threads: int) -> 
     order = sorted(range(len(found)), key=lambda i: -found[i].log_evidence)
     for start in range(0, len(order), TOGETHER):
         part = order[start : start + TOGETHER]
-        found = renewed_at(part, lambda i: _from_centre(causes[i]), found, threads)
+        modes = in_processes(lambda i: _higher_from_centre(causes[i]), part, workers)
+        for i, mode in zip(part, modes, strict=True):
+            if mode is not None:
+                found[i] = by_laplace(causes[i].hypothesis, mode)
         if _is_mended(found, unknown):
             break
     return found
 
 
-def _from_centre(weighed: Weighed) -> Weighed:
-    """A search that does not begin where the baseline was bent to, if it ends higher."""
+def _higher_from_centre(weighed: Weighed) -> Mode | None:
+    """The mode of a search that does not begin where the baseline was bent to, if it is higher."""
     hypothesis = weighed.hypothesis
     found = baseline_mode(hypothesis.log_density, hypothesis.dimension)
-    return by_laplace(hypothesis, found) if found.log_evidence > weighed.log_evidence else weighed
+    return found if found.log_evidence > weighed.log_evidence else None
 
 
 def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
@@ -241,7 +244,7 @@ def _look_for_oscillation(
     catalogue: Catalogue,
     weighed: tuple[Hypothesis, Array],
     left: tuple[Linear, Sequence[EventRows]],
-    threads: int,
+    workers: int,
 ) -> Oscillation | None:
     """The oscillation in the innovations that a hypothesis leaves at a point."""
     if "flexible_mode" not in catalogue.names:
@@ -254,7 +257,7 @@ def _look_for_oscillation(
         for p in catalogue.effect("flexible_mode").parameters
     }
     scales = scale["cosine_rad_s"], scale["inertia_fraction"]
-    return find_oscillation(rows, motions_of(case), linear, np.array(inertia), scales, threads)
+    return find_oscillation(rows, motions_of(case), linear, np.array(inertia), scales, workers)
 
 
 def _flexible(
@@ -273,16 +276,16 @@ def _flexible(
 
 
 def _sample_near(
-    weighed: Sequence[Weighed], rng: np.random.Generator, threads: int
+    weighed: Sequence[Weighed], rng: np.random.Generator, workers: int
 ) -> list[Weighed]:
     """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
     found = list(weighed)
     scores = [score(w) for w in found]
     least = max(scores) - NEAR_NATS
     near = [i for i, score in enumerate(scores) if score + found[i].unsure > least]
-    found = drawn(found, near, FEW_DRAWS, rng, threads)
+    found = drawn(found, near, FEW_DRAWS, rng, workers)
     best = sorted(near, key=lambda i: -score(found[i]))[:MOST_DRAWN]
-    return drawn(found, best, DRAWS, rng, threads)
+    return drawn(found, best, DRAWS, rng, workers)
 
 
 def _ranked(weighed: Sequence[Weighed]) -> tuple[list[Weighed], Array]:
@@ -292,7 +295,7 @@ def _ranked(weighed: Sequence[Weighed]) -> tuple[list[Weighed], Array]:
 
 
 def second_cause(
-    verdict: Verdict, rng: np.random.Generator, threads: int = 1
+    verdict: Verdict, rng: np.random.Generator, workers: int = 1
 ) -> tuple[Weighed | None, tuple[str, ...]]:
     """The best pair with the best cause, if the second one earns its place, and seconds like it.
 
@@ -307,13 +310,13 @@ def second_cause(
     base = renewed(best.hypothesis, best.mode)
     pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]
     least = best.net_evidence + SECOND_CAUSE_NATS
-    tried = weigh_beside(pairs, base, _silent, threads, least)
+    tried = weigh_beside(pairs, base, _silent, workers, least)
     if line is None and case.sources:
         at = best.hypothesis, base.point
-        further = _look_for_oscillation(case, catalogue, at, innovations(case, *at), threads)
+        further = _look_for_oscillation(case, catalogue, at, innovations(case, *at), workers)
         if further is not None:
             tried.append(_flexible(case, catalogue, further, [first], base, base.log_evidence))
-    tried = _sample_pairs(tried, least, rng, threads)
+    tried = _sample_pairs(tried, least, rng, workers)
     found = max(tried, key=lambda own: own.net_evidence, default=None)
     if found is None or found.net_evidence < least:
         return None, ()
@@ -329,13 +332,13 @@ def second_cause(
 
 
 def _sample_pairs(
-    tried: Sequence[Weighed], least: float, rng: np.random.Generator, threads: int
+    tried: Sequence[Weighed], least: float, rng: np.random.Generator, workers: int
 ) -> list[Weighed]:
     """Importance draws for pairs that could be the best, or as good, and reach ``least``."""
     found = list(tried)
     reach = [own.net_evidence + own.unsure + CONFOUNDED_NATS for own in found]
     bar = max([least, *(own.net_evidence for own in found)])
-    return drawn(found, [i for i, own in enumerate(reach) if own > bar], FEW_DRAWS, rng, threads)
+    return drawn(found, [i for i, own in enumerate(reach) if own > bar], FEW_DRAWS, rng, workers)
 
 
 def _others(catalogue: Catalogue, first: Effect) -> list[Effect]:

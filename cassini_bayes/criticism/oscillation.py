@@ -76,7 +76,7 @@ def find_oscillation(
     linear: Linear,
     inertia_kg_m2: Array,
     scales: tuple[float, float],
-    threads: int = 1,
+    workers: int = 1,
 ) -> Oscillation | None:
     """The oscillation of most evidence; None where the events are too short for any.
 
@@ -92,8 +92,8 @@ def find_oscillation(
         Moments (3,) about body axes.
     scales
         Prior scales of the amplitude (rad/s) and of the appendage's share φ of the inertia.
-    threads
-        On which frequencies are looked at side by side.
+    workers
+        Threads on which frequencies are looked at side by side.
     """
     span = max(float(own.time_s[-1] - own.time_s[0]) for own in rows)
     highest = 0.5 / min(float(np.median(np.diff(own.time_s))) for own in rows)
@@ -107,7 +107,7 @@ def find_oscillation(
         return np.asarray(np.maximum.reduce(each))
 
     parts = np.array_split(frequencies, -(-len(frequencies) // CHUNK))
-    scores = np.concatenate(on_threads(coarse, parts, threads))
+    scores = np.concatenate(on_threads(coarse, parts, workers))
     factor = cho_factor(linear.gram())
     abouts = [_about(rows, linear, axis) for axis in range(3)]
 
@@ -117,7 +117,7 @@ def find_oscillation(
         return float(_log_evidence(gram, seen, size[axis]))
 
     def best_of(lines: Sequence[tuple[float, float, int]]) -> list[tuple[float, float, int]]:
-        scored = dict(zip(lines, on_threads(score, lines, threads), strict=True))
+        scored = dict(zip(lines, on_threads(score, lines, workers), strict=True))
         return sorted(lines, key=lambda line: -scored[line])
 
     tried = [

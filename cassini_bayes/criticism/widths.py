@@ -19,7 +19,6 @@ from cassini_bayes.criticism.extended import Hypothesis, compact, extend, none_h
 from cassini_bayes.criticism.modes import settled
 from cassini_bayes.criticism.naming import Verdict
 from cassini_bayes.criticism.oscillation import case_of
-from cassini_bayes.parallel import on_threads
 from cassini_bayes.warmstart import pareto_k
 
 WIDTHS: Final = (0.5, 2.0)
@@ -27,7 +26,7 @@ LEAST_PROBABILITY: Final = 1e-6
 WORTH_A_SEARCH: Final = 0.01  # probability of a cause
 
 
-def width_sensitivity(verdict: Verdict, threads: int = 1) -> dict[str, dict[str, float]]:
+def width_sensitivity(verdict: Verdict) -> dict[str, dict[str, float]]:
     """Probabilities of causes with every effect's prior half and twice as wide.
 
     Causes whose evidence was not sampled, further than ten nats from the best, keep it.
@@ -35,11 +34,7 @@ def width_sensitivity(verdict: Verdict, threads: int = 1) -> dict[str, dict[str,
     sampled = [w for w in verdict.weighed if w.hypothesis.effects and w.z is not None]
     none = none_hypothesis(verdict.case, verdict.catalogue)
     pairs = [(width, weighed) for width in WIDTHS for weighed in sampled]
-    changes = on_threads(lambda pair: _change(verdict, none, *pair), pairs, threads)
-    changed = {
-        (width, weighed.name): change
-        for (width, weighed), change in zip(pairs, changes, strict=True)
-    }
+    changed = {(width, own.name): _change(verdict, none, width, own) for width, own in pairs}
     return {
         f"{width:g}": _probabilities(
             verdict, {name: change for (own, name), change in changed.items() if own == width}
