@@ -41,21 +41,6 @@ def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
         yield lambda z: _joined(list(pool.map(log_density, _parts(z))))
 
 
-def on_threads(
-    function: Callable[[Item], Result], items: Iterable[Item], threads: int
-) -> list[Result]:
-    """Results of independent pieces of work, in order.
-
-    Raises
-    ------
-    Whatever the first piece that failed raised.
-    """
-    if threads < 2:
-        return [function(item) for item in items]
-    with threadpool_limits(1), ThreadPoolExecutor(threads, "work") as pool:
-        return list(pool.map(function, items))
-
-
 def in_processes(
     function: Callable[[Item], Result],
     items: Iterable[Item],

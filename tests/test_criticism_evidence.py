@@ -128,7 +128,7 @@ def test_a_cause_that_took_a_nuisance_far_is_marked_and_sampled_right() -> None:
     base = baseline_mode(lambda z: walled(np.column_stack([z, np.zeros(len(z))])), 1)
     own = hypothesis(walled, 2)
     assert has_moved(extended_mode(own, base).mode, base)
-    (rough,) = weigh_beside([own], base, print)
+    (rough,) = weigh_beside([own], [near_mode(own, base)], base, print)
     assert rough.unsure > 0.0
     wanted, _ = dblquad(
         lambda y, x: float(np.exp(walled(np.array([[x, y]]))[0])), -3, 4, -3, 4, epsabs=1e-9
@@ -169,20 +169,16 @@ def test_what_the_best_leaves_behind_is_not_searched_further(
     at = {"best": (100.0, 500.0), "weak": (20.0, 100.0), "strong": (50.0, 800.0)}
     searched: list[str] = []
 
-    def near(own: Hypothesis, base: Mode) -> Sought:
-        value, reach = at[own.name]
-        return Sought(Mode(base.point, base.factor, value), reach)
-
     def further(own: Hypothesis, base: Mode) -> Sought:
         searched.append(own.name)
         gained = {"best": 600.0}.get(own.name, 60.0)
         return Sought(Mode(base.point, base.factor, gained))
 
-    monkeypatch.setattr(evidence, "near_mode", near)
     monkeypatch.setattr(evidence, "extended_mode", further)
     base = Mode(np.zeros(1), np.eye(1), 0.0)
     causes = [hypothesis(linear(np.eye(1), np.zeros(1)), 1, name) for name in at]
-    found = weigh_beside(causes, base, lambda _: None)
+    near = [Sought(Mode(base.point, base.factor, value), reach) for value, reach in at.values()]
+    found = weigh_beside(causes, near, base, lambda _: None)
     assert searched == ["best", "strong"]
     assert [own.log_evidence for own in found] == [600.0, 20.0, 60.0]
 
@@ -205,7 +201,8 @@ def test_a_small_gain_on_a_bent_ridge_is_told_by_draws() -> None:
         return float(np.exp(-0.5 * square)) * sd / np.sqrt(2.0 * np.pi * (1.0 + sd**2))
 
     wanted = np.log(quad(along, -8.0, 8.0, points=[0.1])[0])
-    (found,) = weigh_beside([hypothesis(banana, 2)], baseline_mode(alone, 1), lambda _: None)
+    bent, base = hypothesis(banana, 2), baseline_mode(alone, 1)
+    (found,) = weigh_beside([bent], [near_mode(bent, base)], base, lambda _: None)
     assert found.unsure > 0.0
     assert abs(found.log_evidence - wanted) < UNSURE_NATS
     told = sampled(found, np.random.default_rng(6), 4_000)

@@ -17,6 +17,7 @@ from cassini_bayes.criticism.diagnosis import catalogue_of
 from cassini_bayes.criticism.evidence import Weighed, weigh_beside
 from cassini_bayes.criticism.extended import Case, compact, extend, none_hypothesis, prepare
 from cassini_bayes.criticism.modes import baseline_mode
+from cassini_bayes.criticism.search import near_mode
 from cassini_bayes.criticism.sizes import (
     LATE,
     effect_draws,
@@ -51,7 +52,7 @@ def late_records() -> tuple[Case, Weighed]:
     none = compact(full)
     base = baseline_mode(none.log_density, none.dimension)
     cause = compact(extend(full, [catalogue.effect("time_offset")], case))
-    (weighed,) = weigh_beside([cause], base, lambda _: None)
+    (weighed,) = weigh_beside([cause], [near_mode(cause, base)], base, lambda _: None)
     return case, weighed
 
 

@@ -7,6 +7,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from scipy.stats import norm
 
 from cassini_bayes.criticism.catalogue import Effect, EffectParameter
@@ -16,6 +17,7 @@ from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.criticism.widths import reweighted
 from cassini_bayes.distributions import Distribution
 from cassini_bayes.parameter_space import ParameterSpace
+from cassini_bayes.warmstart import pareto_k
 
 PRIOR_SD, NOISE_SD = 2.0e-3, 1.0e-3
 
@@ -39,7 +41,8 @@ def weighed(seen: float, draws: int = 20_000) -> Weighed:
 def test_evidence_at_another_width_is_the_closed_form(width: float) -> None:
     """Normal prior and noise: evidence N(seen; 0, prior² + noise²) at either width."""
     seen = 2.5e-3
-    found, k = reweighted(weighed(seen), width)
+    log_weights = reweighted(weighed(seen), width)
+    found, k = logsumexp(log_weights), pareto_k(log_weights)
     wanted = norm.logpdf(seen, 0.0, np.hypot(width * PRIOR_SD, NOISE_SD)) - norm.logpdf(
         seen, 0.0, np.hypot(PRIOR_SD, NOISE_SD)
     )
@@ -49,5 +52,5 @@ def test_evidence_at_another_width_is_the_closed_form(width: float) -> None:
 
 def test_draws_that_do_not_reach_are_told() -> None:
     """A prior thirty times narrower wants values that no draw of a clear effect has."""
-    _, k = reweighted(weighed(8.0e-3, draws=500), 1.0 / 30.0)
+    k = pareto_k(reweighted(weighed(8.0e-3, draws=500), 1.0 / 30.0))
     assert k > TRUSTED_K

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from functools import partial
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cassini_bayes.parallel import PART, LogDensity, in_lock_step, in_parts, on_threads
+from cassini_bayes.parallel import PART, LogDensity, in_lock_step, in_parts, in_processes
 
 Array = NDArray[np.float64]
 
@@ -96,15 +97,29 @@ def test_a_failure_ends_all_walks_with_its_own_error(where: str) -> None:
         in_lock_step(breaks, walks)
 
 
-@pytest.mark.parametrize("threads", [1, 2, 4])
-def test_pieces_come_back_in_order(threads: int) -> None:
-    """Independent pieces give the same list on any number of threads."""
-    assert on_threads(lambda item: item**2, range(20), threads) == [i**2 for i in range(20)]
+@pytest.mark.parametrize("system", ["linux", "another"])
+@pytest.mark.parametrize("processes", [1, 2, 4])
+def test_pieces_come_back_in_order(
+    processes: int, system: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Independent pieces give the same list on any number of processes, and are counted."""
+    monkeypatch.setattr("sys.platform", system)
+    counted: list[int] = []
+    found = in_processes(lambda item: item**2, range(20), processes, counted.append)
+    assert found == [i**2 for i in range(20)]
+    assert counted == list(range(1, 21))
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-def test_a_piece_that_fails_raises_its_error(threads: int) -> None:
-    """The error of a piece is not lost on a thread."""
+def test_pieces_are_worked_in_other_processes() -> None:
+    """With two processes or more nothing is done in this one; with one all is."""
+    own = os.getpid()
+    assert own not in in_processes(lambda _: os.getpid(), range(4), 2)
+    assert in_processes(lambda _: os.getpid(), range(4), 1) == [own] * 4
+
+
+@pytest.mark.parametrize("processes", [1, 3])
+def test_a_piece_that_fails_raises_its_error(processes: int) -> None:
+    """The error of a piece is not lost in a process."""
 
     def fails(item: int) -> int:
         if item == 3:
@@ -112,4 +127,4 @@ def test_a_piece_that_fails_raises_its_error(threads: int) -> None:
         return item
 
     with pytest.raises(ValueError, match="piece three"):
-        on_threads(fails, range(6), threads)
+        in_processes(fails, range(6), processes)

@@ -92,7 +92,7 @@ def _diagnose_estimates(
         read_estimates,
     )
     from cassini_bayes.priors import read_priors
-    from cassini_bayes.report.diagnosis import cause_picture, draw, write_record
+    from cassini_bayes.report.diagnosis import cause_picture, drawn, write_record
 
     other = [reference for reference in references if not is_estimates(Path(reference))]
     if other:
@@ -102,7 +102,7 @@ def _diagnose_estimates(
     rows = [row for reference in references for row in read_estimates(Path(reference), thrusters)]
     record = diagnose_estimates(estimate_case(rows, read), np.random.default_rng(seed))
     record |= {"seed": seed, "command": ["cassini-bayes", *sys.argv[1:]]}
-    write_record(record, [draw(cause_picture(record))], out, out.name)
+    write_record(record, drawn([cause_picture(record)]), out, out.name)
     return record
 
 

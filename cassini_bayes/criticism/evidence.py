@@ -18,7 +18,6 @@ from cassini_bayes.criticism.search import (
     extended_mode,
     has_moved,
     higher,
-    near_mode,
     renewed,
 )
 from cassini_bayes.parallel import in_processes
@@ -27,7 +26,7 @@ from cassini_bayes.warmstart import ImportanceDraws, Proposal, importance, refin
 Array = NDArray[np.float64]
 LEAST_EFFICIENCY: Final = 0.1
 TRUSTED_K: Final = 0.7
-FEW_DRAWS: Final = 300
+FEW_DRAWS: Final = 200
 DOF: Final = 8.0
 MARGIN_NATS: Final = 30.0
 MOVED_NATS: Final = 10.0
@@ -66,6 +65,7 @@ def by_laplace(hypothesis: Hypothesis, mode: Mode) -> Weighed:
 
 def weigh_beside(
     hypotheses: Sequence[Hypothesis],
+    found: Sequence[Sought],
     base: Mode,
     say: Say,
     workers: int = 1,
@@ -73,18 +73,13 @@ def weigh_beside(
 ) -> list[Weighed]:
     """Extensions of one baseline by Laplace evidence.
 
-    Newton steps beside the baseline's mode first; then longer and longer searches, each for those
-    whose search has not ended and that could still come to ``floor`` and within thirty nats of the
-    best. The best is searched for before the others. What is out of reach keeps what it has.
+    ``found`` are their Newton steps beside the baseline's mode (:func:`search.near_mode`). Longer
+    and longer searches follow, each for those whose search has not ended and that could still come
+    to ``floor`` and within thirty nats of the best. The best is searched for before the others.
+    What is out of reach keeps what it has.
     """
     if not hypotheses:
         return []
-
-    def told(count: int) -> None:
-        if count % 10 == 0:
-            say(f"{count} of {len(hypotheses)} causes weighed")
-
-    found = in_processes(lambda own: near_mode(own, base), hypotheses, workers, told)
     longer: tuple[tuple[str, Callable[[int], Sought]], ...] = (
         ("searched further", lambda i: higher(extended_mode(hypotheses[i], base), found[i], base)),
         ("searched along all axes", lambda i: Sought(renewed(hypotheses[i], found[i].mode))),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ from cassini_bayes.criticism.oscillation import (
     flexible_case,
     motions_of,
 )
-from cassini_bayes.criticism.search import renewed
+from cassini_bayes.criticism.search import Sought, near_mode, renewed
 from cassini_bayes.parallel import in_processes
 
 Array = NDArray[np.float64]
@@ -149,18 +150,19 @@ def name_causes(
     tell(f"none: log evidence {base.log_evidence:.1f}")
     unknown = compact(unknown_hypothesis(case, catalogue))
     start = _unknown_start(none, unknown, base)
-    unknown_mode = baseline_mode(unknown.log_density, unknown.dimension, start)
-    tell(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
     linear, rows = (None, []) if not case.sources else innovations(case, full, base.point)
-    weighed = [by_laplace(none, base), by_laplace(unknown, unknown_mode)]
-    oscillation = None
-    if linear is not None:
-        at = full, base.point
-        oscillation = _look_for_oscillation(case, catalogue, at, (linear, rows), workers)
     effects = [effect for effect in catalogue.effects if effect.kind != "flexible_mode"]
     hypotheses = [compact(extend(full, [effect], case)) for effect in effects]
+    left = None if linear is None else (linear, rows)
+    first: list[Callable[[], Any]] = [
+        partial(baseline_mode, unknown.log_density, unknown.dimension, start),
+        partial(_look_for_oscillation, case, catalogue, (full, base.point), left),
+    ]
+    (unknown_mode, oscillation), near = _beside(first, hypotheses, base, tell, workers)
+    tell(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
+    weighed = [by_laplace(none, base), by_laplace(unknown, unknown_mode)]
     floor = unknown_mode.log_evidence - MARGIN_NATS
-    causes = weigh_beside(hypotheses, base, tell, workers, floor)
+    causes = weigh_beside(hypotheses, near, base, tell, workers, floor)
     if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
         tell(
             "no cause mends a baseline that bent: searched from the centre of the prior, best first"
@@ -193,6 +195,28 @@ def name_causes(
 
 def _silent(text: str) -> None:
     del text
+
+
+def _beside(
+    first: Sequence[Callable[[], Any]],
+    hypotheses: Sequence[Hypothesis],
+    base: Mode,
+    say: Say,
+    workers: int,
+) -> tuple[list[Any], list[Sought]]:
+    """Results of some work, and of the causes' searches beside the baseline, shared out together.
+
+    The work comes first, as it takes as long as many searches.
+    """
+
+    def told(count: int) -> None:
+        if count > len(first) and (count - len(first)) % 10 == 0:
+            say(f"{count - len(first)} of {len(hypotheses)} causes weighed")
+
+    near = [partial(near_mode, own, base) for own in hypotheses]
+    parts: list[Callable[[], Any]] = [*first, *near]
+    found: list[Any] = in_processes(lambda part: part(), parts, workers, told)
+    return found[: len(first)], found[len(first) :]
 
 
 def _is_bent(mode: Mode) -> bool:
@@ -243,11 +267,10 @@ def _look_for_oscillation(
     case: Case,
     catalogue: Catalogue,
     weighed: tuple[Hypothesis, Array],
-    left: tuple[Linear, Sequence[EventRows]],
-    workers: int,
+    left: tuple[Linear, Sequence[EventRows]] | None,
 ) -> Oscillation | None:
     """The oscillation in the innovations that a hypothesis leaves at a point."""
-    if "flexible_mode" not in catalogue.names:
+    if left is None or "flexible_mode" not in catalogue.names:
         return None
     (hypothesis, point), (linear, rows) = weighed, left
     parameters = hypothesis.model.space.to_parameters(point)
@@ -257,7 +280,7 @@ def _look_for_oscillation(
         for p in catalogue.effect("flexible_mode").parameters
     }
     scales = scale["cosine_rad_s"], scale["inertia_fraction"]
-    return find_oscillation(rows, motions_of(case), linear, np.array(inertia), scales, workers)
+    return find_oscillation(rows, motions_of(case), linear, np.array(inertia), scales)
 
 
 def _flexible(
@@ -271,7 +294,8 @@ def _flexible(
     """``flexible_mode`` at the line found, beside other effects or alone."""
     own, shown = catalogue.effect("flexible_mode"), flexible_case(case, oscillation)
     hypothesis = compact(extend(none_hypothesis(shown, catalogue), [*beside, own], shown))
-    (weighed,) = weigh_beside([hypothesis], base, _silent, floor=best - MARGIN_NATS)
+    near = [near_mode(hypothesis, base)]
+    (weighed,) = weigh_beside([hypothesis], near, base, _silent, floor=best - MARGIN_NATS)
     return weighed
 
 
@@ -310,12 +334,17 @@ def second_cause(
     base = renewed(best.hypothesis, best.mode)
     pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]
     least = best.net_evidence + SECOND_CAUSE_NATS
-    tried = weigh_beside(pairs, base, _silent, workers, least)
+    looks = []
     if line is None and case.sources:
         at = best.hypothesis, base.point
-        further = _look_for_oscillation(case, catalogue, at, innovations(case, *at), workers)
-        if further is not None:
-            tried.append(_flexible(case, catalogue, further, [first], base, base.log_evidence))
+        looks = [partial(_look_for_oscillation, case, catalogue, at, innovations(case, *at))]
+    further, near = _beside(looks, pairs, base, _silent, workers)
+    tried = weigh_beside(pairs, near, base, _silent, workers, least)
+    tried += [
+        _flexible(case, catalogue, own, [first], base, base.log_evidence)
+        for own in further
+        if own is not None
+    ]
     tried = _sample_pairs(tried, least, rng, workers)
     found = max(tried, key=lambda own: own.net_evidence, default=None)
     if found is None or found.net_evidence < least:

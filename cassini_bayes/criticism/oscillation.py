@@ -28,7 +28,6 @@ from cassini_bayes.criticism.columns import (
 )
 from cassini_bayes.criticism.extended import Case, Hypothesis, Oscillation, reduce_source
 from cassini_bayes.criticism.innovations import EventRows, Linear
-from cassini_bayes.parallel import on_threads
 
 Array = NDArray[np.float64]
 LEAST_CYCLES: Final = 4.0  # in the longest event: what is slower is a drift
@@ -76,7 +75,6 @@ def find_oscillation(
     linear: Linear,
     inertia_kg_m2: Array,
     scales: tuple[float, float],
-    workers: int = 1,
 ) -> Oscillation | None:
     """The oscillation of most evidence; None where the events are too short for any.
 
@@ -92,8 +90,6 @@ def find_oscillation(
         Moments (3,) about body axes.
     scales
         Prior scales of the amplitude (rad/s) and of the appendage's share φ of the inertia.
-    workers
-        Threads on which frequencies are looked at side by side.
     """
     span = max(float(own.time_s[-1] - own.time_s[0]) for own in rows)
     highest = 0.5 / min(float(np.median(np.diff(own.time_s))) for own in rows)
@@ -101,13 +97,12 @@ def find_oscillation(
     if len(frequencies) == 0:
         return None
     size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
-
-    def coarse(part: Array) -> Array:
-        each = [_coarse(rows, motions, part, own, size) for own in COARSE_DAMPINGS]
-        return np.asarray(np.maximum.reduce(each))
-
-    parts = np.array_split(frequencies, -(-len(frequencies) // CHUNK))
-    scores = np.concatenate(on_threads(coarse, parts, workers))
+    scores = np.concatenate(
+        [
+            np.maximum.reduce([_coarse(rows, motions, part, own, size) for own in COARSE_DAMPINGS])
+            for part in np.array_split(frequencies, -(-len(frequencies) // CHUNK))
+        ]
+    )
     factor = cho_factor(linear.gram())
     abouts = [_about(rows, linear, axis) for axis in range(3)]
 
@@ -116,19 +111,17 @@ def find_oscillation(
         gram, seen = _fine(rows, motions, abouts[axis], factor, (frequency, damping, axis))
         return float(_log_evidence(gram, seen, size[axis]))
 
-    def best_of(lines: Sequence[tuple[float, float, int]]) -> list[tuple[float, float, int]]:
-        scored = dict(zip(lines, on_threads(score, lines, workers), strict=True))
-        return sorted(lines, key=lambda line: -scored[line])
-
     tried = [
         (float(frequencies[f] + shift / span), damping, axis)
         for f, axis in _peaks(scores)
         for shift in FINER
         for damping in COARSE_DAMPINGS
     ]
-    best = list(dict.fromkeys((frequency, axis) for frequency, _, axis in best_of(tried)))[:PEAKS]
+    best = list(
+        dict.fromkeys((frequency, axis) for frequency, _, axis in sorted(tried, key=score)[::-1])
+    )[:PEAKS]
     tried = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
-    frequency, damping, axis = best_of(tried)[0]
+    frequency, damping, axis = max(tried, key=score)
 
     def loss(x: Array) -> float:
         return -score((frequency + float(x[0]) / span, float(x[1]) ** 2, axis))

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cassini_bayes.criticism.evidence import TRUSTED_K, Weighed
@@ -21,6 +22,7 @@ from cassini_bayes.criticism.naming import Verdict
 from cassini_bayes.criticism.oscillation import case_of
 from cassini_bayes.warmstart import pareto_k
 
+Array = NDArray[np.float64]
 WIDTHS: Final = (0.5, 2.0)
 LEAST_PROBABILITY: Final = 1e-6
 WORTH_A_SEARCH: Final = 0.01  # probability of a cause
@@ -56,10 +58,10 @@ def _probabilities(verdict: Verdict, changed: Mapping[str, float]) -> dict[str, 
 
 def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) -> float:
     """Change (nats) of a sampled cause's log evidence with priors wider by a factor."""
-    found, k = reweighted(weighed, width)
-    is_good = k < max(TRUSTED_K, weighed.pareto_k)
-    if is_good or verdict.probabilities[weighed.name] < WORTH_A_SEARCH:
-        return found
+    log_weights = reweighted(weighed, width)
+    is_minor = verdict.probabilities[weighed.name] < WORTH_A_SEARCH
+    if is_minor or pareto_k(log_weights) < max(TRUSTED_K, weighed.pareto_k):
+        return float(logsumexp(log_weights))
     case = case_of(verdict.case, weighed.hypothesis)
     full = none if case is verdict.case else none_hypothesis(case, verdict.catalogue)
     effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
@@ -70,8 +72,11 @@ def _change(verdict: Verdict, none: Hypothesis, width: float, weighed: Weighed) 
     return anew.log_evidence - weighed.mode.log_evidence
 
 
-def reweighted(weighed: Weighed, width: float) -> tuple[float, float]:
-    """Change (nats) of the log evidence by the cause's own draws, and k̂ of their weights."""
+def reweighted(weighed: Weighed, width: float) -> Array:
+    """Log weights (n,) of a cause's own draws with priors wider by a factor.
+
+    The log of their sum is the change of the log evidence.
+    """
     assert weighed.z is not None
     assert weighed.log_weights is not None
     parameters = weighed.hypothesis.model.space.to_parameters(weighed.z)
@@ -82,4 +87,4 @@ def reweighted(weighed: Weighed, width: float) -> tuple[float, float]:
             with np.errstate(divide="ignore"):
                 weights += wider.distribution.log_density(value)
                 weights -= own.distribution.log_density(value)
-    return float(logsumexp(weights)), pareto_k(weights)
+    return weights

@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -48,11 +49,18 @@ CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the report with what it shows; the name is that of its file."""
+    """A figure of the report with what it shows; the name is that of its file.
+
+    ``make`` makes it, or nothing where there is nothing to show.
+    """
 
     name: str
-    caption: str
-    figure: Figure
+    make: Callable[[], Figure | None]
+
+    @property
+    def caption(self) -> str:
+        """What it shows; of several of a kind the same."""
+        return CAPTIONS[self.name.partition("_")[0]]
 
 
 @dataclass(frozen=True)
@@ -69,34 +77,35 @@ def diagnosis_pictures(diagnosis: Diagnosis, curves: Sequence[Curve]) -> list[Pi
     """``causes``; with telemetry ``innovations``, ``discrepancy``, ``correlation_1`` … too."""
     rows = diagnosis.verdict.rows
     changed = bool(diagnosis.extended.hypothesis.effects)
+    after_rows = diagnosis.extended_rows if changed else ()
     pictures = [
         cause_picture(diagnosis.record),
-        *_optional(
-            "innovations", innovation_figure(rows, diagnosis.extended_rows if changed else ())
-        ),
-        *_optional("discrepancy", discrepancy_figure(curves)),
+        Picture("innovations", partial(innovation_figure, rows, after_rows)),
+        Picture("discrepancy", partial(discrepancy_figure, curves)),
     ]
     if diagnosis.shown is None:
         return pictures
     before, after = diagnosis.shown[0], diagnosis.shown[1] if changed else None
     for i, own in enumerate(rows, start=1):
-        figure = correlation_figure(own.event, before, after)
-        pictures.append(Picture(f"correlation_{i}", CAPTIONS["correlation"], figure))
-    return [*pictures, *_optional("whiteness", whiteness_figure(before, after))]
+        make = partial(correlation_figure, own.event, before, after)
+        pictures.append(Picture(f"correlation_{i}", make))
+    return [*pictures, Picture("whiteness", partial(whiteness_figure, before, after))]
 
 
 def cause_picture(record: Mapping[str, Any]) -> Picture:
     """Probability and evidence of the causes of a record."""
-    return Picture("causes", CAPTIONS["causes"], cause_figure(record["causes"]))
+    return Picture("causes", partial(cause_figure, record["causes"]))
 
 
-def _optional(name: str, figure: Figure | None) -> list[Picture]:
-    return [] if figure is None else [Picture(name, CAPTIONS[name], figure)]
+def drawn(pictures: Sequence[Picture], processes: int = 1) -> list[Drawn]:
+    """Pictures that show something made, laid out and drawn, shared out among processes."""
+    return [own for own in in_processes(_drawn, pictures, processes) if own is not None]
 
 
-def draw(picture: Picture) -> Drawn:
-    """Lay a picture out and draw it."""
-    figure = picture.figure
+def _drawn(picture: Picture) -> Drawn | None:
+    figure = picture.make()
+    if figure is None:
+        return None
     settle(figure, solutions=1)
     return Drawn(picture.name, picture.caption, encode(figure, "png"), encode(figure, "svg"))
 
@@ -117,7 +126,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, name: str, processes: in
         write_text(folder / "discrepancy.csv", curve_table(curves).to_csv(index=False))
         table = driver_table(*diagnosis.shown)
         write_text(folder / "correlation.csv", table.to_csv(index=False))
-    pictures = in_processes(draw, diagnosis_pictures(diagnosis, curves), processes)
+    pictures = drawn(diagnosis_pictures(diagnosis, curves), processes)
     write_record(diagnosis.record, pictures, folder, name, curves)
 
 
