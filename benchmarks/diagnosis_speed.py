@@ -28,7 +28,6 @@ SETS = {
     "six": (*(f"bias-{i}" for i in range(1, 6)), "slews"),
 }
 AIMS_S = {"three": 15.0, "six": 60.0}
-START = "from cassini_bayes.cli import main; main()"
 HIDDEN = ("nothing", "a leak of 0.1 mN")
 
 
@@ -53,7 +52,7 @@ def main() -> None:
 def row(name: str, hidden: str, folders: list[Path], parts: Path) -> dict[str, Any]:
     """Time one diagnosis."""
     out = parts / f"{name}-{hidden.replace(' ', '-')}"
-    command = [sys.executable, "-c", START, "diagnose", *map(str, folders)]
+    command = [sys.executable, "-m", "cassini_bayes", "diagnose", *map(str, folders)]
     command += ["--priors", str(PRIORS), "--out", str(out), "--force", "--quiet"]
     load = os.getloadavg()[0]
     used = resource.getrusage(resource.RUSAGE_CHILDREN)

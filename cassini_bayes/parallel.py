@@ -46,12 +46,14 @@ def in_processes(
     items: Iterable[Item],
     processes: int,
     done: Callable[[int], None] | None = None,
+    meanwhile: Callable[[], object] | None = None,
 ) -> list[Result]:
     """Results of independent pieces of work in processes forked from this one, in order.
 
     For work that holds the interpreter's lock much of its time. Function and items are inherited,
-    results come back by pickle through a pipe; ``done`` is told here how many are there. Where
-    forking is not the system's way there are threads instead.
+    results come back by pickle through a pipe; ``done`` is told here how many are there, and
+    ``meanwhile`` is called while the others work. Where forking is not the system's way there are
+    threads instead.
 
     Raises
     ------
@@ -61,6 +63,8 @@ def in_processes(
     results: list[Result] = []
 
     def gather(found: Iterable[Result]) -> list[Result]:
+        if meanwhile is not None:
+            meanwhile()
         for result in found:
             results.append(result)
             if done is not None:

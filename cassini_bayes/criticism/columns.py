@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.criticism.appendage import answers
+from cassini_bayes.criticism.appendage import answer, products
 from cassini_bayes.statistics import ExtraColumn, RowContext
 
 Array = NDArray[np.float64]
@@ -127,13 +127,10 @@ def flexible_slopes(name: str) -> tuple[str, str]:
 
 
 def oscillation_series(
-    time_s: Array, motion: KnownMotion, frequency_hz: Array | float, damping: float
+    time_s: Array, motion: KnownMotion, frequency_hz: float, damping: float
 ) -> tuple[Array, Array, Array]:
-    """exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt (..., n), and the driven rate (..., n, c), Ω = 2π f.
-
-    Frequencies (...) are a number or many.
-    """
-    phase = 2.0 * np.pi * np.asarray(frequency_hz)[..., None] * time_s
+    """exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt (n,), and the driven rate (n, c), Ω = 2π f."""
+    phase = 2.0 * np.pi * frequency_hz * time_s
     decay = np.exp(-damping * phase)
     driven = motion.driven(time_s, frequency_hz, damping)
     return decay * np.cos(phase), decay * np.sin(phase), driven
@@ -152,14 +149,34 @@ class KnownMotion:
     slope: Array  # (g, c) of the rate after each grid point, rad/s²
     change: Array  # (g, c) of the last slope by that of the step before
 
-    def driven(self, time_s: Array, frequency_hz: Array | float, damping: float) -> Array:
-        """Rates (..., n, c) of appendages against their body at times (n,) of rows, rad/s.
+    def driven(self, time_s: Array, frequency_hz: float, damping: float) -> Array:
+        """Rate (n, c) of an appendage against its body at times (n,) of rows, rad/s.
 
-        θ'' + 2 ζ Ω θ' + Ω² θ = −ω' with Ω = 2π f at frequencies (...), at rest at the first row; ω
-        goes in straight lines from row to row, and the response to them is exact.
+        θ'' + 2 ζ Ω θ' + Ω² θ = −ω' with Ω = 2π f, at rest at the first row; ω goes in straight
+        lines from row to row, and the response to them is exact.
         """
-        frequency = np.asarray(frequency_hz, dtype=np.float64)
-        omega, step = 2.0 * np.pi * frequency.reshape(-1), self.step_s
+        slope, change, coefficients, place = self._recursion(
+            time_s, np.array([frequency_hz]), damping
+        )
+        return np.asarray(answer(slope, change, coefficients[0], place))
+
+    def products(
+        self, time_s: Array, frequency_hz: Array, damping: float, left: Array
+    ) -> tuple[Array, Array]:
+        """Inner products of :func:`oscillation_series` at many frequencies (f,), rows summed over.
+
+        With each other, (f, 2 + c, 2 + c) in order of cosine, sine and driven rates, and with what
+        is left, ``left`` (n, 3), (f, 2 + c, 3).
+        """
+        motion = self._recursion(time_s, frequency_hz, damping)
+        lower, along = products(time_s, (2.0 * np.pi * frequency_hz, damping), motion, left)
+        return lower + np.swapaxes(np.tril(lower, -1), 1, 2), along
+
+    def _recursion(
+        self, time_s: Array, frequency_hz: Array, damping: float
+    ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+        """What :func:`appendage.answer` takes."""
+        omega, step = 2.0 * np.pi * frequency_hz, self.step_s
         turned = omega * np.sqrt(1.0 - damping**2)
         decay = np.exp(-damping * omega * step)
         cosine, sine = decay * np.cos(turned * step), decay * np.sin(turned * step) / turned
@@ -169,9 +186,7 @@ class KnownMotion:
         ahead = second * added[0] - first * added[1]
         coefficients = np.stack([added[1], ahead, -2.0 * cosine, decay**2], axis=1)
         place = np.round((time_s - self.start_s) / step).astype(np.int64)
-        place = np.clip(place, 0, len(self.slope) - 1)
-        found = answers(self.slope, self.change, coefficients, place)
-        return np.asarray(found.reshape(*frequency.shape, *found.shape[1:]))
+        return self.slope, self.change, coefficients, np.clip(place, 0, len(self.slope) - 1)
 
 
 def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:

@@ -32,6 +32,7 @@ from cassini_bayes.statistics.columns import Rows
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
 DISCREPANT: Final = 0.5
+PARTS: Final = 4  # in which the records of causes are made
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,11 @@ def diagnose(
     extended = verdict.pair if verdict.pair is not None else verdict.best
     linear, extended_rows = _extended_innovations(verdict, extended)
     # a generator for each: what is drawn does not depend on how the work is shared out
-    of_causes, of_baseline, of_extended, of_p, of_extended_p, of_shown = rng.spawn(6)
-    parts: dict[str, Callable[[], Any]] = {"causes": partial(_cause_records, verdict, of_causes)}
+    of_baseline, of_extended, of_p, of_extended_p, of_shown = rng.spawn(5)
+    of_causes = rng.spawn(len(verdict.weighed))
+    parts: dict[str, Callable[[], Any]] = {
+        f"causes {part}": partial(_cause_records, verdict, of_causes, part) for part in range(PARTS)
+    }
     if measure_gain:
         score = partial(_held_out_score, verdict, rows, say=say)
         parts["baseline score"] = partial(score, verdict.none, of_baseline)
@@ -108,7 +112,7 @@ def diagnose(
         "p_value": p,
         "symptoms": [asdict(symptom) for symptom in symptoms],
         "closure": [] if shown is None else _closure(*shown),
-        "causes": found["causes"],
+        "causes": [cause for part in range(PARTS) for cause in found[f"causes {part}"]],
         "extended": {
             "causes": _names(extended),
             **_fit_record(extended, own_score, extended_rows),
@@ -251,26 +255,29 @@ def _gain(base: HeldOut | None, own: HeldOut | None, p: float | None) -> dict[st
     }
 
 
-def _cause_records(verdict: Verdict, rng: np.random.Generator) -> list[dict[str, Any]]:
+def _cause_records(
+    verdict: Verdict, generators: Sequence[np.random.Generator], part: int
+) -> list[dict[str, Any]]:
+    """One part of the records of all causes, each with a generator of its own."""
     rows = [event_rows(verdict.case, place) for place in range(len(verdict.case.sources))]
 
-    def record(own: tuple[Weighed, float, np.random.Generator]) -> dict[str, Any]:
-        weighed, log_probability, generator = own
+    def record(
+        weighed: Weighed, log_probability: float, rng: np.random.Generator
+    ) -> dict[str, Any]:
         shown = weighed.z is not None or log_probability > np.log(LEAST_PROBABILITY)
         return {
             "name": weighed.name,
             "probability": float(np.exp(log_probability)),
             "log_bayes_factor": float(weighed.net_evidence - verdict.none.log_evidence),
-            "parameters": _parameters(verdict.case, weighed, generator, rows)
+            "parameters": _parameters(verdict.case, weighed, rng, rows)
             if shown and weighed.hypothesis.effects
             else {},
             "confounded_with": list(verdict.confounded_with(weighed.name)) if shown else [],
         }
 
-    probabilities = verdict.log_probabilities.tolist()
-    generators = rng.spawn(len(probabilities))
-    each = zip(verdict.weighed, probabilities, generators, strict=True)
-    return [record(own) for own in each]
+    each = list(zip(verdict.weighed, verdict.log_probabilities.tolist(), generators, strict=True))
+    edges = np.linspace(0, len(each), PARTS + 1).astype(int)
+    return [record(*own) for own in each[edges[part] : edges[part + 1]]]
 
 
 def _parameters(

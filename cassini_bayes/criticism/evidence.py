@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.arviz_import import arviz
 from cassini_bayes.criticism.extended import Hypothesis
 from cassini_bayes.criticism.modes import Mode
 from cassini_bayes.criticism.search import (
@@ -168,7 +167,6 @@ def drawn(
     workers: int,
 ) -> list[Weighed]:
     """Those named (places) with importance draws, each with a generator of its own."""
-    arviz()  # imported before processes are forked, not in each of them
     own = dict(zip(which, rng.spawn(len(which)), strict=True))
     found = in_processes(lambda i: _draw(weighed[i], own[i], draws), which, workers)
     anew = dict(zip(which, found, strict=True))

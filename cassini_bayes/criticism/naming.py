@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cassini_bayes.arviz_import import arviz
 from cassini_bayes.criticism.catalogue import Catalogue, Effect
 from cassini_bayes.criticism.evidence import (
     FEW_DRAWS,
@@ -215,7 +216,8 @@ def _beside(
 
     near = [partial(near_mode, own, base) for own in hypotheses]
     parts: list[Callable[[], Any]] = [*first, *near]
-    found: list[Any] = in_processes(lambda part: part(), parts, workers, told)
+    # drawing needs ArviZ, whose import takes most of a second
+    found: list[Any] = in_processes(lambda part: part(), parts, workers, told, arviz)
     return found[: len(first)], found[len(first) :]
 
 
