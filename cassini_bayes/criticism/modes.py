@@ -39,7 +39,7 @@ class Mode:
     point: Array  # (d,)
     factor: Array  # (d, d)
     log_evidence: float  # nats
-    is_whole: bool = False  # the curvature is that at this point, in all coordinates
+    is_whole: bool = False  # the search has ended here with the curvature of all coordinates
 
     @property
     def value(self) -> float:
@@ -103,10 +103,11 @@ def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
         turned = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
         is_white = WHITE[0] < values[0] and values[-1] < WHITE[1]
         axes = no_wider_than_prior(axes @ turned)
-        if left == 0 or (is_white and 0.5 * float(((slope @ turned) ** 2).sum()) < GAIN_LEFT):
+        has_ended = is_white and 0.5 * float(((slope @ turned) ** 2).sum()) < GAIN_LEFT
+        if left == 0 or has_ended:
             break
         point = climb(log_density, point, axes)
-    return replace(mode_at(log_density, point, axes), is_whole=True)
+    return replace(mode_at(log_density, point, axes), is_whole=has_ended)
 
 
 def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
