@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 LEAST_EFFICIENCY: Final = 0.1
 TRUSTED_K: Final = 0.7
 FEW_DRAWS: Final = 200
+FIRST: Final = 2  # searched at once, so that two processes have work
 DOF: Final = 8.0
 MARGIN_NATS: Final = 30.0
 MOVED_NATS: Final = 10.0
@@ -74,7 +75,7 @@ def weigh_beside(
 
     ``found`` are their Newton steps beside the baseline's mode (:func:`search.near_mode`). Longer
     and longer searches follow, each for those whose search has not ended and that could still come
-    to ``floor`` and within thirty nats of the best. The best is searched for before the others.
+    to ``floor`` and within thirty nats of the best. The best are searched for before the others.
     What is out of reach keeps what it has.
     """
     if not hypotheses:
@@ -87,7 +88,7 @@ def weigh_beside(
         due = hopeful(found, floor)
         if due:
             say(f"{len(due)} causes {what}")
-        for part in (due[:1], due[1:]):
+        for part in (due[:FIRST], due[FIRST:]):
             still = [i for i in hopeful(found, floor) if i in part]
             anew = dict(zip(still, in_processes(search, still, workers), strict=True))
             found = [anew.get(i, own) for i, own in enumerate(found)]

@@ -83,6 +83,7 @@ class Oscillation:
     damping: float
     axis: int
     log_looks: float = 0.0  # nats that the search costs
+    log_gain: float = 0.0  # nats that it found, about what the fit had left
     span_s: float = 3_600.0
     step_s: float = 1.0
 

@@ -53,6 +53,8 @@ CONFOUNDED_NATS: Final = 3.0
 ALIKE_NATS: Final = 5.0
 BENT: Final = 5.0  # prior standard deviations of the baseline's parameters
 TOGETHER: Final = 4
+GAINED_ALIKE: Final = 0.1  # of what the best has gained
+HOPED_NATS: Final = 10.0  # by which an oscillation's score may be short of its evidence
 UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
 
 
@@ -168,7 +170,7 @@ def name_causes(
         tell(
             "no cause mends a baseline that bent: searched from the centre of the prior, best first"
         )
-        causes = _all_from_centre(causes, unknown_mode, workers)
+        causes = _all_from_centre(causes, base, unknown_mode, workers)
     weighed += causes
     if oscillation is not None:
         best = max(own.log_evidence for own in weighed)
@@ -231,15 +233,21 @@ def _is_mended(causes: Sequence[Weighed], unknown: Mode) -> bool:
     return best.log_evidence > unknown.log_evidence and not _is_bent(best.mode)
 
 
-def _all_from_centre(causes: Sequence[Weighed], unknown: Mode, workers: int) -> list[Weighed]:
+def _all_from_centre(
+    causes: Sequence[Weighed], base: Mode, unknown: Mode, workers: int
+) -> list[Weighed]:
     """Causes searched from the centre of the prior, the best first, until one mends the baseline.
 
-    They go in parts of :data:`TOGETHER`, so that what the data cannot tell apart is searched alike.
+    They go in parts of at most :data:`TOGETHER` that have gained nearly alike, so that what the
+    data cannot tell apart is searched alike.
     """
     found = list(causes)
     order = sorted(range(len(found)), key=lambda i: -found[i].log_evidence)
-    for start in range(0, len(order), TOGETHER):
-        part = order[start : start + TOGETHER]
+    while order:
+        best = causes[order[0]].log_evidence
+        least = best - GAINED_ALIKE * max(best - base.log_evidence, 0.0)
+        part = [i for i in order[:TOGETHER] if causes[i].log_evidence >= least]
+        order = order[len(part) :]
         modes = in_processes(lambda i: _higher_from_centre(causes[i]), part, workers)
         for i, mode in zip(part, modes, strict=True):
             if mode is not None:
@@ -345,7 +353,7 @@ def second_cause(
     tried += [
         _flexible(case, catalogue, own, [first], base, base.log_evidence)
         for own in further
-        if own is not None
+        if own is not None and own.log_gain + HOPED_NATS > own.log_looks + SECOND_CAUSE_NATS
     ]
     tried = _sample_pairs(tried, least, rng, workers)
     found = max(tried, key=lambda own: own.net_evidence, default=None)

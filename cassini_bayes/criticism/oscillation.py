@@ -134,7 +134,8 @@ def find_oscillation(
     looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
     frequency += float(found.x[0]) / span
     step = float(np.median([motion.step_s for motion in motions]))
-    return Oscillation(frequency, float(found.x[1] ** 2), axis, looks, span, step)
+    damping = float(found.x[1] ** 2)
+    return Oscillation(frequency, damping, axis, looks, -float(found.fun), span, step)
 
 
 def _log_evidence(gram: Array, seen: Array, size: Array) -> Array:

@@ -99,7 +99,9 @@ def cause_picture(record: Mapping[str, Any]) -> Picture:
 
 def drawn(pictures: Sequence[Picture], processes: int = 1) -> list[Drawn]:
     """Pictures that show something made, laid out and drawn, shared out among processes."""
-    return [own for own in in_processes(_drawn, pictures, processes) if own is not None]
+    # the last ones take longest: they go first, so that the work is shared out evenly
+    found = in_processes(_drawn, pictures[::-1], processes)[::-1]
+    return [own for own in found if own is not None]
 
 
 def _drawn(picture: Picture) -> Drawn | None:
