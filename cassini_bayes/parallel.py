@@ -8,6 +8,7 @@ small matrices would only compete (three times as slow on two cores).
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import sys
 import threading
@@ -85,6 +86,7 @@ _work: list[tuple[Callable[[Any], Any], Any]] = []  # of a forked process
 
 
 def _inherit(work: list[tuple[Callable[[Any], Any], Any]]) -> None:
+    gc.disable()  # a collection would copy all that is inherited, and the process ends soon
     _work[:] = work
 
 

@@ -88,7 +88,9 @@ def held_out(
 ) -> HeldOut:
     """Every telemetry event of the verdict's case held out in turn."""
     events = [source.id for source in verdict.case.sources]
-    _, whole = fitted_to(verdict.case, verdict.catalogue, weighed)
+    whole = weighed.mode
+    if not whole.is_whole:
+        _, whole = fitted_to(verdict.case, verdict.catalogue, weighed)
 
     def score(event: str) -> float:
         others = verdict.case.without(event)
