@@ -26,7 +26,9 @@ LEAST_CURVATURE: Final = 0.05
 FIRST_AXES: Final = 0.05  # prior standard deviations
 FIRST_STEPS: Final = 15
 LOOKS: Final = 6
-WHITE: Final = (0.8, 1.25)  # curvature along axes that need no other look
+WHITE: Final = (0.8, 1.25)  # curvature along axes that follow a ridge
+SEEN_RIGHT: Final = (0.4, 2.5)  # curvature along axes whose differences tell it right
+SETTLED_LEFT: Final = 0.01  # nats
 NEWTON_STEPS: Final = 8
 GAIN_LEFT: Final = 1e-3  # nats
 LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
@@ -94,16 +96,16 @@ def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
     """Mode with its whole curvature, from a point (d,) and rough axes (d, d).
 
     Looks at the curvature and climbs along the axes that it whitens, until a look finds its own
-    axes white: along the ridge on which all masses and thrusts scale together one look from the
-    wrong axes is short by a factor of several.
+    axes nearly white: along the ridge on which all masses and thrusts scale together one look from
+    the wrong axes is short by a factor of several.
     """
     for left in reversed(range(LOOKS)):
         slope, bend = hessian(log_density, point, axes, CURVATURE_STEP)
         values, vectors = np.linalg.eigh(-bend)
         turned = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
-        is_white = WHITE[0] < values[0] and values[-1] < WHITE[1]
+        is_right = SEEN_RIGHT[0] < values[0] and values[-1] < SEEN_RIGHT[1]
         axes = no_wider_than_prior(axes @ turned)
-        has_ended = is_white and 0.5 * float(((slope @ turned) ** 2).sum()) < GAIN_LEFT
+        has_ended = is_right and 0.5 * float(((slope @ turned) ** 2).sum()) < SETTLED_LEFT
         if left == 0 or has_ended:
             break
         point = climb(log_density, point, axes)

@@ -206,17 +206,19 @@ def _beside(
     base: Mode,
     say: Say,
     workers: int,
+    worth: float = -np.inf,
 ) -> tuple[list[Any], list[Sought]]:
     """Results of some work, and of the causes' searches beside the baseline, shared out together.
 
-    The work comes first, as it takes as long as many searches.
+    The work comes first, as it takes as long as many searches. Causes that do not gain ``worth``
+    (nats) do not matter.
     """
 
     def told(count: int) -> None:
         if count > len(first) and (count - len(first)) % 10 == 0:
             say(f"{count - len(first)} of {len(hypotheses)} causes weighed")
 
-    near = [partial(near_mode, own, base) for own in hypotheses]
+    near = [partial(near_mode, own, base, worth) for own in hypotheses]
     parts: list[Callable[[], Any]] = [*first, *near]
     # drawing needs ArviZ, whose import takes most of a second
     found: list[Any] = in_processes(lambda part: part(), parts, workers, told, arviz)
@@ -341,14 +343,14 @@ def second_cause(
     line = best.hypothesis.oscillation
     case = case_of(verdict.case, best.hypothesis)
     full = extend(none_hypothesis(case, catalogue), [first], case)
-    base = renewed(best.hypothesis, best.mode)
+    base = best.mode if best.mode.is_whole else renewed(best.hypothesis, best.mode)
     pairs = [compact(extend(full, [effect], case)) for effect in _others(catalogue, first)]
     least = best.net_evidence + SECOND_CAUSE_NATS
     looks = []
     if line is None and case.sources:
         at = best.hypothesis, base.point
         looks = [partial(_look_for_oscillation, case, catalogue, at, innovations(case, *at))]
-    further, near = _beside(looks, pairs, base, _silent, workers)
+    further, near = _beside(looks, pairs, base, _silent, workers, SECOND_CAUSE_NATS)
     tried = weigh_beside(pairs, near, base, _silent, workers, least)
     tried += [
         _flexible(case, catalogue, own, [first], base, base.log_evidence)

@@ -81,12 +81,13 @@ def starts(extra: int, values: Sequence[float] = STARTS) -> Array:
     return np.array(points)
 
 
-def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
+def near_mode(hypothesis: Hypothesis, base: Mode, worth: float = -np.inf) -> Sought:
     """Mode of a cause that the data hardly speak of, by Newton steps from the baseline's mode.
 
     The nuisances keep the baseline's curvature; that of the effect, across and along, is looked at
     before every step. The search has not ended where it comes to no rest, nor where the cause gains
-    more than a few nats: there may be another mode.
+    more than a few nats: there may be another mode. It is left where the cause will not gain what
+    makes it ``worth`` while (nats).
     """
     density = hypothesis.log_density
     d, extra = len(base.point), hypothesis.dimension - len(base.point)
@@ -118,6 +119,8 @@ def near_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
         most = _larger(most, foretold)
         if foretold > NEAR_FAR:
             break
+        if _gain(value, extra, base) + NEAR_LACKING * foretold < worth:
+            return Sought(mode_at(density, point, lower_factor(turned)))
         if foretold < NEAR_LEFT:
             mode = mode_at(density, point, lower_factor(turned))
             is_small = _gain(value, extra, base) < NEAR_GAIN
