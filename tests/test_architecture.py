@@ -90,12 +90,14 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("provenance", "inputs"),
     ("run", "sweep_run"),
     ("cli",),
+    ("__main__",),
 )
 
 # Packages that know less than their line would let them: the simulation is what inference is tested
-# against, so it shares the physics and nothing else.
+# against, so it shares the physics, the way to compile, and nothing else.
 MAY_ONLY_IMPORT: Final[Mapping[str, frozenset[str]]] = {
-    "simulation": frozenset({"errors", "checks", "storage", "spacecraft", "pulses", "parameters"}),
+    "simulation": frozenset({"errors", "checks", "storage", "spacecraft", "pulses", "parameters"})
+    | {"compilation"},
 }
 
 # And who may know of it: those that put inference to the test, from this line on.
