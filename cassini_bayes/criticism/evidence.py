@@ -169,8 +169,10 @@ def drawn(
 ) -> list[Weighed]:
     """Those named (places) with importance draws, each with a generator of its own."""
     own = dict(zip(which, rng.spawn(len(which)), strict=True))
-    found = in_processes(lambda i: _draw(weighed[i], own[i], draws), which, workers)
-    anew = dict(zip(which, found, strict=True))
+    # what is unsure may take long: it goes first, so that the work is shared out evenly
+    order = sorted(which, key=lambda i: -weighed[i].unsure)
+    found = in_processes(lambda i: _draw(weighed[i], own[i], draws), order, workers)
+    anew = dict(zip(order, found, strict=True))
     return [_with_draws(w, *anew[i]) if i in anew else w for i, w in enumerate(weighed)]
 
 
