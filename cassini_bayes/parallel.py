@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import os
+import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -78,14 +81,31 @@ def in_processes(
         with threadpool_limits(1), ThreadPoolExecutor(processes, "work") as threads:
             return gather(threads.map(function, (item for _, item in work)))
     context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(processes, context, _inherit, (work,)) as pool:
-        return gather(pool.map(_inherited, range(len(work))))
+    with ProcessPoolExecutor(processes, context, _inherit, (work, os.getpid())) as pool:
+        try:
+            return gather(pool.map(_inherited, range(len(work))))
+        except BaseException:  # interrupted, or a piece failed: the others need not begin
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def end_with_parent(parent: int) -> None:
+    """Let a worker end when its parent was killed; it would wait for work for ever."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 _work: list[tuple[Callable[[Any], Any], Any]] = []  # of a forked process
 
 
-def _inherit(work: list[tuple[Callable[[Any], Any], Any]]) -> None:
+def _inherit(work: list[tuple[Callable[[Any], Any], Any]], parent: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says that it was interrupted
+    end_with_parent(parent)
     gc.disable()  # a collection would copy all that is inherited, and the process ends soon
     _work[:] = work
 

@@ -6,6 +6,8 @@ import csv
 import errno
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,6 +31,13 @@ def refused(capsys: Captured, *arguments: str) -> str:
     assert output.err.count("\n") == 1
     assert "Traceback" not in output.err
     return output.err
+
+
+def test_the_package_starts_as_a_module() -> None:
+    """``python -m cassini_bayes`` is the command."""
+    command = [sys.executable, "-m", "cassini_bayes", "--version"]
+    found = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert found.stdout == f"cassini_bayes {__version__}\n"
 
 
 def fit_refused(capsys: Captured, folder: Path, *arguments: str) -> str:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import dblquad, quad
 
-from cassini_bayes.criticism import evidence
+from cassini_bayes.criticism import evidence, modes
 from cassini_bayes.criticism.evidence import Weighed, hopeful, sampled, weigh_beside
 from cassini_bayes.criticism.extended import Hypothesis
 from cassini_bayes.criticism.modes import Mode, baseline_mode
@@ -74,6 +74,41 @@ def test_evidence_beside_a_nuisance_on_a_ridge_is_exact(size: float) -> None:
     assert (near.reach == 0.0) == (size == 0.0)  # what gains many nats calls for a longer search
     if size < 6.0:
         assert near.mode.log_evidence == pytest.approx(exact(together, data), abs=0.02)
+
+
+@pytest.mark.parametrize(("size", "is_left"), [(1.0, True), (3.0, False)])
+def test_a_cause_that_cannot_matter_is_left_early(size: float, is_left: bool) -> None:
+    """What will not gain what is worth a while takes fewer points; a gain is found as ever."""
+    rng = np.random.default_rng(3)
+    columns = rng.standard_normal((40, 4))
+    own = columns[:, :1] + 0.15 * rng.standard_normal((40, 1))
+    together = np.concatenate([columns, own], axis=1)
+    data = together @ np.array([0.5, -1.0, 0.3, 1.0, size]) + rng.standard_normal(40)
+    base = baseline_mode(linear(columns, data), 4)
+    points: list[int] = []
+
+    def counted(z: Array) -> Array:
+        points.append(len(z))
+        return linear(together, data)(z)
+
+    whole = near_mode(hypothesis(counted, 5), base)
+    needed = sum(points)
+    points.clear()
+    early = near_mode(hypothesis(counted, 5), base, worth=4.0)
+    assert (sum(points) < needed) == is_left
+    assert early.mode.log_evidence == pytest.approx(whole.mode.log_evidence, abs=1.0)
+    assert early.reach == whole.reach
+    assert (whole.mode.log_evidence - base.log_evidence < 4.0) == is_left
+
+
+def test_a_search_knows_whether_it_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A normal density is seen whole in a few looks; in a single one from rough axes it is not."""
+    rng = np.random.default_rng(5)
+    columns = rng.standard_normal((40, 3)) * [30.0, 1.0, 0.1]
+    density = linear(columns, columns.sum(1))
+    assert baseline_mode(density, 3).is_whole
+    monkeypatch.setattr(modes, "LOOKS", 1)
+    assert not baseline_mode(density, 3).is_whole
 
 
 def bent(z: Array) -> Array:

@@ -11,7 +11,7 @@ from totals_cases import ROOT
 from cassini_bayes.criticism.blind_flights import Blind, Hidden, Scene
 from cassini_bayes.criticism.blind_sizes import hidden_oscillation
 from cassini_bayes.criticism.catalogue import read_catalogue
-from cassini_bayes.criticism.columns import known_motion
+from cassini_bayes.criticism.columns import known_motion, oscillation_series
 from cassini_bayes.criticism.extended import none_hypothesis
 from cassini_bayes.criticism.innovations import EventRows, Linear, linearise
 from cassini_bayes.criticism.oscillation import Oscillation, find_oscillation, flexible_case
@@ -69,6 +69,23 @@ def test_a_rows_own_noise_is_not_in_its_columns() -> None:
     assert abs(float((column * noise).mean() / column.std())) < 5.0 * error
     naive = column + np.roll(noise, 1) - noise  # the body's rate of the row itself
     assert float((naive * noise).mean() / naive.std()) < -50.0 * error
+
+
+def test_sums_over_rows_are_those_of_the_series() -> None:
+    """Products made in one pass equal those of the series, with rows missing and times uneven."""
+    rng = np.random.default_rng(6)
+    time_s = np.delete(TIME, [5, 6, 40]) + 1e-7 * rng.standard_normal(len(TIME) - 3)
+    motion = known_motion(time_s, rng.standard_normal((len(time_s), 3)))
+    left, frequencies = rng.standard_normal((len(time_s), 3)), np.array([0.011, 0.13])
+    squares, along = motion.products(time_s, frequencies, 0.002, left)
+    for f, frequency in enumerate(frequencies):
+        cosine, sine, driven = oscillation_series(time_s, motion, frequency, 0.002)
+        columns = np.column_stack([cosine, sine, driven])
+        size = np.sqrt(np.diagonal(columns.T @ columns))
+        assert squares[f] == pytest.approx(columns.T @ columns, abs=1e-9 * size.max() ** 2)
+        assert along[f] == pytest.approx(
+            columns.T @ left, abs=1e-9 * size.max() * np.sqrt(len(left))
+        )
 
 
 def event(shown: Array, left: Array, time_s: Array = TIME) -> tuple[EventRows, Linear]:

@@ -220,7 +220,7 @@ def _beside(
 
     near = [partial(near_mode, own, base, worth) for own in hypotheses]
     parts: list[Callable[[], Any]] = [*first, *near]
-    # drawing needs ArviZ, whose import takes most of a second
+    # importance draws need ArviZ, whose import takes most of a second
     found: list[Any] = in_processes(lambda part: part(), parts, workers, told, arviz)
     return found[: len(first)], found[len(first) :]
 

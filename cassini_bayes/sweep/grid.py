@@ -7,8 +7,6 @@ several, or a Dask cluster give the same files, and a killed grid goes on with t
 from __future__ import annotations
 
 import os
-import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -20,6 +18,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.errors import CassiniBayesError, InputError
+from cassini_bayes.parallel import end_with_parent
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -66,18 +65,7 @@ def workers_at(jobs: int, dask: str | None) -> Iterator[Workers]:
 def _local(jobs: int) -> Executor:
     if jobs == 1:
         return ThreadPoolExecutor(max_workers=1)
-    return ProcessPoolExecutor(jobs, initializer=_end_with_parent, initargs=(os.getpid(),))
-
-
-def _end_with_parent(parent: int) -> None:
-    """Let a worker end when its parent was killed; it would wait for work for ever."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    return ProcessPoolExecutor(jobs, initializer=end_with_parent, initargs=(os.getpid(),))
 
 
 def run_cells(
