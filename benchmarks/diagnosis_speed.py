@@ -98,9 +98,9 @@ def page(rows: list[dict[str, Any]], repeats: int) -> str:
 
 `cassini-bayes diagnose` over the whole catalogue, from event folders at 1 Hz (biases of 790 to
 1,200 rows, a slew set of 3,601) to the report, in a process of its own with its start, compilation
-from the cache, held-out gain and figures. {os.cpu_count()} cores; version {__version__}. Each {repeats} times: the
-median, and the range in brackets. *Load* is that of the machine before the start: what else ran then
-took part of both cores.
+from the cache, held-out gain and figures. {os.cpu_count()} cores; version {__version__}. Each
+{repeats} times: the median, and the range in brackets. *Load* is that of the machine before the
+start: what else ran then took part of both cores.
 
 | events | hidden | first cause (probability) | wall (s) | processor (s) | load | aim (s): reached |
 | --- | --- | --- | --- | --- | --- | --- |
