@@ -60,7 +60,7 @@ class SlowBand(NamedTuple):
 class FastBands(NamedTuple):
     """F bands of Gram matrices; tables as for the slow one."""
 
-    grams: Array  # (F, 3, 3, A', A')
+    grams: Array  # (F, A', 3, 3, A'): what an entry needs lies together
     rows: Array  # (F,)
     walk: Array  # (F,) s
     nodes: Array  # (F, T)
@@ -499,7 +499,7 @@ def _moments(
     gram: Array, places: Places, weights: Array, rows: float, out: Array
 ) -> None:  # pragma: no cover - compiled
     """Mean products (3 + W, 3 + W) of a vector column, of weights (3, A'), and scalar columns."""
-    size = gram.shape[2]
+    size = gram.shape[0]
     for c in range(3):
         for d in range(c + 1):
             value = 0.0
@@ -507,7 +507,7 @@ def _moments(
                 weight = weights[c, b]
                 if weight == 0.0:
                     continue
-                line = gram[c, d, b]
+                line = gram[b, c, d]
                 # the square of one axis is symmetric: below the diagonal, and twice
                 end = b if c == d else size
                 part = 0.0
@@ -516,14 +516,14 @@ def _moments(
                 value += weight * (2.0 * part + line[b] * weight if c == d else part)
             out[c, d] = out[d, c] = value / rows
         for j in range(places.size):
-            line = gram[0, c, places[j]]
+            line = gram[places[j], 0, c]
             value = 0.0
             for a in range(size):
                 value += line[a] * weights[c, a]
             out[c, 3 + j] = out[3 + j, c] = value / rows
     for j in range(places.size):
         for k in range(places.size):
-            out[3 + j, 3 + k] = gram[0, 0, places[j], places[k]] / rows
+            out[3 + j, 3 + k] = gram[places[j], 0, 0, places[k]] / rows
 
 
 @compiled_sums
@@ -532,7 +532,7 @@ def _contract(
 ) -> None:  # pragma: no cover - compiled
     """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to the lower triangle (P, P)."""
     start, row = entries.start, entries.row
-    gathered = np.empty((3, gram.shape[2]))
+    gathered = np.empty((3, gram.shape[0]))
     for k in range(start.size - 1):
         reach = entries.reach[k]
         gathered[:, :reach] = 0.0
@@ -541,7 +541,7 @@ def _contract(
                 by_x = precision[c, 0] * used[b, 0]
                 by_y = precision[c, 1] * used[b, 1]
                 by_z = precision[c, 2] * used[b, 2]
-                x, y, z = gram[0, c, row[b]], gram[1, c, row[b]], gram[2, c, row[b]]
+                x, y, z = gram[row[b], 0, c], gram[row[b], 1, c], gram[row[b], 2, c]
                 for a in range(reach):
                     gathered[c, a] += by_x * x[a] + by_y * y[a] + by_z * z[a]
         for other in range(k + 1):

@@ -121,7 +121,7 @@ class TelemetryTerms:
             coefficients[0],
         )
         fast = FastBands(
-            self.reduced.grams,
+            np.ascontiguousarray(self.reduced.grams.transpose(0, 3, 1, 2, 4)),
             np.array([float(band.rows) for band in self.fast]),
             np.array([band.walk.mean() for band in self.fast]),
             np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
