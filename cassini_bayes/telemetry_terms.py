@@ -337,8 +337,9 @@ def noise_covariance(
     """
     wheels = physics.wheel_weights[..., list(terms.wheel_places)]
     left = wheels if kept is None else wheels @ kept
+    noise = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
     other = covariance_beside_wheels(terms, physics, parameters)
-    return other + covariance_of_wheels(parameters, left, wheels)
+    return np.asarray(other + noise * left @ np.swapaxes(wheels, -1, -2))
 
 
 def covariance_beside_wheels(
@@ -349,15 +350,6 @@ def covariance_beside_wheels(
     rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
     attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
     return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * terms.spin)
-
-
-def covariance_of_wheels(parameters: Mapping[str, Array], left: Array, wheels: Array) -> Array:
-    """Covariance (n, 3, 3) of what measured wheel rates put into a row, (N m s)².
-
-    ``wheels`` (n, 3, W) is the momentum per true rate, ``left`` that per measured one.
-    """
-    noise = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
-    return np.asarray(noise * left @ np.swapaxes(wheels, -1, -2))
 
 
 def measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> Array:

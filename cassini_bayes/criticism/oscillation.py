@@ -37,7 +37,6 @@ PEAKS: Final = 6
 FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width
 LARGEST_ROOT: Final = 0.3  # of the damping
 MOST_LOOKS: Final = 60  # for the last digits of frequency and damping
-CHUNK: Final = 128  # frequencies at once
 
 
 def motions_of(case: Case) -> tuple[KnownMotion, ...]:
@@ -97,11 +96,8 @@ def find_oscillation(
     if len(frequencies) == 0:
         return None
     size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
-    scores = np.concatenate(
-        [
-            np.maximum.reduce([_coarse(rows, motions, part, own, size) for own in COARSE_DAMPINGS])
-            for part in np.array_split(frequencies, -(-len(frequencies) // CHUNK))
-        ]
+    scores = np.maximum.reduce(
+        [_coarse(rows, motions, frequencies, own, size) for own in COARSE_DAMPINGS]
     )
     factor = cho_factor(linear.gram())
     abouts = [_about(rows, linear, axis) for axis in range(3)]
