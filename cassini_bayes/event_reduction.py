@@ -124,7 +124,7 @@ def reduce_event(
         branch than the priors', or too few rows that can be used.
     """
     event = read_event(folder, priors.spacecraft)
-    _require_branch(event, priors)
+    require_branch(event, priors)
     guess = last_time(event.telemetry)
     sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
     key = reduction_key(event, sampling)
@@ -192,7 +192,8 @@ def _reducing_code() -> list[str]:
     return [digest(path) for path in (*files, package / "pulses.py")]
 
 
-def _require_branch(event: TelemetryEvent, priors: Priors) -> None:
+def require_branch(event: TelemetryEvent, priors: Priors) -> None:
+    """Refuse an event of another thruster branch than the priors'."""
     if event.branch != priors.branch:
         raise InputError(
             f"{event.folder / DESCRIPTION}: branch",

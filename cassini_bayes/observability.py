@@ -62,7 +62,8 @@ class _Coordinates:
 
     walked: int
     shared: int
-    own: tuple[slice, ...]  # per event of the model: departures of thrust
+    fires: tuple[bool, ...]  # per event of the model
+    own: tuple[slice, ...]  # per event: departures of thrust, none where their priors are fixed
     extra: tuple[slice, ...]  # per event: torque, and for telemetry initial momentum and tails
     size: int
 
@@ -96,7 +97,8 @@ def _coordinates(model: JointModel) -> _Coordinates:
         more = 3 if i < first else 6 + len(model.telemetry[i - first].pattern.cuts)
         extra.append(slice(at, at + more))
         at += more
-    return _Coordinates(model.space.dimension, shared, tuple(own), tuple(extra), at)
+    fires = tuple(name in fired for name in model.event_ids)
+    return _Coordinates(model.space.dimension, shared, fires, tuple(own), tuple(extra), at)
 
 
 def _information(model: JointModel, places: _Coordinates) -> Array:
@@ -166,9 +168,7 @@ def _delta_v_part(
 def _index(places: _Coordinates, event: int) -> NDArray[np.int64]:
     """Places of an event's unknowns: walked, shared levels, own departures, its extra ones."""
     own, extra = places.own[event], places.extra[event]
-    shared = range(
-        places.walked, places.walked + places.shared if own.stop > own.start else places.walked
-    )
+    shared = range(places.walked, places.walked + places.shared * places.fires[event])
     return np.array(
         [
             *range(places.walked),
@@ -317,7 +317,7 @@ def _thrust_rows(
     cases += [
         (name, places.own[i], model.linear.own)
         for i, name in enumerate(model.event_ids)
-        if places.own[i].stop > places.own[i].start or name in model.fired_ids
+        if places.fires[i]
     ]
     for event, own, factor in cases:
         index = np.r_[shared, own]

@@ -32,11 +32,11 @@ from cassini_bayes.criticism.diagnosis import Diagnosis, catalogue_of, diagnose
 from cassini_bayes.criticism.extended import Case
 from cassini_bayes.criticism.on_time_report import OnTimeFindings, on_time_findings
 from cassini_bayes.criticism.read import read_case
+from cassini_bayes.criticism.score import gain_verdict, summed
 from cassini_bayes.criticism.summaries import (
     SummaryCause,
     SummaryVerdict,
     leave_out,
-    summed,
     untrusted,
     weigh_summaries,
 )
@@ -144,16 +144,17 @@ def summary_gain(
             name,
             own.log_scores - base.log_scores,
             f"RMS residual {own.rmse_n:.3f} N against {base.rmse_n:.3f} N",
+            own.rmse_n / base.rmse_n,
         )
         for name, own in scores.items()
     ]
     return f"Held out, each of {len(case.estimate_n)} estimates in turn: {'; '.join(texts)}."
 
 
-def gain_text(name: str, differences: Array, residual: str) -> str:
+def gain_text(name: str, differences: Array, residual: str, rmse_ratio: float) -> str:
     """Sum of log score differences with its standard error, in words."""
     total, error = summed(differences)
-    verdict = "gain" if total > 2.0 * error else "no gain"
+    verdict = gain_verdict(total, error, rmse_ratio)
     return (
         f"`{name}` {total:+.1f} ± {error:.1f} nats against `none` (sum of log scores, one standard "
         f"error), {residual}: {verdict}"
@@ -244,6 +245,7 @@ def flight_gain(case: Case, rows: Sequence[TotalsEvent], found: Diagnosis, seed:
             name,
             own.log_scores - base.log_scores,
             f"RMS residual momentum {own.rmse_n_m_s:.3f} N m s against {base.rmse_n_m_s:.3f} N m s",
+            own.rmse_n_m_s / base.rmse_n_m_s,
         )
         for name, own in zip((verdict.best_cause.name, "unknown"), scores, strict=True)
     ]

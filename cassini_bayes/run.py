@@ -24,7 +24,7 @@ from cassini_bayes.checkpoint import CheckpointStore
 from cassini_bayes.configuration import RunFile
 from cassini_bayes.errors import InputError
 from cassini_bayes.fitting import Sampled, convergence_table, fit_model
-from cassini_bayes.inputs import Inputs, read_inputs
+from cassini_bayes.inputs import STATISTICS, Inputs, read_inputs
 from cassini_bayes.joint import JointModel
 from cassini_bayes.joint_review import assemble_joint_review
 from cassini_bayes.model import DeltaVUse, build_model
@@ -43,6 +43,18 @@ VARIANTS: Final[Mapping[DeltaVUse, str]] = {
     "as-measured": "ΔV as if measured",
 }
 VARIANT_STREAM: Final = 3
+WRITTEN: Final = (
+    "provenance.json",
+    "checkpoint",
+    STATISTICS,
+    "fit.nc",
+    "summary.csv",
+    "tables",
+    "figures",
+    "report.html",
+    "resolved.toml",  # last: it makes a folder a run, so a removal cut short can be done again
+)
+"""What a run writes into its folder: all that ``--force`` removes."""
 SERIES_STREAM: Final = 4
 
 
@@ -70,7 +82,9 @@ def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
     """Make the run folder, or refuse: an existing run is never overwritten silently.
 
     ``resume`` wins over ``force``, so the command that began a run goes on with it once
-    ``--resume`` is added. What killed writes left behind counts as nothing, and is removed.
+    ``--resume`` is added. What killed writes left behind counts as nothing, and is removed; so does
+    a run that ended before its first checkpoint: it holds no draws. Only what runs write is ever
+    removed (:data:`WRITTEN`), a user's own files beside it stay.
 
     Raises
     ------
@@ -96,19 +110,18 @@ def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
                 "a folder that holds something else",
                 "--force only replaces runs: choose another --out",
             )
-        if not force:
+        if not force and _holds_draws(folder):
             raise InputError(
                 str(folder),
                 "a new folder",
                 "an existing run",
                 "use --resume to go on with it, --force to start anew, or another --out",
             )
-        # The file that makes it a run goes last, so that a removal cut short can be done again.
-        for entry in sorted(folder.iterdir(), key=lambda path: path.name == "resolved.toml"):
+        for entry in (folder / name for name in WRITTEN):
             if entry.is_dir() and not entry.is_symlink():
                 shutil.rmtree(entry)
             else:
-                entry.unlink()
+                entry.unlink(missing_ok=True)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(folder)
@@ -116,6 +129,11 @@ def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
         raise InputError(
             str(folder), "a place that can be written", str(error.strerror), "choose another --out"
         ) from error
+
+
+def _holds_draws(folder: Path) -> bool:
+    """Whether a run has got as far as its first checkpoint."""
+    return (folder / "fit.nc").exists() or any((folder / "checkpoint").glob("*.npz"))
 
 
 def execute(
@@ -150,15 +168,14 @@ def execute(
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
     if resume:
         refuse_other_run(folder / "provenance.json", provenance.identity)
+    if isinstance(inputs.model, JointModel):
+        for sentence in observability(inputs.model).sentences:
+            reporter.say(sentence)
     prepare_folder(folder, force=force, resume=resume)
     write_text(folder / "resolved.toml", tomli_w.dumps(run.model_dump()))
     if not (folder / "provenance.json").exists():
         write_text(folder / "provenance.json", provenance.as_json() + "\n")
     inputs.store(folder)
-    if isinstance(inputs.model, JointModel):
-        seen = observability(inputs.model)
-        for sentence in seen.sentences:
-            reporter.say(sentence)
     sampled = fit_model(
         inputs.model,
         settings,

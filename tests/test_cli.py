@@ -214,8 +214,9 @@ def test_folders_that_cannot_be_used(capsys: Captured, tmp_path: Path) -> None:
     """An existing run, another folder, a file, a place below a file."""
     run_file = str(run_cases.write_run(tmp_path))
     old = tmp_path / "old"
-    old.mkdir()
+    (old / "checkpoint").mkdir(parents=True)
     (old / "resolved.toml").write_text("")
+    (old / "checkpoint" / "warmstart.npz").write_text("")
     message = refused(capsys, "run", run_file, "--out", str(old))
     assert "--resume" in message
     assert "--force" in message

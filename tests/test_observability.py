@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
-from event_cases import model
+from event_cases import PRIORS, events, model
 
-from cassini_bayes.joint import joint_log_posterior
+from cassini_bayes.joint import build_joint_model, joint_log_posterior
 from cassini_bayes.observability import observability
+from cassini_bayes.priors import read_priors
 from cassini_bayes.warmstart import warm_start
 
 
@@ -48,6 +51,32 @@ def test_more_events_see_no_less() -> None:
     alone = observability(model("bias")).table.set_index("quantity")["ratio"]
     both = observability(model("bias", "slews")).table.set_index("quantity")["ratio"]
     assert (both.reindex(alone.index) <= alone * (1 + 1e-9)).all()
+
+
+def test_fixed_departures_of_thrust_change_nothing_of_what_is_shared(tmp_path: Path) -> None:
+    """No departures per event (their priors fixed at 0): levels are seen as with tiny ones."""
+
+    def seen(width: str) -> pd.Series[float]:
+        path = tmp_path / "priors.toml"
+        path.write_text(priors_with_departures(width), encoding="utf-8")
+        events_ = [(e.statistics, e.sampling) for e in events("bias")]
+        joint = build_joint_model(events_, read_priors(path))
+        return observability(joint).table.set_index("quantity")["ratio"]
+
+    fixed = seen("fixed = 0.0")
+    tiny = seen('dist = "norm"\nloc = 0.0\nscale = 1e-7').loc[fixed.index]
+    assert fixed.index.str.startswith("thrust[bias").sum() == 8
+    np.testing.assert_allclose(fixed, tiny, rtol=1e-3)
+
+
+def priors_with_departures(width: str) -> str:
+    """The telemetry priors with other priors of the departures of an event's thrusts."""
+    text = PRIORS.read_text(encoding="utf-8")
+    for name in ("thrust_event_n", "thrust_jitter_n"):
+        old = f'[parameters.{name}]\ndist = "norm"\nloc = 0.0\nscale = 0.01'
+        assert old in text
+        text = text.replace(old, f"[parameters.{name}]\n{width}")
+    return text
 
 
 def test_the_words_name_what_is_tied_together() -> None:

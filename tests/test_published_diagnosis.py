@@ -45,9 +45,16 @@ def test_one_estimate_cannot_be_left_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("differences", "verdict"),
-    [([2.0, 3.0, 2.5], ": gain"), ([9.0, 0.1, -0.2], ": no gain"), ([-1.0, -1.1], ": no gain")],
+    ("differences", "ratio", "verdict"),
+    [
+        ([2.0, 3.0, 2.5], 0.9, ": gain"),
+        ([2.0, 3.0, 2.5], 5.0, ": no gain"),
+        ([9.0, 0.1, -0.2], 0.9, ": no gain"),
+        ([-1.0, -1.1], 0.9, ": no gain"),
+    ],
 )
-def test_gain_takes_two_standard_errors(differences: list[float], verdict: str) -> None:
-    """A sum that one event makes alone, or a loss, is no gain."""
-    assert gain_text("cause", np.array(differences), "RMS").endswith(verdict)
+def test_gain_takes_two_standard_errors(
+    differences: list[float], ratio: float, verdict: str
+) -> None:
+    """A sum that one event makes alone, a loss, or larger residuals are no gain."""
+    assert gain_text("cause", np.array(differences), "RMS", ratio).endswith(verdict)

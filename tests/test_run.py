@@ -187,6 +187,28 @@ def test_force_cut_short_can_be_done_again(tmp_path: Path, monkeypatch: pytest.M
     assert list(folder.iterdir()) == []
 
 
+def test_a_start_without_draws_is_no_run(tmp_path: Path) -> None:
+    """What a start left that never got to a checkpoint needs no --force, and can be resumed."""
+    (tmp_path / "resolved.toml").write_text("settings")
+    (tmp_path / "provenance.json").write_text("{}")
+    prepare_folder(tmp_path, force=False, resume=True)
+    prepare_folder(tmp_path, force=False, resume=False)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "resolved.toml").write_text("settings")
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "checkpoint" / "warmstart.npz").write_text("")
+    with pytest.raises(InputError, match="existing run"):
+        prepare_folder(tmp_path, force=False, resume=False)
+
+
+def test_force_keeps_what_no_run_wrote(tmp_path: Path) -> None:
+    """A user's own file in a run's folder stays where it is."""
+    for name in ("resolved.toml", "fit.nc", "notes.txt"):
+        (tmp_path / name).write_text(name)
+    prepare_folder(tmp_path, force=True, resume=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
 def test_resume_wants_a_run(tmp_path: Path) -> None:
     """Nothing there to resume: said, nothing made."""
     with pytest.raises(InputError, match="without --resume"):

@@ -19,6 +19,7 @@ from cassini_bayes.criticism.innovations import EventRows, Linear, event_rows, i
 from cassini_bayes.criticism.naming import Verdict, name_causes
 from cassini_bayes.criticism.oscillation import case_of
 from cassini_bayes.criticism.p_value import p_value
+from cassini_bayes.criticism.score import gain_verdict, summed
 from cassini_bayes.criticism.separation import separating_measurement
 from cassini_bayes.criticism.sizes import size_draws, weighted_interval
 from cassini_bayes.criticism.symptoms import Symptom, find_symptoms
@@ -240,18 +241,15 @@ def _gain(base: HeldOut | None, own: HeldOut | None, p: float | None) -> dict[st
             "p_value": p,
             "verdict": "held-out gain: not measurable",
         }
-    differences = own.log_scores - base.log_scores
-    n = len(differences)
-    total = float(differences.sum())
-    se = float(np.sqrt(n) * differences.std(ddof=1))
-    gained = total > 2.0 * se and total > 0
+    total, error = summed(own.log_scores - base.log_scores)
+    ratio = own.rmse_n_m_s / base.rmse_n_m_s
     return {
         "elpd_diff": total,
-        "elpd_diff_se": se,
-        "heldout_rmse_ratio": own.rmse_n_m_s / base.rmse_n_m_s,
+        "elpd_diff_se": error,
+        "heldout_rmse_ratio": ratio,
         "still_discrepant": None if p is None else p < 0.05,
         "p_value": p,
-        "verdict": "gain" if gained else "no gain",
+        "verdict": gain_verdict(total, error, ratio),
     }
 
 

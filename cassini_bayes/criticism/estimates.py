@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.criticism.score import gain_verdict, summed
 from cassini_bayes.criticism.summaries import (
     LeftOut,
     Prediction,
@@ -25,7 +26,6 @@ from cassini_bayes.criticism.summaries import (
     leave_out,
     positive_normal,
     pulse_ratio,
-    summed,
     untrusted,
     weigh_summaries,
 )
@@ -320,11 +320,12 @@ def _gain(base: LeftOut | None, own: LeftOut | None) -> dict[str, Any]:
             **nothing,
         }
     total, error = summed(own.log_scores - base.log_scores)
+    ratio = own.rmse_n / base.rmse_n
     return {
         "elpd_diff": total,
         "elpd_diff_se": error,
-        "heldout_rmse_ratio": own.rmse_n / base.rmse_n,
-        "verdict": "gain" if total > 2.0 * error else "no gain",
+        "heldout_rmse_ratio": ratio,
+        "verdict": gain_verdict(total, error, ratio),
         **nothing,
     }
 

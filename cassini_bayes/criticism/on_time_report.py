@@ -27,6 +27,7 @@ from cassini_bayes.criticism.on_time_verdict import (
     weigh_on_times,
 )
 from cassini_bayes.criticism.on_times import COMMON, OnTimeCase, on_time_case
+from cassini_bayes.criticism.score import gain_verdict
 from cassini_bayes.events import read_totals
 from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.priors import Priors, read_priors
@@ -184,7 +185,9 @@ def _gain(
     """Gain against ``none`` and, as that has far too small errors, against ``unknown``."""
     gain, error = score_difference(before, after)
     own, own_error = score_difference(loose, after)
-    verdict = "gain" if min(gain - 2.0 * error, own - 2.0 * own_error) > 0.0 else "no gain"
+    ratio = after.rmse_s / min(before.rmse_s, loose.rmse_s)
+    least, its_error = min((gain, error), (own, own_error), key=lambda g: g[0] - 2.0 * g[1])
+    verdict = gain_verdict(least, its_error, ratio)
     miss = [float(np.abs(h.residual_s).mean()) for h in (before, after)]
     return (
         f"Held out, each of {len(before.log_score)} events in turn: `{first}` {own:+.1f} ± "

@@ -34,6 +34,7 @@ from cassini_bayes.criticism.on_times import (
     hypothesis,
     parameters_at,
 )
+from cassini_bayes.criticism.score import summed
 from cassini_bayes.distributions import Distribution
 from cassini_bayes.errors import InputError
 
@@ -321,5 +322,4 @@ def held_out(case: OnTimeCase, found: Weighed) -> HeldOut:
 
 def score_difference(before: HeldOut, after: HeldOut) -> tuple[float, float]:
     """Gain of the summed log scores and its standard error over events, nats."""
-    own = after.log_score - before.log_score
-    return float(own.sum()), float(np.sqrt(len(own)) * own.std(ddof=1))
+    return summed(after.log_score - before.log_score)

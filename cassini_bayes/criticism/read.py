@@ -9,11 +9,14 @@ from cassini_bayes.criticism.extended import Case, TelemetrySource, prepare
 from cassini_bayes.event_reduction import (
     ReducedEvent,
     is_event_folder,
+    nominal_values,
     reduce_event,
+    require_branch,
     samples_of,
 )
 from cassini_bayes.events import TotalsEvent, read_totals
 from cassini_bayes.model import build_model
+from cassini_bayes.plausibility import check_momentum, momentum_rows
 from cassini_bayes.priors import Priors, read_priors
 from cassini_bayes.statistics import Samples
 from cassini_bayes.telemetry import read_chunks, read_event
@@ -68,9 +71,15 @@ def reduced_events(references: Sequence[str], priors: Priors) -> list[ReducedEve
 
 
 def read_source(folder: Path, priors: Priors) -> TelemetrySource:
-    """One event folder as rows; a diagnosis keeps them in memory."""
+    """One event folder as rows, checked as for a fit; a diagnosis keeps them in memory."""
     event = read_event(folder, priors.spacecraft)
-    chunks = [samples_of(chunk) for chunk in read_chunks(event, priors.spacecraft)]
+    require_branch(event, priors)
+    nominal = nominal_values(priors)
+    momentum, samples = momentum_rows(nominal), []
+    for chunk in read_chunks(event, priors.spacecraft):
+        momentum.add(chunk)
+        samples.append(samples_of(chunk))
+    check_momentum(event, momentum, priors.spacecraft, nominal)
     return TelemetrySource(
-        event.id, event.kind, event.wheels, event.thrusters, Samples.joined(chunks)
+        event.id, event.kind, event.wheels, event.thrusters, Samples.joined(samples)
     )

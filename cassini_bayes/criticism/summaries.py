@@ -178,11 +178,6 @@ def leave_out(
     return LeftOut(np.array(scores), np.array(residuals))
 
 
-def summed(scores: Array) -> tuple[float, float]:
-    """Sum of scores or their differences (E,), and its standard error from their scatter."""
-    return float(scores.sum()), float(np.sqrt(len(scores)) * scores.std(ddof=1))
-
-
 def _parts(predict: Predict, kept: NDArray[np.bool_]) -> Predict:
     """The prediction of some of the estimates."""
 
