@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.files.storage import write_text
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.arrays import make_body, make_thrusters, rcs_law, rwa_law
 from cassini_bayes.simulation.engine import Steps
@@ -40,7 +41,6 @@ from cassini_bayes.simulation.settings import (
     WheelSettings,
 )
 from cassini_bayes.spacecraft import load_spacecraft
-from cassini_bayes.storage import write_text
 
 Array = NDArray[np.float64]
 STEP_S = 0.005

@@ -20,7 +20,7 @@ from typing import Any
 from speed.problem import PRIORS, event_folders
 
 from cassini_bayes import __version__
-from cassini_bayes.storage import write_text
+from cassini_bayes.files.storage import write_text
 
 LEAK = {"name": "thruster_leak:z3", "parameters": {"leak_n": 1.0e-4}}
 SETS = {

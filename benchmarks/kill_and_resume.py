@@ -30,8 +30,8 @@ import numpy as np
 import tomli_w
 
 from cassini_bayes import __version__
-from cassini_bayes.result import GROUPS, read_fit
-from cassini_bayes.storage import is_leftover, write_text
+from cassini_bayes.files.storage import is_leftover, write_text
+from cassini_bayes.results.record import GROUPS, read_fit
 
 ROOT = Path(__file__).parents[1]
 STAGES = ("warm start", "sampling", "writing results")

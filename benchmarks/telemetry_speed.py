@@ -31,9 +31,9 @@ from speed.problem import (
 )
 
 from cassini_bayes import __version__
-from cassini_bayes.event_reduction import samples_of
-from cassini_bayes.storage import write_text
-from cassini_bayes.telemetry import load_event
+from cassini_bayes.events.telemetry import load_event
+from cassini_bayes.files.storage import write_text
+from cassini_bayes.model.event_reduction import samples_of
 
 Row = dict[str, Any]
 NEEDED = ("jax", "numpyro", "dynesty", "nautilus", "zeus")

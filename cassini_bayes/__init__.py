@@ -17,33 +17,33 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cassini_bayes.baselines import perturbation_bars
     from cassini_bayes.errors import CassiniBayesError, InputError
-    from cassini_bayes.events import TotalsEvent, read_totals, write_totals
-    from cassini_bayes.fitting import Sampled, convergence_table, fit_model
-    from cassini_bayes.model import TotalsModel, build_model, prior_centre
-    from cassini_bayes.plots import make_figures
-    from cassini_bayes.priors import Priors, read_priors
-    from cassini_bayes.result import Fit, read_fit, save_fit
-    from cassini_bayes.review import Review, assemble_review, nuisance_table, summarise
-    from cassini_bayes.sampling import SamplerSettings
-    from cassini_bayes.sensitivity import error_budget
+    from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
+    from cassini_bayes.model.totals import TotalsModel, build_model, prior_centre
+    from cassini_bayes.priors.reader import Priors, read_priors
+    from cassini_bayes.report.plots import make_figures
+    from cassini_bayes.results.baselines import perturbation_bars
+    from cassini_bayes.results.fitting import Sampled, convergence_table, fit_model
+    from cassini_bayes.results.record import Fit, read_fit, save_fit
+    from cassini_bayes.results.review import Review, assemble_review, nuisance_table, summarise
+    from cassini_bayes.results.sensitivity import error_budget
+    from cassini_bayes.sampling.ensembles import SamplerSettings
     from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "baselines": ("perturbation_bars",),
     "errors": ("CassiniBayesError", "InputError"),
-    "events": ("TotalsEvent", "read_totals", "write_totals"),
-    "fitting": ("Sampled", "convergence_table", "fit_model"),
-    "model": ("TotalsModel", "build_model", "prior_centre"),
-    "plots": ("make_figures",),
-    "priors": ("Priors", "read_priors"),
-    "result": ("Fit", "read_fit", "save_fit"),
-    "review": ("Review", "assemble_review", "nuisance_table", "summarise"),
-    "sampling": ("SamplerSettings",),
-    "sensitivity": ("error_budget",),
+    "events.totals": ("TotalsEvent", "read_totals", "write_totals"),
+    "model.totals": ("TotalsModel", "build_model", "prior_centre"),
+    "priors.reader": ("Priors", "read_priors"),
+    "report.plots": ("make_figures",),
+    "results.baselines": ("perturbation_bars",),
+    "results.fitting": ("Sampled", "convergence_table", "fit_model"),
+    "results.record": ("Fit", "read_fit", "save_fit"),
+    "results.review": ("Review", "assemble_review", "nuisance_table", "summarise"),
+    "results.sensitivity": ("error_budget",),
+    "sampling.ensembles": ("SamplerSettings",),
     "spacecraft": ("Spacecraft", "load_spacecraft"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

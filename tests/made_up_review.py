@@ -10,9 +10,9 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.plots import Figure, make_figures
-from cassini_bayes.result import Fit
-from cassini_bayes.review import Review, hdi
+from cassini_bayes.report.plots import Figure, make_figures
+from cassini_bayes.results.record import Fit
+from cassini_bayes.results.review import Review, hdi
 
 Array = NDArray[np.float64]
 

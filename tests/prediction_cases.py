@@ -11,15 +11,15 @@ import tomli_w
 from numpy.typing import NDArray
 from totals_cases import B_BRANCH, FLIGHT, flight
 
-from cassini_bayes.events import TotalsEvent
-from cassini_bayes.model import TotalsModel, build_model
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.files.storage import digest
+from cassini_bayes.model.totals import TotalsModel, build_model
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.leave_one_out import HeldOut, fold
 from cassini_bayes.prediction.physics import Physics
-from cassini_bayes.priors import Priors
-from cassini_bayes.result import build_fit, draws_of, save_fit
-from cassini_bayes.storage import digest
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.results.record import build_fit, draws_of, save_fit
 
 Array = NDArray[np.float64]
 SIZE = 400

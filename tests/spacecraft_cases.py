@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.events import TotalsEvent
-from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.priors.reader import Priors, read_priors
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]

@@ -10,14 +10,14 @@ import xarray as xr
 from numpy.typing import NDArray
 from totals_cases import flight
 
-from cassini_bayes.parameter_space import ParameterSpace
-from cassini_bayes.posterior import log_posterior
-from cassini_bayes.priors import Priors
-from cassini_bayes.result import Fit, build_fit
+from cassini_bayes.model.posterior import log_posterior
+from cassini_bayes.priors.parameter_space import ParameterSpace
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.results.record import Fit, build_fit
+from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.sweep.cells import Baseline
 from cassini_bayes.sweep.models import TotalsFactory
 from cassini_bayes.sweep.weights import batch_labels
-from cassini_bayes.warmstart import warm_start
 
 Array = NDArray[np.float64]
 

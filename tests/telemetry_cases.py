@@ -14,11 +14,17 @@ from scipy.integrate import trapezoid
 from scipy.linalg import sqrtm
 from scipy.stats import multivariate_normal
 
-from cassini_bayes.joint import JointModel, build_joint_model, sampling_of
-from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.balance.statistics import (
+    EventStatistics,
+    Layout,
+    Samples,
+    Sampling,
+    reduce_chunks,
+)
+from cassini_bayes.balance.telemetry_terms import TelemetryTerms, cut_probability
+from cassini_bayes.model.joint import JointModel, build_joint_model, sampling_of
+from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
-from cassini_bayes.statistics import EventStatistics, Layout, Samples, Sampling, reduce_chunks
-from cassini_bayes.telemetry_terms import TelemetryTerms, cut_probability
 
 Array = NDArray[np.float64]
 PRIORS = Path("priors/cassini_b_branch_telemetry.toml")

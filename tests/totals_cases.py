@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
-from cassini_bayes.events import TotalsEvent, read_totals
-from cassini_bayes.model import TotalsModel
-from cassini_bayes.priors import Priors, read_priors
+from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.priors.reader import Priors, read_priors
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import jax.scipy.special as jax_special
 import numpy as np
 import scipy.special
 
-from cassini_bayes.joint import joint_log_posterior
+from cassini_bayes.model.joint import joint_log_posterior
 from speed import plain
 from speed.fast_jax import fast_log_posterior
 

@@ -11,8 +11,8 @@ import jax.scipy.special as special
 import numpy as np
 from jax.scipy.linalg import solve_triangular
 
-from cassini_bayes.statistics.columns import CUT_PARTS
-from cassini_bayes.telemetry_terms import CONTROL_CYCLE_S, cut_probability
+from cassini_bayes.balance.statistics.columns import CUT_PARTS
+from cassini_bayes.balance.telemetry_terms import CONTROL_CYCLE_S, cut_probability
 from speed import plain
 from speed.wheel_motion import fast_motion, mean_walk, slow_motion
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.fitting import Sampled, collapsed_size, fit_model
-from cassini_bayes.joint import JointModel, build_joint_model, joint_log_posterior
-from cassini_bayes.joint_draws import draw_all
-from cassini_bayes.sampling import ProgressReport, SamplerSettings, sample, stored_ess
-from cassini_bayes.statistics import EventStatistics, Samples, Sampling, reduce_chunks
-from cassini_bayes.warmstart import warm_start
+from cassini_bayes.balance.statistics import EventStatistics, Samples, Sampling, reduce_chunks
+from cassini_bayes.model.joint import JointModel, build_joint_model, joint_log_posterior
+from cassini_bayes.results.fitting import Sampled, collapsed_size, fit_model
+from cassini_bayes.results.joint_draws import draw_all
+from cassini_bayes.sampling.ensembles import ProgressReport, SamplerSettings, sample, stored_ess
+from cassini_bayes.sampling.warmstart import warm_start
 from speed.problem import model_of, reduced_events
 
 Row = dict[str, Any]

@@ -10,8 +10,8 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from cassini_bayes.plots.style import STYLE
-from cassini_bayes.storage import write_bytes, write_text
+from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.report.plots.style import STYLE
 from speed.aims import aims
 from speed.tables import Found, Row, rows_of, table
 

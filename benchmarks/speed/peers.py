@@ -21,8 +21,8 @@ import scipy.special
 import scipy.stats
 from numpy.typing import NDArray
 
-from cassini_bayes.joint import collapse_joint, draw_joint, joint_log_posterior
-from cassini_bayes.telemetry_terms import cut_tail_sd
+from cassini_bayes.balance.telemetry_terms import cut_tail_sd
+from cassini_bayes.model.joint import collapse_joint, draw_joint, joint_log_posterior
 from speed import plain
 from speed.problem import model_of, reduced_events
 

@@ -17,24 +17,24 @@ from typing import Any
 import numpy as np
 import scipy.special
 
-from cassini_bayes.distributions import Distribution
-from cassini_bayes.event_reduction import ReducedEvent, samples_of
-from cassini_bayes.joint import JointModel
-from cassini_bayes.physics import INERTIA_PARAMETERS
-from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
-from cassini_bayes.statistics import Carry, settle
-from cassini_bayes.statistics.columns import CUT_PARTS
-from cassini_bayes.statistics.reduction import MODES
-from cassini_bayes.telemetry import load_event
-from cassini_bayes.telemetry_bands import Band
-from cassini_bayes.telemetry_terms import (
+from cassini_bayes.balance.bands import Band
+from cassini_bayes.balance.physics import INERTIA_PARAMETERS
+from cassini_bayes.balance.statistics import Carry, settle
+from cassini_bayes.balance.statistics.columns import CUT_PARTS
+from cassini_bayes.balance.statistics.reduction import MODES
+from cassini_bayes.balance.telemetry_terms import (
     CONTROL_CYCLE_S,
     INITIAL_SD_N_M_S,
     TelemetryTerms,
     cut_probability,
     cut_tail_sd,
 )
-from cassini_bayes.terms import RAD_S_PER_RPM
+from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.events.telemetry import load_event
+from cassini_bayes.model.event_reduction import ReducedEvent, samples_of
+from cassini_bayes.model.joint import JointModel
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from speed.wheel_motion import fast_motion, mean_walk, slow_motion
 
 Values = Any  # arrays of either module

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.event_reduction import ReducedEvent, reduce_event
-from cassini_bayes.joint import JointModel, build_joint_model
-from cassini_bayes.priors import Priors, read_priors
-from cassini_bayes.scenario import draw_wheel_rates, simulate_file, write_simulation
+from cassini_bayes.model.event_reduction import ReducedEvent, reduce_event
+from cassini_bayes.model.joint import JointModel, build_joint_model
+from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
+from cassini_bayes.studies.scenario import draw_wheel_rates, simulate_file, write_simulation
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs/scenarios/calibration.toml"

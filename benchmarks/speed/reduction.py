@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.event_reduction import reduce_event, samples_of
-from cassini_bayes.statistics import Samples, reduce_chunks
-from cassini_bayes.telemetry import load_event, read_chunks, read_event
+from cassini_bayes.balance.statistics import Samples, reduce_chunks
+from cassini_bayes.events.telemetry import load_event, read_chunks, read_event
+from cassini_bayes.model.event_reduction import reduce_event, samples_of
 from speed.problem import PULSE_SHAPE, priors_of, reduced_events
 
 Row = dict[str, Any]

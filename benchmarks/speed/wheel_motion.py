@@ -1,6 +1,6 @@
 """True wheel rates of every band, written again for numpy and for JAX: ``xp`` is the module.
 
-Ours is :mod:`cassini_bayes.telemetry_bands`; docs/telemetry-likelihood.md §3 has the formulas.
+Ours is :mod:`cassini_bayes.balance.bands`; docs/telemetry-likelihood.md §3 has the formulas.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.telemetry_bands import Band
+from cassini_bayes.balance.bands import Band
 
 Values = Any  # arrays of either module
 _LEAST_SQUARE = 1e-18

@@ -39,7 +39,7 @@ def calibrate_totals_command(
     quiet: Quiet = False,
 ) -> None:
     """Simulation-based calibration of the totals model, with two negative controls."""
-    from cassini_bayes.campaigns import calibrate_totals
+    from cassini_bayes.studies.totals_campaign import calibrate_totals
 
     reporter = ConsoleReporter(quiet)
     passed = calibrate_totals(
@@ -80,7 +80,7 @@ def calibrate_sbc_command(
     quiet: Quiet = False,
 ) -> None:
     """Simulation-based calibration of the joint model on closed-loop telemetry."""
-    from cassini_bayes.telemetry_campaign import QUICK, REPETITIONS, calibrate_telemetry
+    from cassini_bayes.studies.telemetry_campaign import QUICK, REPETITIONS, calibrate_telemetry
 
     reporter = ConsoleReporter(quiet)
     passed = calibrate_telemetry(

@@ -39,9 +39,9 @@ def diagnose_command(
     """Show what the simulation gets wrong, name the cause, measure the gain."""
     import numpy as np
 
-    from cassini_bayes.criticism.diagnosis import catalogue_of, diagnose
-    from cassini_bayes.criticism.estimates import is_estimates
-    from cassini_bayes.criticism.read import read_case, totals_rows
+    from cassini_bayes.diagnosis.diagnosis import catalogue_of, diagnose
+    from cassini_bayes.diagnosis.estimates import is_estimates
+    from cassini_bayes.diagnosis.read import read_case, totals_rows
     from cassini_bayes.report.diagnosis import diagnosis_json, write_diagnosis
 
     if (out / "diagnosis.json").exists() and not force:
@@ -68,8 +68,8 @@ def diagnose_command(
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
     write_diagnosis(result, out, out.name, cores)
     if then_fit:
-        from cassini_bayes.criticism.read import reduced_events
-        from cassini_bayes.criticism.refit import fit_extended
+        from cassini_bayes.diagnosis.read import reduced_events
+        from cassini_bayes.diagnosis.refit import fit_extended
 
         reduced = reduced_events(events, case.priors)
         fit_extended(result, reduced, out / "extended", number, reporter.say)
@@ -85,13 +85,13 @@ def _diagnose_estimates(
     """Weigh published thrusts and write their diagnosis; the record."""
     import numpy as np
 
-    from cassini_bayes.criticism.estimates import (
+    from cassini_bayes.diagnosis.estimates import (
         diagnose_estimates,
         estimate_case,
         is_estimates,
         read_estimates,
     )
-    from cassini_bayes.priors import read_priors
+    from cassini_bayes.priors.reader import read_priors
     from cassini_bayes.report.diagnosis import cause_picture, drawn, write_record
 
     other = [reference for reference in references if not is_estimates(Path(reference))]
@@ -129,8 +129,8 @@ def calibrate_blind_command(
     quiet: Quiet = False,
 ) -> None:
     """Hide effects in simulated telemetry and count how often the diagnosis finds them."""
-    from cassini_bayes.blind_campaign import run_campaign, write_results
-    from cassini_bayes.criticism.blind_flights import Blind
+    from cassini_bayes.studies.blind.campaign import run_campaign, write_results
+    from cassini_bayes.studies.blind.flights import Blind
 
     reporter = ConsoleReporter(quiet)
     campaign = Blind(scenario, priors, seed, tuple(events.split(",")))
@@ -155,7 +155,7 @@ def diagnose_published_command(
     quiet: Quiet = False,
 ) -> None:
     """Diagnose published cases: flight biases and on-times, printed thrusts, test bed, A branch."""
-    from cassini_bayes.published_diagnosis import write_published_diagnosis
+    from cassini_bayes.studies.published_diagnosis import write_published_diagnosis
 
     reporter = ConsoleReporter(quiet)
     number = DEFAULT_SEED if seed is None else seed

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Resume, Seed
-from cassini_bayes.configuration import RunFile, check_run, read_run_file
-from cassini_bayes.run import Outcome, execute
+from cassini_bayes.pipeline.run import Outcome, execute
+from cassini_bayes.pipeline.run_file import RunFile, check_run, read_run_file
 
 
 def run_command(

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from cassini_bayes.sampling import ProgressReport
+from cassini_bayes.sampling.ensembles import ProgressReport
 
 Seed = Annotated[
     int | None, typer.Option("--seed", min=0, help="Random seed (overrides the run file).")

@@ -118,7 +118,7 @@ def plan_command(
     _warn(learned)
     found = plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
     if out is not None:
-        from cassini_bayes.storage import write_text
+        from cassini_bayes.files.storage import write_text
 
         write_text(out / "plan.csv", plan_csv(found))
         _save_plan_figure(found, out)
@@ -142,7 +142,7 @@ def calibrate_prediction_command(
     quiet: Quiet = False,
 ) -> None:
     """Leave one flight event out at a time, predict it, and compare with the published columns."""
-    from cassini_bayes.prediction_results import prediction_results
+    from cassini_bayes.studies.prediction import prediction_results
 
     reporter = ConsoleReporter(quiet)
     prediction_results(
@@ -235,7 +235,7 @@ def _as_result(
 
     result = as_dictionary(prediction)
     if simulations:
-        from cassini_bayes.prediction.closed_loop import simulate_request
+        from cassini_bayes.studies.closed_loop import simulate_request
 
         flown = simulate_request(learned, prediction.request, simulations, seed)
         first = [unit[0] for unit in prediction.units]
@@ -272,10 +272,10 @@ def _text(prediction: Prediction, result: dict[str, Any]) -> str:
 
 
 def _write(folder: Path, predictions: list[Prediction], document: dict[str, Any]) -> None:
-    from cassini_bayes.plots import save_figures
-    from cassini_bayes.plots.prediction import prediction_figure
+    from cassini_bayes.files.storage import write_text
     from cassini_bayes.prediction.summary import as_csv
-    from cassini_bayes.storage import write_text
+    from cassini_bayes.report.plots import save_figures
+    from cassini_bayes.report.plots.prediction import prediction_figure
 
     write_text(folder / "prediction.json", json.dumps(document, indent=1) + "\n")
     write_text(folder / "prediction.csv", as_csv(predictions))
@@ -284,7 +284,7 @@ def _write(folder: Path, predictions: list[Prediction], document: dict[str, Any]
 
 
 def _save_plan_figure(found: Plan, folder: Path) -> None:
-    from cassini_bayes.plots import save_figures
-    from cassini_bayes.plots.prediction import plan_figure
+    from cassini_bayes.report.plots import save_figures
+    from cassini_bayes.report.plots.prediction import plan_figure
 
     save_figures({"plan": plan_figure(found)}, folder)

@@ -21,12 +21,12 @@ def simulate_command(
     quiet: Quiet = False,
 ) -> None:
     """Simulate a scenario: event folders, totals.csv and truth.json."""
-    from cassini_bayes.scenario import simulate_scenario  # numba takes a moment to import
+    from cassini_bayes.studies.scenario import simulate_scenario  # numba takes a moment to import
 
     simulation = simulate_scenario(scenario, out, seed, ConsoleReporter(quiet), force)
     if plot:
-        from cassini_bayes.plots import save_figures
-        from cassini_bayes.plots.simulation import motion_figure
+        from cassini_bayes.report.plots import save_figures
+        from cassini_bayes.report.plots.simulation import motion_figure
 
         figures = {event.plan.event.id: motion_figure(event) for event in simulation.events}
         save_figures(figures, out / "figures")

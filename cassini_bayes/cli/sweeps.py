@@ -12,9 +12,9 @@ import pandas as pd
 import typer
 
 from cassini_bayes.cli.options import ConsoleReporter, Json, Quiet
-from cassini_bayes.configuration import read_run_file
+from cassini_bayes.pipeline.run_file import read_run_file
+from cassini_bayes.pipeline.sweep_run import SweepOutcome, execute_sweep
 from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
-from cassini_bayes.sweep_run import SweepOutcome, execute_sweep
 
 
 def sweep_command(
@@ -121,7 +121,7 @@ def calibrate_perturbations_command(
     quiet: Quiet = False,
 ) -> None:
     """Coverage and length of perturbation bars, least squares, Laplace and posterior."""
-    from cassini_bayes.perturbation_campaign import compare_error_bars
+    from cassini_bayes.studies.perturbation_campaign import compare_error_bars
     from cassini_bayes.sweep.grid import workers_at
 
     reporter = ConsoleReporter(quiet)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from cassini_bayes.cells import read_text
-from cassini_bayes.checks import finite_number, nearest
-from cassini_bayes.distributions import Distribution
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.cells import read_text
+from cassini_bayes.files.checks import finite_number, nearest
+from cassini_bayes.priors.distributions import Distribution
 
 UNITS: Final[Mapping[str, str]] = {
     "minor_constant_s": "s",

@@ -14,15 +14,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.events import TotalsEvent
-from cassini_bayes.model import TotalsModel
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.totals import TotalsModel
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.prediction.physics import Physics
 from cassini_bayes.prediction.regressions import Regression, ScalePrior, regress
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
-from cassini_bayes.pulses import effective_on_time
 from cassini_bayes.spacecraft import thruster_directions
+from cassini_bayes.spacecraft.pulses import effective_on_time
 
 Array = NDArray[np.float64]
 

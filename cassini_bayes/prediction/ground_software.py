@@ -17,11 +17,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.events import TotalsEvent
+from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
 from cassini_bayes.prediction.requests import BiasRequest, request_of
 from cassini_bayes.prediction.wheel_profile import WheelManager, duration_s, rates_rpm
-from cassini_bayes.priors import Priors
+from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import (
     Spacecraft,
     lever_arms,
@@ -29,7 +30,6 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
-from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events import TotalsEvent
-from cassini_bayes.model import TotalsModel
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.totals import TotalsModel
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
 from cassini_bayes.prediction.firing import (
@@ -50,7 +50,7 @@ from cassini_bayes.prediction.physics import (
 )
 from cassini_bayes.prediction.regressions import Regression
 from cassini_bayes.prediction.wheel_profile import WheelManager, segments_rpm
-from cassini_bayes.warmstart import (
+from cassini_bayes.sampling.warmstart import (
     ImportanceDraws,
     LogDensity,
     Proposal,

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events import TotalsEvent
-from cassini_bayes.model import build_model
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.totals import build_model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import importance_physics
 from cassini_bayes.prediction.predict import Prediction, predict
 from cassini_bayes.prediction.requests import request_of
 from cassini_bayes.prediction.scores import covered, crps, interval_score
-from cassini_bayes.priors import Priors
+from cassini_bayes.priors.reader import Priors
 
 Array = NDArray[np.float64]
 

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.errors import InputError
-from cassini_bayes.model import SOFTWARE, TotalsModel
-from cassini_bayes.posterior import log_posterior
+from cassini_bayes.model.posterior import log_posterior
+from cassini_bayes.model.totals import SOFTWARE, TotalsModel
 from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
-from cassini_bayes.result import draws_of
+from cassini_bayes.results.record import draws_of
 from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
-from cassini_bayes.terms import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def importance_physics(
 
     Returns the draws, the efficiency of the importance draws and their Pareto k̂.
     """
-    from cassini_bayes.warmstart import warm_start
+    from cassini_bayes.sampling.warmstart import warm_start
 
     warm = warm_start(partial(log_posterior, model), len(model.space.names), rng, draws=8_000)
     z = warm.draws.resample(rng, size)

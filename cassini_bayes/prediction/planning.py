@@ -23,8 +23,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.checks import nearest
+from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_rate_covariance
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import nearest
 from cassini_bayes.prediction.firing import mean_firing
 from cassini_bayes.prediction.ground_knowledge import GRAVITY_M_S2, group_impulse
 from cassini_bayes.prediction.learning import Learned
@@ -40,7 +41,6 @@ from cassini_bayes.prediction.predict import on_times_of
 from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
 from cassini_bayes.prediction.wheel_profile import duration_s, segments_rpm
 from cassini_bayes.spacecraft import inertia_tensor
-from cassini_bayes.terms import hold_attitude_covariance, hold_rate_covariance
 
 Array = NDArray[np.float64]
 

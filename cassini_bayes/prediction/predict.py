@@ -10,6 +10,11 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.balance.totals_terms import (
+    hold_attitude_covariance,
+    hold_rate_covariance,
+    wheel_rounding_covariance,
+)
 from cassini_bayes.prediction.demand import PairSolver
 from cassini_bayes.prediction.firing import Features, FiringDraws, draw_firing, mean_firing
 from cassini_bayes.prediction.ground_knowledge import (
@@ -22,13 +27,8 @@ from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.physics import arms_of, features_of, solver_of, wheels_of
 from cassini_bayes.prediction.requests import BiasRequest
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES, segments_rpm
-from cassini_bayes.pulses import effective_on_time
 from cassini_bayes.spacecraft import inertia_tensor, thruster_directions
-from cassini_bayes.terms import (
-    hold_attitude_covariance,
-    hold_rate_covariance,
-    wheel_rounding_covariance,
-)
+from cassini_bayes.spacecraft.pulses import effective_on_time
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.cells import read_text, rows_of
-from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
-from cassini_bayes.events import TotalsEvent
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.files.cells import read_text, rows_of
+from cassini_bayes.files.checks import nearest
 from cassini_bayes.spacecraft import Spacecraft
 
 Array = NDArray[np.float64]

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.cells import read_text
 from cassini_bayes.errors import InputError
-from cassini_bayes.events import TotalsEvent, read_totals
-from cassini_bayes.model import TotalsModel, build_model
+from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.files.cells import read_text
+from cassini_bayes.files.storage import digest
+from cassini_bayes.model.totals import TotalsModel, build_model
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
-from cassini_bayes.priors import Priors, read_priors
-from cassini_bayes.storage import digest
+from cassini_bayes.priors.reader import Priors, read_priors
 
 FIT_DRAWS = 2_000
 

@@ -10,9 +10,7 @@ from typing import Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cassini_bayes.plots import Figure, encode, is_corner
-from cassini_bayes.plots.quantities import INTERVAL, INTERVAL_SHORT
-from cassini_bayes.plots.tables import all_events_of, events_of
+from cassini_bayes.files.storage import write_text
 from cassini_bayes.report.checks import (
     balance_table,
     budget_event_table,
@@ -26,6 +24,9 @@ from cassini_bayes.report.checks import (
     scalar_table,
     variant_table,
 )
+from cassini_bayes.report.plots import Figure, encode, is_corner
+from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT
+from cassini_bayes.report.plots.tables import all_events_of, events_of
 from cassini_bayes.report.telemetry import (
     event_table,
     inertia_numbers,
@@ -42,8 +43,7 @@ from cassini_bayes.report.thrusts import (
     thrust_matrix,
     thrust_tables,
 )
-from cassini_bayes.review import Review
-from cassini_bayes.storage import write_text
+from cassini_bayes.results.review import Review
 
 __all__ = ["render_report", "write_report"]
 
@@ -74,7 +74,7 @@ def write_report(review: Review, figures: Mapping[str, Figure], path: Path) -> N
 def render_report(review: Review, figures: Mapping[str, Figure]) -> str:
     """The report as HTML; every text of the review is escaped."""
     environment = Environment(
-        loader=PackageLoader("cassini_bayes", "templates"),
+        loader=PackageLoader("cassini_bayes", "report/templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

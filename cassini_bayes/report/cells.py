@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from cassini_bayes.plots.quantities import MISSING, number
+from cassini_bayes.report.plots.quantities import MISSING, number
 
 MN: Final = 1e3  # mN per N
 PERCENT_SD: Final = 10.0  # percentages are shown without decimals

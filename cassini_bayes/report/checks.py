@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.plots.budget import NOISE_ONLY, NONLINEAR, SHARE, budget_blocks
-from cassini_bayes.plots.quantities import (
+from cassini_bayes.report.cells import MN, Cell, Table, or_missing, percent
+from cassini_bayes.report.plots.budget import NOISE_ONLY, NONLINEAR, SHARE, budget_blocks
+from cassini_bayes.report.plots.quantities import (
     INTERVAL_SHORT,
     MISSING,
     display_scale,
@@ -18,9 +19,8 @@ from cassini_bayes.plots.quantities import (
     number,
     plus_minus,
 )
-from cassini_bayes.plots.tables import grid, parameter_scale, thrusters_of
-from cassini_bayes.report.cells import MN, Cell, Table, or_missing, percent
-from cassini_bayes.review import Review
+from cassini_bayes.report.plots.tables import grid, parameter_scale, thrusters_of
+from cassini_bayes.results.review import Review
 
 FIXED_REPLICATE_S: Final = 1e-9
 UNLIKELY_TAIL: Final = 0.005

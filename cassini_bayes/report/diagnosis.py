@@ -17,19 +17,19 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes import __version__
-from cassini_bayes.criticism.correlations import POINTWISE, Shown
-from cassini_bayes.criticism.diagnosis import Diagnosis
-from cassini_bayes.criticism.discrepancy import Curve, verdict_curves
-from cassini_bayes.parallel import in_processes
-from cassini_bayes.plots import Figure, encode, settle
-from cassini_bayes.plots.criticism import (
+from cassini_bayes.computing.processes import in_processes
+from cassini_bayes.diagnosis.correlations import POINTWISE, Shown
+from cassini_bayes.diagnosis.diagnosis import Diagnosis
+from cassini_bayes.diagnosis.discrepancy import Curve, verdict_curves
+from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.report.plots import Figure, encode, settle
+from cassini_bayes.report.plots.criticism import (
     cause_figure,
     correlation_figure,
     discrepancy_figure,
     innovation_figure,
     whiteness_figure,
 )
-from cassini_bayes.storage import write_bytes, write_text
 
 MOST_CAUSES: Final = 12
 CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
@@ -290,7 +290,7 @@ def render_diagnosis(
 ) -> str:
     """The page as HTML; every text is escaped."""
     environment = Environment(
-        loader=PackageLoader("cassini_bayes", "templates"),
+        loader=PackageLoader("cassini_bayes", "report/templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

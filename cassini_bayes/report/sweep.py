@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cassini_bayes.plots import Figure, encode
-from cassini_bayes.plots.quantities import MISSING
+from cassini_bayes.files.storage import write_text
 from cassini_bayes.report.cells import Cell, Table
-from cassini_bayes.storage import write_text
+from cassini_bayes.report.plots import Figure, encode
+from cassini_bayes.report.plots.quantities import MISSING
 from cassini_bayes.sweep.scaling import EVENT, SENSITIVE
 from cassini_bayes.sweep.tables import SweepTables
 
@@ -56,7 +56,7 @@ def render_section(
 ) -> str:
     """The section as HTML; every text is escaped."""
     environment = Environment(
-        loader=PackageLoader("cassini_bayes", "templates"),
+        loader=PackageLoader("cassini_bayes", "report/templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

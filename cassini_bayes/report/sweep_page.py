@@ -10,10 +10,10 @@ from typing import Final
 import pandas as pd
 
 from cassini_bayes import __version__
-from cassini_bayes.plots import Figure, encode
+from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.report.cells import Table
+from cassini_bayes.report.plots import Figure, encode
 from cassini_bayes.report.sweep import changes_table, scaling_table, strongest_sentence
-from cassini_bayes.storage import write_bytes, write_text
 from cassini_bayes.sweep.tables import SweepTables
 
 _SHOWN: Final = ("worth", "tornado_1", "overlay_1")

@@ -6,10 +6,10 @@ from typing import Final
 
 import pandas as pd
 
-from cassini_bayes.plots.inertia import observed_name
-from cassini_bayes.plots.quantities import MISSING, display_scale, number, plus_minus
 from cassini_bayes.report.cells import Cell, Table, percent
-from cassini_bayes.review import Review
+from cassini_bayes.report.plots.inertia import observed_name
+from cassini_bayes.report.plots.quantities import MISSING, display_scale, number, plus_minus
+from cassini_bayes.results.review import Review
 
 MICRO: Final = 1e6
 MOMENTS: Final = ("xx", "yy", "zz")

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import nearest
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.motion import RPM_PER_RAD_S
 from cassini_bayes.simulation.plan import Plan

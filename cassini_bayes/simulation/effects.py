@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Final
 
-from cassini_bayes.checks import finite_number, nearest
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import finite_number, nearest
 from cassini_bayes.simulation.plan import Plan, Surge, TorquePulse, Vector, frozen_mapping
 from cassini_bayes.simulation.settings import LARGEST, SMALLEST, Appendage, EffectRequest
 from cassini_bayes.spacecraft import Spacecraft

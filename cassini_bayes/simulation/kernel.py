@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.compilation import compiled
+from cassini_bayes.computing.compilation import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

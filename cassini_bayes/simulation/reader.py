@@ -12,9 +12,8 @@ from typing import Any, Final, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from cassini_bayes.checks import finite_number, nearest
 from cassini_bayes.errors import InputError
-from cassini_bayes.parameters import generic_parameters
+from cassini_bayes.files.checks import finite_number, nearest
 from cassini_bayes.simulation.effects import ChosenEffect, choose_effect
 from cassini_bayes.simulation.settings import (
     LARGEST,
@@ -25,6 +24,7 @@ from cassini_bayes.simulation.settings import (
 )
 from cassini_bayes.simulation.telemetry import record_interval_s
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
+from cassini_bayes.spacecraft.parameters import generic_parameters
 
 DRAW_FROM: Final = "draw_from"
 _BY_THRUSTER: Final = ("thrust_individual_n", "thrust_jitter_n")

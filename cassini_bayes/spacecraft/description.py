@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.parameters import ParameterSpec
+from cassini_bayes.spacecraft.parameters import ParameterSpec
 
 Array = NDArray[np.float64]
 

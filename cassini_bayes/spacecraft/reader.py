@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
-from cassini_bayes.parameters import BLOCKS, ParameterSpec, generic_parameters
+from cassini_bayes.files.checks import nearest
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
     BranchGeometry,
@@ -23,6 +22,7 @@ from cassini_bayes.spacecraft.description import (
     Thruster,
     Wheel,
 )
+from cassini_bayes.spacecraft.parameters import BLOCKS, ParameterSpec, generic_parameters
 
 UNIT_TOLERANCE: Final = 1e-6
 """A direction within this of norm one is normalised; any other is an error."""
@@ -79,11 +79,11 @@ _OWNERS: Final[Mapping[str, type[_Table]]] = {
 def load_spacecraft(reference: str | Path) -> Spacecraft:
     """Read a spacecraft: the name of a built-in one, or the path of a TOML file.
 
-    Checked: every key and type; unit vectors (a norm within 1e-6 of one is normalised away);
-    names that occur once; parameters that are declared, in the unit of their use, and hide none of
-    :func:`cassini_bayes.parameters.generic_parameters`; axis pairs of known thrusters on every
-    branch, none of which serves both senses of an axis. Whether a pair turns the right way depends
-    on values: :func:`cassini_bayes.spacecraft.check_axis_pairs`.
+    Checked: every key and type; unit vectors (a norm within 1e-6 of one is normalised away); names
+    that occur once; parameters that are declared, in the unit of their use, and hide none of
+    :func:`cassini_bayes.spacecraft.parameters.generic_parameters`; axis pairs of known thrusters on
+    every branch, none of which serves both senses of an axis. Whether a pair turns the right way
+    depends on values: :func:`cassini_bayes.spacecraft.check_axis_pairs`.
 
     Raises
     ------

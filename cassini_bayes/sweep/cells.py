@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.quantiles import standard_normal_log_density
-from cassini_bayes.sampling import SamplerSettings, sample
+from cassini_bayes.priors.quantiles import standard_normal_log_density
+from cassini_bayes.sampling.ensembles import SamplerSettings, sample
+from cassini_bayes.sampling.warmstart import LogDensity, WarmStart, warm_start
 from cassini_bayes.sweep.models import ModelFactory, SweepModel, values_of
 from cassini_bayes.sweep.variations import Variation
 from cassini_bayes.sweep.weights import (
@@ -36,7 +37,6 @@ from cassini_bayes.sweep.weights import (
     moments,
     smoothed_weights,
 )
-from cassini_bayes.warmstart import LogDensity, WarmStart, warm_start
 
 Array = NDArray[np.float64]
 Refit = Literal["auto", "always", "never"]

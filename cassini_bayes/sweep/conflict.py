@@ -23,8 +23,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from cassini_bayes.ranks import holm
-from cassini_bayes.result import Fit
+from cassini_bayes.results.ranks import holm
+from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.coordinates import Coordinates
 
 Array = NDArray[np.float64]

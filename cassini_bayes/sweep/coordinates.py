@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.model import SOFTWARE, THRUST_COMMON
-from cassini_bayes.priors import Priors
-from cassini_bayes.result import Fit
+from cassini_bayes.model.totals import SOFTWARE, THRUST_COMMON
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.models import SweepModel, walked_values
 
 Array = NDArray[np.float64]

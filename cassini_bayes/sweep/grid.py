@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.checkpoint import CheckpointStore
+from cassini_bayes.computing.processes import end_with_parent
 from cassini_bayes.errors import CassiniBayesError, InputError
-from cassini_bayes.parallel import end_with_parent
+from cassini_bayes.files.checkpoint import CheckpointStore
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -53,7 +53,10 @@ def workers_at(jobs: int, dask: str | None) -> Iterator[Workers]:
             "--dask", "Dask's distributed", "not installed", "install cassini_bayes[dask]"
         ) from error
     try:
-        client: Any = Client(dask, timeout="10s")  # type: ignore[no-untyped-call]
+        # not the default client: xarray would ask a failed one for the lock of every file it writes
+        client: Any = Client(  # type: ignore[no-untyped-call]
+            dask, timeout="10s", set_as_default=False
+        )
     except (OSError, ValueError) as error:
         raise InputError(
             "--dask", "a Dask scheduler", f"none at {dask}", "start one, or leave --dask out"

@@ -11,13 +11,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
-from cassini_bayes.event_reduction import ReducedEvent
-from cassini_bayes.events import TotalsEvent
-from cassini_bayes.joint import JointModel, build_joint_model, joint_log_likelihood
-from cassini_bayes.joint_result import build_joint_fit
-from cassini_bayes.model import (
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.files.checks import nearest
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.joint import JointModel, build_joint_model, joint_log_likelihood
+from cassini_bayes.model.posterior import log_likelihood
+from cassini_bayes.model.totals import (
     SOFTWARE,
     THRUST_COMMON,
     THRUST_LEVELS,
@@ -26,10 +26,10 @@ from cassini_bayes.model import (
     TotalsModel,
     build_model,
 )
-from cassini_bayes.parameter_space import ParameterSpace
-from cassini_bayes.posterior import log_likelihood
-from cassini_bayes.priors import Priors
-from cassini_bayes.result import build_fit
+from cassini_bayes.priors.parameter_space import ParameterSpace
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.results.joint_record import build_joint_fit
+from cassini_bayes.results.record import build_fit
 from cassini_bayes.spacecraft import Spacecraft
 
 Array = NDArray[np.float64]

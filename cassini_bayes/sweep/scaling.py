@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cassini_bayes.parameters import BLOCKS
-from cassini_bayes.result import Fit
+from cassini_bayes.results.record import Fit
+from cassini_bayes.spacecraft.parameters import BLOCKS
 from cassini_bayes.sweep.weights import smoothed_weights
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import nearest
 
 EVENTS: Final = "events"  # the group of cells that leave an event out
 

@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cassini_bayes.checkpoint import CheckpointStore
-from cassini_bayes.checks import nearest
 from cassini_bayes.errors import InputError
-from cassini_bayes.model import THRUST_COMMON
-from cassini_bayes.quantiles import standard_normal_log_density
-from cassini_bayes.result import Fit
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.checks import nearest
+from cassini_bayes.model.totals import THRUST_COMMON
+from cassini_bayes.priors.quantiles import standard_normal_log_density
+from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.cells import Baseline, cell_arrays
 from cassini_bayes.sweep.grid import Workers, run_cells, stored_cell
 from cassini_bayes.sweep.models import (

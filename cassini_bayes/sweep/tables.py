@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from cassini_bayes.checkpoint import CheckpointStore
-from cassini_bayes.result import Fit
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.conflict import conflict_table
 from cassini_bayes.sweep.coordinates import block_coordinates
 from cassini_bayes.sweep.knowledge import knowledge_table

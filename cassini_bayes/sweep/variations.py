@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from cassini_bayes.checks import nearest
-from cassini_bayes.distributions import Distribution
 from cassini_bayes.errors import InputError
-from cassini_bayes.priors import ZERO_CENTRED, Priors
+from cassini_bayes.files.checks import nearest
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.reader import ZERO_CENTRED, Priors
 from cassini_bayes.sweep.models import SweepModel
 
 Kind = Literal["width", "shift", "family", "without"]

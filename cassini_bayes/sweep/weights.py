@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cassini_bayes.arviz_import import arviz
+from cassini_bayes.computing.arviz_import import arviz
 
 Array = NDArray[np.float64]
 

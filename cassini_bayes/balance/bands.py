@@ -1,0 +1,192 @@
+"""Bands of a telemetry event's rows, and the wheel rates as latent variables in each.
+
+The rows of an event are turned into modes (a constant and cosines, orthonormal over the rows that
+are used, diagonal for a random walk) and a remainder that is faster than all of them. White channel
+noise is the same in every band, the motion of the wheels is not: slow bands hold all of it. So what
+a measured wheel rate says of the true one differs by band: docs/telemetry-likelihood.md §3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from cassini_bayes.balance.kernel import LEAST_SQUARE
+from cassini_bayes.balance.statistics import EventStatistics, Layout
+
+Array = NDArray[np.float64]
+EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
+ROWS_PER_MODE: Final = 2
+SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
+SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
+STILL: Final = 0.5  # probability that wheels do not move in a band
+SPARSE_STILL: Final = 0.2  # the same in the fast bands of sparse rows
+_INDEPENDENT: Final = 1e-9  # least share of the largest square that a mode of its own has
+LOG_MOTION: Final = (-9.0, 34.0)  # range of the log of the wheels' motion over their noise
+_LOG_NOISE: Final = (-32.0, 12.0)  # range of the log of the noise over the measured mean square
+_NODES: Final = 800
+
+
+@dataclass(frozen=True)
+class Band:
+    """Part of the row space: modes of similar frequency, or all that is faster than the modes.
+
+    ``values`` (W,) are the measured wheel rates' mean squares, rad²/s², along the principal axes
+    ``vectors`` (W, W); ``walk`` (R,) or (1,) are the variances of a unit random walk's modes, s.
+    ``motion`` is None where wheels move by any amount at all frequencies.
+    """
+
+    rows: int
+    values: Array
+    vectors: Array
+    walk: Array
+    motion: CubicSpline | None  # of :func:`motion_table`
+
+    @property
+    def table(self) -> tuple[Array, Array]:
+        """Nodes (T,) and coefficients (4, T − 1, 2) of the spline, of no length without one."""
+        if self.motion is None:
+            return np.zeros(0), np.zeros((4, 0, 2))
+        return self.motion.x, np.ascontiguousarray(self.motion.c)
+
+
+Bands = tuple[Band, tuple[Band, ...], Array, Array]
+_MADE: WeakKeyDictionary[EventStatistics, Bands] = WeakKeyDictionary()
+
+
+def make_bands(statistics: EventStatistics) -> Bands:
+    """Split an event's rows into bands, once for all models of the event.
+
+    In slews the wheels are what turns the body, at every frequency that the controller has: nothing
+    is said of them in any band, and next to nothing lost, the rates being far above their noise.
+
+    Returns the slow band, the fast bands (octaves of the faster modes, and all that no mode
+    explains), all columns' coordinates (3, A, M) on the slow modes, and the Gram matrices
+    (3, 3, A, A) of the fast bands.
+    """
+    if statistics not in _MADE:
+        _MADE[statistics] = _bands(statistics)
+    return _MADE[statistics]
+
+
+def _bands(statistics: EventStatistics) -> Bands:
+    walk, modes = turned_modes(statistics)
+    turning = statistics.kind == "slew"
+    edges, still = _edges(statistics, len(walk)), STILL
+    bands, grams, rest = [], [], statistics.gram
+    for start, stop in pairwise(edges):
+        part = modes[..., start:stop]
+        gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
+        motion = None if turning else motion_table(stop - start, still)
+        bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion))
+        grams.append(gram)
+        rest = rest - gram
+        still = SPARSE_STILL if is_sparse(statistics) else STILL
+    rows = statistics.rows - len(walk)
+    if rows > 0:
+        # Σ 1/m² over the cosines that are not there: all of their variance on the rows left
+        beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
+        left = np.array([beyond * statistics.rows / rows])
+        motion = None if turning else motion_table(rows, still)
+        bands.append(_band(statistics.layout, rest, left, rows, motion))
+        grams.append(rest)
+    slow = np.ascontiguousarray(modes[..., : bands[0].rows])
+    return (
+        bands[0],
+        tuple(bands[1:]),
+        slow,
+        np.array(grams[1:]).reshape(len(bands) - 1, *rest.shape),
+    )
+
+
+def is_sparse(statistics: EventStatistics) -> bool:
+    """Whether wheels still move at the highest frequencies that an event's rows can show."""
+    return statistics.kind != "slew" and statistics.duration_s > SPARSE_S * statistics.rows
+
+
+def _edges(statistics: EventStatistics, modes: int) -> list[int]:
+    """First modes of the bands, and the end of the last."""
+    inner = {*EDGES}
+    if is_sparse(statistics):
+        places = [int(share * statistics.rows) for share in SPARSE_EDGES]
+        inner = {*(edge for edge in EDGES if edge < places[0]), *places}
+    return [0, *sorted(edge for edge in inner if 0 < edge < modes), modes]
+
+
+def _band(layout: Layout, gram: Array, walk: Array, rows: int, motion: CubicSpline | None) -> Band:
+    square = gram[0, 0, layout.wheel, layout.wheel]
+    values, vectors = np.linalg.eigh(square / rows)
+    return Band(rows, np.maximum(values, LEAST_SQUARE), vectors, walk, motion)
+
+
+def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
+    """Constant and cosines, turned to be orthonormal over the rows with a diagonal random walk.
+
+    Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
+    coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
+    mean). Returns the variances (M,) over a² and all columns' coordinates (3, A, M).
+    """
+    layout, gram = statistics.layout, statistics.gram
+    count = len(statistics.mode_gram)
+    order = np.arange(1, count + 1)
+    scale = np.sqrt(statistics.duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi]
+    one = layout.one
+    mixed = statistics.projection[:, 0, one]
+    square = np.block(
+        [[gram[0, 0, one, one][None, None], mixed[None]], [mixed[:, None], statistics.mode_gram]]
+    )
+    values, turn = np.linalg.eigh(scale[:, None] * square * scale)
+    most = max(statistics.rows // (1 if is_sparse(statistics) else ROWS_PER_MODE), 1)
+    kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][:most]
+    values, turn = values[kept], turn[:, kept]
+    constant = np.stack([gram[0, c, one] for c in range(3)])
+    seen = np.concatenate([constant[None], statistics.projection])
+    turned = turn / np.sqrt(values) * scale[:, None]
+    return values, np.tensordot(seen, turned, (0, 0))
+
+
+@lru_cache(maxsize=64)
+def motion_table(rows: int, no_motion: float = STILL) -> CubicSpline:
+    """Log density of R measured rates and E[V̂/(σ² (1 + s))], against t = log(σ²/V̂).
+
+    With V̂ their mean square, h = R/2 and s = S/σ² zero, of probability ``no_motion``, or of density
+    ds/s on e^LOG_MOTION, the density times V̂^h is the mean of
+    exp(−h (t + log(1 + s) + e^(−t)/(1 + s))). Both depend on R and ``no_motion`` alone.
+    Gauss-Legendre sums over log s: about the peak at s = e^(−t) − 1, whose width in log V
+    is (2/R)^½, and on either side of it.
+    """
+    half = 0.5 * rows
+    width = half**-0.5
+    low, high = np.arcsinh(np.array(_LOG_NOISE) / width)
+    t = np.clip(width * np.sinh(np.linspace(low, high, _NODES)), *_LOG_NOISE)[:, None]
+    peak = np.maximum(np.expm1(np.maximum(-t, 0.0)), width)
+    spread = np.minimum(width * (1.0 + peak) / peak, 1.0)
+    inner = [np.clip(np.log(peak) + sign * 12.0 * spread, *LOG_MOTION) for sign in (-1.0, 1.0)]
+    edges = [np.full_like(t, LOG_MOTION[0]), *inner, np.full_like(t, LOG_MOTION[1])]
+    parts = [_legendre(a, b, n) for (a, b), n in zip(pairwise(edges), (48, 160, 48), strict=True)]
+    log_s, weight = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    log_v = np.logaddexp(0.0, log_s)
+    exponent = -half * (t + log_v + np.exp(-t - log_v))
+    still = -half * (t + np.exp(-t))
+    top = np.maximum(exponent.max(axis=1, keepdims=True), still)
+    moves = (1.0 - no_motion) / (LOG_MOTION[1] - LOG_MOTION[0])
+    density = moves * weight * np.exp(exponent - top)
+    at_rest = no_motion * np.exp(still - top)[:, 0]
+    total = density.sum(axis=1) + at_rest
+    noise_share = (at_rest + (density * np.exp(-log_v)).sum(axis=1)) / total
+    explained = np.exp(-t[:, 0]) * noise_share
+    return CubicSpline(t[:, 0], np.stack([top[:, 0] + np.log(total), explained], axis=1))
+
+
+def _legendre(low: Array, high: Array, count: int) -> tuple[Array, Array]:
+    """Nodes and weights (T, count) of Gauss-Legendre sums between bounds (T, 1)."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    half = 0.5 * (high - low)
+    return low + half * (1.0 + node), half * weight

@@ -1,0 +1,641 @@
+"""Normal equations of a telemetry event at a batch of parameter points, compiled.
+
+Columns combine into P new ones per axis, y_c,k(t) = Σ_a w[a, k, c] C_c,a(t); what the likelihood
+needs are the inner products of these under the noise of every band. The weights are sparse: entry b
+says that column ``row[b]`` enters the new column that ``start`` gives it to. Point by point all
+that belongs to one stays in the processor's cache, and other threads may work on other points.
+
+Linear algebra on three or four wheels is written out: calls of LAPACK from
+compiled code hold the interpreter's lock and cost more than the work.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.computing.compilation import compiled_sums
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured to move at all
+_LEAST_SPREAD: Final = 1e-14
+_SWEEPS: Final = 30
+_TURNED: Final = 1e-15  # of the geometric mean of two diagonal elements
+
+
+class Entries(NamedTuple):
+    """Which columns enter which new column, and where measured wheel rates are.
+
+    ``row`` (B',) is the column of every entry; entries of new column k are ``start[k]`` to
+    ``start[k + 1]``, in columns below ``reach[k]``, as are those of the new columns before it.
+    """
+
+    row: Places
+    start: Places
+    reach: Places
+    wheels: Places  # (W,) columns
+    wheel_entries: Places  # (W,) entries
+
+
+class SlowBand(NamedTuple):
+    """The band of R modes: columns' coordinates on them, and measured wheel rates.
+
+    ``values`` (W,) are the rates' mean squares along the axes ``vectors`` (W, W), rad²/s². The
+    table is a cubic spline's nodes (T,) and coefficients (4, T − 1, 2); none where nothing is said
+    of the wheels' motion.
+    """
+
+    projection: Array  # (3, A', R)
+    walk: Array  # (R,) variances of a unit random walk, s
+    values: Array
+    vectors: Array
+    nodes: Array
+    coefficients: Array
+
+
+class FastBands(NamedTuple):
+    """F bands of Gram matrices; tables as for the slow one."""
+
+    grams: Array  # (F, A', 3, 3, A'): what an entry needs lies together
+    rows: Array  # (F,)
+    walk: Array  # (F,) s
+    nodes: Array  # (F, T)
+    coefficients: Array  # (F, 4, T − 1, 2)
+
+
+class Noise(NamedTuple):
+    """Noise and wheels at n points."""
+
+    wheels: Array  # (n, 3, W) momentum per wheel rate
+    beside: Array  # (n, 3, 3) covariance without wheels and torque noise, (N m s)²
+    wheel: Array  # (n,) variance of measured wheel rates, rad²/s²
+    walk: Array  # (n,) density of torque noise, N² m² s
+
+
+class Placed(NamedTuple):
+    """Priors of the unknowns, by which the slow band places them.
+
+    Means (P − 1,), standard deviations of thrusts (one number, as array ()) and of the others.
+    """
+
+    mean: Array
+    thrust_sd: float
+    own_sd: Array  # (n, U)
+
+
+@compiled_sums
+def normal_equations(
+    weights: Array, noise: Noise, entries: Entries, slow: SlowBand, fast: FastBands, placed: Placed
+) -> tuple[Array, Array, Array]:  # pragma: no cover - compiled
+    """Inner products of the new columns with the noise whitened away.
+
+    Parameters
+    ----------
+    weights
+        (n, B', 3) weight of every entry per axis; those of measured wheel rates are overwritten.
+    noise, entries, slow, fast, placed
+        See there.
+
+    Returns
+    -------
+    Inner products (n, P, P); the log of all determinants and of the density of measured wheel rates
+    (n,), constants left out, −∞ where a covariance is not positive; the matrices (n, 1 + F, W, W)
+    that take measured wheel rates to the estimate of the true ones, the slow band first
+    (docs/telemetry-likelihood.md §3).
+    """
+    n, width, wheels = len(weights), entries.start.size - 1, noise.wheels.shape[2]
+    size, modes, bands = slow.projection.shape[1], slow.walk.size, fast.rows.size
+    normal, log_scale = np.zeros((n, width, width)), np.empty(n)
+    kept, lacking = np.empty((n, 1 + bands, wheels, wheels)), np.empty((n, 3, size))
+    seen, products = np.empty((3, wheels)), np.empty((3 + wheels, 3 + wheels))
+    other, covariance, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    gain, on_modes = np.empty((3, modes)), np.empty((width, 3 * modes))
+    is_told = slow.nodes.size > 0
+    for i in range(n):
+        used, own = weights[i], noise.wheels[i]
+        log_scale[i] = _slow_wheels(slow, noise.wheel[i], kept[i, 0])
+        _see(own, kept[i, 0], entries.wheel_entries, used, seen)
+        _add_wheels(noise.beside[i], noise.wheel[i], seen, own, covariance)
+        _diagonalise(covariance, axes)
+        for e in range(3):
+            for m in range(modes):
+                variance = covariance[e, e] + noise.walk[i] * slow.walk[m]
+                gain[e, m] = 1.0 / variance
+                log_scale[i] -= 0.5 * np.log(variance)
+        _add_modes(slow.projection, entries, used, axes, gain, on_modes, normal[i])
+        if is_told and bands > 0:
+            _place(entries, used, normal[i], placed, i, lacking[i])
+    # band by band, so that one band's Gram matrices stay in the cache
+    for f in range(bands):
+        for i in range(n):
+            used, own = weights[i], noise.wheels[i]
+            other[:] = noise.beside[i]
+            for c in range(3):
+                other[c, c] += noise.walk[i] * fast.walk[f]
+            if is_told:
+                _moments(fast.grams[f], entries.wheels, lacking[i], fast.rows[f], products)
+                log_scale[i] += estimated_wheels(
+                    fast.rows[f],
+                    fast.nodes[f],
+                    fast.coefficients[f],
+                    products,
+                    other,
+                    own,
+                    noise.wheel[i],
+                    kept[i, 1 + f],
+                )
+            else:
+                kept[i, 1 + f] = np.eye(wheels)
+            _see(own, kept[i, 1 + f], entries.wheel_entries, used, seen)
+            _add_wheels(other, noise.wheel[i], seen, own, covariance)
+            log_determinant = _invert(covariance, other)
+            if not is_told:
+                log_scale[i] -= 0.5 * fast.rows[f] * log_determinant
+            _contract(fast.grams[f], entries, used, other, normal[i])
+    for i in range(n):
+        is_fine = np.isfinite(log_scale[i])
+        for k in range(width):
+            for before in range(k):
+                normal[i, before, k] = normal[i, k, before]
+            is_fine = is_fine and np.isfinite(normal[i, k, k])
+        if not is_fine:
+            normal[i] = 0.0
+            log_scale[i] = -np.inf
+    return normal, log_scale, kept
+
+
+@compiled_sums
+def without_own(
+    normal: Array, thrusters: int, mean: Array, sd: Array, common: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:  # pragma: no cover - compiled
+    """An event's own unknowns integrated out of its normal equations.
+
+    Parameters
+    ----------
+    normal
+        (n, P, P) of K thrusts, U own unknowns and the measured momentum.
+    thrusters
+        K.
+    mean, sd
+        (U,) and (n, U) of the own unknowns' priors.
+    common
+        (n,) level about which the thrusts are taken, N.
+
+    Returns
+    -------
+    Lower factor (n, U, U) of the own unknowns' precision in standardised coordinates, their shift
+    (n, U) and coupling (n, U, K) to the thrusts; information on the thrusts: matrix (n, K, K),
+    vector (n, K) and constant (n,), −∞ where the precision is not positive.
+    """
+    n, k, own, last = len(normal), thrusters, len(mean), normal.shape[1] - 1
+    factor, solved = np.empty((n, own, own)), np.empty((n, own, k + 1))
+    matrix, vector, constant = np.empty((n, k, k)), np.empty((n, k)), np.empty(n)
+    precision, target = np.empty((own, own)), np.empty(last)
+    for i in range(n):
+        square = normal[i, last, last]
+        for a in range(last):
+            # the measured momentum less that of the own unknowns at their prior means
+            target[a] = normal[i, a, last]
+            for u in range(own):
+                target[a] -= normal[i, a, k + u] * mean[u]
+        for u in range(own):
+            square -= mean[u] * (target[k + u] + normal[i, k + u, last])
+            for v in range(own):
+                precision[u, v] = sd[i, u] * normal[i, k + u, k + v] * sd[i, v]
+            precision[u, u] += 1.0
+            for a in range(k):
+                solved[i, u, a] = sd[i, u] * normal[i, k + u, a]
+            solved[i, u, k] = sd[i, u] * target[k + u]
+        total = -0.5 * (square + _factor(precision, factor[i]))
+        for u in range(own):
+            for before in range(u):
+                for a in range(k + 1):
+                    solved[i, u, a] -= factor[i, u, before] * solved[i, before, a]
+            for a in range(k + 1):
+                solved[i, u, a] /= factor[i, u, u]
+            total += 0.5 * solved[i, u, k] ** 2
+        for a in range(k):
+            vector[i, a] = target[a]
+            for u in range(own):
+                vector[i, a] -= solved[i, u, a] * solved[i, u, k]
+            for b in range(k):
+                matrix[i, a, b] = normal[i, a, b]
+            for u in range(own):
+                for b in range(k):
+                    matrix[i, a, b] -= solved[i, u, a] * solved[i, u, b]
+        for a in range(k):
+            by_common = 0.0
+            for b in range(k):
+                by_common += matrix[i, a, b]
+            total += common[i] * (vector[i, a] - 0.5 * common[i] * by_common)
+            vector[i, a] -= common[i] * by_common
+        constant[i] = total
+        if not np.isfinite(total):
+            factor[i], solved[i], matrix[i], vector[i] = np.eye(own), 0.0, 0.0, 0.0
+            constant[i] = -np.inf
+    return factor, solved[:, :, k], solved[:, :, :k], matrix, vector, constant
+
+
+@compiled_sums
+def _see(
+    own: Array, kept: Array, places: Places, used: Array, seen: Array
+) -> None:  # pragma: no cover - compiled
+    """Momentum (3, W) per measured wheel rate, also as weights (B', 3) of their entries."""
+    wheels = own.shape[1]
+    for c in range(3):
+        for j in range(wheels):
+            value = 0.0
+            for k in range(wheels):
+                value += own[c, k] * kept[k, j]
+            seen[c, j] = value
+            used[places[j], c] = value
+
+
+@compiled_sums
+def _add_wheels(
+    beside: Array, variance: float, seen: Array, own: Array, out: Array
+) -> None:  # pragma: no cover - compiled
+    """Covariance (3, 3) of a row, with what measured wheel rates put in."""
+    for c in range(3):
+        for d in range(c + 1):
+            value = 0.0
+            for j in range(own.shape[1]):
+                value += seen[c, j] * own[d, j]
+            out[c, d] = out[d, c] = beside[c, d] + variance * value
+
+
+@compiled_sums
+def _slow_wheels(
+    band: SlowBand, variance: float, kept: Array
+) -> float:  # pragma: no cover - compiled
+    """Best linear estimate of the true wheel rates of the slow band, and their own log density.
+
+    Along every principal axis the R measured rates have variance V = S + σ² (docs §3); the matrix
+    is E[S/V]. In slews all is motion, and the density flat.
+    """
+    wheels, rows = band.values.size, band.walk.size
+    if band.nodes.size == 0:
+        kept[:] = np.eye(wheels)
+        return 0.0
+    log_total: float = -0.5 * wheels * rows * np.log(variance)
+    kept[:] = 0.0
+    for a in range(wheels):
+        square = band.values[a] / variance
+        log_density, spread = _looked_up(rows, band.nodes, band.coefficients, square)
+        log_total += log_density
+        for j in range(wheels):
+            for k in range(wheels):
+                kept[j, k] += band.vectors[j, a] * (1.0 - spread) * band.vectors[k, a]
+    return log_total
+
+
+@compiled_sums
+def _looked_up(
+    rows: float, nodes: Array, coefficients: Array, square: float
+) -> tuple[float, float]:  # pragma: no cover - compiled
+    """Log density of R measured rates, and E[1/(1 + s)], by their mean square over the noise."""
+    # below the table's end the density is flat, above it is all motion
+    log_square = max(np.log(max(square, LEAST_SQUARE)), -nodes[-1])
+    t = max(-log_square, nodes[0])
+    place = min(max(np.searchsorted(nodes, t, side="right") - 1, 0), nodes.size - 2)
+    x = t - nodes[place]
+    found = coefficients[:, place]
+    log_density = ((found[0, 0] * x + found[1, 0]) * x + found[2, 0]) * x + found[3, 0]
+    explained = ((found[0, 1] * x + found[1, 1]) * x + found[2, 1]) * x + found[3, 1]
+    spread = min(max(explained * np.exp(-log_square), _LEAST_SPREAD), 1.0)
+    return log_density - 0.5 * rows * log_square, spread
+
+
+@compiled_sums
+def estimated_wheels(
+    rows: float,
+    nodes: Array,
+    coefficients: Array,
+    moments: Array,
+    other: Array,
+    weights: Array,
+    variance: float,
+    kept: Array,
+) -> float:  # pragma: no cover - compiled
+    """Best estimate of the true wheel rates of a fast band, and the log density of the band.
+
+    The wheels are seen twice: measured, and through the momentum that everything else lacks,
+    u = H ρ + e. The mean squares of both together say how much of it is motion
+    (docs/telemetry-likelihood.md §3).
+
+    Parameters
+    ----------
+    rows
+        R of the band.
+    nodes, coefficients
+        Its table, as in :class:`SlowBand`.
+    moments
+        (3 + W, 3 + W) mean products of u, N m s, and the measured rates, rad/s.
+    other
+        (3, 3) covariance of e.
+    weights
+        (3, W) H, momentum per wheel rate.
+    variance
+        Variance of measured wheel rates.
+    kept
+        (W, W), to be filled with the matrix that takes measured rates to their estimate.
+
+    Returns
+    -------
+    The log density of u and ρ_m beyond their quadratic form at that estimate; constants left out.
+    """
+    wheels = weights.shape[1]
+    lower = np.empty((3, 3))
+    log_other = _factor(other, lower)
+    by_other = np.empty((3, wheels))  # other⁻¹ H
+    for j in range(wheels):
+        for c in range(3):
+            by_other[c, j] = weights[c, j]
+        _solve(lower, by_other[:, j])
+        _solve_transposed(lower, by_other[:, j])
+    precision, factor = np.empty((wheels, wheels)), np.empty((wheels, wheels))
+    for j in range(wheels):
+        for k in range(wheels):
+            value = 0.0
+            for c in range(3):
+                value += by_other[c, j] * weights[c, k]
+            precision[j, k] = value
+        precision[j, j] += 1.0 / variance
+    _factor(precision, factor)
+    # of unit noise: what both say of the wheels together
+    together = np.zeros((wheels, 3 + wheels))
+    for j in range(wheels):
+        for c in range(3):
+            together[j, c] = by_other[c, j]
+        together[j, 3 + j] = 1.0 / variance
+    for column in range(3 + wheels):
+        _solve(factor, together[:, column])
+    squares, half_way = np.empty((wheels, wheels)), np.empty(3 + wheels)
+    for j in range(wheels):
+        for a in range(3 + wheels):
+            value = 0.0
+            for b in range(3 + wheels):
+                value += together[j, b] * moments[b, a]
+            half_way[a] = value
+        for k in range(j + 1):
+            value = 0.0
+            for a in range(3 + wheels):
+                value += half_way[a] * together[k, a]
+            squares[j, k] = squares[k, j] = value
+    axes = np.empty((wheels, wheels))
+    _diagonalise(squares, axes)
+    # K = S (S + σ²)⁻¹ for S = X (1/q − 1) Xᵀ, q the spread: well conditioned for any q in 0 … 1
+    log_total: float = -0.5 * rows * (log_other + wheels * np.log(variance))
+    inner = np.empty((wheels, wheels))
+    for a in range(wheels):
+        log_density, spread = _looked_up(rows, nodes, coefficients, squares[a, a])
+        log_total += log_density + 0.5 * rows * max(squares[a, a], LEAST_SQUARE) * spread
+        inner[a, a] = spread
+        _solve_transposed(factor, axes[:, a])
+        for j in range(wheels):
+            axes[j, a] *= np.sqrt((1.0 - spread) / variance)
+    for a in range(wheels):
+        for b in range(a + 1):
+            value = inner[a, a] if a == b else 0.0
+            for j in range(wheels):
+                value += axes[j, a] * axes[j, b]
+            inner[a, b] = inner[b, a] = value
+    _factor(inner, factor)
+    for j in range(wheels):
+        _solve(factor, axes[j])
+    own = 0.0
+    for j in range(wheels):
+        for k in range(wheels):
+            value = 0.0
+            for a in range(wheels):
+                value += axes[j, a] * axes[k, a]
+            kept[j, k] = value
+            own += ((1.0 if j == k else 0.0) - value) * moments[3 + k, 3 + j]
+    log_total -= 0.5 * rows * own / variance
+    return log_total
+
+
+@compiled_sums
+def _add_modes(
+    projection: Array,
+    entries: Entries,
+    used: Array,
+    axes: Array,
+    gain: Array,
+    seen: Array,
+    normal: Array,
+) -> None:  # pragma: no cover - compiled
+    """Add the slow modes' inner products to the lower triangle (P, P).
+
+    Σ_m,e gain_m,e Y_m,e,k Y_m,e,l with Y_m,e,k = Σ_c axes_c,e Σ_t φ_m(t) y_c,k(t).
+    """
+    width, modes = entries.start.size - 1, projection.shape[2]
+    body, scaled = np.empty((3, modes)), np.empty(3 * modes)
+    for k in range(width):
+        body[:] = 0.0
+        for b in range(entries.start[k], entries.start[k + 1]):
+            for c in range(3):
+                weight = used[b, c]
+                if weight == 0.0:
+                    continue
+                line = projection[c, entries.row[b]]
+                for m in range(modes):
+                    body[c, m] += weight * line[m]
+        for e in range(3):
+            for m in range(modes):
+                value = axes[0, e] * body[0, m] + axes[1, e] * body[1, m] + axes[2, e] * body[2, m]
+                seen[k, e * modes + m] = value
+                scaled[e * modes + m] = gain[e, m] * value
+        for other in range(k + 1):
+            value = 0.0
+            for j in range(3 * modes):
+                value += scaled[j] * seen[other, j]
+            normal[k, other] += value
+
+
+@compiled_sums
+def _place(
+    entries: Entries, used: Array, normal: Array, placed: Placed, point: int, lacking: Array
+) -> None:  # pragma: no cover - compiled
+    """Column weights (3, A') of the momentum that all but the wheels leaves to them.
+
+    Unknowns are taken where the slow band (lower triangle ``normal``) and their priors have them:
+    good enough to tell how much the wheels move at higher frequencies.
+    """
+    unknowns = entries.start.size - 2
+    thrusters = unknowns - placed.own_sd.shape[1]
+    sd, at = np.empty(unknowns), np.empty(unknowns)
+    for k in range(unknowns):
+        sd[k] = placed.thrust_sd if k < thrusters else placed.own_sd[point, k - thrusters]
+    precision, factor = np.empty((unknowns, unknowns)), np.empty((unknowns, unknowns))
+    for k in range(unknowns):
+        target = normal[unknowns, k]
+        for other in range(unknowns):
+            value = normal[max(k, other), min(k, other)]
+            target -= value * placed.mean[other]
+            precision[k, other] = sd[k] * value * sd[other]
+        precision[k, k] += 1.0
+        at[k] = sd[k] * target
+    _factor(precision, factor)
+    _solve(factor, at)
+    _solve_transposed(factor, at)
+    lacking[:] = 0.0
+    for k in range(unknowns + 1):
+        sign = -1.0 if k == unknowns else placed.mean[k] + sd[k] * at[k]
+        for b in range(entries.start[k], entries.start[k + 1]):
+            for c in range(3):
+                lacking[c, entries.row[b]] += sign * used[b, c]
+    for place in entries.wheels:
+        for c in range(3):
+            lacking[c, place] = 0.0
+
+
+@compiled_sums
+def _moments(
+    gram: Array, places: Places, weights: Array, rows: float, out: Array
+) -> None:  # pragma: no cover - compiled
+    """Mean products (3 + W, 3 + W) of a vector column, of weights (3, A'), and scalar columns."""
+    size = gram.shape[0]
+    for c in range(3):
+        for d in range(c + 1):
+            value = 0.0
+            for b in range(size):
+                weight = weights[c, b]
+                if weight == 0.0:
+                    continue
+                line = gram[b, c, d]
+                # the square of one axis is symmetric: below the diagonal, and twice
+                end = b if c == d else size
+                part = 0.0
+                for a in range(end):
+                    part += line[a] * weights[d, a]
+                value += weight * (2.0 * part + line[b] * weight if c == d else part)
+            out[c, d] = out[d, c] = value / rows
+        for j in range(places.size):
+            line = gram[places[j], 0, c]
+            value = 0.0
+            for a in range(size):
+                value += line[a] * weights[c, a]
+            out[c, 3 + j] = out[3 + j, c] = value / rows
+    for j in range(places.size):
+        for k in range(places.size):
+            out[3 + j, 3 + k] = gram[places[j], 0, 0, places[k]] / rows
+
+
+@compiled_sums
+def _contract(
+    gram: Array, entries: Entries, used: Array, precision: Array, normal: Array
+) -> None:  # pragma: no cover - compiled
+    """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to the lower triangle (P, P)."""
+    start, row = entries.start, entries.row
+    gathered = np.empty((3, gram.shape[0]))
+    for k in range(start.size - 1):
+        reach = entries.reach[k]
+        gathered[:, :reach] = 0.0
+        for b in range(start[k], start[k + 1]):
+            for c in range(3):
+                by_x = precision[c, 0] * used[b, 0]
+                by_y = precision[c, 1] * used[b, 1]
+                by_z = precision[c, 2] * used[b, 2]
+                x, y, z = gram[row[b], 0, c], gram[row[b], 1, c], gram[row[b], 2, c]
+                for a in range(reach):
+                    gathered[c, a] += by_x * x[a] + by_y * y[a] + by_z * z[a]
+        for other in range(k + 1):
+            value = 0.0
+            for b in range(start[other], start[other + 1]):
+                for c in range(3):
+                    value += used[b, c] * gathered[c, row[b]]
+            normal[k, other] += value
+
+
+@compiled_sums
+def _diagonalise(matrix: Array, vectors: Array) -> None:  # pragma: no cover - compiled
+    """Turn a symmetric matrix (m, m) to diagonal form in place; columns of ``vectors`` the axes.
+
+    Jacobi's rotations, cyclic; accurate relative to each eigenvalue of a positive matrix.
+    """
+    m = len(matrix)
+    vectors[:] = np.eye(m)
+    for _ in range(_SWEEPS):
+        is_diagonal = True
+        for p in range(m - 1):
+            for q in range(p + 1, m):
+                off = matrix[p, q]
+                if not abs(off) > _TURNED * np.sqrt(abs(matrix[p, p] * matrix[q, q])):
+                    continue
+                is_diagonal = False
+                slope = 0.5 * (matrix[q, q] - matrix[p, p]) / off
+                t = 1.0 / (abs(slope) + np.sqrt(slope * slope + 1.0))
+                t = -t if slope < 0.0 else t
+                cosine = 1.0 / np.sqrt(t * t + 1.0)
+                sine = t * cosine
+                matrix[p, p] -= t * off
+                matrix[q, q] += t * off
+                matrix[p, q] = matrix[q, p] = 0.0
+                for k in range(m):
+                    if k not in (p, q):
+                        one, two = matrix[k, p], matrix[k, q]
+                        matrix[k, p] = matrix[p, k] = cosine * one - sine * two
+                        matrix[k, q] = matrix[q, k] = sine * one + cosine * two
+                    one, two = vectors[k, p], vectors[k, q]
+                    vectors[k, p] = cosine * one - sine * two
+                    vectors[k, q] = sine * one + cosine * two
+        if is_diagonal:
+            return
+
+
+@compiled_sums
+def _factor(matrix: Array, lower: Array) -> float:  # pragma: no cover - compiled
+    """Cholesky's lower factor (m, m) of a positive matrix, and the log of its determinant.
+
+    Not a number where it is not positive.
+    """
+    m, log_determinant = len(matrix), 0.0
+    for j in range(m):
+        for i in range(j, m):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= lower[i, k] * lower[j, k]
+            if i == j:
+                lower[j, j] = np.sqrt(value)
+                log_determinant += np.log(value)
+            else:
+                lower[i, j] = value / lower[j, j]
+                lower[j, i] = 0.0
+    return log_determinant
+
+
+@compiled_sums
+def _solve(lower: Array, vector: Array) -> None:  # pragma: no cover - compiled
+    """Replace a vector (m,) by L⁻¹ of it."""
+    for i in range(len(vector)):
+        value = vector[i]
+        for k in range(i):
+            value -= lower[i, k] * vector[k]
+        vector[i] = value / lower[i, i]
+
+
+@compiled_sums
+def _solve_transposed(lower: Array, vector: Array) -> None:  # pragma: no cover - compiled
+    """Replace a vector (m,) by L⁻ᵀ of it."""
+    for i in range(len(vector) - 1, -1, -1):
+        value = vector[i]
+        for k in range(i + 1, len(vector)):
+            value -= lower[k, i] * vector[k]
+        vector[i] = value / lower[i, i]
+
+
+@compiled_sums
+def _invert(matrix: Array, inverse: Array) -> float:  # pragma: no cover - compiled
+    """Inverse (m, m) of a positive matrix, and the log of its determinant."""
+    lower = np.empty_like(matrix)
+    log_determinant = _factor(matrix, lower)
+    inverse[:] = np.eye(len(matrix))
+    for column in range(len(matrix)):
+        _solve(lower, inverse[:, column])
+        _solve_transposed(lower, inverse[:, column])
+    return log_determinant

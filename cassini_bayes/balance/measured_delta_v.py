@@ -1,0 +1,155 @@
+"""Measured velocity changes of telemetry as information on thrust (paper 000, App. D).
+
+Per row in body axes, M ΔV(t) = Σ_k d_k F_k s_k(t), with the effective on-time s_k of the momentum
+balance and the event's wet mass M. Rows during which a pulse is being delivered are left out, as in
+the balance; the first reading stays in, because on-times and velocity change are counted from it.
+The noise of a row is white, and the zero of the velocity change is an unknown offset of its own.
+Like the balance this is linear in the thrusts, so a few inner products are all that is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.statistics import Samples, Sampling
+from cassini_bayes.balance.statistics.columns import effective_increments
+from cassini_bayes.balance.statistics.rows import quiet_rows
+from cassini_bayes.balance.telemetry_terms import pulse_weights
+from cassini_bayes.errors import InputError
+
+Array = NDArray[np.float64]
+OFFSET_SD_M_S: Final = 0.1
+LEAST_ROWS: Final = 2
+DELTA_V_PARAMETERS: Final = ("mass_kg", "delta_v_noise_m_s", "delta_v_resolution_m_s")
+
+
+@dataclass(frozen=True)
+class DeltaVStatistics:
+    """Inner products of the columns of one event's measured velocity change.
+
+    Columns: per thruster its three pulse columns and its pulse count (4 K), then the constant.
+    ``gram`` (4K + 1, 4K + 1), ``cross`` (4K + 1, 3) with the measured ΔV, ``square`` its sum of
+    squares over rows and axes; ``last_m_s`` (3,) the last reading less the first.
+    """
+
+    event_id: str
+    sampling: Sampling
+    rows: int
+    gram: Array
+    cross: Array
+    square: float
+    last_m_s: Array
+
+
+def delta_v_statistics(
+    event_id: str, parts: Iterable[tuple[Samples, Array]], sampling: Sampling
+) -> DeltaVStatistics:
+    """Reduce an event: ``parts`` are its rows in order, each with ΔV (n, 3) m/s, NaN where none.
+
+    A burn is short: all rows are held at once.
+
+    Raises
+    ------
+    InputError
+        Fewer than two rows with ΔV at which no thruster was delivering.
+    """
+    stretches = list(parts)
+    samples = Samples.joined([part for part, _ in stretches])
+    measured = np.concatenate([values for _, values in stretches])
+    counted = np.flatnonzero(samples.has_counters)
+    time = samples.time_s[counted]
+    counters = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
+    rows = np.flatnonzero(np.isfinite(measured).all(1))
+    quiet = quiet_rows(samples.time_s[rows], time, counters, sampling.guard_s)
+    # the first reading is where on-times and velocity change begin to be counted
+    quiet |= samples.time_s[rows] == time[0]
+    rows = rows[quiet]
+    if len(rows) < LEAST_ROWS:
+        raise InputError(
+            f"event {event_id}: telemetry",
+            f"at least {LEAST_ROWS} rows with a velocity change while no thruster delivers",
+            str(len(rows)),
+            "let the telemetry begin before the burn and end after it",
+        )
+    on_time, pulses = samples.on_time_s[counted], samples.pulses[counted]
+    gained = effective_increments(np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling)
+    columns = np.concatenate([gained, np.diff(pulses, axis=0)[..., None]], axis=2)
+    flat = columns.reshape(len(columns), -1)
+    total = np.concatenate([np.zeros((1, flat.shape[1])), np.cumsum(flat, axis=0)])
+    place = np.searchsorted(time, samples.time_s[rows] + 1e-6, side="right") - 1
+    table = np.concatenate([total[place], np.ones((len(rows), 1))], axis=1)
+    values = measured[rows]
+    return DeltaVStatistics(
+        event_id,
+        sampling,
+        len(rows),
+        table.T @ table,
+        table.T @ values,
+        float((values**2).sum()),
+        values[-1] - values[0],
+    )
+
+
+def delta_v_information(
+    statistics: DeltaVStatistics,
+    physics: Physics,
+    directions: Array,
+    parameters: Mapping[str, Array],
+    common_n: Array,
+) -> tuple[Array, Array, Array]:
+    """Information on the thrusts: matrix (n, K, K), vector (n, K) and constant (n,).
+
+    With d = F − common, log L = constant + vectorᵀ d − ½ dᵀ matrix d. ``directions`` (3, K) are the
+    thrusters' force directions, ``parameters`` has those of :data:`DELTA_V_PARAMETERS`, (n,) each.
+    """
+    n, k = len(common_n), directions.shape[1]
+    variance = (
+        parameters["delta_v_noise_m_s"] ** 2 + parameters["delta_v_resolution_m_s"] ** 2 / 12.0
+    )
+    weights = on_time_weights(statistics, physics, n, k)
+    gram, cross = statistics.gram, statistics.cross
+    fired = weights @ gram[: 4 * k, : 4 * k] @ np.swapaxes(weights, 1, 2)
+    to_one = weights @ gram[: 4 * k, -1]
+    with_data = weights @ cross[: 4 * k]
+    scale = 1.0 / (parameters["mass_kg"] ** 2 * variance)
+    # the offset of each axis, eliminated: its precision is rows/σ² + 1/sd²
+    ones = statistics.rows / variance + OFFSET_SD_M_S**-2
+    lost = scale / (variance * ones)
+    inner = directions.T @ directions
+    matrix = inner * (
+        scale[:, None, None] * fired - lost[:, None, None] * to_one[:, :, None] * to_one[:, None, :]
+    )
+    by_mass = 1.0 / (parameters["mass_kg"] * variance)
+    shifted = with_data - to_one[:, :, None] * (cross[-1] / (variance * ones)[:, None])[:, None, :]
+    vector = by_mass[:, None] * np.einsum("ck,nkc->nk", directions, shifted)
+    square = statistics.square / variance - (cross[-1] ** 2).sum() / (variance**2 * ones)
+    constant = (
+        -0.5 * square
+        - 1.5 * statistics.rows * np.log(2.0 * np.pi * variance)
+        - 1.5 * np.log(ones * OFFSET_SD_M_S**2)
+    )
+    by_common = matrix.sum(-1)
+    return (
+        matrix,
+        vector - common_n[:, None] * by_common,
+        constant + common_n * vector.sum(-1) - 0.5 * common_n**2 * by_common.sum(-1),
+    )
+
+
+def on_time_weights(statistics: DeltaVStatistics, physics: Physics, n: int, k: int) -> Array:
+    """Weights (n, K, 4 K) that make each thruster's effective on-time out of the columns."""
+    pulse = np.broadcast_to(pulse_weights(statistics.sampling, physics), (n, 3))
+    factor = np.broadcast_to(physics.thrust_factor, (n, k))
+    offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
+    weights = np.zeros((n, k, 4 * k))
+    for thruster in range(k):
+        first = 4 * thruster
+        weights[:, thruster, first : first + 3] = factor[:, thruster, None] * pulse
+        weights[:, thruster, first + 3] = offset[:, thruster]
+    return weights

@@ -1,0 +1,115 @@
+"""The physics of an event at a batch of parameter points: what every likelihood is built from.
+
+One place turns parameter names into inertia, wheel momentum, lever arms and pulse parameters.
+Effects that extend the model (:mod:`cassini_bayes.diagnosis`) change a :class:`Physics` and nothing
+else, so totals rows and telemetry see the same effect in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.spacecraft import (
+    Spacecraft,
+    inertia_tensor,
+    lever_arms,
+    wheel_axes,
+    wheel_inertias,
+)
+
+Array = NDArray[np.float64]
+Parameters = Mapping[str, Array | float]
+
+PULSE_PARAMETERS: Final = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
+CENTRE_PARAMETERS: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
+INERTIA_PARAMETERS: Final = tuple(
+    f"inertia_{element}_kg_m2" for element in ("xx", "yy", "zz", "xy", "xz", "yz")
+)
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Quantities of the momentum balance; leading axes ``...`` are the batch of points.
+
+    A thruster's impulse is F_k (thrust_factor_k s_k + impulse_offset_k × pulses); measured rates
+    are (1 + rate_scale) ω + rate_bias. ``extra`` names further columns of telemetry (built by the
+    same name in the reduction) with their weights in the momentum that goes in.
+    """
+
+    inertia_kg_m2: Array  # (..., 3, 3) with the stationary wheels
+    wheel_axes: Array  # (..., 3, W) columns of T, all wheels in file order
+    wheel_inertia_kg_m2: Array  # (..., W)
+    arms_m: Array  # (..., 3, K) torque per newton; no thrusters: K = 0
+    tau_s: tuple[Array, Array, Array]  # delay, rise, fall, each (...)
+    thrust_factor: Array | float = 1.0  # (..., K)
+    impulse_offset_s: Array | float = 0.0  # (..., K) on-time added per pulse
+    steady_torque_n_m: Array | float = 0.0  # (..., 3) beyond the collapsed external torque
+    rate_bias_rad_s: Array | float = 0.0  # (..., 3)
+    rate_scale: Array | float = 0.0  # (..., 3)
+    extra: Mapping[str, Array] = field(default_factory=dict)  # column → (..., 3)
+
+    @cached_property
+    def wheel_weights(self) -> Array:
+        """T diag(I_w), (..., 3, W): momentum of the wheels per rad/s."""
+        return np.asarray(self.wheel_axes * self.wheel_inertia_kg_m2[..., None, :])
+
+    @cached_property
+    def momentum_per_rate(self) -> Array:
+        """Momentum per measured rate (..., 3, 3): the true one is (measured − bias)/(1 + scale)."""
+        inertia = self.inertia_kg_m2
+        scale = np.broadcast_to(self.rate_scale, inertia.shape[:-1])
+        return np.asarray(inertia / (1.0 + scale)[..., None, :])
+
+
+Modifier = Callable[[Physics, Parameters], Physics]
+"""An effect: the physics with it, at the values of its parameters."""
+
+
+def physics_of(
+    spacecraft: Spacecraft,
+    branch: str,
+    parameters: Mapping[str, Array],
+    modifiers: tuple[Modifier, ...] = (),
+    *,
+    fires: bool = True,
+) -> Physics:
+    """Physics at parameters (name → (...) array), with every modifier applied in order.
+
+    ``fires`` is False for events without thrusters, whose parameters need not be there.
+    """
+    zero = np.zeros(())
+    delay, rise, fall = (parameters[name] if fires else zero for name in PULSE_PARAMETERS)
+    physics = Physics(
+        inertia_kg_m2=inertia_tensor(parameters),
+        wheel_axes=wheel_axes(spacecraft, parameters),
+        wheel_inertia_kg_m2=wheel_inertias(spacecraft, parameters),
+        arms_m=lever_arms(spacecraft, branch, parameters) if fires else np.zeros((3, 0)),
+        tau_s=(delay, rise, fall),
+        rate_bias_rad_s=_rate_bias(parameters),
+    )
+    for modify in modifiers:
+        physics = modify(physics, parameters)
+    return physics
+
+
+def _rate_bias(parameters: Mapping[str, Array]) -> Array | float:
+    names = [f"rate_bias_{axis}_rad_s" for axis in "xyz"]
+    if not all(name in parameters for name in names):
+        return 0.0
+    return np.stack(np.broadcast_arrays(*(parameters[name] for name in names)), axis=-1)
+
+
+def physical_inertia(inertia: Array) -> NDArray[np.bool_]:
+    """Whether inertia tensors (..., 3, 3) can be those of a body, (...).
+
+    Principal moments are positive and none exceeds the sum of the other two.
+    """
+    moments = np.linalg.eigvalsh(inertia)
+    positive = moments[..., 0] > 0.0
+    return np.asarray(positive & (moments[..., 2] <= moments[..., 0] + moments[..., 1]))

@@ -1,0 +1,33 @@
+"""Telemetry reduced to sufficient statistics: rows that may be used, columns, Gram matrices."""
+
+from __future__ import annotations
+
+from cassini_bayes.balance.statistics.columns import (
+    Carry,
+    ExtraColumn,
+    Layout,
+    RowContext,
+    Sampling,
+    settle,
+)
+from cassini_bayes.balance.statistics.reduction import (
+    EventStatistics,
+    load_statistics,
+    reduce_chunks,
+    save_statistics,
+)
+from cassini_bayes.balance.statistics.rows import Samples
+
+__all__ = [
+    "Carry",
+    "EventStatistics",
+    "ExtraColumn",
+    "Layout",
+    "RowContext",
+    "Samples",
+    "Sampling",
+    "load_statistics",
+    "reduce_chunks",
+    "save_statistics",
+    "settle",
+]

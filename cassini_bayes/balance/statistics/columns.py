@@ -1,0 +1,430 @@
+"""Columns of the angular-momentum balance of telemetry: known vectors times unknown weights.
+
+In body axes at time t, with R(t, t') the rotation from body axes at t' to those at t,
+
+    I ω + H_w = R(t, 0) h0 + Σ_k F_k Σ_j q_kj ∫ R(t, t') e_j ds_k + Σ_j τ_j ∫ R(t, t') e_j dt'
+
+(paper 000 eqs. 4-7 and 15-17 in inertial form). Scalar columns stand for one column per axis:
+ω_x, ω_y, ω_z, 1, ρ_1 … ρ_W. Vector columns have three components at each time: R e_j for the
+initial momentum, ∫R e_j dt for a steady torque, ∫R e_j ds_k for thruster k. The effective on-time s
+depends on the pulse parameters: three columns hold its value at the reference parameters and its
+derivatives with respect to τ_r and τ_f there (exact in τ_f for ``first_order``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.statistics.rows import Samples, quiet_rows
+from cassini_bayes.balance.statistics.turning import turned_into_body
+from cassini_bayes.spacecraft.pulses import PulseShape
+
+Array = NDArray[np.float64]
+AXES = "xyz"
+PULSE_COLUMNS = ("reference", "rise", "fall")
+CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
+MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
+_SAME_S = 1e-6  # times closer than this are the same
+_STEP_S = 1e-6  # of the derivatives of the effective on-time
+
+
+@dataclass(frozen=True)
+class RowContext:
+    """What a column that an effect brings may depend on, at the n rows that enter the balance.
+
+    ``counter_time_s``, ``on_time_s`` and ``pulses`` are the counter readings around these rows, to
+    be looked up at other times as well; the columns of both are the thrusters.
+    """
+
+    time_s: Array  # (n,)
+    rate_rad_s: Array  # (n, 3)
+    wheel_rad_s: Array  # (n, W)
+    counter_time_s: Array  # (m,)
+    on_time_s: Array  # (m, K)
+    pulses: Array  # (m, K)
+
+    def on_time_at(self, time_s: Array) -> Array:
+        """Commanded on-time (n, K) at the last reading before or at each time."""
+        return self.on_time_s[self.reading(time_s)]
+
+    def pulses_at(self, time_s: Array) -> Array:
+        """Pulses (n, K) at the last reading before or at each time."""
+        return self.pulses[self.reading(time_s)]
+
+    def reading(self, time_s: Array) -> NDArray[np.intp]:
+        """Place of the last reading before or at each time."""
+        place = np.searchsorted(self.counter_time_s, time_s + _SAME_S, side="right") - 1
+        return np.maximum(place, 0)
+
+
+@dataclass(frozen=True)
+class ExtraColumn:
+    """A scalar column of an effect: its name and its values (n,) at the rows."""
+
+    name: str
+    values: Callable[[RowContext], Array]
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How telemetry is turned into columns.
+
+    ``pulse_reference_s`` are the τ_delay, τ_rise, τ_fall at which pulses are linearised;
+    ``guard_s`` is how long after its end a pulse may still deliver momentum, ``duration_s`` the
+    time of the last row.
+    """
+
+    pulse_shape: PulseShape
+    pulse_reference_s: tuple[float, float, float]
+    guard_s: float
+    couples: tuple[tuple[int, ...], ...]  # thrusters (places) that only ever fire together
+    duration_s: float
+    extra: tuple[ExtraColumn, ...] = ()
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names and places of the columns: vector columns first, scalar columns after them."""
+
+    wheels: tuple[int, ...]
+    thrusters: tuple[str, ...]
+    couples: tuple[tuple[int, ...], ...]
+    extra: tuple[str, ...] = ()
+
+    @cached_property
+    def vector(self) -> tuple[str, ...]:
+        """Names of the vector columns."""
+        steady = [f"{what}:{axis}" for what in ("initial", "torque") for axis in AXES]
+        fired = [
+            f"thrust:{name}:{axis}:{column}"
+            for name in self.thrusters
+            for axis in AXES
+            for column in PULSE_COLUMNS
+        ]
+        return (*steady, *fired)
+
+    @cached_property
+    def scalar(self) -> tuple[str, ...]:
+        """Names of the scalar columns."""
+        return (
+            *(f"rate:{axis}" for axis in AXES),
+            "one",
+            *(f"wheel:{number}" for number in self.wheels),
+            *(
+                f"cut:{self.thrusters[couple[0]]}:{part}"
+                for couple in self.couples
+                for part in range(CUT_PARTS)
+            ),
+            *(f"pulses:{name}" for name in self.thrusters),
+            *self.extra,
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of columns A per axis."""
+        return len(self.vector) + len(self.scalar)
+
+    @property
+    def initial(self) -> slice:
+        """The three columns of the initial momentum."""
+        return slice(0, 3)
+
+    @property
+    def torque(self) -> slice:
+        """The three columns of a steady torque."""
+        return slice(3, 6)
+
+    @property
+    def fired(self) -> slice:
+        """Columns of the thrusters, (K, 3 axes, 3 pulse columns) in this order."""
+        return slice(6, len(self.vector))
+
+    @property
+    def rate(self) -> slice:
+        """The three body rates."""
+        return slice(len(self.vector), len(self.vector) + 3)
+
+    @property
+    def one(self) -> int:
+        """The constant."""
+        return len(self.vector) + 3
+
+    @property
+    def wheel(self) -> slice:
+        """The wheel rates."""
+        return slice(len(self.vector) + 4, len(self.vector) + 4 + len(self.wheels))
+
+    @property
+    def cut(self) -> slice:
+        """Counts of pulses close together, (couple, part of the event) in this order."""
+        return slice(self.wheel.stop, self.wheel.stop + CUT_PARTS * len(self.couples))
+
+    @property
+    def pulse_count(self) -> slice:
+        """Pulses of every thruster so far."""
+        return slice(self.cut.stop, self.cut.stop + len(self.thrusters))
+
+    @property
+    def extra_place(self) -> slice:
+        """Columns that effects brought."""
+        return slice(self.pulse_count.stop, self.size)
+
+
+@dataclass(frozen=True)
+class Carry:
+    """What integrals have gathered up to a time; the state between two chunks.
+
+    Integrals are in inertial axes: ``torque`` (3, 3) = ∫ Pᵀ dt, ``fired`` (K, 3, 3, 3) = Σ Pᵀ Δs
+    per thruster and pulse column, last two axes (inertial, j), ``cuts`` the counts of pulses close
+    together. ``waiting`` are rows read already: those
+    after ``done_until_s``, and before it as many as are needed to tell which of them are quiet.
+    """
+
+    done_until_s: float
+    first_attitude: Array | None  # (3, 3) inertial to body at the first row
+    last_time_s: float
+    last_attitude: Array | None
+    torque: Array
+    fired: Array
+    cuts: Array
+    waiting: Samples | None
+
+    @staticmethod
+    def start(layout: Layout) -> Carry:
+        """Nothing read yet."""
+        fired = np.zeros((len(layout.thrusters), len(PULSE_COLUMNS), 3, 3))
+        cuts = np.zeros(CUT_PARTS * len(layout.couples))
+        return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, None)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Columns at the rows that enter the balance."""
+
+    time_s: Array  # (n,)
+    vector: Array  # (n, 3, V) component, column
+    scalar: Array  # (n, S)
+
+
+def direction_cosines(attitude: Array) -> Array:
+    """Inertial-to-body matrices (N, 3, 3) of Euler parameters (N, 4), scalar last.
+
+    C = (q4² − q·q) 1 + 2 q qᵀ − 2 q4 [q×].
+    """
+    vector, scalar = attitude[:, :3], attitude[:, 3]
+    matrix = 2.0 * vector[:, :, None] * vector[:, None, :]
+    diagonal = scalar**2 - (vector**2).sum(1)
+    for axis in range(3):
+        matrix[:, axis, axis] += diagonal
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrix[:, i, j] += 2.0 * scalar * vector[:, k]
+        matrix[:, j, i] -= 2.0 * scalar * vector[:, k]
+    return np.asarray(matrix)
+
+
+def settle(
+    samples: Samples, carry: Carry, layout: Layout, sampling: Sampling, final: bool
+) -> tuple[Rows, Carry]:
+    """Columns of one chunk, and what the next needs.
+
+    Rows after the last reading of unchanged counters wait for the next chunk unless this is the
+    final one, so that the result does not depend on where chunks end.
+    """
+    if carry.waiting is not None:
+        samples = Samples.joined([carry.waiting, samples])
+    end = len(samples) - 1 if final else _settled(samples)
+    if len(samples) == 0 or samples.time_s[end] <= carry.done_until_s:
+        return _no_rows(layout), replace(carry, waiting=samples)
+    now = samples.part(0, end + 1)
+    until = float(now.time_s[-1])
+    waiting = samples.part(_context(now, sampling.guard_s))
+    rows, carry = _columns(now, carry, layout, sampling)
+    return rows, replace(carry, done_until_s=until, waiting=waiting)
+
+
+def _no_rows(layout: Layout) -> Rows:
+    scalars = np.empty((0, len(layout.scalar)))
+    return Rows(np.empty(0), np.empty((0, 3, len(layout.vector))), scalars)
+
+
+def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> tuple[Rows, Carry]:
+    """Columns of the rows after ``carry.done_until_s``, and the integrals up to the last row."""
+    state = np.flatnonzero(now.has_state)
+    if len(state) == 0:
+        return _no_rows(layout), carry
+    time, attitude = now.time_s[state], direction_cosines(now.attitude[state])
+    counted = _Counted(now, carry.done_until_s)
+    fired = _impulses(counted, time, attitude, carry, sampling)
+    cuts = carry.cuts + close_pairs(counted, layout, sampling)
+    gathered = replace(carry, fired=fired[-1], cuts=cuts[-1])
+    new = time > carry.done_until_s
+    if not new.any():
+        return _no_rows(layout), gathered
+    first = carry.first_attitude if carry.first_attitude is not None else attitude[0]
+    torque = _torque_integral(time[new], attitude[new], carry)
+    keep = _usable(now, time, sampling) & new
+    rows, body, n = state[keep], attitude[keep], int(keep.sum())
+    index = counted.events_before(time[keep])
+    vector = np.empty((n, 3, len(layout.vector)))
+    vector[:, :, layout.initial] = body @ first.T
+    vector[:, :, layout.torque] = body @ torque[keep[new]]
+    # (1 + m, K, pulse column, inertial, j) -> inertial, (K, j, pulse column)
+    inertial = fired.transpose(0, 3, 1, 4, 2).reshape(len(fired), 3, -1)
+    turned_into_body(body, np.ascontiguousarray(inertial), index, vector[:, :, layout.fired])
+    context = RowContext(
+        time[keep],
+        now.rate_rad_s[rows],
+        now.wheel_rad_s[rows],
+        counted.time_s,
+        counted.total_on_time,
+        counted.total_pulses,
+    )
+    scalar = np.concatenate(
+        [
+            context.rate_rad_s,
+            np.ones((n, 1)),
+            context.wheel_rad_s,
+            cuts[index],
+            context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0)),
+            *(extra.values(context)[:, None] for extra in sampling.extra),
+        ],
+        axis=1,
+    )
+    after = replace(
+        gathered,
+        first_attitude=first,
+        last_time_s=float(time[-1]),
+        last_attitude=attitude[-1],
+        torque=torque[-1],
+    )
+    return Rows(time[keep], vector, scalar), after
+
+
+class _Counted:
+    """Counter intervals of a stretch of telemetry in which something fired, after a time."""
+
+    def __init__(self, samples: Samples, after_s: float) -> None:
+        counted = samples.has_counters
+        self.time_s = samples.time_s[counted]
+        self.total_on_time = samples.on_time_s[counted]
+        self.total_pulses = samples.pulses[counted]
+        self.on_time = np.diff(self.total_on_time, axis=0)
+        self.pulses = np.diff(self.total_pulses, axis=0)
+        changed = np.any((self.on_time != 0) | (self.pulses != 0), axis=1)
+        self.active = np.flatnonzero(changed & (self.time_s[1:] > after_s))
+
+    def events_before(self, time: Array) -> NDArray[np.intp]:
+        """How many of the active intervals have ended by each time."""
+        ends = self.time_s[self.active + 1] if len(self.active) else np.empty(0)
+        return np.searchsorted(ends, time + _SAME_S, side="right")
+
+
+def _settled(samples: Samples) -> int:
+    """Last row that may be worked up: the last reading after which the counters did not change."""
+    if samples.on_time_s.shape[1] == 0:
+        return len(samples) - 1
+    counted = np.flatnonzero(samples.has_counters)
+    values = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
+    same = np.flatnonzero(~np.any(np.diff(values, axis=0) != 0, axis=1))
+    if len(same) == 0:
+        return 0 if len(samples) < MOST_WAITING else len(samples) - 1
+    return int(counted[same[-1]])
+
+
+def _context(now: Samples, guard_s: float) -> int:
+    """First row that the next chunk needs: the last reading ``guard_s`` before the end of this."""
+    counted = np.flatnonzero(now.has_counters)
+    before = now.time_s[counted] <= now.time_s[-1] - guard_s
+    return int(counted[before][-1]) if before.any() else len(now) - 1
+
+
+def _usable(samples: Samples, time: Array, sampling: Sampling) -> NDArray[np.bool_]:
+    if samples.on_time_s.shape[1] == 0:
+        return np.ones(len(time), dtype=bool)
+    counted = samples.has_counters
+    values = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
+    return quiet_rows(time, samples.time_s[counted], values, sampling.guard_s)
+
+
+def _torque_integral(time: Array, attitude: Array, carry: Carry) -> Array:
+    """∫ Pᵀ dt' up to every row by the trapezoidal rule, (n, 3, 3)."""
+    before = attitude[0] if carry.last_attitude is None else carry.last_attitude
+    start = time[0] if carry.last_attitude is None else carry.last_time_s
+    matrices = np.concatenate([before[None], attitude])
+    steps = np.diff(time, prepend=start)[:, None, None]
+    mean = 0.5 * (matrices[1:] + matrices[:-1])
+    return np.asarray(carry.torque + np.cumsum(steps * np.swapaxes(mean, 1, 2), axis=0))
+
+
+def _impulses(
+    counted: _Counted, time: Array, attitude: Array, carry: Carry, sampling: Sampling
+) -> Array:
+    """Σ Pᵀ Δs per thruster and pulse column after each active interval, (1 + m, K, 3, 3, 3)."""
+    active = counted.active
+    if len(active) == 0:
+        return carry.fired[None]
+    increments = effective_increments(counted.on_time, counted.pulses, sampling)[active]
+    nearest = np.searchsorted(0.5 * (time[1:] + time[:-1]), counted.time_s)
+    mean = 0.5 * (attitude[nearest[active]] + attitude[nearest[active + 1]])
+    steps = increments[..., None, None] * np.swapaxes(mean, 1, 2)[:, None, None]
+    return np.concatenate([carry.fired[None], carry.fired + np.cumsum(steps, axis=0)])
+
+
+def close_pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Array:
+    """Pairs of pulses within one counter interval, per couple and part of the event, (1 + m, S).
+
+    Each may have cut the tail of the first pulse; the counters do not tell which did.
+    """
+    active = counted.active
+    table = np.zeros((1 + len(active), len(layout.couples), CUT_PARTS))
+    part = (
+        np.minimum(
+            (CUT_PARTS * counted.time_s[active + 1] / sampling.duration_s).astype(int),
+            CUT_PARTS - 1,
+        )
+        if len(active)
+        else np.empty(0, dtype=int)
+    )
+    for g, couple in enumerate(layout.couples):
+        pairs = np.maximum(counted.pulses[active][:, list(couple)].max(axis=1, initial=0) - 1, 0)
+        table[1 + np.arange(len(active)), g, part] = pairs
+    return np.cumsum(table, axis=0).reshape(1 + len(active), -1)
+
+
+def effective_increments(on_time: Array, pulses: Array, sampling: Sampling) -> Array:
+    """Effective on-time of every counter interval and its derivatives, (m, K, 3).
+
+    Intervals in a row with firing belong together: a pulse may run from one into the next. They
+    share the mean width of their pulses, and their effective on-time in proportion to on-time.
+    on_time, pulses (m, K) are the increments of the counters.
+    """
+    firing = (on_time > 0) | (pulses > 0)
+    result = np.zeros((*on_time.shape, len(PULSE_COLUMNS)))
+    for k in range(on_time.shape[1]):
+        rows = np.flatnonzero(firing[:, k])
+        if len(rows) == 0:
+            continue
+        run = np.concatenate([[0], np.cumsum(np.diff(rows) > 1)])
+        seconds = np.bincount(run, on_time[rows, k])
+        # a run without a start goes on from before the first reading
+        count = np.maximum(np.bincount(run, pulses[rows, k]), 1.0)
+        effective = count[:, None] * _effective_and_slopes(seconds / count, sampling)
+        share = on_time[rows, k] / np.where(seconds > 0, seconds, 1.0)[run]
+        result[rows, k] = share[:, None] * effective[run]
+    return result
+
+
+def _effective_and_slopes(width: Array, sampling: Sampling) -> Array:
+    """Effective time of pulses at the reference and its slopes in τ_r and τ_f, (…, 3)."""
+    shape = sampling.pulse_shape.effective_time
+    delay, rise, fall = sampling.pulse_reference_s
+    value = shape(width, delay, rise, fall)
+    by_rise = shape(width, delay, rise + _STEP_S, fall) - shape(width, delay, rise - _STEP_S, fall)
+    by_fall = shape(width, delay, rise, fall + _STEP_S) - shape(width, delay, rise, fall - _STEP_S)
+    scale = 2.0 * _STEP_S
+    return np.stack([np.broadcast_to(value, width.shape), by_rise / scale, by_fall / scale], -1)

@@ -1,0 +1,88 @@
+"""Normal equations of one telemetry event: its Gram matrices with the noise whitened away.
+
+The likelihood is that of the measured channels with the true wheel rates as latent variables:
+docs/telemetry-likelihood.md §2 and §3. Columns and weights are those of
+:mod:`cassini_bayes.balance.telemetry_terms`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.kernel import Noise, Placed, normal_equations
+from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.telemetry_terms import (
+    INITIAL_SD_N_M_S,
+    TelemetryTerms,
+    covariance_beside_wheels,
+    measured_weights,
+    unknown_weights,
+)
+from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+
+Array = NDArray[np.float64]
+_THRUST_SPREAD: Final = 0.3  # of thrusts about their level, where slow modes place them
+
+
+@dataclass(frozen=True)
+class EventSystem:
+    """Normal equations of one telemetry event at a batch of points, the noise whitened away.
+
+    ``normal`` (n, P, P) are inner products over all rows of the columns of the unknowns, the
+    measured momentum last; ``log_scale`` (n,) gathers every determinant. The priors of the initial
+    momentum, torque and cut tails are N(own_mean, own_sd²).
+    """
+
+    normal: Array
+    log_scale: Array
+    own_sd: Array  # (n, U)
+    own_mean: Array  # (U,)
+    kept: Array  # (n, 1 + F, W, W) of every band, the slow one first
+
+
+def event_system(
+    terms: TelemetryTerms,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    thrust_n: float,
+    torque_mean: Array,
+    torque_sd: Array,
+) -> EventSystem:
+    """Normal equations and determinants of one event at a batch of points.
+
+    Parameters
+    ----------
+    physics
+        The physics at n points.
+    parameters
+        Noise levels, name → (n,) array.
+    thrust_n
+        Thrust that scales the cut tails (they are small).
+    torque_mean, torque_sd
+        (3,) prior of the event's steady torque, N m.
+    """
+    n, k, reduced = len(physics.inertia_kg_m2), terms.pattern.thrusters, terms.reduced
+    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    weights, cut_sd = unknown_weights(terms, physics, n, thrust_n)
+    weights[:, terms.pattern.start[-2] :] = measured_weights(terms, physics, wheels)
+    known_sd = np.broadcast_to([INITIAL_SD_N_M_S] * 3 + list(torque_sd), (n, 6))
+    own_sd = np.concatenate([known_sd, cut_sd], axis=1)
+    own_mean = np.concatenate([terms.initial_mean_n_m_s, torque_mean, np.zeros(cut_sd.shape[1])])
+    noise = Noise(
+        np.ascontiguousarray(wheels),
+        covariance_beside_wheels(terms, physics, parameters),
+        (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2,
+        parameters["torque_noise_n_m_s05"] ** 2,
+    )
+    placed = Placed(np.r_[np.full(k, thrust_n), own_mean], _THRUST_SPREAD * thrust_n, own_sd)
+    used = np.ascontiguousarray(weights[:, reduced.entries])
+    normal, log_scale, kept = normal_equations(used, noise, reduced.places, *terms.bands, placed)
+    channels = 3 + len(terms.wheel_places)
+    jacobian = np.linalg.slogdet(physics.momentum_per_rate)[1]
+    log_scale += terms.statistics.rows * (jacobian - 0.5 * channels * np.log(2.0 * np.pi))
+    return EventSystem(normal, log_scale, own_sd, own_mean, kept)

@@ -1,0 +1,433 @@
+"""The angular-momentum balance of telemetry: weights of its columns, and its noise.
+
+Per row, in body axes,
+
+    I ω + T I_w ρ − R h0 − Σ_k F_k q_k s_k − τ D = noise
+
+(:mod:`cassini_bayes.balance.statistics.columns` has the columns,
+:mod:`cassini_bayes.balance.telemetry_system` the normal equations).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.bands import Band, make_bands
+from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand
+from cassini_bayes.balance.physics import Physics, physics_of
+from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
+from cassini_bayes.balance.statistics.columns import CUT_PARTS
+from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.spacecraft import Spacecraft
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+INITIAL_SD_N_M_S: Final = 10.0
+CONTROL_CYCLE_S: Final = 0.125
+_CLOSE_S: Final = 0.4
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Which columns enter which unknown: entries in order of owner (contraction.py).
+
+    Unknowns are the K thrusts, the initial momentum (3), the steady torque (3), the cut tails (S),
+    and last the measured momentum. The other fields are places among the entries: by what a thrust
+    acts, and wheel rates.
+    """
+
+    row: Places
+    start: Places
+    thrusters: int
+    cuts: tuple[int, ...]  # places among the counts of close pairs that are not all zero
+    fired: Places  # (9 K,)
+    pulses: Places  # (K,)
+    lost: Places  # (L,) close pairs whose tail may have been cut
+    lost_by: Places  # (L,) the thruster
+    members: Array  # (S, K) ones where a thruster is of the couple whose tails may have been cut
+    brought: tuple[tuple[int, int, str], ...]  # columns of effects: entry, thruster, name
+    wheels: Places  # (W,)
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The part of the Gram matrices that can have weight: a lever arm may be zero by design.
+
+    ``entries`` are the places of the pattern's entries that are ever used, ``columns`` the columns
+    of the layout that are left; ``row`` and ``start`` are the pattern for these.
+    """
+
+    entries: Places
+    columns: Places  # (A',)
+    row: Places
+    start: Places
+    wheels: Places  # (W,) columns of the wheel rates
+    wheel_entries: Places  # (W,) places among the entries
+    grams: Array  # (F, 3, 3, A', A') of the fast bands
+    slow: Array  # (3, A', M) coordinates on the slow modes
+
+    @cached_property
+    def places(self) -> Entries:
+        """The same for compiled code."""
+        last = np.maximum.accumulate(self.row)[self.start[1:] - 1]
+        return Entries(self.row, self.start, last + 1, self.wheels, self.wheel_entries)
+
+
+@dataclass(frozen=True)
+class TelemetryTerms:
+    """One telemetry event, ready for likelihood calls.
+
+    ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`).
+    ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
+    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters.
+    """
+
+    statistics: EventStatistics
+    sampling: Sampling
+    pattern: Pattern
+    wheel_places: tuple[int, ...]
+    slow: Band
+    fast: tuple[Band, ...]
+    initial_mean_n_m_s: Array
+    spin: Array
+    reduced: Reduced
+
+    @property
+    def id(self) -> str:
+        """Name of the event."""
+        return self.statistics.event_id
+
+    @cached_property
+    def extra(self) -> tuple[str, ...]:
+        """Names of the columns that effects brought and that act on their own."""
+        return tuple(name for name in self.statistics.layout.extra if "@" not in name)
+
+    @cached_property
+    def bands(self) -> tuple[SlowBand, FastBands]:
+        """The bands for compiled code."""
+        nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
+        slow = SlowBand(
+            self.reduced.slow,
+            self.slow.walk,
+            self.slow.values,
+            self.slow.vectors,
+            nodes[0],
+            coefficients[0],
+        )
+        fast = FastBands(
+            np.ascontiguousarray(self.reduced.grams.transpose(0, 3, 1, 2, 4)),
+            np.array([float(band.rows) for band in self.fast]),
+            np.array([band.walk.mean() for band in self.fast]),
+            np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
+            np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
+        )
+        return slow, fast
+
+    @property
+    def fires(self) -> bool:
+        """Whether the event has thrusters that fired."""
+        return self.pattern.thrusters > 0
+
+
+def cut_probability(counter_interval_s: float) -> float:
+    """Chance that two pulses of one counter interval are a control cycle apart.
+
+    Measured on the closed-loop simulation at 1, 4 and 10 s: 0.45, 0.09, 0.035
+    (docs/telemetry-likelihood.md §6).
+    """
+    return min(0.5, _CLOSE_S / counter_interval_s) if counter_interval_s > 0 else 0.0
+
+
+def make_terms(
+    statistics: EventStatistics,
+    sampling: Sampling,
+    spacecraft: Spacecraft,
+    nominal: Mapping[str, float],
+) -> TelemetryTerms:
+    """Prepare one event: everything that does not change during a fit.
+
+    ``nominal`` are parameter values good to some percent (prior means): they centre the wide prior
+    of the initial momentum and scale the attitude noise.
+    """
+    layout = statistics.layout
+    numbers = [wheel.number for wheel in spacecraft.wheels]
+    places = tuple(numbers.index(number) for number in layout.wheels)
+    gram, rows = statistics.gram, statistics.rows
+    physics = physics_of(
+        spacecraft, "", {name: np.asarray(value) for name, value in nominal.items()}, fires=False
+    )
+    inertia, wheels = physics.inertia_kg_m2, physics.wheel_weights[:, list(places)]
+    scalars = np.concatenate([inertia, np.zeros((3, 1)), wheels], axis=1)
+    span = slice(layout.rate.start, layout.wheel.stop)
+    squares = scalars @ (gram[0, 0, span, span] / rows) @ scalars.T
+    start = np.linalg.lstsq(
+        _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
+    )[0]
+    slow, fast, slow_modes, grams = make_bands(statistics)
+    pattern = _pattern(statistics)
+    everything = np.arange(len(pattern.row))
+    return TelemetryTerms(
+        statistics=statistics,
+        sampling=sampling,
+        pattern=pattern,
+        wheel_places=places,
+        slow=slow,
+        fast=fast,
+        initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
+        spin=np.trace(squares) * np.eye(3) - squares,
+        reduced=Reduced(
+            everything,
+            np.arange(slow_modes.shape[1]),
+            pattern.row,
+            pattern.start,
+            np.arange(layout.wheel.start, layout.wheel.stop),
+            pattern.wheels,
+            grams,
+            slow_modes,
+        ),
+    )
+
+
+def without_idle_columns(
+    terms: TelemetryTerms, physics: Physics, thrust_n: float
+) -> TelemetryTerms:
+    """The same event without the columns whose weights vanish at every one of a few points.
+
+    ``physics`` holds parameter points in general position, (n, …). Likelihood calls cost half as
+    much without them.
+    """
+    n, pattern = len(physics.inertia_kg_m2), terms.pattern
+    weights, _ = unknown_weights(terms, physics, n, thrust_n)
+    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    weights[:, pattern.start[-2] :] = measured_weights(terms, physics, wheels)
+    used = np.any(weights != 0.0, axis=(0, 2))
+    entries = np.flatnonzero(used)
+    # in the order in which the unknowns need them: inner products are symmetric
+    columns, first = np.unique(pattern.row[entries], return_index=True)
+    columns = columns[np.argsort(first)]
+    place = np.empty(len(terms.reduced.slow[0]), dtype=np.int64)
+    place[columns] = np.arange(len(columns))
+    owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
+    counts = np.bincount(owner[entries], minlength=len(pattern.start) - 1)
+    full = terms.reduced
+    reduced = Reduced(
+        entries=entries,
+        columns=columns,
+        row=place[pattern.row[entries]],
+        start=np.concatenate([[0], np.cumsum(counts)]),
+        wheels=place[full.wheels],
+        wheel_entries=np.searchsorted(entries, pattern.wheels),
+        grams=np.ascontiguousarray(full.grams[..., columns[:, None], columns]),
+        slow=np.ascontiguousarray(full.slow[:, columns]),
+    )
+    return replace(terms, reduced=reduced)
+
+
+def merged_bands(terms: TelemetryTerms) -> TelemetryTerms:
+    """The same event with its fast bands as one, if they differ only in torque noise.
+
+    For models without torque noise: where all that the wheels show is motion, as in slews, rows of
+    all frequencies have the same weights and the same covariance.
+    """
+    if len(terms.fast) < 2 or any(band.motion is not None for band in terms.fast):
+        return terms
+    first, rows = terms.fast[0], sum(band.rows for band in terms.fast)
+    reduced = terms.reduced
+    return replace(
+        terms,
+        fast=(replace(first, rows=rows, walk=np.zeros(1)),),
+        reduced=replace(reduced, grams=reduced.grams.sum(axis=0, keepdims=True)),
+    )
+
+
+def _initial_gram(statistics: EventStatistics) -> Array:
+    first = statistics.layout.initial
+    return np.asarray(sum(statistics.gram[c, c, first, first] for c in range(3)))
+
+
+def _initial_target(statistics: EventStatistics, scalars: Array, span: slice) -> Array:
+    first = statistics.layout.initial
+    return np.asarray(sum(statistics.gram[c, c, first, span] @ scalars[c] for c in range(3)))
+
+
+def _pattern(statistics: EventStatistics) -> Pattern:
+    layout = statistics.layout
+    cuts = tuple(int(place) for place in np.flatnonzero(statistics.close_pairs > 0))
+    entries: list[list[int]] = []
+    lost: list[tuple[int, int]] = []
+    brought: list[tuple[int, int, str]] = []
+    for k, name in enumerate(layout.thrusters):
+        first = layout.fired.start + 9 * k
+        couple = next(g for g, members in enumerate(layout.couples) if k in members)
+        own = [layout.cut.start + place for place in cuts if place // CUT_PARTS == couple]
+        count = layout.pulse_count.start + k
+        after = sum(map(len, entries)) + 10
+        lost += [(after + i, k) for i in range(len(own))]
+        added = _owned(layout, name)
+        brought += [(after + len(own) + i, k, column) for i, column in enumerate(added)]
+        entries.append([*range(first, first + 9), count, *own, *added.values()])
+    entries += [[column] for column in range(layout.torque.stop)]
+    entries += [[layout.cut.start + place] for place in cuts]
+    measured = [*range(layout.rate.start, layout.wheel.stop)]
+    torque = range(layout.torque.start, layout.torque.stop)
+    entries.append([*measured, *torque, *_owned(layout, "").values()])
+    start = np.cumsum([0, *map(len, entries)]).astype(np.int64)
+    thrusters = len(layout.thrusters)
+    members = np.zeros((len(cuts), thrusters))
+    for i, place in enumerate(cuts):
+        members[i, list(layout.couples[place // CUT_PARTS])] = 1.0
+    places = np.array(lost, dtype=np.int64).reshape(-1, 2)
+    return Pattern(
+        row=np.array([column for own in entries for column in own]),
+        start=start,
+        thrusters=thrusters,
+        cuts=cuts,
+        fired=(start[:thrusters, None] + np.arange(9)).ravel(),
+        pulses=start[:thrusters] + 9,
+        lost=places[:, 0],
+        lost_by=places[:, 1],
+        members=members,
+        brought=tuple(brought),
+        wheels=start[-2] + np.arange(len(measured) - len(layout.wheels), len(measured)),
+    )
+
+
+def _owned(layout: Layout, thruster: str) -> dict[str, int]:
+    """Extra columns that act through a thruster's thrust (named ``what@thruster``), or the rest."""
+    return {
+        name: layout.extra_place.start + i
+        for i, name in enumerate(layout.extra)
+        if name.partition("@")[2] == thruster
+    }
+
+
+def balance_weights(
+    terms: TelemetryTerms, physics: Physics, thrust_n: float, kept: Array | None = None
+) -> Array:
+    """Weights (n, B, 3) of all entries of the pattern, in its order, at a batch of n points.
+
+    The measured momentum is that of the measured rates and wheels, or with the matrices ``kept``
+    (n, W, W) of a band that of the estimate of the true wheel rates. For residuals and their
+    derivatives: the same columns and weights that the likelihood has.
+    """
+    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    if kept is not None:
+        wheels = wheels @ kept
+    weights, _ = unknown_weights(terms, physics, len(physics.inertia_kg_m2), thrust_n)
+    weights[:, terms.pattern.start[-2] :] = measured_weights(terms, physics, wheels)
+    return weights
+
+
+def noise_covariance(
+    terms: TelemetryTerms,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    kept: Array | None = None,
+) -> Array:
+    """Covariance (n, 3, 3) of the white noise of a row's balance, (N m s)².
+
+    ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
+    estimated.
+    """
+    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    left = wheels if kept is None else wheels @ kept
+    noise = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
+    other = covariance_beside_wheels(terms, physics, parameters)
+    return np.asarray(other + noise * left @ np.swapaxes(wheels, -1, -2))
+
+
+def covariance_beside_wheels(
+    terms: TelemetryTerms, physics: Physics, parameters: Mapping[str, Array]
+) -> Array:
+    """Covariance (n, 3, 3) of what rates and attitudes put into a row, (N m s)²."""
+    by_rate = physics.momentum_per_rate
+    rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
+    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
+    return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * terms.spin)
+
+
+def measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> Array:
+    """Weights of the measured momentum's entries: rates, constant, wheels, torque, extra columns.
+
+    What a steady torque or an effect's own column puts in is taken off the measured momentum.
+    """
+    n, by_rate = len(wheels), physics.momentum_per_rate
+    bias = np.broadcast_to(physics.rate_bias_rad_s, (n, 3))
+    shift = by_rate @ bias[..., None]
+    torque = -np.broadcast_to(physics.steady_torque_n_m, (n, 3))
+    extra = [-np.broadcast_to(physics.extra.get(name, 0.0), (n, 3)) for name in terms.extra]
+    return np.concatenate(
+        [
+            np.swapaxes(by_rate, -1, -2),
+            -shift[..., 0][:, None],
+            np.swapaxes(wheels, -1, -2),
+            np.repeat(torque[:, :, None], 3, axis=2),
+            *(weight[:, None] for weight in extra),
+        ],
+        axis=1,
+    )
+
+
+def unknown_weights(
+    terms: TelemetryTerms, physics: Physics, n: int, thrust_n: float
+) -> tuple[Array, Array]:
+    """Weights (n, B, 3) of the unknowns' entries, and the prior sd of the cut tails (n, S)."""
+    pattern = terms.pattern
+    weights = np.zeros((n, len(pattern.row), 3))
+    k = pattern.thrusters
+    own = pattern.start[k]
+    own_sd = np.ones((n, len(pattern.cuts)))
+    weights[:, own : own + 6] = 1.0
+    if k > 0:
+        arms = np.broadcast_to(physics.arms_m, (n, 3, k))
+        pulse = pulse_weights(terms.sampling, physics)
+        lost = lost_per_cut_s(physics)
+        factor = np.broadcast_to(physics.thrust_factor, (n, k))
+        offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
+        probability = cut_probability(terms.statistics.counter_interval_s)
+        arm = np.swapaxes(arms, -1, -2)
+        strength = factor[:, :, None] * pulse[:, None, :]
+        fired = arm[..., :, None] * strength[..., None, :]
+        weights[:, pattern.fired] = fired.reshape(n, 9 * k, 1)
+        weights[:, pattern.pulses] = offset[:, :, None] * arm
+        weights[:, pattern.lost] = -probability * lost[:, None, None] * arm[:, pattern.lost_by]
+        for entry, thruster, name in pattern.brought:
+            if name in physics.extra:
+                on_time = factor[:, thruster] * np.asarray(physics.extra[name])
+                weights[:, entry] = on_time[:, None] * arm[:, thruster]
+        own_sd[:] = cut_tail_sd(terms)
+        weights[:, own + 6 : own + 6 + len(pattern.cuts)] = (
+            thrust_n * lost[:, None, None] * (pattern.members @ arm)
+        )
+    return weights, own_sd
+
+
+def cut_tail_sd(terms: TelemetryTerms) -> Array:
+    """Prior sd (S,) of the share of n close pairs whose tail was cut: (p (1 − p)/n)^½."""
+    probability = cut_probability(terms.statistics.counter_interval_s)
+    pairs = terms.statistics.close_pairs[list(terms.pattern.cuts)]
+    return np.asarray(np.sqrt(probability * (1.0 - probability)) / np.sqrt(pairs))
+
+
+def pulse_weights(sampling: Sampling, physics: Physics) -> Array:
+    """Weights (n, 3) of a thruster's pulse columns: 1 and the departures of τ_r and τ_f."""
+    _, rise, fall = sampling.pulse_reference_s
+    by_rise = np.asarray(physics.tau_s[1]) - rise
+    by_fall = np.asarray(physics.tau_s[2]) - fall
+    return np.stack([np.ones_like(by_rise), by_rise, by_fall], axis=-1)
+
+
+def lost_per_cut_s(physics: Physics) -> Array:
+    """On-time that a tail loses when the next pulse starts one control cycle later, (n,) s.
+
+    A first-order valve that opens at thrust x0 F loses (τ_f − τ_r) x0 of impulse over F, with
+    x0 = exp(−gap/τ_f).
+    """
+    fall = np.maximum(physics.tau_s[2], 1e-4)
+    return np.asarray((fall - physics.tau_s[1]) * np.exp(-CONTROL_CYCLE_S / fall))

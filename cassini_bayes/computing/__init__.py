@@ -1,0 +1,1 @@
+"""Cores, compiled code and heavy imports: how this package uses the machine."""

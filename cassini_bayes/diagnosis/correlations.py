@@ -1,0 +1,246 @@
+"""What innovations go with: exact tests against drivers, whiteness, closure at the end.
+
+If the model is true the innovations r of the linear model are normal with covariance
+C = 1 − X (XᵀX + P)⁻¹ Xᵀ. So a contrast u of the innovations about one body axis has
+z = uᵀ r / √(uᵀ C u), standard normal whatever was fitted, and the joint distribution of all
+z is known: that gives the family-wise band. A driver that the model can take up itself leaves
+uᵀ C u near zero and has no test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.stats import norm
+
+from cassini_bayes.diagnosis.innovations import EventRows, Linear
+
+Array = NDArray[np.float64]
+AXES: Final = "xyz"
+WINDOW_ROWS: Final = 61
+CLOSURE_ROWS: Final = 50
+LAGS: Final = 40
+PROBABILITY: Final = 0.95
+POINTWISE: Final = float(norm.ppf(0.5 + 0.5 * PROBABILITY))
+LEAST_SHARE: Final = 1e-4  # of a driver that the model cannot take up
+LEAST_SD: Final = 1e-9  # of a column, over its mean square
+_DRAWS: Final = 4_000
+
+
+@dataclass(frozen=True)
+class Tested:
+    """One contrast of an event's innovations about a body axis.
+
+    ``value`` is uᵀ r in the contrast's own unit, ``sd`` its standard deviation if the model is
+    true; NaN where the model takes the contrast up itself.
+    """
+
+    event: str
+    axis: str
+    driver: str
+    value: float
+    sd: float
+
+    @property
+    def z(self) -> float:
+        """Value over its standard deviation."""
+        return self.value / self.sd
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Autocorrelation (LAGS,) of an event's innovations about a body axis from a lag of one row.
+
+    What fitting takes out is put back, so that it is zero on average if the model is true.
+    ``rows`` is the number n of rows: one standard deviation is 1/√n.
+    """
+
+    event: str
+    axis: str
+    rows: int
+    value: Array
+
+    @property
+    def portmanteau_z(self) -> float:
+        """(n Σ ρ² − L)/√(2 L) over the L lags: about standard normal for independent rows."""
+        count = len(self.value)
+        return float((self.rows * (self.value**2).sum() - count) / np.sqrt(2.0 * count))
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Tests of one model's innovations, with the half-widths of their bands.
+
+    ``family_z`` holds the largest |z| of all drivers, axes and events with probability 95 %,
+    ``family_lag_z`` likewise all lags, in units of 1/√n.
+    """
+
+    drivers: tuple[Tested, ...]
+    whiteness: tuple[Whiteness, ...]
+    closure: tuple[Tested, ...]
+    family_z: float
+    family_lag_z: float
+
+
+def show(linear: Linear, rows: Sequence[EventRows], rng: np.random.Generator) -> Shown:
+    """Test innovations against all drivers, for whiteness, and at the end.
+
+    Parameters
+    ----------
+    linear, rows
+        The linear model and its innovations (:func:`innovations.innovations`).
+    rng
+        For the family-wise band: 4,000 draws of all z together.
+    """
+    factor = cho_factor(linear.gram(), lower=True)
+    tested, white = _tests(linear, rows, factor, [drivers(own) for own in rows])
+    closure, _ = _tests(linear, rows, factor, [_ends(own) for own in rows])
+    whiteness = _whiteness(linear, rows, factor[0])
+    return Shown(
+        tuple(tested),
+        tuple(whiteness),
+        tuple(closure),
+        family_band(white, rng),
+        float(norm.ppf(0.5 + 0.5 * PROBABILITY ** (1.0 / max(LAGS * len(whiteness), 1)))),
+    )
+
+
+def running_mean(values: Array, width: int) -> Array:
+    """Mean over up to ``width`` rows about each row."""
+    ones = np.ones(min(width, len(values)))
+    counts = np.convolve(np.ones(len(values)), ones, mode="same")
+    return np.asarray(np.convolve(values, ones, mode="same") / counts)
+
+
+def filled(counter: Array) -> Array:
+    """A counter at every row, where it is not read in all of them."""
+    known = np.flatnonzero(np.isfinite(counter))
+    if len(known) == 0:
+        return np.zeros_like(counter)
+    return np.asarray(np.interp(np.arange(len(counter)), known, counter[known]))
+
+
+def drivers(own: EventRows) -> dict[str, Array]:
+    """What innovations may go with: columns over the rows, without those that do not change.
+
+    Wheel speeds and body rates are running means of 61 rows; firing rates and accelerations are
+    slopes of running means.
+    """
+    columns: dict[str, Array] = {}
+    for k, name in enumerate(own.thrusters[: own.on_time_s.shape[1]]):
+        on_time = filled(own.on_time_s[:, k])
+        columns[f"on-time of {name.upper()}"] = on_time
+        columns[f"firing rate of {name.upper()}"] = _slope(own, on_time)
+    for w, number in enumerate(own.wheels):
+        columns[f"speed of rwa{number}"] = running_mean(own.wheel_rad_s[:, w], WINDOW_ROWS)
+        columns[f"acceleration of rwa{number}"] = _slope(own, own.wheel_rad_s[:, w])
+    smooth = np.stack([running_mean(own.rate_rad_s[:, c], WINDOW_ROWS) for c in range(3)], axis=1)
+    for c, name in enumerate("XYZ"):
+        columns[f"rate about {name}"] = smooth[:, c]
+    for c, name in enumerate("XYZ"):
+        other = (c + 1) % 3
+        columns[f"product of {name} and {'XYZ'[other]} rates"] = smooth[:, c] * smooth[:, other]
+    columns["time"] = own.time_s
+    changing = {name: column - column.mean() for name, column in columns.items()}
+    return {
+        name: column / column.std()
+        for name, column in changing.items()
+        if column.std() > LEAST_SD * np.abs(columns[name]).max()
+    }
+
+
+def _slope(own: EventRows, values: Array) -> Array:
+    return np.asarray(np.gradient(running_mean(values, WINDOW_ROWS), own.time_s))
+
+
+def _ends(own: EventRows) -> dict[str, Array]:
+    """Mean of the last rows less mean of the first, in N m s."""
+    count = min(CLOSURE_ROWS, len(own.time_s) // 4)
+    if count < 2:
+        return {}
+    column = np.zeros(len(own.time_s))
+    column[:count], column[-count:] = -1.0 / count, 1.0 / count
+    return {"end against start": column}
+
+
+def _tests(
+    linear: Linear,
+    rows: Sequence[EventRows],
+    factor: tuple[Array, bool],
+    columns: Sequence[Mapping[str, Array]],
+) -> tuple[list[Tested], Array]:
+    """Contrasts column × body axis of every event, and the covariance (t, t) of their z."""
+    found: list[Tested] = []
+    seen, own_covariance = [], []
+    for own, part, named in zip(rows, linear.parts, columns, strict=True):
+        if not named:
+            continue
+        table = np.stack(list(named.values()), axis=1)  # (n, k)
+        n, k = table.shape
+        blocks = linear.columns[part].reshape(n, 3, -1)
+        mixed = np.einsum("nk,nbp->kbp", table, blocks, optimize=True)
+        seen.append(np.einsum("ab,kbp->akp", own.noise_factor, mixed).reshape(3 * k, -1))
+        noise = own.noise_factor @ own.noise_factor.T
+        own_covariance.append(np.kron(noise, table.T @ table))
+        values = (own.residual_n_m_s.T @ table).reshape(-1)
+        for i, value in enumerate(values):
+            axis, driver = AXES[i // k], list(named)[i % k]
+            found.append(Tested(own.event, axis, driver, float(value), float("nan")))
+    if not found:
+        return [], np.zeros((0, 0))
+    stacked = np.concatenate(seen)
+    covariance = -stacked @ cho_solve(factor, stacked.T)
+    place, scale = 0, []
+    for block in own_covariance:
+        stop = place + len(block)
+        covariance[place:stop, place:stop] += block
+        scale.append(np.diagonal(block))
+        place = stop
+    variance = np.diagonal(covariance)
+    has_test = variance > LEAST_SHARE * np.concatenate(scale)
+    sd = np.where(has_test, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+    tested = [
+        Tested(t.event, t.axis, t.driver, t.value, float(s)) for t, s in zip(found, sd, strict=True)
+    ]
+    kept = np.ix_(has_test, has_test)
+    return tested, covariance[kept] / np.outer(sd[has_test], sd[has_test])
+
+
+def family_band(covariance: Array, rng: np.random.Generator) -> float:
+    """Half-width that holds all of some correlated standard normals with probability 95 %."""
+    if len(covariance) == 0:
+        return POINTWISE
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = rng.standard_normal((_DRAWS, len(root))) @ root.T
+    return float(np.quantile(np.abs(draws).max(axis=1), PROBABILITY))
+
+
+def _whiteness(linear: Linear, rows: Sequence[EventRows], lower: Array) -> list[Whiteness]:
+    """Autocorrelations with the smooth part that fitting took out put back on average."""
+    found = []
+    for own, part in zip(rows, linear.parts, strict=True):
+        n = len(own.time_s)
+        if n <= 2 * LAGS:
+            continue
+        taken = solve_triangular(np.tril(lower), linear.columns[part].T, lower=True).T
+        taken = np.einsum("ab,nbp->anp", own.noise_factor, taken.reshape(n, 3, -1))
+        for a, axis in enumerate(AXES):
+            found.append(
+                Whiteness(own.event, axis, n, _autocorrelation(own.residual_n_m_s[:, a], taken[a]))
+            )
+    return found
+
+
+def _autocorrelation(residual: Array, taken: Array) -> Array:
+    power = float((residual**2).sum() + (taken**2).sum())
+    lagged = [
+        float(residual[k:] @ residual[:-k] + np.einsum("np,np->", taken[k:], taken[:-k]))
+        for k in range(1, LAGS + 1)
+    ]
+    return np.array(lagged) / power

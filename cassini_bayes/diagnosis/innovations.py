@@ -1,0 +1,300 @@
+"""Row by row: the baseline's innovations, and what can be fitted away.
+
+At the mode the balance is linear in everything: a row's momentum is columns times unknowns
+(thrusts, initial momentum, torque, cut tails) plus the derivatives with respect to the walked
+parameters times their departure, plus noise. With X all of these columns, whitened, and P their
+prior precision, the innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.statistics.columns import Carry, Layout, Rows, settle
+from cassini_bayes.balance.telemetry_terms import (
+    INITIAL_SD_N_M_S,
+    TelemetryTerms,
+    balance_weights,
+    cut_tail_sd,
+    noise_covariance,
+)
+from cassini_bayes.diagnosis.extended import Case, Hypothesis
+from cassini_bayes.diagnosis.unresolved import unresolved
+from cassini_bayes.model.joint import full_parameters, joint_physics
+
+Array = NDArray[np.float64]
+SMOOTHED_ROWS: Final = 31
+_STEP: Final = 1e-3
+_WIDE: Final = 1e-12
+
+
+@dataclass(frozen=True)
+class EventRows:
+    """One event's innovations at the mode of a hypothesis.
+
+    ``residual_n_m_s`` (n, 3) is momentum about body axes, ``white`` (n, 3) the same whitened:
+    ``residual_n_m_s = white @ noise_factor.T`` with the lower factor (3, 3) of a row's noise.
+    """
+
+    event: str
+    time_s: Array
+    white: Array
+    residual_n_m_s: Array
+    rate_rad_s: Array
+    wheel_rad_s: Array
+    on_time_s: Array  # (n, K)
+    wheels: tuple[int, ...]  # numbers of the columns of wheel_rad_s
+    thrusters: tuple[str, ...]
+    noise_factor: Array
+    attitude: Array  # (n, 4) Euler parameters, scalar last
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Whitened linear model of all events: target (m,), columns (m, p), prior precision (p,)."""
+
+    target: Array
+    columns: Array
+    precision: Array
+    rows: tuple[int, ...]  # of every event, three values each
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """Where every event's values are in ``target``."""
+        ends = 3 * np.cumsum([0, *self.rows])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    def gram(self) -> Array:
+        """XᵀX + P (p, p), summed over events on the columns that each of them has."""
+        total = np.diag(self.precision)
+        for part in self.parts:
+            own = self.columns[part]
+            kept = np.flatnonzero(np.any(own, axis=0))
+            own = own[:, kept]
+            total[np.ix_(kept, kept)] += own.T @ own
+        return total
+
+
+def event_rows(case: Case, place: int) -> Rows:
+    """Columns of one event's usable rows."""
+    source = case.sources[place]
+    statistics, sampling = case.statistics[place]
+    carry = Carry.start(statistics.layout)
+    rows, _ = settle(source.samples, carry, statistics.layout, sampling, final=True)
+    return rows
+
+
+def _columns(terms: TelemetryTerms, rows: Rows, weights: Array) -> Array:
+    """Unknowns' columns and the measured momentum (n, 3, P) from one point's weights (B, 3)."""
+    pattern = terms.pattern
+    vectors = rows.vector.shape[2]
+    n, unknowns = len(rows.time_s), len(pattern.start) - 1
+    result = np.zeros((n, 3, unknowns))
+    for owner in range(unknowns):
+        for b in range(pattern.start[owner], pattern.start[owner + 1]):
+            if not np.any(weights[b]):
+                continue
+            column = pattern.row[b]
+            if column < vectors:
+                result[:, :, owner] += rows.vector[:, :, column] * weights[b]
+            else:
+                result[:, :, owner] += rows.scalar[:, column - vectors, None] * weights[b]
+    return result
+
+
+def smoothed(rows: Rows, layout: Layout) -> Rows:
+    """Rows whose rates and wheel rates are running means.
+
+    Slopes of the measured momentum with respect to inertias are the channels themselves. With their
+    noise in them any noise could be fitted away, as in the naive likelihood of the residual.
+    """
+    vectors = len(layout.vector)
+    scalar = rows.scalar.copy()
+    width = min(SMOOTHED_ROWS, len(rows.time_s))
+    counts = np.convolve(np.ones(len(rows.time_s)), np.ones(width), mode="same")
+    for place in (
+        *range(layout.rate.start, layout.rate.stop),
+        *range(layout.wheel.start, layout.wheel.stop),
+    ):
+        column = scalar[:, place - vectors]
+        scalar[:, place - vectors] = np.convolve(column, np.ones(width), mode="same") / counts
+    return Rows(rows.time_s, rows.vector, scalar)
+
+
+def linearise(
+    case: Case,
+    hypothesis: Hypothesis,
+    z: Array,
+    *,
+    smooth_channels: bool = True,
+    known: Sequence[Rows] | None = None,
+) -> tuple[Linear, list[Rows], list[Array]]:
+    """The whitened linear model at z (d,), the rows of every event and its noise factors.
+
+    ``smooth_channels``: slopes see running means of the channels; not for channels without noise.
+    ``known`` are the rows of the case where they are at hand (:func:`event_rows`).
+    """
+    model = hypothesis.model
+    d = len(z)
+    points = np.vstack([z, z + _STEP * np.eye(d), z - _STEP * np.eye(d)])
+    parameters = full_parameters(model, points)
+    physics = joint_physics(model, parameters)
+    thrust = model.linear.common_mean_n
+    levels = model.linear.shared
+    targets, blocks, own_precision, factors, all_rows = [], [], [], [], []
+    for place, terms in enumerate(model.telemetry):
+        rows = event_rows(case, place) if known is None else known[place]
+        weights = balance_weights(terms, physics, thrust)
+        noise = noise_covariance(terms, physics, parameters)[0]
+        factor = np.linalg.cholesky(noise)
+        smooth = smoothed(rows, terms.statistics.layout) if smooth_channels else rows
+        centre = _columns(terms, rows, weights[0])
+        k = terms.pattern.thrusters
+        mean = np.concatenate([np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m])
+        unknown = centre[:, :, :-1]
+        at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
+        target = centre[:, :, -1] - unknown @ at
+        slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
+        own = unknown[:, :, k:]
+        shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
+        apart = unknown[:, :, :k] @ model.linear.own if k else unknown[:, :, :0]
+        sd = _own_sd(terms, model.torque_sd_n_m)
+        blocks.append((shared, np.concatenate([apart, own], axis=2)))
+        own_precision.append(np.concatenate([np.ones(apart.shape[2]), sd**-2]))
+        targets.append(target)
+        factors.append(factor)
+        all_rows.append(rows)
+    shared_width = d + (levels.shape[1] if levels.size else 0)
+    return _stacked(targets, blocks, own_precision, factors, shared_width), all_rows, factors
+
+
+def _slopes(terms: TelemetryTerms, rows: Rows, differences: Array, at: Array) -> Array:
+    """Changes (n, 3, d) of what the unknowns predict less the measured momentum.
+
+    ``differences`` (d, B, 3) are those of the weights along every coordinate.
+    """
+    pattern, vectors = terms.pattern, rows.vector.shape[2]
+    share = np.repeat(np.r_[at, -1.0], np.diff(pattern.start))
+    weights = np.zeros((vectors + rows.scalar.shape[1], 3, len(differences)))
+    np.add.at(weights, pattern.row, np.moveaxis(share[:, None] * differences, 0, -1))
+    used = np.flatnonzero(np.any(weights[:vectors], axis=(1, 2)))
+    by_vector, by_scalar = weights[used], weights[vectors:]
+    return np.stack(
+        [
+            rows.vector[:, c, used] @ by_vector[:, c] + rows.scalar @ by_scalar[:, c]
+            for c in range(3)
+        ],
+        axis=1,
+    )
+
+
+def _own_sd(terms: TelemetryTerms, torque_sd: Array) -> Array:
+    sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
+    return np.concatenate([sd, cut_tail_sd(terms)])
+
+
+def _stacked(
+    targets: Sequence[Array],
+    blocks: Sequence[tuple[Array, Array]],
+    own_precision: Sequence[Array],
+    factors: Sequence[Array],
+    shared: int,
+) -> Linear:
+    sizes = [3 * len(target) for target in targets]
+    widths = [len(precision) for precision in own_precision]
+    columns = np.zeros((sum(sizes), shared + sum(widths)))
+    target = np.zeros(sum(sizes))
+    row, column = 0, shared
+    for own_target, (common, own), factor, size, width in zip(
+        targets, blocks, factors, sizes, widths, strict=True
+    ):
+        inverse = np.linalg.inv(factor)
+        stop = row + size
+        target[row:stop] = (own_target @ inverse.T).reshape(-1)
+        white = np.einsum("ab,nbp->nap", inverse, common)
+        columns[row:stop, : white.shape[2]] = white.reshape(size, -1)
+        columns[row:stop, column : column + width] = np.einsum("ab,nbp->nap", inverse, own).reshape(
+            size, -1
+        )
+        row, column = stop, column + width
+    precision = np.concatenate([np.ones(shared), *own_precision])
+    return Linear(target, columns, precision, tuple(size // 3 for size in sizes))
+
+
+def fitted_away(linear: Linear, target: Array) -> Array:
+    """Innovations (m, …) of one or more targets (m, …): what the prior and fit leave."""
+    answer = np.linalg.solve(linear.gram(), linear.columns.T @ target)
+    return np.asarray(target - linear.columns @ answer)
+
+
+def with_unknowns(
+    linear: Linear,
+    opened: Sequence[tuple[Array, Array, Array]],
+    factors: Sequence[Array],
+) -> Linear:
+    """The linear model with a column for everything that counters leave open.
+
+    Parameters
+    ----------
+    linear
+        Of the likelihood's columns.
+    opened
+        Columns (n, 3, s) in N m s, their variances (s,) and the mean (n, 3) of every event
+        (:func:`unresolved.unresolved`).
+    factors
+        Lower factors (3, 3) of every event's noise.
+    """
+    widths = [len(variance) for _, variance, _ in opened]
+    added = np.zeros((len(linear.target), sum(widths)))
+    target, place = linear.target.copy(), 0
+    for part, (columns, variance, mean), factor in zip(linear.parts, opened, factors, strict=True):
+        inverse, stop = np.linalg.inv(factor), place + len(variance)
+        white = np.einsum("ab,nbs->nas", inverse, columns)
+        added[part, place:stop] = white.reshape(3 * len(mean), len(variance))
+        target[part] -= (mean @ inverse.T).reshape(-1)
+        place = stop
+    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance, _ in opened)])
+    return Linear(
+        target,
+        np.concatenate([linear.columns, added], axis=1),
+        np.concatenate([linear.precision, precision]),
+        linear.rows,
+    )
+
+
+def innovations(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, list[EventRows]]:
+    """Innovations of every telemetry event at the mode z, what counters leave open fitted away."""
+    linear, rows, factors = linearise(case, hypothesis, z)
+    opened = [unresolved(case, hypothesis, z, place, own.time_s) for place, own in enumerate(rows)]
+    linear = with_unknowns(linear, opened, factors)
+    left = fitted_away(linear, linear.target)
+    result = []
+    place = 0
+    for source, own, factor in zip(case.sources, rows, factors, strict=True):
+        n = len(own.time_s)
+        white = left[place : place + 3 * n].reshape(n, 3)
+        place += 3 * n
+        samples = source.samples
+        at = np.searchsorted(samples.time_s, own.time_s)
+        result.append(
+            EventRows(
+                source.id,
+                own.time_s,
+                white,
+                white @ factor.T,
+                samples.rate_rad_s[at],
+                samples.wheel_rad_s[at],
+                samples.on_time_s[at] if samples.on_time_s.shape[1] else np.zeros((n, 0)),
+                source.wheels,
+                source.thrusters,
+                factor,
+                samples.attitude[at],
+            )
+        )
+    return linear, result

@@ -1,0 +1,373 @@
+"""The ideal on-time calculation of paper 001 as a simulation that a diagnosis can doubt.
+
+Wheel changes and rectangular pulses give ideal on-times: about the couple axis the pair that pushes
+the right way, about the other two the two single thrusters that need least (docs/prediction.md §7).
+With p the parameters (geometry, wheels, thrust of every thruster) an event's on-times are
+y_e = f_e(p) + ε_e. ε_e holds the event's own thrusts, body rates left in the dead-band and one
+control cycle per printed on-time. Effects change the physics as everywhere; ``firing_logic``
+changes what the controller makes of it,
+
+    y = M + (1 − s) single(h − B M) + s pair(h − B M),
+
+s the share of pairs (paper 001 Table 2), M opposing firings, M_c = b0 + b1 D + b2 U_c of each
+pair of the couple axis and M_r = 2 b0 + 2 b1 D + b2 U_r of the four others (docs/prediction.md §2),
+B M what they turn, which the rest takes out: momentum stays what it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
+from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, hold_rate_covariance
+from cassini_bayes.diagnosis.gauss_newton import Model
+from cassini_bayes.effects.catalogue import Effect
+from cassini_bayes.effects.modifiers import modifier_of
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.totals import normal_priors
+from cassini_bayes.prediction.beliefs import Beliefs
+from cassini_bayes.prediction.demand import PairLayout, pair_layout, pair_solver
+from cassini_bayes.prediction.firing import CYCLE_S, Features, expected_minor
+from cassini_bayes.prediction.ground_software import (
+    GroundInputs,
+    ground_manager,
+    ideal_on_times,
+    prior_parameters,
+)
+from cassini_bayes.prediction.wheel_profile import (
+    SETTLING_TIMES,
+    WheelManager,
+    duration_s,
+    ramp_end_s,
+    rates_rpm,
+)
+from cassini_bayes.priors.parameter_space import ParameterSpace
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.spacecraft import inertia_tensor
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+
+Array = NDArray[np.float64]
+
+FIRING: Final = "firing_logic"
+COMMON: Final = "thrust_common_n"
+TAIL_STEP: Final = 0.5  # of the wheels' loop time
+THRUSTS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
+CHANCE: Final = ("minor_quantum_s", "event_spread", "shared_shape")
+LEAST_SHARED_S: Final = 1e-6
+LEAST_FACTOR: Final = 1e-2  # a thruster that pushes less is none
+
+
+@dataclass(frozen=True)
+class OnTimeCase:
+    """Events whose on-times are predicted: what was commanded, what was seen.
+
+    Attributes
+    ----------
+    seen_s
+        (E, U) printed on-times of the layout's units.
+    steps_rad_s
+        (E, S, W) changes of the wheel rates over pieces of the profile, all wheels in file order.
+    share
+        (E, S) part of the event's duration that a piece takes.
+    thrust_n
+        (E,) thrust that the calculation is told, N; the prior's departs from ``thrust_centre_n``.
+    fixed
+        Prior centres of what is not inferred here (inertia, pulse times, hold rate).
+    """
+
+    priors: Priors
+    layout: PairLayout
+    event_ids: tuple[str, ...]
+    seen_s: Array
+    steps_rad_s: Array
+    share: Array
+    duration_s: Array
+    thrust_n: Array
+    thrust_centre_n: float
+    space: ParameterSpace
+    fixed: Mapping[str, float]
+    thrust_sd_n: Mapping[str, float]
+    pulses_per_second: float
+    beliefs: Beliefs
+
+    @property
+    def thrusters(self) -> int:
+        """Number of thrusters of the branch."""
+        return int(self.layout.pairs.shape[1])
+
+
+@dataclass(frozen=True)
+class Nudge:
+    """Small changes of single events, by which their own noise reaches the on-times; (n, E, …)."""
+
+    force_n: Array | float = 0.0  # (n, E, K)
+    momentum_n_m_s: Array | float = 0.0  # (n, E, 3)
+    opposing_s: Array | float = 0.0  # (n, E, 2) ring, couple
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The ideal calculation with some effects: a model of the on-times and its parameters."""
+
+    effects: tuple[Effect, ...]
+    space: ParameterSpace  # of the baseline and the effects; individual thrusts come after it
+    model: Model = field(repr=False)
+
+
+def on_time_case(events: Sequence[TotalsEvent], priors: Priors, beliefs: Beliefs) -> OnTimeCase:
+    """Wheel profiles, prior knowledge and printed on-times of events of one branch.
+
+    Raises
+    ------
+    InputError
+        No event, or events of another branch or other wheels than the priors file's.
+    """
+    spacecraft = priors.spacecraft
+    if not events:
+        raise InputError("events", "at least one", "none", "name totals rows")
+    for event in events:
+        if event.branch != priors.branch or not set(event.wheels) <= set(priors.wheels):
+            raise InputError(
+                f"event {event.id}",
+                f"branch {priors.branch} and wheels out of {list(priors.wheels)}",
+                f"branch {event.branch}, wheels {list(event.wheels)}",
+                "use the priors of that branch and those wheels",
+            )
+    centre = prior_parameters(priors)
+    layout = pair_layout(spacecraft, priors.branch)
+    manager = ground_manager(GroundInputs(spacecraft, priors.branch, centre, centre[COMMON], 1.0))
+    pieces = [_pieces(event, manager, priors) for event in events]
+    most = max(len(share) for _, share in pieces)
+    first = [unit[0] for unit in layout.units]
+    wheels = [n for w in spacecraft.wheels if w.number in priors.wheels for n in w.parameters]
+    positions = spacecraft.geometry[priors.branch].parameters
+    names = tuple(dict.fromkeys([*CENTRE_PARAMETERS, *positions, *wheels, COMMON]))
+    space = priors.space(names)
+    return OnTimeCase(
+        priors=priors,
+        layout=layout,
+        event_ids=tuple(event.id for event in events),
+        seen_s=np.array([event.on_time_s[first] for event in events]),
+        steps_rad_s=np.stack([np.pad(s, ((0, most - len(s)), (0, 0))) for s, _ in pieces]),
+        share=np.stack([np.pad(share, (0, most - len(share))) for _, share in pieces]),
+        duration_s=np.array([_duration(event, manager) for event in events]),
+        thrust_n=np.array([event.thrust_predicted_n or centre[COMMON] for event in events]),
+        thrust_centre_n=centre[COMMON],
+        space=space,
+        fixed={name: value for name, value in centre.items() if name not in space.names},
+        thrust_sd_n=dict(zip(THRUSTS, normal_priors(priors, THRUSTS)[1], strict=True)),
+        pulses_per_second=beliefs.moments("pulses_per_second")[0],
+        beliefs=beliefs,
+    )
+
+
+def _duration(event: TotalsEvent, manager: WheelManager) -> float:
+    return duration_s(manager, event.wheels, event.rwa_end_rpm - event.rwa_start_rpm)
+
+
+def _pieces(event: TotalsEvent, manager: WheelManager, priors: Priors) -> tuple[Array, Array]:
+    """Changes of all wheels' rates (S, W), rad/s, and shares of the duration (S,)."""
+    total = _duration(event, manager)
+    ends = ramp_end_s(manager, event.wheels, event.rwa_end_rpm - event.rwa_start_rpm)
+    tail = manager.loop_s * np.arange(0.0, SETTLING_TIMES + TAIL_STEP, TAIL_STEP)
+    time = np.unique(np.clip([0.0, total, *(end + t for end in ends for t in tail)], 0.0, total))
+    rates = rates_rpm(manager, event.wheels, event.rwa_start_rpm, event.rwa_end_rpm, time)
+    rates[-1] = event.rwa_end_rpm
+    numbers = [wheel.number for wheel in priors.spacecraft.wheels]
+    steps = np.zeros((len(time) - 1, len(numbers)))
+    steps[:, [numbers.index(n) for n in event.wheels]] = np.diff(rates, axis=0) * RAD_S_PER_RPM
+    return steps, np.diff(time) / total
+
+
+@dataclass(frozen=True)
+class Flown:
+    """On-times and, where the firing logic is doubted, what its chance acts on; n points.
+
+    ``minor_s`` (n, E, 2) are the opposing on-times of ring and couple axis, ``common_s`` (n, E)
+    what the common thruster is expected to fire alone, ``alone`` (n, E, U) the change of the
+    on-times per second of that.
+    """
+
+    on_time_s: Array  # (n, E, U)
+    minor_s: Array | None = None
+    common_s: Array | None = None
+    alone: Array | None = None
+
+
+def hypothesis(case: OnTimeCase, effects: tuple[Effect, ...] = ()) -> Hypothesis:
+    """The ideal calculation with some effects added."""
+    base, own = case.space, [p for effect in effects for p in effect.parameters]
+    space = ParameterSpace(
+        (*base.names, *(p.name for p in own)),
+        {**base.fixed, **case.fixed},
+        (*base.distributions, *(p.distribution for p in own)),
+        (*base.blocks, *("effect" for _ in own)),
+    )
+
+    def flown(z: Array, nudge: Nudge) -> Flown:
+        return _fly(case, effects, space, z, nudge)
+
+    return Hypothesis(
+        effects,
+        space,
+        Model(
+            lambda z: flown(z, Nudge()).on_time_s,
+            lambda z: _noise(case, flown, z),
+            space.dimension + case.thrusters,
+        ),
+    )
+
+
+def parameters_at(found: Hypothesis, z: Array) -> dict[str, Array]:
+    """Parameters by name, (n,), at standard coordinates z (n, d)."""
+    own = found.space.to_parameters(z[:, : found.space.dimension])
+    return {k: np.broadcast_to(np.asarray(v, dtype=np.float64), len(z)) for k, v in own.items()}
+
+
+def _fly(
+    case: OnTimeCase, effects: tuple[Effect, ...], space: ParameterSpace, z: Array, nudge: Nudge
+) -> Flown:
+    d = space.dimension
+    parameters = {
+        name: np.broadcast_to(np.asarray(value, dtype=np.float64), len(z))
+        for name, value in space.to_parameters(z[:, :d]).items()
+    }
+    # rectangular pulses: the tail adds what the rise takes
+    parameters["tau_fall_s"] = parameters["tau_rise_s"]
+    spacecraft, branch = case.priors.spacecraft, case.priors.branch
+    modifiers = tuple(
+        modifier_of(effect, spacecraft, branch) for effect in effects if effect.kind != FIRING
+    )
+    physics = physics_of(spacecraft, branch, parameters, modifiers)
+    level = parameters[COMMON] - case.thrust_centre_n
+    own = level[:, None] + case.thrust_sd_n["thrust_individual_n"] * z[:, d:]
+    thrust = case.thrust_n[:, None] + own[:, None, :] + nudge.force_n
+    torque = physics.arms_m[:, None] * (thrust * _per_second(case, physics))[:, :, None, :]
+    steps = np.einsum("esw,naw->nesa", case.steps_rad_s, physics.wheel_weights)
+    between = np.asarray(nudge.momentum_n_m_s - _steady(case, physics))
+    steps = steps + case.share[..., None] * between[..., None, :]
+    for effect in effects:
+        if effect.kind == FIRING:
+            values = {p.key: parameters[p.name][:, None] for p in effect.parameters}
+            return _fired(case, torque, steps, values, nudge)
+    return Flown(_units(case, ideal_on_times(steps, torque, case.layout).sum(-2)))
+
+
+def _per_second(case: OnTimeCase, physics: Physics) -> Array:
+    """Effective per commanded second of every thruster (n, 1, K), at equally wide pulses."""
+    rate = case.pulses_per_second
+    seconds = PULSE_SHAPES["first_order"].effective_time(1.0 / rate, *physics.tau_s)[..., None]
+    factor = rate * (seconds * physics.thrust_factor + np.asarray(physics.impulse_offset_s))
+    return np.asarray(np.maximum(factor, LEAST_FACTOR) * np.ones(case.thrusters))[:, None, :]
+
+
+def _steady(case: OnTimeCase, physics: Physics) -> Array:
+    """Momentum (n, E, 3) or (1, E, 3) that a steady torque brings in."""
+    torque = np.broadcast_to(np.asarray(physics.steady_torque_n_m), (len(physics.arms_m), 3))
+    return np.asarray(torque[:, None, :] * case.duration_s[:, None])
+
+
+def _fired(
+    case: OnTimeCase, torque: Array, steps: Array, values: Mapping[str, Array], nudge: Nudge
+) -> Flown:
+    """On-times of a controller that fires pairs, and pairs against each other."""
+    layout = case.layout
+    demand = _pair_on_times(torque, steps, layout)  # (n, E, 6)
+    couple = demand[..., [2 * layout.couple_axis, 2 * layout.couple_axis + 1]].sum(-1)
+    a, b = (demand[..., [2 * axis, 2 * axis + 1]].sum(-1) for axis in layout.ring_axes)
+    nothing = np.zeros(())
+    features = Features(case.duration_s, nothing, nothing, a + b, couple, np.minimum(a, b))
+    minor = np.stack(expected_minor(values, features), axis=-1)
+    opposing = _opposing(layout, minor + nudge.opposing_s)
+    turned = np.einsum("neak,nek->nea", torque, opposing)
+    rest = steps - case.share[..., None] * turned[..., None, :]
+    single = ideal_on_times(rest, torque, layout).sum(-2)
+    pair = _pair_on_times(torque, rest, layout) @ layout.pairs
+    share = values["pairing_share"][..., None]
+    shared = np.maximum(2.0 * features.common_s, LEAST_SHARED_S)
+    return Flown(
+        _units(case, opposing + (1.0 - share) * single + share * pair),
+        minor,
+        (1.0 - share[..., 0]) * shared,
+        _units(case, (single - pair) / shared[..., None]),
+    )
+
+
+def _pair_on_times(torque: Array, steps: Array, layout: PairLayout) -> Array:
+    """On-times (n, E, 6) of the pairs that answer the momentum steps (n, E, S, 3)."""
+    n, e = torque.shape[:2]
+    solver = pair_solver(
+        torque.reshape(n * e, 3, -1), np.ones((n * e, torque.shape[-1])), layout.pairs
+    )
+    return np.asarray(solver.on_times(steps.reshape(n * e, -1, 3)).sum(1).reshape(n, e, 6))
+
+
+def _opposing(layout: PairLayout, minor: Array) -> Array:
+    """On-times (n, E, K) of opposing firings (n, E, 2) of ring and couple axis."""
+    ring = np.zeros(layout.pairs.shape[1])
+    ring[layout.ring.ravel()] = 1.0
+    return np.asarray(minor[..., :1] * ring + minor[..., 1:] * (1.0 - ring))
+
+
+def _units(case: OnTimeCase, on_time: Array) -> Array:
+    return np.asarray(on_time[..., [unit[0] for unit in case.layout.units]])
+
+
+def _noise(case: OnTimeCase, flown: Callable[[Array, Nudge], Flown], z: Array) -> Array:
+    """Covariance (E, U, U) of an event's own departures at z (d,), s²."""
+    events, k = len(case.event_ids), case.thrusters
+    held = hold_rate_covariance(
+        inertia_tensor(case.fixed), np.asarray(case.fixed["hold_rate_rad_s"])
+    )
+    forces = np.vstack(
+        [
+            case.thrust_sd_n["thrust_jitter_n"] * np.eye(k),
+            case.thrust_sd_n["thrust_event_n"] * np.ones((1, k)),
+        ]
+    )
+    size = k + 1 + 3
+    force = np.zeros((size, events, k))
+    force[: k + 1] = forces[:, None, :]
+    momentum = np.zeros((size, events, 3))
+    momentum[k + 1 :] = np.linalg.cholesky(held).T[:, None, :]
+    up, down = (
+        flown(np.tile(z, (size, 1)), Nudge(sign * force, sign * momentum)).on_time_s
+        for sign in (1.0, -1.0)
+    )
+    columns = [*(0.5 * (up - down)), *_chance(case, flown, z)]
+    slopes = np.stack(columns, axis=-1)
+    floor = CYCLE_S**2 + case.fixed["on_time_resolution_s"] ** 2 / 12.0
+    return np.asarray(slopes @ np.swapaxes(slopes, -1, -2) + floor * np.eye(slopes.shape[1]))
+
+
+def _chance(case: OnTimeCase, flown: Callable[[Array, Nudge], Flown], z: Array) -> list[Array]:
+    """One-sigma changes (E, U) of the on-times by the chance of a doubted firing logic.
+
+    Opposing firings M come in quanta q and vary from event to event by their own size, variance
+    q M + (g M)²; the common thruster's are negative binomial in control cycles N, variance
+    N + N²/k (docs/prediction.md §2).
+    """
+    events = len(case.event_ids)
+    nudge = np.zeros((3, events, 2))
+    nudge[1, :, 0] = nudge[2, :, 1] = CYCLE_S
+    found = flown(np.tile(z, (3, 1)), Nudge(opposing_s=nudge))
+    if found.minor_s is None or found.common_s is None or found.alone is None:
+        return []
+    middle = {name: case.beliefs.distributions[name].mean() for name in CHANCE}
+    minor = found.minor_s[0]
+    quantum, spread = middle["minor_quantum_s"], middle["event_spread"]
+    sd = np.sqrt(quantum * minor + (spread * minor) ** 2)
+    slopes = (found.on_time_s[1:] - found.on_time_s[0]) / CYCLE_S
+    cycles = found.common_s[0] / CYCLE_S
+    alone = CYCLE_S * np.sqrt(cycles + cycles**2 / middle["shared_shape"])
+    return [
+        slopes[0] * sd[:, :1],
+        slopes[1] * sd[:, 1:],
+        found.alone[0] * alone[:, None],
+    ]

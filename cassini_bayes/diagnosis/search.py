@@ -1,0 +1,286 @@
+"""Searches for a cause's mode beside the baseline's: three lengths, each for what needs it.
+
+The baseline's Laplace factor makes its coordinates white, so that a few steps of a quasi-Newton
+search end at a cause's own mode; what an effect trades with nuisances is a ridge in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.diagnosis.extended import Hypothesis
+from cassini_bayes.diagnosis.modes import (
+    CURVATURE_STEP,
+    LEAST_CURVATURE,
+    LOG_2_PI,
+    STEP,
+    WHITE,
+    LogDensity,
+    Mode,
+    climb,
+    mode_at,
+    settled,
+)
+from cassini_bayes.sampling.warmstart import lower_factor
+
+Array = NDArray[np.float64]
+LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
+RIDGE_ROUNDS: Final = 2
+NEAR_ROUNDS: Final = 9
+NEAR_TURNS: Final = 3
+NEAR_LEFT: Final = 0.02  # nats that a last step foretells
+SLOPE_LEFT: Final = 0.1
+NEAR_GAIN: Final = 5.0  # nats
+NEAR_FAR: Final = 20.0  # nats that a step foretells
+ROUNDING: Final = 1e-6  # nats by which the same point may differ between batches
+SHORTER: Final = 0.3
+FEW_STEPS: Final = 6
+LACKING_NATS: Final = 30.0
+NEAR_LACKING: Final = 3.0  # of the gain so far, and of what a step foretells
+LACKING_SHARE: Final = 1.0  # of the gain so far
+UNSURE_NATS: Final = 3.0  # of the volume of a peak whose ridge is not straight
+LEAST_CROSS: Final = 0.1
+FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
+LEAST_RIDGE: Final = 1e-6
+BENT: Final = 0.03  # of the steepest curvature
+FAR_MOVED: Final = 3.0  # baseline standard deviations along an axis
+OWN_SCALES: Final = (0.3, 0.03, 0.003, 0.0003)  # prior standard deviations
+STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
+NEAR_STARTS: Final = (-3.5, -2.5, -1.8, -1.2, -0.7, -0.3, 0.0, 0.4, 1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Sought:
+    """How far the search for a hypothesis's mode has come, and what it may still gain (nats).
+
+    What is within :data:`UNSURE_NATS` is left to importance draws.
+    """
+
+    mode: Mode
+    reach: float = 0.0
+
+
+class _Rows(NamedTuple):
+    """Value, slope and curvature along axes of which the first are white."""
+
+    value: float
+    slope: Array  # (D,)
+    inner: Array  # (D, D)
+
+
+def starts(extra: int, values: Sequence[float] = STARTS) -> Array:
+    """Starting values (s, extra) of an effect's coordinates: along each axis and at the middle."""
+    points = [np.zeros(extra)]
+    for axis in range(extra):
+        points += [value * np.eye(extra)[axis] for value in values if value != 0.0]
+    return np.array(points)
+
+
+def near_mode(hypothesis: Hypothesis, base: Mode, worth: float = -np.inf) -> Sought:
+    """Mode of a cause that the data hardly speak of, by Newton steps from the baseline's mode.
+
+    The nuisances keep the baseline's curvature; that of the effect, across and along, is looked at
+    before every step. The search has not ended where it comes to no rest, nor where the cause gains
+    more than a few nats: there may be another mode. It is left where the cause will not gain what
+    makes it ``worth`` while (nats).
+    """
+    density = hypothesis.log_density
+    d, extra = len(base.point), hypothesis.dimension - len(base.point)
+    tried = starts(extra, NEAR_STARTS)
+    tried = np.concatenate([np.tile(base.point, (len(tried), 1)), tried], axis=1)
+    seen = density(tried)
+    point, value = tried[int(np.nanargmax(seen))], float(np.nanmax(seen))
+    axes = _own_axes(density, point, base, extra)
+    step, foretold, turns, most = np.zeros(d + extra), 0.0, 0, 0.0
+    for _ in range(NEAR_ROUNDS):
+        rows = _own_rows(density, point + step, axes, d)
+        if not rows.value - value >= LEAST_SHARE * foretold - ROUNDING:
+            step, foretold = SHORTER * step, SHORTER * foretold
+            continue
+        point, value, step, foretold = point + step, rows.value, np.zeros(d + extra), 0.0
+        ridge, is_white = _ridge(axes, rows.inner, d)
+        most = _larger(most, 0.5 * float(rows.slope @ rows.slope))
+        if not is_white:
+            turns += 1
+            if turns > NEAR_TURNS:
+                break
+            axes = np.concatenate([axes[:, :d], ridge], axis=1)
+            continue
+        turns = 0
+        values, vectors = np.linalg.eigh(rows.inner)
+        turned = axes @ vectors / np.sqrt(values)
+        slope = vectors.T @ rows.slope / np.sqrt(values)
+        foretold = 0.5 * float(slope @ slope)
+        most = _larger(most, foretold)
+        if foretold > NEAR_FAR:
+            break
+        if _gain(value, extra, base) + NEAR_LACKING * foretold < worth:
+            return Sought(mode_at(density, point, lower_factor(turned)))
+        if foretold < NEAR_LEFT:
+            mode = mode_at(density, point, lower_factor(turned))
+            is_small = _gain(value, extra, base) < NEAR_GAIN
+            return Sought(mode, 0.0 if is_small else _lacking(mode, base, NEAR_LACKING))
+        step = turned @ slope
+    mode = mode_at(density, point, lower_factor(axes))
+    is_small = _gain(value, extra, base) < NEAR_GAIN
+    lacking = NEAR_GAIN if is_small else _lacking(mode, base, NEAR_LACKING)
+    return Sought(mode, lacking + NEAR_LACKING * most)
+
+
+def extended_mode(hypothesis: Hypothesis, base: Mode) -> Sought:
+    """Mode of a hypothesis with more coordinates than the baseline, from the baseline's mode.
+
+    From every starting value of the effect one Newton step is made in the baseline's coordinates;
+    the best goes on to a climb. The determinant is the baseline's with the effect's own rows and
+    columns renewed, right as long as the nuisances are not moved far (:func:`has_moved`). Where
+    these rows are not white after the climb, or still slope, the search has not ended; a cause that
+    could win has the better part of its gain by then.
+    """
+    density = hypothesis.log_density
+    d, extra = len(base.point), hypothesis.dimension - len(base.point)
+    point = _best_start(density, base, starts(extra))
+    axes, _, _ = _along_ridges(density, point, _own_axes(density, point, base, extra), d)
+    point = climb(density, point, axes, FEW_STEPS)
+    turned, rows, is_white = _along_ridges(density, point, axes, d)
+    foretold = 0.5 * float(rows.slope @ rows.slope)
+    if not is_white or foretold > SLOPE_LEFT:
+        mode = mode_at(density, point, lower_factor(axes))
+        if _gain(rows.value, extra, base) > NEAR_GAIN:
+            return Sought(mode, _lacking(mode, base, LACKING_SHARE))
+        return Sought(mode, UNSURE_NATS + NEAR_LACKING * _larger(0.0, foretold))
+    values, vectors = np.linalg.eigh(rows.inner)
+    turned = turned @ vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+    return Sought(mode_at(density, point, lower_factor(turned)))
+
+
+def _gain(value: float, extra: int, base: Mode) -> float:
+    """Nats gained in density over the baseline, the prior of ``extra`` coordinates at its peak."""
+    return value + 0.5 * extra * LOG_2_PI - base.value
+
+
+def _larger(one: float, other: float) -> float:
+    """The larger of two; infinite where one is not a number."""
+    return max(one, other) if np.isfinite(other) else np.inf
+
+
+def _lacking(mode: Mode, base: Mode, share: float) -> float:
+    """Nats that a search which has not ended may lack: thirty, and a share of what it gained."""
+    return LACKING_NATS + share * max(mode.log_evidence - base.log_evidence, 0.0)
+
+
+def higher(new: Sought, old: Sought, base: Mode) -> Sought:
+    """The search that came higher; the older one has not ended where that is the one."""
+    if new.mode.log_evidence >= old.mode.log_evidence:
+        return new
+    return Sought(old.mode, _lacking(old.mode, base, LACKING_SHARE))
+
+
+def has_moved(mode: Mode, base: Mode) -> bool:
+    """Whether nuisances are so far from the baseline's mode that their curvature may differ."""
+    d = len(base.point)
+    moved = np.linalg.solve(base.factor, mode.point[:d] - base.point)
+    return bool(np.abs(moved).max() > FAR_MOVED)
+
+
+def renewed(hypothesis: Hypothesis, mode: Mode) -> Mode:
+    """Mode and its whole curvature anew.
+
+    Needed where the nuisances went far from the baseline's mode, as their curvature there is not
+    the baseline's: near a bound of its prior a parameter hardly moves.
+    """
+    return settled(hypothesis.log_density, mode.point, mode.factor)
+
+
+def _ridge(axes: Array, inner: Array, d: int) -> tuple[Array, bool]:
+    """The last axes turned along the ridges on which the effect trades with the nuisances.
+
+    With them whether those there are followed the ridges already. With the baseline's coordinates
+    white and c, h the effect's rows of the curvature, the ridge is (−c, 1) and its curvature
+    h − cᵀc. That difference of large numbers is good after a few rounds.
+    """
+    cross, own = inner[:d, d:], inner[d:, d:]
+    values, vectors = np.linalg.eigh(own - cross.T @ cross)
+    is_white = (cross**2).sum() < LEAST_CROSS and WHITE[0] < values[0] and values[-1] < WHITE[1]
+    most = float(np.abs(np.diagonal(own)).max())
+    least = max(FLATTEST * most, LEAST_RIDGE)
+    # where it comes out negative the ridge is bent: its direction is used, its length is not
+    length = np.where(values > -BENT * most, np.maximum(values, least), most)
+    turn = vectors / np.sqrt(length)
+    ridge = axes @ np.concatenate([-cross @ turn, turn])
+    return ridge / np.maximum(np.abs(ridge[d:]).max(0), 1.0), bool(is_white)
+
+
+def _along_ridges(
+    density: LogDensity, point: Array, axes: Array, d: int
+) -> tuple[Array, _Rows, bool]:
+    """Axes whose last ones follow the ridges, the rows along them, whether these are white."""
+    for left in reversed(range(RIDGE_ROUNDS + 1)):
+        rows = _own_rows(density, point, axes, d)
+        ridge, is_white = _ridge(axes, rows.inner, d)
+        if is_white or left == 0:
+            break
+        axes = np.concatenate([axes[:, :d], ridge], axis=1)
+    return axes, rows, is_white
+
+
+def _best_start(density: LogDensity, base: Mode, tried: Array) -> Array:
+    d = len(base.point)
+    offsets = np.vstack([np.zeros((1, d)), STEP * base.factor.T])
+    batch = np.concatenate(
+        [
+            np.broadcast_to(base.point + offsets, (len(tried), d + 1, d)),
+            np.broadcast_to(tried[:, None], (len(tried), d + 1, tried.shape[1])),
+        ],
+        axis=2,
+    )
+    values = density(batch.reshape(-1, d + tried.shape[1])).reshape(len(tried), -1)
+    gradient = (values[:, 1:] - values[:, :1]) / STEP + 0.5 * STEP
+    candidates = [np.concatenate([np.tile(base.point, (len(tried), 1)), tried], axis=1)]
+    for share in (1.0, 0.3):
+        stepped = base.point + share * gradient @ base.factor.T
+        candidates.append(np.concatenate([stepped, tried], axis=1))
+    everything = np.concatenate(candidates)
+    found = density(everything)
+    return np.asarray(everything[int(np.nanargmax(found))])
+
+
+def _own_axes(density: LogDensity, point: Array, base: Mode, extra: int) -> Array:
+    """Whitening axes (d + extra, d + extra): the baseline's; the effect's by curvature.
+
+    Of several lengths of a step, the curvature is taken from the one nearest to a third of the
+    standard deviation that it tells.
+    """
+    d = len(base.point)
+    axes = np.zeros((d + extra, d + extra))
+    axes[:d, :d] = base.factor
+    scales = np.array(OWN_SCALES)
+    for i in range(extra):
+        unit = np.eye(d + extra)[d + i]
+        moves = scales[:, None] * unit
+        values = density(point + np.vstack([0.0 * unit[None], moves, -moves]))
+        bend = (2.0 * values[0] - values[1:].reshape(2, -1).sum(0)) / scales**2
+        told = 1.0 / np.sqrt(np.maximum(bend, LEAST_CURVATURE))
+        axes[d + i, d + i] = told[int(np.argmin(np.abs(np.log(0.3 * told / scales))))]
+    return axes
+
+
+def _own_rows(density: LogDensity, point: Array, axes: Array, d: int) -> _Rows:
+    """Value, slope and curvature along ``axes``: the unit matrix but for the effect's own rows."""
+    size = axes.shape[1]
+    inner, slope = np.eye(size), np.zeros(size)
+    h, unit = CURVATURE_STEP, axes.T
+    for i in range(d, size):
+        away = np.stack([h * unit[i], -h * unit[i]])
+        beside = (away[:, None] + STEP * unit[:i]).reshape(-1, len(point))
+        values = density(point + np.vstack([0.0 * away[:1], away, beside]))
+        slopes = (values[3:].reshape(2, i) - values[1:3, None]) / STEP
+        inner[i, :i] = inner[:i, i] = -(slopes[0] - slopes[1]) / (2.0 * h)
+        inner[i, i] = (2.0 * values[0] - values[1] - values[2]) / h**2
+        slope[i] = (values[1] - values[2]) / (2.0 * h)
+    slope[:d] = slopes.mean(0)[:d] + 0.5 * STEP
+    return _Rows(float(values[0]), slope, inner)

@@ -1,0 +1,1 @@
+"""Causes beyond the standard physics: what each changes, its columns, the prior of its size."""

@@ -1,0 +1,1 @@
+"""What was measured: totals rows and telemetry, read, checked and made plausible."""

@@ -1,0 +1,113 @@
+"""Which columns a telemetry file may, must and must not have, and where each channel stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import nearest
+from cassini_bayes.spacecraft import Spacecraft
+
+Kind = Literal["slew", "bias", "quiescent", "delta_v"]
+KINDS: Final[tuple[Kind, ...]] = ("slew", "bias", "quiescent", "delta_v")
+TIME: Final = "time_s"
+_MOTION: Final = ("attitude", "rate", "wheel")
+NEEDED: Final[Mapping[Kind, tuple[str, ...]]] = MappingProxyType(
+    {
+        "slew": _MOTION,
+        "bias": (*_MOTION, "on_time", "pulses"),
+        "quiescent": _MOTION,
+        "delta_v": ("on_time", "pulses", "delta_v"),
+    }
+)
+"""Channels without which an event of a kind says nothing."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Place of every channel in a file: indices of its columns, () for an absent channel.
+
+    ``foreign`` are columns of idle wheels and of the other branch's thrusters.
+    """
+
+    header: tuple[str, ...]
+    channels: Mapping[str, tuple[int, ...]]
+    foreign: tuple[int, ...]
+
+    def names(self, channel: str) -> tuple[str, ...]:
+        """Columns of a channel."""
+        return tuple(self.header[i] for i in self.channels[channel])
+
+
+def channel_columns(
+    spacecraft: Spacecraft, wheels: Sequence[int], thrusters: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """Columns of every channel, in the order of its array's columns."""
+    return {
+        "time": (TIME,),
+        "attitude": ("q1", "q2", "q3", "q4"),
+        "rate": tuple(f"rate_{axis}_rad_s" for axis in "xyz"),
+        "wheel": tuple(f"{spacecraft.wheel(number).name}_rpm" for number in wheels),
+        "on_time": tuple(f"on_time_{name}_s" for name in thrusters),
+        "pulses": tuple(f"pulses_{name}" for name in thrusters),
+        "delta_v": tuple(f"delta_v_{axis}_m_s" for axis in "xyz"),
+        "pressure": ("tank_pressure_kpa",),
+    }
+
+
+def make_layout(
+    where: str,
+    header: Sequence[str],
+    spacecraft: Spacecraft,
+    kind: Kind,
+    wheels: Sequence[int],
+    branch: str,
+) -> Layout:
+    """Find every channel in a header row.
+
+    Raises
+    ------
+    InputError
+        An unknown, repeated or missing column, part of a channel, or a channel the kind needs.
+    """
+    own = channel_columns(spacecraft, wheels, spacecraft.thruster_names(branch))
+    every = channel_columns(
+        spacecraft,
+        [wheel.number for wheel in spacecraft.wheels],
+        list(dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)),
+    )
+    known = [name for names in every.values() for name in names]
+    _check_names(where, header, known)
+    places = {name: i for i, name in enumerate(header)}
+    channels = {}
+    for channel, names in own.items():
+        missing = [name for name in names if name not in places]
+        needed = channel == "time" or channel in NEEDED[kind]
+        if missing and (needed or len(missing) < len(names)):
+            reason = f"an event of kind {kind} needs it" if needed else "the other columns need it"
+            raise InputError(
+                where,
+                f"a column {missing[0]!r}, because {reason}",
+                "a header without it",
+                "add the column, or correct kind, branch and wheels in event.toml",
+            )
+        channels[channel] = () if missing else tuple(places[name] for name in names)
+    mine = {name for names in own.values() for name in names}
+    foreign = tuple(i for i, name in enumerate(header) if name not in mine)
+    return Layout(tuple(header), MappingProxyType(channels), foreign)
+
+
+def _check_names(where: str, header: Sequence[str], known: Sequence[str]) -> None:
+    for i, name in enumerate(header):
+        if name not in known:
+            raise InputError(
+                where,
+                "a known column",
+                f"the unknown column {name!r}" if name else f"no name for column {i + 1}",
+                nearest(name, [other for other in known if other not in header] or known),
+            )
+        if name in header[:i]:
+            raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")

@@ -1,0 +1,208 @@
+"""A telemetry CSV as a stream of blocks: constant memory, exact line numbers, correct rounding."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterator
+from io import BufferedReader
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.telemetry.block import Block
+from cassini_bayes.events.telemetry.digits import BAD_LENGTH, powers_of_ten, read_cells
+from cassini_bayes.events.telemetry.mends import Mends
+
+LONGEST_LINE: Final = 1 << 20
+BUFFER: Final = 4 << 20
+_AHEAD: Final = 8  # bytes that the compiled reader may look beyond the last newline
+_ODD: Final = 4096
+_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+class CsvTable:
+    """An open CSV file with a header row."""
+
+    unit: Final = "line"
+
+    def __init__(self, path: Path, stream: BufferedReader) -> None:
+        self._path = path
+        self._stream = stream
+        self._line, self.header = self._read_header()
+        self.header_place = f"{path}: line {self._line - 1}"
+
+    def _read_header(self) -> tuple[int, tuple[str, ...]]:
+        """Number of the line behind the header, and the names."""
+        line, content = 0, b"\n"
+        while content and not content.strip(b"\xef\xbb\xbf\r\n ,"):
+            content = self._stream.readline(LONGEST_LINE)
+            line += 1
+        if not content:
+            raise InputError(
+                str(self._path), "a header row and rows below it", "an empty file", "fill it in"
+            )
+        return line + 1, header_of(f"{self._path}: line {line}", content)
+
+    def blocks(self, rows: int, mends: Mends) -> Iterator[Block]:
+        """Yield the rows in file order, ``rows`` at a time."""
+        filling = _Filling(self._path, self.header, rows, self._line, mends)
+        store = bytearray(BUFFER + LONGEST_LINE + _AHEAD)
+        buffer = np.frombuffer(store, dtype=np.uint8)
+        kept, last = 0, False
+        while not last:
+            count = self._stream.readinto(memoryview(store)[kept : kept + BUFFER])
+            end, last = kept + count, count == 0
+            if last and kept:
+                buffer[end] = 10  # the last line may lack its newline
+                end += 1
+            stop = store.rfind(b"\n", 0, end) + 1
+            yield from filling.take(buffer, stop, last)
+            if end - stop >= LONGEST_LINE:
+                raise filling.too_long()
+            kept = end - stop
+            buffer[:kept] = buffer[stop:end].copy()
+        yield from filling.rest()
+
+
+class _Filling:
+    """The block that is being filled, and the line that comes next."""
+
+    def __init__(
+        self, path: Path, header: tuple[str, ...], rows: int, line: int, mends: Mends
+    ) -> None:
+        self._file = str(path)
+        self._header = header
+        self._rows = rows
+        self._line = line
+        self._mends = mends
+        self._powers = powers_of_ten()
+        self._odd = np.zeros((_ODD + 2 * len(header), 5), dtype=np.int64)
+        self._new()
+
+    def _new(self) -> None:
+        self._row = 0
+        self._cells = np.empty((len(self._header), self._rows))
+        self._lines = np.empty(self._rows, dtype=np.int64)
+
+    def take(self, text: NDArray[np.uint8], stop: int, last: bool) -> Iterator[Block]:
+        """Read whole lines of the text; yield every block that gets full."""
+        place = 0
+        nans = np.zeros((len(self._header), 3), dtype=np.int64)
+        while place < stop:
+            place, self._line, self._row, found = read_cells(
+                *(text, place, stop, self._line, self._row),
+                *(self._cells, self._lines, nans, self._odd, self._powers),
+            )
+            entries = self._odd[:found]
+            if found and entries[-1, 1] == BAD_LENGTH:  # says more than the cells of that line
+                entries = entries[(entries[:, 4] != entries[-1, 4]) | (entries[:, 1] == BAD_LENGTH)]
+            for entry in entries.tolist():
+                self._settle(text, entry, last and place >= stop)
+            if self._row == self._rows:
+                yield self._block()
+                self._new()
+        self._note_nans(nans)
+
+    def rest(self) -> Iterator[Block]:
+        """Yield the last block, if it has rows."""
+        if self._row:
+            yield self._block()
+
+    def too_long(self) -> InputError:
+        """The error about a line without an end."""
+        return InputError(
+            f"{self._file}: line {self._line}",
+            f"a line of at most {LONGEST_LINE} bytes",
+            "a longer one",
+            "check that this is a CSV file with one row per line",
+        )
+
+    def _block(self) -> Block:
+        row = self._row
+        return Block(self._file, self._header, "line", self._lines[:row], self._cells[:, :row])
+
+    def _note_nans(self, nans: NDArray[np.int64]) -> None:
+        for column in np.flatnonzero(nans[:, 0]).tolist():
+            count, first, final = nans[column].tolist()
+            self._mends.add(
+                "nan", self._header[column], first, final, count, "NaN was taken as not sampled"
+            )
+
+    def _settle(self, text: NDArray[np.uint8], entry: list[int], last: bool) -> None:
+        """Read a cell that is no plain number, or say what is wrong with it."""
+        row, column, first, behind, line = entry
+        content = bytes(text[first:behind])
+        if column == BAD_LENGTH:
+            self._refuse_length(line, row, content, last)
+        cell = content.decode("utf-8", errors="replace").strip()
+        if len(cell) > 1 and cell[0] == cell[-1] == '"':
+            cell = cell[1:-1].strip()
+        where = f"{self._file}: line {line}, column {self._header[column]}"
+        if not cell:
+            self._cells[column, row] = math.nan
+        elif _NUMBER.fullmatch(cell) and math.isfinite(float(cell)):
+            self._cells[column, row] = float(cell)
+        else:
+            short = cell if len(cell) <= 40 else cell[:37] + "…"
+            raise InputError(
+                where,
+                "a finite number, or an empty cell where the channel was not sampled",
+                ascii(short),
+                "write it like -1118 or 4.28e-5, '.' as point, or empty the cell",
+            )
+
+    def _refuse_length(self, line: int, count: int, content: bytes, last: bool) -> None:
+        columns = len(self._header)
+        fix = "check the commas; an empty cell still needs its comma"
+        if last and count < columns:
+            fix = f"{fix}; if the file was cut short, delete its last line"
+        elif b";" in content:
+            fix = "separate cells by commas, not semicolons"
+        raise InputError(
+            f"{self._file}: line {line}", f"{columns} cells as in the header", f"{count}", fix
+        )
+
+
+def header_of(where: str, content: bytes) -> tuple[str, ...]:
+    """Names of the columns from the bytes of a header row.
+
+    Raises
+    ------
+    InputError
+        Not text, not commas, or numbers instead of names.
+    """
+    refusal = InputError(
+        where,
+        "a header row of column names",
+        "bytes that are no text",
+        "save the telemetry as CSV UTF-8 (unpacked), or name a Parquet file telemetry.parquet",
+    )
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise refusal from None
+    if "\0" in text or any(ord(c) < 32 and c not in "\t\r\n" for c in text):
+        raise refusal
+    for mark, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+        if mark in text and "," not in text:
+            raise InputError(
+                where, "names separated by commas", name, "save it with ',' between the cells"
+            )
+    try:
+        names = next(csv.reader([text.strip()], strict=True))
+    except csv.Error as error:
+        raise InputError(where, "comma-separated names", str(error), "mend the line") from None
+    names = [name.strip() for name in names]
+    if _NUMBER.fullmatch(names[0]):
+        raise InputError(
+            where,
+            "a header row of column names",
+            f"the number {names[0]}",
+            "add a first line time_s,q1,… that names the columns",
+        )
+    return tuple(names)

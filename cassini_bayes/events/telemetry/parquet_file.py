@@ -1,0 +1,99 @@
+"""A telemetry Parquet file as a stream of blocks. Needs the extra ``parquet`` (pyarrow)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.telemetry.block import Block
+from cassini_bayes.events.telemetry.mends import Mends
+
+
+class ParquetTable:
+    """An open Parquet file with one column per telemetry column."""
+
+    unit: Final = "row"
+
+    def __init__(self, path: Path, file: Any) -> None:
+        self._path = path
+        self._file = file
+        self.header = tuple(str(name) for name in file.schema_arrow.names)
+        self.header_place = f"{path}: columns"
+
+    def blocks(self, rows: int, mends: Mends) -> Iterator[Block]:
+        """Yield the rows in file order, at most ``rows`` at a time."""
+        self._check_types()
+        first = 1
+        for batch in self._file.iter_batches(batch_size=rows):
+            cells = np.empty((len(self.header), batch.num_rows))
+            for i, column in enumerate(batch.columns):
+                cells[i] = column.cast("float64", safe=False).to_numpy(zero_copy_only=False)
+                self._note_nans(i, cells[i], column.null_count, first, mends)
+            lines = np.arange(first, first + batch.num_rows, dtype=np.int64)
+            block = Block(str(self._path), self.header, "row", lines, cells)
+            _refuse_infinite(block)
+            first += batch.num_rows
+            if batch.num_rows:
+                yield block
+
+    def _check_types(self) -> None:
+        for name, kind in zip(self.header, self._file.schema_arrow.types, strict=True):
+            if not str(kind).startswith(("double", "float", "halffloat", "int", "uint", "null")):
+                raise InputError(
+                    f"{self._path}: column {name}",
+                    "numbers (double, float or int)",
+                    str(kind),
+                    "store the column as double, null where it was not sampled",
+                )
+
+    def _note_nans(
+        self, column: int, values: np.ndarray[Any, Any], nulls: int, first: int, mends: Mends
+    ) -> None:
+        empty = np.flatnonzero(np.isnan(values))
+        if empty.size > nulls:
+            mends.add(
+                "nan",
+                self.header[column],
+                first + int(empty[0]),
+                first + int(empty[-1]),
+                int(empty.size) - nulls,
+                "NaN was taken as not sampled",
+            )
+
+
+def open_parquet(path: Path) -> ParquetTable:
+    """Open a Parquet file.
+
+    Raises
+    ------
+    InputError
+        pyarrow is not installed, or the file is no Parquet file.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError(
+            str(path),
+            "the library pyarrow, to read Parquet",
+            "an environment without it",
+            "install cassini-bayes[parquet], or store the telemetry as telemetry.csv",
+        ) from None
+    try:
+        return ParquetTable(path, pyarrow.parquet.ParquetFile(path))
+    except (pyarrow.ArrowException, OSError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(
+            str(path), "a Parquet file", reason, "write the file again, or use telemetry.csv"
+        ) from None
+
+
+def _refuse_infinite(block: Block) -> None:
+    wrong = np.argwhere(np.isinf(block.cells))
+    if wrong.size:
+        column, row = wrong[0].tolist()
+        raise block.refuse(row, column, "a finite number", "leave it null where not sampled")

@@ -1,0 +1,156 @@
+"""Checks of rows: times that only grow, channels that are whole, values that can be."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.telemetry.block import Block
+from cassini_bayes.events.telemetry.columns import Layout
+from cassini_bayes.events.telemetry.mends import Mends
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+HIGHEST_RATE_RAD_S: Final = 0.05
+"""Ten times the fastest slew of Cassini on thrusters; a slew in deg/s exceeds it."""
+HIGHEST_RPM: Final = 4000.0
+"""Twice what Cassini's wheels are kept below."""
+HIGHEST_DELTA_V_M_S: Final = 2000.0
+
+
+class Times:
+    """Times strictly increase; a row that repeats the one before it, cell for cell, is dropped."""
+
+    def __init__(self, layout: Layout, mends: Mends) -> None:
+        self._column = layout.channels["time"][0]
+        self._mends = mends
+        self._last: Array | None = None  # cells of the row before this block
+
+    def checked(self, block: Block) -> Block:
+        """The block without repeated rows."""
+        time = block.cells[self._column]
+        unknown = np.flatnonzero(np.isnan(time))
+        if unknown.size:
+            raise block.refuse(
+                int(unknown[0]), self._column, "a time in s", "give every row its time, or drop it"
+            )
+        if self._last is None:
+            if time[0] != 0.0:
+                self._mends.add(
+                    *("late_start", "time_s", int(block.lines[0]), int(block.lines[0]), 1),
+                    f"starts at {time[0]:.10g} s, not at 0: is epoch the time of the first row?",
+                )
+            before = np.concatenate([[-np.inf], time[:-1]])
+        else:
+            before = np.concatenate([self._last[self._column : self._column + 1], time[:-1]])
+        late = time <= before
+        repeated = self._repeated(block, late) if late.any() else late
+        self._last = block.cells[:, -1].copy()
+        return block.without(repeated) if repeated.any() else block
+
+    def _repeated(self, block: Block, late: Flags) -> Flags:
+        for row in np.flatnonzero(late).tolist():
+            before = block.cells[:, row - 1] if row else self._last
+            assert before is not None
+            if not np.array_equal(block.cells[:, row], before, equal_nan=True):
+                raise self._refusal(block, row, before)
+        lines = block.lines[late]
+        self._mends.add(
+            *("duplicate_row", "time_s", int(lines[0]), int(lines[-1]), int(lines.size)),
+            "a row that repeats the one before it was dropped",
+        )
+        return late
+
+    def _refusal(self, block: Block, row: int, before: Array) -> InputError:
+        last = float(before[self._column])
+        time = float(block.cells[self._column, row])
+        if time == last:
+            return block.refuse(
+                row,
+                self._column,
+                f"a time after {last:.10g} s, that of the row before",
+                "merge the two rows if they hold different channels; drop one if they disagree",
+                f"the same time again, {time:.10g} s, with other values",
+            )
+        return block.refuse(
+            row,
+            self._column,
+            f"a time after {last:.10g} s, that of the row before",
+            "sort the rows by time; split the event where its clock was set back",
+            f"{time:.10g} s, going back",
+        )
+
+
+def check_whole(block: Block, layout: Layout) -> None:
+    """Refuse rows that sample only part of a channel."""
+    for columns in layout.channels.values():
+        if len(columns) < 2:
+            continue
+        empty = np.isnan(block.cells[list(columns)])
+        partly = np.flatnonzero(empty.any(axis=0) & ~empty.all(axis=0))
+        if partly.size:
+            row = int(partly[0])
+            column = columns[int(np.flatnonzero(empty[:, row])[0])]
+            names = f"{block.header[columns[0]]} to {block.header[columns[-1]]}"
+            raise block.refuse(
+                row,
+                column,
+                f"a number, as {names} are sampled together",
+                "fill in the cell, or empty the others of the channel in this row",
+            )
+
+
+def check_foreign(block: Block, layout: Layout) -> None:
+    """Refuse values of idle wheels and of the other branch's thrusters; empty and 0 may stand."""
+    for column in layout.foreign:
+        values = block.cells[column]
+        given = np.flatnonzero(~np.isnan(values) & (values != 0.0))
+        if given.size:
+            raise block.refuse(
+                int(given[0]),
+                column,
+                "an empty cell: it belongs to no prime wheel and to no thruster of the branch",
+                "correct wheels and branch in event.toml, or drop the column",
+            )
+
+
+def check_ranges(block: Block, layout: Layout) -> None:
+    """Refuse rates, wheel rates, velocities and pressures that only another unit explains."""
+    _check_range(
+        block,
+        layout.channels["rate"],
+        HIGHEST_RATE_RAD_S,
+        f"a body rate within ±{HIGHEST_RATE_RAD_S:g} rad/s",
+        "check the unit (rad/s, not deg/s or mrad/s) and the decimal point",
+    )
+    _check_range(
+        block,
+        layout.channels["wheel"],
+        HIGHEST_RPM,
+        f"a wheel rate within ±{HIGHEST_RPM:g} rev/min",
+        "check the unit (rev/min, not deg/s) and the decimal point",
+    )
+    _check_range(
+        block,
+        layout.channels["delta_v"],
+        HIGHEST_DELTA_V_M_S,
+        f"a velocity change within ±{HIGHEST_DELTA_V_M_S:g} m/s",
+        "check the unit (m/s, not mm/s)",
+    )
+    for column in layout.channels["pressure"]:
+        wrong = np.flatnonzero(block.cells[column] <= 0.0)
+        if wrong.size:
+            raise block.refuse(int(wrong[0]), column, "a pressure above 0 kPa", "check the value")
+
+
+def _check_range(
+    block: Block, columns: tuple[int, ...], limit: float, expected: str, fix: str
+) -> None:
+    for column in columns:
+        wrong = np.flatnonzero(np.abs(block.cells[column]) > limit)
+        if wrong.size:
+            raise block.refuse(int(wrong[0]), column, expected, fix)

@@ -1,0 +1,430 @@
+"""Totals-only bias events: one row per event and source in a CSV (docs/priors.md has the format).
+
+A row is what a flight table gives of one wheel bias: the wheel rates at both ends, the commanded
+on-time and the number of pulses of every thruster, and optionally velocity change, hydrazine and
+the ground software's mass and thrust. :func:`read_totals` checks every cell at the door and names
+file, line and column of the first thing that cannot be right; inside, an event is frozen.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.cells import Row, read_bytes, read_text, rows_of
+from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.storage import write_text
+from cassini_bayes.spacecraft import Spacecraft
+
+Array = NDArray[np.float64]
+DeltaVSource = Literal["measured", "computed"]
+
+SOURCES: Final = ("flight", "fsds", "gsw_ideal", "gsw", "simulation")
+_COUNTED_SOURCES: Final = ("flight", "fsds", "simulation")
+"""Pulses of the ground software are computed and rounded: 0 may stand beside a short on-time."""
+SHORTEST_PULSE_S: Final = 0.005
+"""No valve of this kind opens for less; a mean width below it means swapped or misread columns."""
+IMPLAUSIBLE_RPM: Final = 10_000.0
+"""Beyond any wheel of this kind (Cassini's are kept below 2000): a value in other units."""
+_DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
+
+
+@dataclass(frozen=True, eq=False)
+class TotalsEvent:
+    """Totals of one bias event, as one source tells them. Arrays are copied and read-only.
+
+    ``on_time_s`` and ``pulses`` are aligned with ``thrusters`` (those of the branch, in file
+    order), ``rwa_start_rpm`` and ``rwa_end_rpm`` with ``wheels``. On-times are as commanded, per
+    thruster. ``delta_v_m_s`` is in body axes; ``mass_kg`` and ``thrust_predicted_n`` are what the
+    ground software assumed. None means not given.
+    """
+
+    id: str
+    epoch: datetime
+    branch: str
+    wheels: tuple[int, ...]
+    rwa_start_rpm: Array  # (W,)
+    rwa_end_rpm: Array  # (W,)
+    duration_s: float
+    thrusters: tuple[str, ...]
+    on_time_s: Array  # (K,)
+    pulses: Array | None  # (K,)
+    delta_v_m_s: Array | None  # (3,)
+    delta_v_source: DeltaVSource | None
+    hydrazine_g: float | None
+    mass_kg: float | None
+    thrust_predicted_n: float | None
+    source: str
+
+    def __post_init__(self) -> None:
+        for name in ("rwa_start_rpm", "rwa_end_rpm", "on_time_s", "pulses", "delta_v_m_s"):
+            value = getattr(self, name)
+            if value is not None:
+                array = np.array(value, dtype=np.float64)
+                array.setflags(write=False)
+                object.__setattr__(self, name, array)
+
+
+def totals_columns(spacecraft: Spacecraft) -> tuple[str, ...]:
+    """Columns of a totals CSV of this spacecraft, in the order in which they are written.
+
+    A file may leave out the rate columns of wheels that are prime in none of its events.
+    """
+    thrusters = dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)
+    return (
+        *("id", "epoch", "branch", "wheels"),
+        *_rate_columns(spacecraft),
+        "duration_s",
+        *(f"on_time_{name}_s" for name in thrusters),
+        *(f"pulses_{name}" for name in thrusters),
+        *_DELTA_V_COLUMNS,
+        *("hydrazine_g", "mass_kg", "thrust_predicted_n", "delta_v_source", "source"),
+    )
+
+
+def _rate_columns(spacecraft: Spacecraft) -> tuple[str, ...]:
+    return tuple(f"{w.name}_rpm_{end}" for end in ("start", "end") for w in spacecraft.wheels)
+
+
+def read_totals(
+    reference: str | Path, spacecraft: Spacecraft, source: str = "flight"
+) -> tuple[TotalsEvent, ...]:
+    """Read the events of one source from a totals CSV, in file order.
+
+    Parameters
+    ----------
+    reference
+        ``file.csv`` for all events, ``file.csv:ID`` for one.
+    spacecraft
+        Gives the wheels, branches and thrusters, and with them the columns.
+    source
+        Which rows: ``flight``, ``fsds``, ``gsw_ideal``, ``gsw`` or ``simulation``.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column, what was expected, what was found and the fix.
+    """
+    path, wanted = _split_reference(str(reference))
+    rows = _totals_rows(str(path), read_text(path), spacecraft)
+    by_source: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        identity, kind = _identity(row)
+        earlier = by_source.setdefault(kind, {}).setdefault(identity, row)
+        if earlier is not row:
+            raise row.refuse(
+                "id",
+                f"one row per event and source ({kind})",
+                "drop or rename one of the two",
+                f"{identity!r} again, as in line {earlier.line}",
+            )
+    chosen = _choose(str(path), by_source, source, wanted)
+    return tuple(_event(row, spacecraft) for row in chosen)
+
+
+def write_totals(path: str | Path, events: Iterable[TotalsEvent], spacecraft: Spacecraft) -> None:
+    """Write events as a totals CSV that :func:`read_totals` reads back exactly.
+
+    The text is read back before the file is touched, and the file is replaced in one step.
+
+    Raises
+    ------
+    InputError
+        The place cannot be written, or an event breaks a rule of the format (the message names
+        line and column that the row would have had).
+    """
+    columns = totals_columns(spacecraft)
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for event in events:
+        cells = _cells(event, spacecraft)
+        unknown = [name for name in cells if name not in columns]
+        if unknown:
+            raise InputError(
+                f"{path}: event {event.id}",
+                f"wheels and thrusters of {spacecraft.name}",
+                f"a value for {unknown[0]}",
+                "write the event with the spacecraft it was made for",
+            )
+        writer.writerow([cells.get(column, "") for column in columns])
+    text = stream.getvalue()
+    identities = set()
+    for row in _totals_rows(str(path), text, spacecraft):
+        if (identity := _identity(row)) in identities:
+            raise row.refuse("id", "one row per event and source", "drop or rename one of the two")
+        identities.add(identity)
+        _event(row, spacecraft)
+    write_text(Path(path), text)
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    return hashlib.sha256(read_bytes(Path(path))).hexdigest()
+
+
+def _split_reference(reference: str) -> tuple[Path, str | None]:
+    """``file.csv`` or ``file.csv:ID``; both names may hold colons, the file that exists decides."""
+    if Path(reference).exists() or ":" not in reference:
+        return Path(reference), None
+    ends = [i for i, character in enumerate(reference) if character == ":"]
+    end = next((i for i in reversed(ends) if Path(reference[:i]).is_file()), ends[-1])
+    return Path(reference[:end]), reference[end + 1 :]
+
+
+def _totals_rows(file: str, text: str, spacecraft: Spacecraft) -> tuple[Row, ...]:
+    columns = totals_columns(spacecraft)
+    return rows_of(file, text, columns, set(columns) - set(_rate_columns(spacecraft)))
+
+
+def _identity(row: Row) -> tuple[str, str]:
+    identity = row.text("id", "a name of the event")
+    source = row.text("source", f"one of {', '.join(SOURCES)}")
+    if source not in SOURCES:
+        raise row.refuse("source", f"one of {', '.join(SOURCES)}", nearest(source, SOURCES))
+    return identity, source
+
+
+def _choose(
+    file: str, by_source: Mapping[str, Mapping[str, Row]], source: str, wanted: str | None
+) -> list[Row]:
+    if source not in by_source:
+        raise InputError(
+            file,
+            f"rows of source {source!r}",
+            f"rows of {', '.join(by_source)}",
+            nearest(source, by_source),
+        )
+    rows = by_source[source]
+    if wanted is None:
+        return list(rows.values())
+    if wanted not in rows:
+        others = [kind for kind, own in by_source.items() if wanted in own]
+        raise InputError(
+            f"{file}:{wanted}",
+            f"the id of an event of source {source!r}",
+            f"one that only {', '.join(others)} has" if others else f"the unknown id {wanted!r}",
+            f"choose source {others[0]!r}" if others else nearest(wanted, rows),
+        )
+    return [rows[wanted]]
+
+
+def _event(row: Row, spacecraft: Spacecraft) -> TotalsEvent:
+    branch = row.text("branch", f"one of {', '.join(spacecraft.branches)}")
+    if branch not in spacecraft.branches:
+        raise row.refuse(
+            "branch",
+            f"a thruster branch of {spacecraft.name}",
+            nearest(branch, spacecraft.branches),
+        )
+    wheels = _wheels(row, spacecraft)
+    start, end = _wheel_rates(row, spacecraft, wheels)
+    duration = row.positive("duration_s", "s")
+    thrusters = tuple(thruster.name for thruster in spacecraft.thrusters_of(branch))
+    on_time = _on_times(row, spacecraft, thrusters, duration)
+    delta_v, delta_v_source = _delta_v(row)
+    hydrazine = row.non_negative("hydrazine_g", "g") if row.cells["hydrazine_g"] else None
+    mass = row.positive("mass_kg", "kg") if row.cells["mass_kg"] else None
+    predicted = row.cells["thrust_predicted_n"]
+    return TotalsEvent(
+        id=row.cells["id"],
+        epoch=_epoch(row),
+        branch=branch,
+        wheels=wheels,
+        rwa_start_rpm=np.array(start),
+        rwa_end_rpm=np.array(end),
+        duration_s=duration,
+        thrusters=thrusters,
+        on_time_s=np.array(on_time),
+        pulses=_pulses(row, spacecraft, thrusters, on_time),
+        delta_v_m_s=delta_v,
+        delta_v_source=delta_v_source,
+        hydrazine_g=hydrazine,
+        mass_kg=mass,
+        thrust_predicted_n=row.positive("thrust_predicted_n", "N") if predicted else None,
+        source=row.cells["source"],
+    )
+
+
+def _epoch(row: Row) -> datetime:
+    cell = row.text("epoch", "an ISO 8601 time")
+    try:
+        epoch = datetime.fromisoformat(cell)
+    except ValueError:
+        raise row.refuse(
+            "epoch", "an ISO 8601 time, UTC", "write e.g. 2010-02-13 or 2010-02-13T12:00:00Z"
+        ) from None
+    return epoch.replace(tzinfo=UTC) if epoch.tzinfo is None else epoch.astimezone(UTC)
+
+
+def _wheels(row: Row, spacecraft: Spacecraft) -> tuple[int, ...]:
+    known = [wheel.number for wheel in spacecraft.wheels]
+    expected = f"different wheels out of {known}, separated by blanks"
+    fix = f"write e.g. {' '.join(str(number) for number in known[:3])}"
+    words = row.text("wheels", expected).split()
+    if not all(word.isascii() and word.isdigit() and int(word) in known for word in words):
+        raise row.refuse("wheels", expected, fix)
+    wheels = tuple(int(word) for word in words)
+    if len(set(wheels)) != len(wheels):
+        raise row.refuse("wheels", expected, "list each wheel once")
+    return wheels
+
+
+def _wheel_rates(
+    row: Row, spacecraft: Spacecraft, wheels: tuple[int, ...]
+) -> tuple[list[float], list[float]]:
+    names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
+    for number, name in names.items():
+        for column in (f"{name}_rpm_start", f"{name}_rpm_end"):
+            if number not in wheels and row.cells[column]:
+                raise row.refuse(
+                    column,
+                    f"an empty cell: wheel {number} is not among the prime wheels"
+                    f" {' '.join(map(str, wheels))}",
+                    "correct the wheels, or empty the cell",
+                )
+    start = [_wheel_rate(row, f"{names[number]}_rpm_start") for number in wheels]
+    return start, [_wheel_rate(row, f"{names[number]}_rpm_end") for number in wheels]
+
+
+def _wheel_rate(row: Row, column: str) -> float:
+    rate = row.number(column, "rev/min, because the wheel is prime")
+    if abs(rate) > IMPLAUSIBLE_RPM:
+        raise row.refuse(
+            column,
+            f"a wheel rate within ±{IMPLAUSIBLE_RPM:g} rev/min",
+            "check the unit (rev/min, not degrees or radians) and the decimal point",
+        )
+    return rate
+
+
+def _refuse_other_branch(row: Row, spacecraft: Spacecraft, own: Sequence[str], form: str) -> None:
+    for thruster in spacecraft.thrusters:
+        column = form.format(thruster.name)
+        if thruster.name not in own and row.cells[column]:
+            raise row.refuse(
+                column,
+                f"an empty cell: branch {row.cells['branch']} has no thruster {thruster.name}",
+                "correct the branch, or empty the cell",
+            )
+
+
+def _on_times(
+    row: Row, spacecraft: Spacecraft, thrusters: tuple[str, ...], duration: float
+) -> list[float]:
+    _refuse_other_branch(row, spacecraft, thrusters, "on_time_{}_s")
+    values = []
+    for name in thrusters:
+        column = f"on_time_{name}_s"
+        value = row.non_negative(column, "s")
+        if value > duration:
+            raise row.refuse(
+                column,
+                f"an on-time no longer than the event, {duration:g} s",
+                "check duration_s and the unit (s)",
+            )
+        values.append(value)
+    return values
+
+
+def _pulses(
+    row: Row, spacecraft: Spacecraft, thrusters: tuple[str, ...], on_time: Sequence[float]
+) -> Array | None:
+    _refuse_other_branch(row, spacecraft, thrusters, "pulses_{}")
+    if not any(row.cells[f"pulses_{name}"] for name in thrusters):
+        return None
+    values = []
+    for name, seconds in zip(thrusters, on_time, strict=True):
+        column = f"pulses_{name}"
+        count = row.non_negative(column, "pulses (give them for all thrusters or for none)")
+        if count != int(count):
+            raise row.refuse(column, "a whole number of pulses", "check the column")
+        if row.cells["source"] in _COUNTED_SOURCES and (count == 0) != (seconds == 0):
+            raise row.refuse(
+                column,
+                f"{'no' if seconds == 0 else 'at least one'} pulse for {seconds:g} s of on-time",
+                f"check this cell and on_time_{name}_s",
+            )
+        if count > 0 and seconds / count < SHORTEST_PULSE_S:
+            raise row.refuse(
+                column,
+                f"pulses of at least {SHORTEST_PULSE_S:g} s on average",
+                f"check this cell and on_time_{name}_s (s, not ms)",
+                f"{count:g} in {seconds:g} s",
+            )
+        values.append(count)
+    return np.array(values)
+
+
+def _delta_v(row: Row) -> tuple[Array | None, DeltaVSource | None]:
+    declared = row.cells["delta_v_source"]
+    given = any(row.cells[column] for column in _DELTA_V_COLUMNS)
+    expected = "measured or computed"
+    if not given:
+        if declared:
+            raise row.refuse(
+                "delta_v_source",
+                "an empty cell: the row has no velocity change",
+                "fill in delta_v_x_m_s to delta_v_z_m_s, or empty this cell",
+            )
+        return None, None
+    vector = np.array(
+        [row.number(column, "m/s (all three axes or none)") for column in _DELTA_V_COLUMNS]
+    )
+    row.text("delta_v_source", f"{expected}, because the row has a velocity change")
+    if declared == "measured":
+        return vector, "measured"
+    if declared == "computed":
+        return vector, "computed"
+    raise row.refuse("delta_v_source", expected, nearest(declared, ("measured", "computed")))
+
+
+def _number_cell(value: float) -> str:
+    number = float(value)
+    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
+
+
+def _cells(event: TotalsEvent, spacecraft: Spacecraft) -> dict[str, str]:
+    """Cells of one event by column; what is not given is left out."""
+    names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
+    numbers: dict[str, float | None] = {
+        "duration_s": event.duration_s,
+        "hydrazine_g": event.hydrazine_g,
+        "mass_kg": event.mass_kg,
+        "thrust_predicted_n": event.thrust_predicted_n,
+    }
+    for i, wheel in enumerate(event.wheels):
+        name = names.get(wheel, f"rwa{wheel}")
+        numbers[f"{name}_rpm_start"] = event.rwa_start_rpm[i]
+        numbers[f"{name}_rpm_end"] = event.rwa_end_rpm[i]
+    for i, thruster in enumerate(event.thrusters):
+        numbers[f"on_time_{thruster}_s"] = event.on_time_s[i]
+        if event.pulses is not None:
+            numbers[f"pulses_{thruster}"] = event.pulses[i]
+    if event.delta_v_m_s is not None:
+        numbers.update(zip(_DELTA_V_COLUMNS, event.delta_v_m_s, strict=True))
+    return {
+        "id": event.id,
+        "epoch": event.epoch.astimezone(UTC).isoformat().replace("+00:00", "Z"),
+        "branch": event.branch,
+        "wheels": " ".join(str(number) for number in event.wheels),
+        "delta_v_source": event.delta_v_source or "",
+        "source": event.source,
+        **{name: _number_cell(value) for name, value in numbers.items() if value is not None},
+    }

@@ -1,0 +1,351 @@
+"""Event folders to Gram matrices, with a cache: telemetry is read once however often it is fitted.
+
+The cache is a folder of ``<key>.npz`` (the Gram matrices) and ``<key>.json`` (what was read), the
+key being the hash of the telemetry, of how it is reduced and of the code that reduces it.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
+from cassini_bayes.balance.physics import INERTIA_PARAMETERS
+from cassini_bayes.balance.statistics import (
+    EventStatistics,
+    Layout,
+    Samples,
+    Sampling,
+    load_statistics,
+    reduce_chunks,
+    save_statistics,
+)
+from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility import MomentumRows, check_momentum, momentum_rows
+from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
+from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.storage import write_text
+from cassini_bayes.model.joint import sampling_of
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+DESCRIPTION: Final = "event.toml"
+_TAIL_BYTES: Final = 65_536
+WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
+FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
+REDUCED_BY: Final = ("events.telemetry", "balance.statistics")
+"""Packages whose code, with all that they import, turns telemetry into Gram matrices."""
+_SAME_S: Final = 1e-9
+_TELL_S: Final = 5.0  # between lines of progress
+
+
+@dataclass(frozen=True)
+class ReadingRecord:
+    """What reading an event found: rows, times, counters gone through, repairs in words."""
+
+    rows: int
+    start_s: float
+    end_s: float
+    on_time_s: tuple[float, ...]  # (K,) gained from the first to the last reading
+    pulses: tuple[float, ...]  # (K,)
+    mends: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ReducedEvent:
+    """A telemetry event ready for the joint model, and how it was reduced."""
+
+    event: TelemetryEvent
+    sampling: Sampling
+    statistics: EventStatistics
+    reading: ReadingRecord
+    key: str
+    delta_v: DeltaVStatistics | None = None
+
+    @property
+    def fires(self) -> bool:
+        """Whether the event has thruster counters."""
+        return bool(self.event.thrusters)
+
+
+def is_event_folder(path: Path) -> bool:
+    """Whether a path given as an event is a folder of telemetry, not a totals file."""
+    return path.is_dir()
+
+
+def samples_of(chunk: Chunk) -> Samples:
+    """A checked chunk of telemetry as rows of the balance, wheel rates in rad/s."""
+    return Samples(
+        chunk.time_s,
+        chunk.attitude,
+        chunk.rate_rad_s,
+        chunk.wheel_rpm * RAD_S_PER_RPM,
+        chunk.on_time_s,
+        chunk.pulses,
+    )
+
+
+def reduce_event(
+    folder: Path,
+    priors: Priors,
+    pulse_shape: str,
+    cache: Path | None = None,
+    say: Say | None = None,
+) -> ReducedEvent:
+    """Read an event folder and reduce its telemetry, or take the reduction from the cache.
+
+    Parameters
+    ----------
+    folder
+        An event folder (``event.toml`` and telemetry).
+    priors
+        Their spacecraft, branch and pulse parameters decide how rows become columns.
+    pulse_shape
+        Key of :data:`cassini_bayes.spacecraft.pulses.PULSE_SHAPES`.
+    cache
+        Folder of earlier reductions; nothing is written there (:func:`store_reduction` does).
+    say
+        Told what was read.
+
+    Raises
+    ------
+    InputError
+        Bad telemetry (file, row and column named), a momentum balance that no fault of a
+        spacecraft leaves so wide open (the mistake that would close it is named), another thruster
+        branch than the priors', or too few rows that can be used.
+    """
+    event = read_event(folder, priors.spacecraft)
+    require_branch(event, priors)
+    guess = last_time(event.telemetry)
+    sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
+    key = reduction_key(event, sampling)
+    found = _cached(cache, key)
+    if found is None:
+        statistics, reading = _reduced(event, priors, sampling, say)
+        if abs(reading.end_s - guess) > _SAME_S:  # the file's tail did not tell
+            sampling = sampling_of(priors, event.thrusters, reading.end_s, pulse_shape)
+            statistics, reading = _reduced(event, priors, sampling, say)
+    else:
+        statistics, reading = found
+        sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
+    if say is not None:
+        source = "from the cache" if found is not None else "reduced"
+        say(
+            f"{event.id} ({event.kind}): {reading.rows:,} rows of telemetry, {statistics.rows:,} "
+            f"in the balance, {source}"
+        )
+        for line in reading.mends:
+            say(f"{event.id}: mended: {line}")
+    return ReducedEvent(
+        event, sampling, statistics, reading, key, _delta_v(event, priors, sampling)
+    )
+
+
+def _delta_v(event: TelemetryEvent, priors: Priors, sampling: Sampling) -> DeltaVStatistics | None:
+    """The measured velocity change of a burn or a wheel bias; None for any other event.
+
+    One computed on board repeats the flight software's constants and says nothing of thrust.
+    """
+    if event.kind not in WITH_DELTA_V or event.delta_v_source != "measured" or not event.thrusters:
+        return None
+    parts = ((samples_of(c), c.delta_v_m_s) for c in read_chunks(event, priors.spacecraft))
+    return delta_v_statistics(event.id, parts, sampling)
+
+
+def store_reduction(reduced: ReducedEvent, cache: Path) -> None:
+    """Write a reduction to the cache, unless it is there."""
+    archive, record = cache / f"{reduced.key}.npz", cache / f"{reduced.key}.json"
+    if not archive.exists() or not record.exists():
+        save_statistics(archive, reduced.statistics)
+        write_text(record, json.dumps(asdict(reduced.reading), indent=1) + "\n")
+
+
+def reduction_key(event: TelemetryEvent, sampling: Sampling) -> str:
+    """Hash of all that a reduction depends on: data, columns, guard time, pulses, code."""
+    depends_on = {
+        "telemetry": event.digest,
+        "pulse_shape": sampling.pulse_shape.name,
+        "reference": sampling.pulse_reference_s,
+        "guard_s": sampling.guard_s,
+        "couples": sampling.couples,
+        "duration_s": sampling.duration_s,
+        "extra": [column.name for column in sampling.extra],
+        "thrusters": event.thrusters,
+        "code": code_digest(*REDUCED_BY),
+    }
+    return hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def require_branch(event: TelemetryEvent, priors: Priors) -> None:
+    """Refuse an event of another thruster branch than the priors'."""
+    if event.branch != priors.branch:
+        raise InputError(
+            f"{event.folder / DESCRIPTION}: branch",
+            f"{priors.branch}, the branch of {priors.path}",
+            event.branch,
+            "use the priors of that branch",
+        )
+
+
+def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecord] | None:
+    if cache is None:
+        return None
+    statistics = load_statistics(cache / f"{key}.npz")
+    try:
+        fields = json.loads((cache / f"{key}.json").read_bytes())
+        reading = ReadingRecord(
+            rows=int(fields["rows"]),
+            start_s=float(fields["start_s"]),
+            end_s=float(fields["end_s"]),
+            on_time_s=tuple(float(value) for value in fields["on_time_s"]),
+            pulses=tuple(float(value) for value in fields["pulses"]),
+            mends=tuple(str(line) for line in fields["mends"]),
+        )
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return None if statistics is None else (statistics, reading)
+
+
+class _Reading:
+    """Streams an event's chunks and keeps what the record of the reading needs."""
+
+    def __init__(
+        self, event: TelemetryEvent, momentum: MomentumRows, until_s: float, say: Say | None
+    ) -> None:
+        self._event = event
+        self._until_s, self._say = until_s, say
+        self._began = self._told = time.monotonic()
+        self._momentum = momentum
+        self.mends = Mends()
+        self.rows = 0
+        self.start_s, self.end_s = np.nan, np.nan
+        self._first: Array | None = None
+        self._last: Array | None = None
+
+    def samples(self, priors: Priors) -> Iterator[Samples]:
+        """The event's rows, chunk by chunk."""
+        for chunk in read_chunks(self._event, priors.spacecraft, mends=self.mends):
+            if self.rows == 0:
+                self.start_s = float(chunk.time_s[0])
+            self.rows += chunk.rows
+            self.end_s = float(chunk.time_s[-1])
+            self._count(chunk)
+
+            self._momentum.add(chunk)
+            yield samples_of(chunk)
+            self._tell()
+
+    def _tell(self) -> None:
+        """A line every few seconds: how far it is, by the time that the file's tail has."""
+        now = time.monotonic()
+        if self._say is None or now - self._told < _TELL_S:
+            return
+        self._told = now
+        share = min((self.end_s - self.start_s) / max(self._until_s - self.start_s, 1e-9), 1.0)
+        left = (now - self._began) * (1.0 / max(share, 1e-9) - 1.0)
+        self._say(
+            f"{self._event.id}: {self.rows:,} rows read, {share:.0%} of the time, {left:.0f} s left"
+        )
+
+    def _count(self, chunk: Chunk) -> None:
+        counters = np.stack([chunk.on_time_s, chunk.pulses])
+        read = np.isfinite(counters).all((0, 2)) if counters.shape[2] else np.zeros(0, dtype=bool)
+        if not read.any():
+            return
+        rows = np.flatnonzero(read)
+        self._first = counters[:, rows[0]] if self._first is None else self._first
+        self._last = counters[:, rows[-1]]
+
+    def record(self) -> ReadingRecord:
+        """The record, once the last chunk has been taken."""
+        gained = np.zeros((2, len(self._event.thrusters)))
+        if self._first is not None and self._last is not None:
+            gained = self._last - self._first
+        return ReadingRecord(
+            rows=self.rows,
+            start_s=self.start_s,
+            end_s=self.end_s,
+            on_time_s=tuple(float(value) for value in gained[0]),
+            pulses=tuple(float(value) for value in gained[1]),
+            mends=self.mends.lines(),
+        )
+
+
+def _reduced(
+    event: TelemetryEvent, priors: Priors, sampling: Sampling, say: Say | None
+) -> tuple[EventStatistics, ReadingRecord]:
+    layout = Layout(event.wheels, event.thrusters, sampling.couples)
+    nominal = nominal_values(priors)
+    momentum = momentum_rows(nominal)
+    reading = _Reading(event, momentum, sampling.duration_s, say)
+    statistics = reduce_chunks(event.id, event.kind, reading.samples(priors), layout, sampling)
+    check_momentum(event, momentum, priors.spacecraft, nominal)
+    return statistics, reading.record()
+
+
+def nominal_values(priors: Priors) -> dict[str, float]:
+    """Prior means of all parameters; wheels that the priors know nothing of weigh nothing.
+
+    Raises
+    ------
+    InputError
+        Inertia, wheels, or what fires is missing: nothing can be said of the momentum.
+    """
+    spacecraft = priors.spacecraft
+    geometry = spacecraft.geometry[priors.branch]
+    needed = (*INERTIA_PARAMETERS, *CENTRE_OF_MASS, *geometry.parameters, *FIRING_PARAMETERS)
+    priors.require(needed, "telemetry")
+    absent = [name for wheel in spacecraft.wheels for name in wheel.parameters]
+    nominal = dict.fromkeys(absent, 0.0)
+    for name, prior in priors.parameters.items():
+        if prior.distribution is not None:
+            nominal[name] = prior.distribution.mean()
+        elif prior.fixed is not None:
+            nominal[name] = prior.fixed
+    return nominal
+
+
+def last_time(telemetry: Path) -> float:
+    """Time of the last row of a telemetry file as its tail has it, s; 1 where it does not tell.
+
+    Only a guess that spares a pass over the file: a wrong one is noticed and put right.
+    """
+    try:
+        if telemetry.suffix == ".parquet":
+            return _last_time_of_parquet(telemetry)
+        with telemetry.open("rb") as stream:
+            header = stream.readline().decode("utf-8-sig")
+            place = [name.strip() for name in next(csv.reader([header]))].index("time_s")
+            stream.seek(0, 2)
+            stream.seek(max(stream.tell() - _TAIL_BYTES, 0))
+            lines = stream.read().decode("utf-8", "replace").splitlines()
+        for line in reversed(lines):
+            if line.strip():
+                value = float(next(csv.reader([line]))[place])
+                return value if np.isfinite(value) and value > 0 else 1.0
+    except (OSError, ValueError, IndexError, StopIteration):
+        return 1.0
+    return 1.0
+
+
+def _last_time_of_parquet(telemetry: Path) -> float:
+    import pyarrow.parquet as parquet  # an extra, only there with Parquet files
+
+    file = parquet.ParquetFile(telemetry)
+    if file.metadata.num_row_groups == 0:
+        return 1.0
+    column = file.read_row_group(file.metadata.num_row_groups - 1, columns=["time_s"])
+    value = float(column.column("time_s")[-1].as_py() or 1.0)
+    return value if value > 0 else 1.0

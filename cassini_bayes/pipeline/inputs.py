@@ -1,0 +1,123 @@
+"""Events and priors that a run names, read, checked and made into a model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.files.storage import digest
+from cassini_bayes.model.event_reduction import (
+    ReducedEvent,
+    is_event_folder,
+    reduce_event,
+    store_reduction,
+)
+from cassini_bayes.model.joint import JointModel, build_joint_model
+from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.pipeline.run_file import RunFile
+from cassini_bayes.priors.reader import Priors, read_priors
+
+STATISTICS: Final = "statistics"
+"""Folder of a run that keeps its reduced telemetry."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Data and priors of a run, read and checked.
+
+    ``totals`` is the model of the totals rows (None without any), ``model`` that of everything.
+    """
+
+    events: tuple[TotalsEvent, ...]
+    telemetry: tuple[ReducedEvent, ...]
+    priors: Priors
+    totals: TotalsModel | None
+    model: TotalsModel | JointModel
+    digests: Mapping[str, str]
+
+    def store(self, folder: Path) -> None:
+        """Keep the reduced telemetry beside the run."""
+        for reduced in self.telemetry:
+            store_reduction(reduced, folder / STATISTICS)
+
+
+def read_inputs(
+    run: RunFile,
+    base: Path,
+    folder: Path | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Inputs:
+    """Read the events and priors a run file names, relative to ``base``, and build the model.
+
+    An event is a folder of telemetry, a totals CSV (all its rows) or ``file.csv:ID``.
+
+    Parameters
+    ----------
+    folder
+        The run's folder: telemetry that an earlier run there reduced is taken from it.
+    say
+        Told what was read of the telemetry.
+    """
+    priors_path = base / run.priors
+    priors = read_priors(priors_path)
+    digests = {run.priors: digest(priors_path)}
+    if priors.earlier is not None:
+        digests[priors.earlier.path] = priors.earlier.digest
+    given: dict[str, str] = {}
+    events: list[TotalsEvent] = []
+    telemetry: list[ReducedEvent] = []
+    cache = None if folder is None else folder / STATISTICS
+    for reference in run.events:
+        if is_event_folder(base / reference):
+            reduced = reduce_event(base / reference, priors, run.model.pulse_shape, cache, say)
+            ids = [reduced.event.id]
+            telemetry.append(reduced)
+            digests[reference] = reduced.event.digest
+        else:
+            found = read_totals(str(base / reference), priors.spacecraft, run.source)
+            ids = [event.id for event in found]
+            events.extend(found)
+            file = _file_of(base, reference)
+            digests[file] = digest(base / file)
+        for name in ids:
+            if name in given:
+                raise InputError(
+                    f"{base / reference}: event {name}",
+                    "each event once in a fit",
+                    f"the id that {base / given[name]} has given",
+                    "leave one of the two out, or rename one of them",
+                )
+        given |= dict.fromkeys(ids, reference)
+    totals = None
+    if events:
+        totals = build_model(
+            tuple(events), priors, pulse_shape=run.model.pulse_shape, delta_v=run.model.delta_v
+        )
+    return Inputs(
+        tuple(events), tuple(telemetry), priors, totals, _model(telemetry, priors, totals), digests
+    )
+
+
+def _model(
+    telemetry: list[ReducedEvent], priors: Priors, totals: TotalsModel | None
+) -> TotalsModel | JointModel:
+    if totals is not None and not telemetry:
+        return totals
+    return build_joint_model(
+        [(e.statistics, e.sampling) for e in telemetry],
+        priors,
+        totals,
+        delta_v=[e.delta_v for e in telemetry if e.delta_v is not None],
+    )
+
+
+def _file_of(base: Path, reference: str) -> str:
+    """The file that ``file.csv`` or ``file.csv:ID`` names; names and ids may hold colons."""
+    file = reference
+    while not (base / file).is_file() and ":" in file:
+        file = file.rpartition(":")[0]
+    return file

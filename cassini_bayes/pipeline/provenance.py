@@ -1,0 +1,111 @@
+"""What a run depended on: versions, digests of data, priors and code, seed, command line."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import cassini_bayes
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.code import code_digest
+from cassini_bayes.pipeline.run_file import RunFile
+
+DRAWN_BY: Final = ("pipeline.inputs", "results.fitting")
+"""Modules whose code, with all that they import, the draws of a run depend on."""
+LIBRARIES: Final = ("numpy", "scipy", "emcee", "arviz", "xarray", "h5netcdf", "pandas", "corner")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """The record of a run; ``identity`` is the hash of all that its draws depend on."""
+
+    identity: str
+    versions: Mapping[str, str]
+    digests: Mapping[str, str]
+    seed: int
+    command: tuple[str, ...]
+    started_utc: str
+    code_sha256: str
+
+    def as_json(self) -> str:
+        """The record as indented JSON."""
+        return json.dumps(
+            {
+                "format": 1,
+                "package": {
+                    "cassini_bayes": cassini_bayes.__version__,
+                    "code_sha256": self.code_sha256,
+                },
+                "versions": dict(self.versions),
+                "sha256": dict(self.digests),
+                "identity": self.identity,
+                "seed": self.seed,
+                "command": list(self.command),
+                "started_utc": self.started_utc,
+            },
+            indent=2,
+        )
+
+
+def provenance_of(
+    run: RunFile, digests: Mapping[str, str], spacecraft_digest: str, command: Sequence[str]
+) -> Provenance:
+    """Collect the record of a run before it starts; digests are name → SHA-256 of its inputs."""
+    versions = library_versions()
+    depends_on = {
+        "data": dict(digests),
+        "spacecraft": spacecraft_digest,
+        "source": run.source,
+        "events": list(run.events),
+        "model": run.model.model_dump(),
+        "sampler": run.sampler.model_dump(),
+        "draws_per_ensemble": run.output.draws_per_ensemble,
+        "code": code_digest(*DRAWN_BY),
+        "libraries": versions,
+    }
+    return Provenance(
+        identity=hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest(),
+        versions=versions,
+        digests=dict(digests),
+        seed=run.sampler.seed,
+        command=tuple(os.fspath(part) for part in command),
+        started_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        code_sha256=code_digest("cli"),
+    )
+
+
+def refuse_other_run(path: Path, identity: str) -> None:
+    """Refuse to resume what began with other inputs; without a readable record, blocks decide.
+
+    Raises
+    ------
+    InputError
+        The record at ``path`` is of a run with another identity.
+    """
+    try:
+        earlier = json.loads(path.read_bytes())["identity"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    if earlier != identity:
+        raise InputError(
+            str(path),
+            "the events, priors, settings and versions that this run began with",
+            "others",
+            "undo the change and use --resume, or start anew with --force",
+        )
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that results depend on."""
+    return {
+        "python": platform.python_version(),
+        **{name: importlib.metadata.version(name) for name in LIBRARIES},
+    }

@@ -1,0 +1,191 @@
+"""The pipeline of one sweep: a run's fit, the cells in parallel, then tables, figures, report.
+
+``<run>/sweep/`` holds ``resolved.toml``, ``cells/<identity>/`` (one file per finished cell),
+``sweep.csv``, ``baseline.csv``, ``scaling.csv``, ``knowledge.csv``, ``data_worth.csv``,
+``conflict.csv`` and ``figures/``; the run's ``report.html`` gets a section.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Protocol
+
+import tomli_w
+
+from cassini_bayes import __version__
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.storage import remove_leftovers, write_text
+from cassini_bayes.pipeline.inputs import Inputs, read_inputs
+from cassini_bayes.pipeline.run_file import RunFile
+from cassini_bayes.results.record import Fit, read_fit
+from cassini_bayes.sweep.grid import workers_at
+from cassini_bayes.sweep.models import JointFactory, ModelFactory, TotalsFactory
+from cassini_bayes.sweep.specification import SweepFile
+from cassini_bayes.sweep.study import Study, plan, reported_quantiles
+from cassini_bayes.sweep.tables import SweepTables, tables_of
+
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
+
+FOLDER: Final = "sweep"
+
+
+class Reporter(Protocol):
+    """Where a sweep says what it is doing."""
+
+    def say(self, text: str) -> None:
+        """One line about a stage that begins or has ended."""
+
+    def count(self, what: str, done: int, total: int) -> None:
+        """Cells done, and the time left."""
+
+
+@dataclass(frozen=True)
+class SweepOutcome:
+    """What a sweep produced, and how long it took (cells already stored take none)."""
+
+    folder: Path
+    tables: SweepTables
+    cells: int
+    seconds: float
+
+
+def execute_sweep(
+    run: RunFile,
+    base: Path,
+    folder: Path,
+    sweep: SweepFile,
+    where: str,
+    *,
+    jobs: int,
+    dask: str | None,
+    report: bool,
+    reporter: Reporter,
+    page: Path | None = None,
+    command: Sequence[str] = (),
+) -> SweepOutcome:
+    """Sweep the priors of a finished run.
+
+    Parameters
+    ----------
+    run, base
+        The run file and the folder its paths are relative to.
+    folder
+        The run's folder, with ``fit.nc``.
+    sweep, where
+        The sweep file, and its name for messages.
+    jobs, dask
+        Local processes, or the address of a Dask scheduler.
+    report
+        Whether to draw figures and write into the run's report.
+    page, command
+        A results page to write (.md), with the command line in it.
+
+    Raises
+    ------
+    InputError
+        No fit there, one of another model, or a sweep file that does not fit the model.
+    """
+    began = time.monotonic()
+    inputs, fit = _read(run, base, folder, reporter)
+    factory = factory_of(run, inputs)
+    study = plan(factory, fit, sweep, where)
+    target = folder / FOLDER
+    store = _store(study, target, inputs)
+    write_text(target / "resolved.toml", tomli_w.dumps(sweep.model_dump()))
+    reporter.say(f"{len(study.cells)} cells, {len(study.baseline.names)} quantities")
+    with workers_at(jobs, dask) as workers:
+        for done, total in study.run(store, workers):
+            reporter.count("cells", done, total)
+    reporter.say("tables")
+    tables = tables_of(study, store, factory, fit)
+    for name, table in tables.files().items():
+        write_text(target / f"{name}.csv", table.to_csv(index=False))
+    if report or page is not None:
+        reporter.say("figures")
+        figures = _figures(study, store, tables)
+        if report:
+            _write_report(study, tables, figures, folder)
+        if page is not None:
+            _write_page(page, study, tables, figures, folder, command)
+    seconds = time.monotonic() - began
+    reporter.say(f"done in {seconds:.0f} s: {target}")
+    return SweepOutcome(target, tables, len(study.cells), seconds)
+
+
+def _read(run: RunFile, base: Path, folder: Path, reporter: Reporter) -> tuple[Inputs, Fit]:
+    path = folder / "fit.nc"
+    if not path.exists():
+        raise InputError(str(path), "the fit of this run", "no such file", "run it first")
+    return read_inputs(run, base, folder, reporter.say), read_fit(path)
+
+
+def _store(study: Study, target: Path, inputs: Inputs) -> CheckpointStore:
+    """Where finished cells are kept; other code, data or settings have a folder of their own."""
+    if target.exists():
+        remove_leftovers(target)
+    identity = study.identity(
+        f"{code_digest('sweep.study', 'pipeline.inputs')} {sorted(inputs.digests.items())}"
+    )
+    return CheckpointStore(target / "cells" / identity[:12], identity)
+
+
+def factory_of(run: RunFile, inputs: Inputs) -> ModelFactory:
+    """The factory that builds the run's model with other priors."""
+    totals = None
+    if inputs.events:
+        totals = TotalsFactory(
+            inputs.events, inputs.priors, run.model.pulse_shape, run.model.delta_v
+        )
+    if totals is not None and not inputs.telemetry:
+        return totals
+    return JointFactory(inputs.telemetry, inputs.priors, totals)
+
+
+def _figures(study: Study, store: CheckpointStore, tables: SweepTables) -> dict[str, Figure]:
+    from cassini_bayes.report.plots.sweep import sweep_figures
+
+    names = study.baseline.names
+    stored = reported_quantiles(study, store)
+    base = {
+        name: (unit, study.baseline.values[:, j])
+        for j, (name, unit) in enumerate(zip(names, study.units, strict=True))
+    }
+    cells = [
+        (c.group, c.kind, c.label, {n: stored[key][:, j] for j, n in enumerate(names)})
+        for key, c in study.cells.items()
+    ]
+    return sweep_figures(tables.sweep, base, cells, tables.knowledge, tables.data_worth)
+
+
+def _write_report(
+    study: Study, tables: SweepTables, figures: Mapping[str, Figure], folder: Path
+) -> None:
+    from cassini_bayes.report.plots import save_figures
+    from cassini_bayes.report.sweep import write_sweep_section
+
+    save_figures(figures, folder / FOLDER / "figures")
+    page = folder / "report.html"
+    if page.exists():
+        facts = f"{len(study.cells)} cells, cassini_bayes {__version__}, seed {study.baseline.seed}"
+        write_sweep_section(page, tables, study.baseline.names, figures, facts)
+
+
+def _write_page(
+    page: Path,
+    study: Study,
+    tables: SweepTables,
+    figures: Mapping[str, Figure],
+    folder: Path,
+    command: Sequence[str],
+) -> None:
+    from cassini_bayes.report.sweep_page import write_sweep_page
+
+    title = f"Prior sensitivity of the run {folder.name}"
+    names, seed = study.baseline.names, study.baseline.seed
+    write_sweep_page(page, title, tables, names, figures, command, seed)

@@ -1,0 +1,432 @@
+"""A priors file as one frozen object, and the parameter space a model walks in.
+
+The file (TOML, docs/priors.md) states everything believed before the data: one table per
+parameter, with distribution or fixed value, unit and source. :func:`read_priors` checks all of it
+at the door. A model names the parameters it needs (:meth:`Priors.require`) and gets an ordered
+:class:`ParameterSpace`, in which every parameter occurs once, so a prior shared by many events
+counts once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from scipy.special import ndtr
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import closest, finite_number, nearest
+from cassini_bayes.priors.chaining import EarlierFit, read_earlier
+from cassini_bayes.priors.distributions import Distribution, check_bounds, check_keywords
+from cassini_bayes.priors.parameter_space import ParameterSpace
+from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
+from cassini_bayes.spacecraft.parameters import ParameterSpec, generic_parameters
+
+__all__ = [
+    "ZERO_CENTRED",
+    "Distribution",
+    "ParameterPrior",
+    "ParameterSpace",
+    "Priors",
+    "known_parameters",
+    "read_priors",
+]
+
+ZERO_CENTRED: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
+_TABLES: Final = ("spacecraft", "parameters", "from_fit")
+_LEVELS: Final = ("thrust_common_n", "thrust_individual_n")  # what an earlier fit's levels replace
+_OWN_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
+_NEVER_NEGATIVE_BLOCKS: Final = ("tail-off", "wheel inertia", "mass", "noise")
+_BUT_SIGNED: Final = ("rate_bias_x_rad_s", "rate_bias_y_rad_s", "rate_bias_z_rad_s")
+_NEVER_NEGATIVE: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
+# More prior probability of a negative value than this means that a bound was forgotten.
+_NEGATIVE_MASS: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class ParameterPrior:
+    """What is believed of one parameter: a distribution or a fixed value, and why."""
+
+    spec: ParameterSpec
+    distribution: Distribution | None
+    fixed: float | None
+    source: str
+
+    def __post_init__(self) -> None:
+        if (self.distribution is None) == (self.fixed is None):
+            raise ValueError(f"{self.spec.name}: give a distribution or a fixed value, not both")
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Everything a priors file says.
+
+    ``path`` is the file as the user named it, ``digest`` the SHA-256 of its bytes; both stay those
+    of the file when :meth:`with_distribution` makes a variant of it. ``earlier`` are the moments of
+    an earlier fit that stand in for the priors of what it walked (``from_fit``).
+    """
+
+    spacecraft: Spacecraft
+    branch: str
+    wheels: tuple[int, ...]
+    parameters: Mapping[str, ParameterPrior]
+    path: str
+    digest: str
+    earlier: EarlierFit | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # A read-only mapping cannot be sent to a worker process; the arguments can.
+        arguments = (self.spacecraft, self.branch, self.wheels, dict(self.parameters))
+        return Priors, (*arguments, self.path, self.digest, self.earlier)
+
+    def require(self, names: Iterable[str], why: str) -> None:
+        """Check that the file has every parameter in ``names``.
+
+        Raises
+        ------
+        InputError
+            Names the file, the dotted key, who needs it (``why``) and what to add.
+        """
+        specs = known_parameters(self.spacecraft)
+        for name in names:
+            if name in self.parameters:
+                continue
+            if name not in specs:
+                raise InputError(
+                    f"{self.path}: parameters.{name}",
+                    f"a parameter of {self.spacecraft.name}, asked for by {why}",
+                    f"the unknown name {name!r}",
+                    nearest(name, specs),
+                )
+            spec = specs[name]
+            raise InputError(
+                f"{self.path}: parameters.{name}",
+                f"a prior in {spec.unit} ({spec.meaning}), needed by {why}",
+                "no such table",
+                f"add [parameters.{name}] with dist or fixed, unit and source"
+                f" (nearest in the file: {closest(name, self.parameters, 0.0)})",
+            )
+
+    def space(self, names: Iterable[str]) -> ParameterSpace:
+        """The ordered parameter space of ``names``: free ones are walked, fixed ones carried.
+
+        Raises
+        ------
+        InputError
+            When the file lacks one of them.
+        """
+        ordered = tuple(dict.fromkeys(names))
+        self.require(ordered, "the parameter space")
+        chosen = [self.parameters[name] for name in ordered]
+        free = [(p.spec, p.distribution) for p in chosen if p.distribution is not None]
+        walked = [spec.name for spec, _ in free]
+        return ParameterSpace(
+            names=tuple(spec.name for spec, _ in free),
+            fixed={p.spec.name: p.fixed for p in chosen if p.fixed is not None},
+            distributions=tuple(distribution for _, distribution in free),
+            blocks=tuple(spec.block for spec, _ in free),
+            joint=None if self.earlier is None else self.earlier.joint(walked),
+        )
+
+    def with_distribution(self, name: str, distribution: Distribution) -> Priors:
+        """New priors in which ``name`` has this distribution; everything else stays."""
+        return self._with(name, distribution, None)
+
+    def with_fixed(self, name: str, value: float) -> Priors:
+        """New priors in which ``name`` is fixed at ``value``; everything else stays."""
+        return self._with(name, None, finite_number(f"{self.path}: parameters.{name}", value))
+
+    def scaled(self, names: Iterable[str], width: float = 1.0, shift: float = 0.0) -> Priors:
+        """New priors with the free ones of ``names`` widened and shifted.
+
+        See :meth:`Distribution.scaled`; fixed parameters stay as they are.
+        """
+        changed = self
+        for name in names:
+            self.require([name], "a scaled prior")
+            distribution = self.parameters[name].distribution
+            if distribution is not None:
+                changed = changed.with_distribution(name, distribution.scaled(width, shift))
+        return changed
+
+    def _with(self, name: str, distribution: Distribution | None, fixed: float | None) -> Priors:
+        self.require([name], "a changed prior")
+        if self.earlier is not None and name in (*self.earlier.names, *_LEVELS):
+            raise InputError(
+                f"{self.path}: parameters.{name}",
+                "a prior of its own",
+                f"the posterior of {self.earlier.path}",
+                "change it there, or leave from_fit out",
+            )
+        changed = replace(self.parameters[name], distribution=distribution, fixed=fixed)
+        return replace(self, parameters={**self.parameters, name: changed})
+
+
+def known_parameters(spacecraft: Spacecraft) -> dict[str, ParameterSpec]:
+    """Every parameter a priors file of this spacecraft may name: generic ones and its own."""
+    return {spec.name: spec for spec in (*generic_parameters(), *spacecraft.parameters)}
+
+
+def read_priors(path: str | Path) -> Priors:
+    """Read and check a priors file.
+
+    Parameters
+    ----------
+    path
+        The TOML file; a relative ``spacecraft.file`` in it is sought beside it.
+
+    Raises
+    ------
+    InputError
+        Names the file, the dotted key, what was expected, what was found and the nearest valid
+        name: see docs/priors.md for everything that is refused.
+    """
+    content = _read_bytes(Path(path))
+    document = _parse(str(path), content)
+    for key in document:
+        if key not in _TABLES:
+            raise InputError(
+                f"{path}: {key}",
+                "the tables spacecraft and parameters, or from_fit",
+                f"the unknown key {key!r}",
+                nearest(key, _TABLES),
+            )
+    own = _table(f"{path}: spacecraft", document.get("spacecraft"))
+    spacecraft = _read_spacecraft(Path(path), own)
+    specs = known_parameters(spacecraft)
+    parameters = {}
+    for name, entry in _table(f"{path}: parameters", document.get("parameters")).items():
+        where = f"{path}: parameters.{name}"
+        if name not in specs:
+            raise InputError(
+                where,
+                f"a parameter of {spacecraft.name}",
+                f"the name {name!r}",
+                nearest(name, specs),
+            )
+        parameters[name] = _read_parameter(where, specs[name], _table(where, entry))
+    priors = Priors(
+        spacecraft=spacecraft,
+        branch=_read_branch(f"{path}: spacecraft.branch", own.get("branch"), spacecraft),
+        wheels=_read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft),
+        parameters=parameters,
+        path=str(path),
+        digest=hashlib.sha256(content).hexdigest(),
+    )
+    return _chained(priors, document["from_fit"]) if "from_fit" in document else priors
+
+
+def _chained(priors: Priors, value: object) -> Priors:
+    """The priors with the moments of the earlier fit that ``from_fit`` names."""
+    where = f"{priors.path}: from_fit"
+    file = _text(where, value, "the path of a fit.nc", 'write e.g. from_fit = "../runs/x/fit.nc"')
+    craft = priors.spacecraft
+    earlier = read_earlier(
+        Path(priors.path).parent / file,
+        where,
+        {n: p.distribution for n, p in priors.parameters.items() if p.distribution is not None},
+        {wheel.inertia_parameter: wheel.name for wheel in craft.wheels},
+        [thruster.name for thruster in craft.thrusters_of(priors.branch)],
+    )
+    return replace(priors, earlier=earlier)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        names = [entry.name for entry in path.parent.glob("*.toml")]
+        raise InputError(
+            str(path), "a priors file", "no such file", nearest(path.name, names)
+        ) from None
+    except OSError as error:
+        raise InputError(
+            str(path), "a priors file", error.strerror or str(error), "name a readable TOML file"
+        ) from None
+
+
+def _parse(where: str, content: bytes) -> dict[str, object]:
+    try:
+        return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise InputError(
+            where, "UTF-8 text", f"other bytes in line {line}", "save the file as UTF-8"
+        ) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(where, "TOML", str(error), "mend the syntax in that line") from None
+
+
+def _table(where: str, value: object) -> Mapping[str, object]:
+    if not isinstance(value, dict):
+        got = "nothing" if value is None else repr(value)
+        key = where.rpartition(": ")[2]
+        raise InputError(where, f"a table [{key}]", got, f"write it as a table headed [{key}]")
+    return value
+
+
+def _text(where: str, value: object, wanted: str, fix: str) -> str:
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(where, wanted, "nothing" if value is None else repr(value), fix)
+    return value
+
+
+def _read_spacecraft(path: Path, table: Mapping[str, object]) -> Spacecraft:
+    where = f"{path}: spacecraft"
+    known = ("name", "file", "branch", "wheels")
+    for key in table:
+        if key not in known:
+            raise InputError(
+                f"{where}.{key}", f"one of {', '.join(known)}", repr(key), nearest(key, known)
+            )
+    if ("name" in table) == ("file" in table):
+        raise InputError(
+            where,
+            "either name (a built-in) or file (a TOML file beside this one)",
+            "both" if "name" in table else "neither",
+            'write e.g. name = "cassini"',
+        )
+    if "name" in table:
+        name = _text(f"{where}.name", table["name"], "the name of a built-in", 'e.g. "cassini"')
+        if Path(name).suffix or Path(name).name != name:
+            raise InputError(
+                f"{where}.name", "the name of a built-in", repr(name), "use file = … for a file"
+            )
+        return load_spacecraft(name)
+    file = _text(f"{where}.file", table["file"], "a path", "name the spacecraft's TOML file")
+    return load_spacecraft(path.parent / file)
+
+
+def _read_branch(where: str, value: object, spacecraft: Spacecraft) -> str:
+    branch = _text(where, value, f"one of {', '.join(spacecraft.branches)}", "name the branch")
+    if branch not in spacecraft.branches:
+        raise InputError(
+            where,
+            f"a thruster branch of {spacecraft.name}",
+            repr(branch),
+            nearest(branch, spacecraft.branches),
+        )
+    return branch
+
+
+def _read_wheels(where: str, value: object, spacecraft: Spacecraft) -> tuple[int, ...]:
+    known = [wheel.number for wheel in spacecraft.wheels]
+    wanted = f"a list of different wheels out of {known}"
+    fix = f"write e.g. wheels = {known[:3]}"
+    if not isinstance(value, list) or not value:
+        raise InputError(where, wanted, "nothing" if value is None else repr(value), fix)
+    for i, number in enumerate(value):
+        if isinstance(number, bool) or not isinstance(number, int) or number not in known:
+            raise InputError(f"{where}[{i}]", wanted, repr(number), fix)
+        if number in value[:i]:
+            raise InputError(f"{where}[{i}]", wanted, f"{number} twice", "list each wheel once")
+    return tuple(value)
+
+
+def _read_parameter(where: str, spec: ParameterSpec, table: Mapping[str, object]) -> ParameterPrior:
+    if ("dist" in table) == ("fixed" in table):
+        raise InputError(
+            where,
+            "either dist (a distribution) or fixed (a value)",
+            "both" if "dist" in table else "neither",
+            "keep one of them" if "dist" in table else "add one of them",
+        )
+    _check_unit(f"{where}.unit", spec, table.get("unit"))
+    source = _text(
+        f"{where}.source", table.get("source"), "where the belief comes from", "add source = …"
+    )
+    if "fixed" in table:
+        return ParameterPrior(spec, None, _read_fixed(where, spec, table), source)
+    distribution = _read_distribution(where, spec, table)
+    if spec.name in ZERO_CENTRED and distribution.keywords.get("loc", 0.0) != 0.0:
+        _refuse_off_centre(f"{where}.loc", distribution.keywords["loc"])
+    return ParameterPrior(spec, distribution, None, source)
+
+
+def _refuse_off_centre(where: str, value: float) -> None:
+    raise InputError(
+        where,
+        "0: departures are counted from the common thrust",
+        repr(value),
+        "move the mean into thrust_common_n",
+    )
+
+
+def _check_unit(where: str, spec: ParameterSpec, unit: object) -> None:
+    if not isinstance(unit, str) or _plain_unit(unit) != _plain_unit(spec.unit):
+        raise InputError(
+            where,
+            repr(spec.unit),
+            "nothing" if unit is None else repr(unit),
+            f"{spec.name} is in {spec.unit}: convert the values, then write that unit",
+        )
+
+
+def _plain_unit(unit: str) -> str:
+    """One spelling of a unit: kg m², kg·m^2 and kg m2 are the same."""
+    for written, plain in (("²", "2"), ("^", ""), ("·", " "), ("*", " "), ("rev/min", "rpm")):
+        unit = unit.replace(written, plain)
+    return " ".join(unit.split())
+
+
+def _read_fixed(where: str, spec: ParameterSpec, table: Mapping[str, object]) -> float:
+    allowed = ("fixed", "unit", "source")
+    for key in table:
+        if key not in allowed:
+            of_distribution = key in ("low", "high", "loc", "scale")
+            hint = "leave it out" if of_distribution else nearest(key, allowed)
+            raise InputError(
+                f"{where}.{key}", f"one of {', '.join(allowed)} beside fixed", repr(key), hint
+            )
+    value = finite_number(f"{where}.fixed", table["fixed"], spec.unit)
+    if spec.name in ZERO_CENTRED and value != 0.0:
+        _refuse_off_centre(f"{where}.fixed", value)
+    if _never_negative(spec) and value < 0:
+        raise InputError(
+            f"{where}.fixed", "a value of 0 or more", repr(value), f"{spec.meaning}: check the sign"
+        )
+    return value
+
+
+def _read_distribution(
+    where: str, spec: ParameterSpec, table: Mapping[str, object]
+) -> Distribution:
+    name = _text(f"{where}.dist", table["dist"], "a scipy.stats name", 'write e.g. dist = "norm"')
+    keywords = check_keywords(
+        where, name, {k: v for k, v in table.items() if k not in _OWN_KEYS}, _OWN_KEYS
+    )
+    low, high = (
+        finite_number(f"{where}.{key}", table[key], spec.unit) if key in table else None
+        for key in ("low", "high")
+    )
+    distribution = Distribution(name, keywords, low, high, where=where)
+    check_bounds(where, distribution)
+    if _never_negative(spec):
+        _check_never_negative(where, spec, distribution)
+    return distribution
+
+
+def _never_negative(spec: ParameterSpec) -> bool:
+    in_block = spec.block in _NEVER_NEGATIVE_BLOCKS and spec.name not in _BUT_SIGNED
+    return in_block or spec.name in _NEVER_NEGATIVE
+
+
+def _check_never_negative(where: str, spec: ParameterSpec, distribution: Distribution) -> None:
+    if distribution.support[0] >= 0:
+        return
+    negative = float(ndtr(distribution.standard_of(0.0)))
+    if negative > _NEGATIVE_MASS:
+        raise InputError(
+            f"{where}.low",
+            f"a prior that keeps {spec.name} from going negative",
+            f"{100 * negative:.2g} % of the probability below 0",
+            "add low = 0.0",
+        )

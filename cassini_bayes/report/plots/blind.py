@@ -1,0 +1,135 @@
+"""Figures of the blind campaign: power, reliability, p-values, false alarms, coverage, rates."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE
+
+EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 20.0, 50.0, np.inf)
+
+TICKS = (0, 1, 2, 3, 5, 10, 30, 100)
+
+
+def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame, rates: pd.DataFrame) -> Figure:
+    """Power and coverage against size, reliability, p-values and false alarms on null, rates."""
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(figsize=(10.0, 6.6), layout="constrained")
+        upper, lower = figure.subplots(2, 3)
+        single = trials[(trials["sigma"] != "") & ~trials["sigma"].str.contains(r"\+|nan")]
+        known = single[single["stratum"] != "uncatalogued"]
+        sigma = known["sigma"].astype(float).to_numpy()
+        _by_size(upper[0], sigma, known["named"].to_numpy(dtype=bool))
+        upper[0].set_ylabel("named first, group counts (fraction)")
+        upper[0].set_title("power (number of trials)", loc="left")
+        _reliability(upper[1], reliability)
+        null = trials[trials["hidden"] == "none"]
+        _p_values(upper[2], null)
+        _false_alarms(lower[0], null)
+        own = known["size_covered"].str.split().to_list()
+        each = np.repeat(sigma, [len(flags) for flags in own])
+        _by_size(lower[1], each, np.array([f == "1" for flags in own for f in flags], dtype=bool))
+        lower[1].axhline(0.9, lw=0.8, color=INK)
+        lower[1].set_ylabel("90 % interval holds the truth (fraction)")
+        lower[1].set_title("coverage (number of parameters)", loc="left")
+        _rates(lower[2], rates)
+    return figure
+
+
+def _by_size(axes: Axes, sigma: NDArray[np.float64], hit: NDArray[np.bool_]) -> None:
+    """Share of hits in bins of size, at the bin's median size, with the number in each bin."""
+    places, shares, counts = [], [], []
+    for low, high in pairwise(EDGES):
+        inside = (sigma >= low) & (sigma < high)
+        if inside.any():
+            places.append(float(np.median(sigma[inside])))
+            shares.append(float(hit[inside].mean()))
+            counts.append(int(inside.sum()))
+    axes.plot(places, shares, "o-", color=POSTERIOR)
+    for x, y, n in zip(places, shares, counts, strict=True):
+        axes.annotate(str(n), (x, y), textcoords="offset points", xytext=(4, 5), fontsize=7)
+    axes.set_xscale("symlog", linthresh=1.0)
+    axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
+    axes.set_xlim(0.0, max(12.0, 1.3 * max(places, default=0.0)))
+    axes.set_xlabel("size (σ of the data)")
+    axes.set_ylim(-0.03, 1.12)
+
+
+def _reliability(axes: Axes, reliability: pd.DataFrame) -> None:
+    axes.plot([0, 1], [0, 1], lw=0.8, color=INK)
+    bins = reliability.iloc[:-1]  # the last row holds all trials
+    if len(bins):
+        value = bins["right"].to_numpy()
+        error = np.abs(np.stack([value - bins["low_95"], bins["high_95"] - value]))
+        axes.errorbar(bins["mean_stated"], value, yerr=error, fmt="o", color=POSTERIOR, capsize=3)
+    axes.set_xlabel("stated probability of the first cause (1)")
+    axes.set_ylabel("how often it was right (fraction)")
+    axes.set_title("reliability, 95 % binomial bars", loc="left")
+
+
+def _p_values(axes: Axes, null: pd.DataFrame) -> None:
+    values = np.sort(null["p_value"].to_numpy(dtype=float))
+    if len(values):
+        axes.step(values, np.arange(1, len(values) + 1) / len(values), color=POSTERIOR)
+    axes.plot([0, 1], [0, 1], lw=0.8, color=INK)
+    axes.set_xlabel("p-value of the baseline (1)")
+    axes.set_ylabel("share of trials below (fraction)")
+    axes.set_title(f"p-values, {len(values)} with nothing hidden", loc="left")
+
+
+def _false_alarms(axes: Axes, null: pd.DataFrame) -> None:
+    """How often a name would be given that is not none, by the probability asked of it."""
+    asked = np.linspace(0.0, 1.0, 101)
+    stated = np.where(null["first"] == "none", 0.0, null["probability"].to_numpy(dtype=float))
+    alarms = [float((stated > at).mean()) if len(stated) else 0.0 for at in asked]
+    axes.step(asked, alarms, where="post", color=POSTERIOR)
+    axes.axhline(0.05, lw=0.8, color=INK)
+    axes.set_xlabel("probability asked of a name (1)")
+    axes.set_ylabel("false alarms (fraction)")
+    axes.set_ylim(0.0, max(0.15, 1.15 * max(alarms)))
+    axes.set_title(f"false alarms, {len(stated)} with nothing hidden", loc="left")
+
+
+def _rates(axes: Axes, rates: pd.DataFrame) -> None:
+    """Rates that have a goal, with 95 % binomial bars and the goals as ticks."""
+    shown = rates[(rates["goal"].notna()) & (rates["trials"] > 0)].iloc[::-1]
+    value, rows = shown["value"].to_numpy(), np.arange(len(shown))
+    error = np.stack([value - shown["low_95"], shown["high_95"] - value])
+    axes.errorbar(value, rows, xerr=np.abs(error), fmt="o", color=POSTERIOR, capsize=3)
+    axes.plot(shown["goal"], rows, "|", color=INK, markersize=14)
+    names = [str(name).replace(": ", ":\n").replace(" (conf", "\n(conf") for name in shown["rate"]]
+    axes.set_yticks(rows, names, fontsize=6.5)
+    axes.set_ylim(-0.6, len(shown) - 0.4)
+    axes.set_xlim(-0.03, 1.03)
+    axes.set_xlabel("rate (fraction)")
+    axes.set_title("rates and goals (ticks), 95 % bars", loc="left")
+
+
+def confusion_figure(matrix: pd.DataFrame) -> Figure:
+    """Hidden kind against the kind named first; numbers are trials."""
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(
+            figsize=(2.6 + 0.42 * matrix.shape[1], 2.2 + 0.3 * matrix.shape[0]),
+            layout="constrained",
+        )
+        axes = figure.subplots()
+        share = matrix.to_numpy() / matrix.to_numpy().sum(1, keepdims=True)
+        axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+        for i in range(matrix.shape[0]):
+            for j in range(matrix.shape[1]):
+                count = int(matrix.iloc[i, j])
+                if count:
+                    colour = "white" if share[i, j] > 0.6 else INK
+                    axes.text(j, i, str(count), ha="center", va="center", fontsize=8, color=colour)
+        axes.set_xticks(range(matrix.shape[1]), list(matrix.columns), rotation=60, ha="right")
+        axes.set_yticks(range(matrix.shape[0]), list(matrix.index))
+        axes.set_xlabel("named first (kind)")
+        axes.set_ylabel("hidden (kind)")
+    return figure

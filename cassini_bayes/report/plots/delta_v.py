@@ -1,0 +1,145 @@
+"""ΔV: what is printed, what the on-board computation would give, and what it does to thrust."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from cassini_bayes.report.plots.panels import (
+    bars,
+    finish,
+    legend_below,
+    limits_of,
+    outer_labels,
+    thruster_panels,
+)
+from cassini_bayes.report.plots.quantities import INTERVAL, NORMAL_90, NORMAL_INTERVAL, short_events
+from cassini_bayes.report.plots.style import INK, POSTERIOR, event_axis, new_figure
+from cassini_bayes.report.plots.tables import events_of, grid, thrusters_of
+from cassini_bayes.results.review import Review
+
+CHANNEL_NOISE: Final = "delta_v_noise_m_s"
+MM_PER_M: Final = 1e3
+
+
+def delta_v_figure(review: Review) -> Figure | None:
+    """Printed ΔV against the fit of the on-board computation; None when no event declares one.
+
+    The thick bar is what is known of the computed value, the thin one adds the channel's own noise,
+    as fitted: the printed value belongs in the thin one.
+    """
+    table = review.delta_v
+    if table.empty:
+        return None
+    events = [str(e) for e in table["event"]]
+    printed, mean, sd = (
+        table[c].to_numpy(dtype=float)
+        for c in ("printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s")
+    )
+    figure = new_figure(10.0, 4.6)
+    values, differences = figure.subplots(1, 2)
+    x, reach = np.arange(len(events)), NORMAL_90 * sd
+    scatter = NORMAL_90 * np.hypot(sd, _channel_noise_mm_s(review))
+    for axes, zero in ((values, 0.0), (differences, mean)):
+        axes.vlines(x, mean - zero - reach, mean - zero + reach, color=POSTERIOR, lw=6, alpha=0.4)
+        axes.vlines(x, mean - zero - scatter, mean - zero + scatter, color=POSTERIOR, lw=1.2)
+        axes.plot(x, mean - zero, ls="", marker="_", ms=11, mew=1.4, color=POSTERIOR)
+        axes.plot(
+            x, printed - zero, ls="", marker="D", ms=5, mfc="white", mec=INK, mew=1.2, zorder=4
+        )
+        event_axis(axes, short_events(events))
+        axes.grid(axis="y")
+    values.set_ylabel("ΔV [mm/s]")
+    values.set_ylim(bottom=0.0)
+    differences.set_ylabel("ΔV minus the fit's mean [mm/s]")
+    figure.suptitle(
+        "ΔV: printed, and the on-board computation as fitted",
+        fontsize=11.5,
+        fontweight="bold",
+        color=INK,
+    )
+    figure.legend(
+        handles=[
+            Line2D(
+                [],
+                [],
+                ls="",
+                marker="D",
+                ms=5,
+                mfc="white",
+                color=INK,
+                label="printed with the event",
+            ),
+            Line2D(
+                [],
+                [],
+                color=POSTERIOR,
+                lw=6,
+                alpha=0.4,
+                label="computed value",
+            ),
+            Line2D([], [], color=POSTERIOR, lw=1.2, label="with the channel's own noise"),
+        ],
+        loc="outside lower center",
+        ncols=3,
+        title=f"bars: {NORMAL_INTERVAL}",
+    )
+    return figure
+
+
+def _channel_noise_mm_s(review: Review) -> float:
+    """Root mean square of the noise of the ΔV channel over the posterior; 0 where it has none."""
+    for group in ("posterior", "constant_data"):
+        dataset = review.fit.groups[group]
+        if CHANNEL_NOISE in dataset:
+            return MM_PER_M * float(np.sqrt((dataset[CHANNEL_NOISE].values ** 2).mean()))
+    return 0.0
+
+
+def delta_v_thrust_figure(review: Review) -> Figure | None:
+    """Thrust under the uses of ΔV, one panel per thruster; None when there are no variants."""
+    table = review.variants
+    if table.empty:
+        return None
+    events, thrusters = events_of(review), thrusters_of(review)
+    variants = list(dict.fromkeys(table["variant"]))
+    labels = short_events(events)
+    grids = {
+        variant: [
+            grid(table[table["variant"] == variant], column, review)
+            for column in ("mean_n", "hdi_90_low_n", "hdi_90_high_n")
+        ]
+        for variant in variants
+    }
+    limits = limits_of(*(g for three in grids.values() for g in three[1:]))
+    figure, panels = thruster_panels(thrusters, len(labels))
+    looks = _variant_looks(len(variants))
+    for k, (name, axes) in enumerate(zip(thrusters, panels, strict=True)):
+        for variant, (colour, marker, offset) in zip(variants, looks, strict=True):
+            mean, low, high = grids[variant]
+            bars(axes, mean[:, k], low[:, k], high[:, k], colour, marker, offset=offset, width=2.4)
+        finish(axes, name, labels, limits)
+    outer_labels(panels)
+    figure.suptitle(
+        f"Thrust under the uses of ΔV – posterior mean and {INTERVAL}",
+        fontsize=11.5,
+        fontweight="bold",
+        color=INK,
+    )
+    legend_below(
+        figure,
+        [
+            Line2D([], [], color=colour, marker=marker, lw=2.4, ms=5, mfc="white", label=variant)
+            for variant, (colour, marker, _) in zip(variants, looks, strict=True)
+        ],
+    )
+    return figure
+
+
+def _variant_looks(count: int) -> list[tuple[str, str, float]]:
+    colours, markers = ("#222222", "#4477AA", "#CC6677", "#999933"), ("o", "s", "^", "D")
+    offsets = np.linspace(-0.27, 0.27, count) if count > 1 else np.zeros(1)
+    return [(colours[i % 4], markers[i % 4], float(offsets[i])) for i in range(count)]

@@ -1,0 +1,169 @@
+"""Inertia beside the methods it replaces, and what the events could tell before sampling."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from cassini_bayes.report.plots.quantities import INTERVAL_SHORT
+from cassini_bayes.report.plots.style import BASELINE, INK, POSTERIOR, PRIOR, new_figure
+from cassini_bayes.report.plots.tables import flat_draws
+from cassini_bayes.results.review import Review, hdi
+
+ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
+VERDICT_FILLS: Final = {
+    "seen well": "#22558c",
+    "seen": "#6699CC",
+    "hardly seen": "#c9d8e8",
+    "not seen": "#dddddd",
+}
+WIDEST_SD: Final = 6.0
+
+
+def inertia_figure(review: Review) -> Figure | None:
+    """Every element: prior, posterior, and the papers' least squares with their bars.
+
+    None without telemetry or where no element was walked.
+    """
+    if review.telemetry is None:
+        return None
+    walked = [e for e in ELEMENTS if f"inertia_{e}_kg_m2" in review.fit.posterior]
+    if not walked:
+        return None
+    methods = review.telemetry.inertia_methods
+    labels = [] if methods.empty else list(dict.fromkeys(methods["label"]))
+    figure = new_figure(11.6, 2 * (0.17 * len(labels) + 1.5) + 0.9)
+    panels = figure.subplots(2, 3, sharey=True, squeeze=False).ravel()
+    for element, axes in zip(walked, panels, strict=False):
+        _element(axes, review, element, labels)
+    for axes in panels[len(walked) :]:
+        axes.remove()
+    figure.suptitle(
+        "Inertia about the centre of mass, wheels included as if not spinning",
+        fontsize=11.5,
+        fontweight="bold",
+        color=INK,
+    )
+    figure.legend(handles=_inertia_legend(bool(labels)), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _element(axes: Axes, review: Review, element: str, labels: list[str]) -> None:
+    name = f"inertia_{element}_kg_m2"
+    posterior = flat_draws(review.fit.posterior, name)
+    prior = flat_draws(review.fit.prior, name)
+    low, high = hdi(posterior)
+    before = np.quantile(prior, [0.05, 0.95])
+    axes.axvspan(before[0], before[1], color="#ececec", zorder=0)
+    axes.hlines(0, low, high, color=POSTERIOR, lw=5, zorder=3)
+    axes.plot([posterior.mean()], [0], "o", mfc="white", mec=POSTERIOR, ms=5, zorder=4)
+    ends = [float(before[0]), float(before[1]), float(low), float(high)]
+    if labels:
+        assert review.telemetry is not None  # labels come from it
+        table = review.telemetry.inertia_methods
+        rows = table[table["element"] == element].set_index("label")
+        for place, label in enumerate(labels, start=1):
+            if label in rows.index and np.isfinite(float(rows.loc[label, "estimate_kg_m2"])):
+                _method(axes, place, rows.loc[label])
+                ends.append(float(rows.loc[label, "estimate_kg_m2"]))
+    centre, reach = float(prior.mean()), WIDEST_SD * float(prior.std())
+    axes.set_xlim(
+        max(min(ends) - 0.05 * reach, centre - reach), min(max(ends) + 0.05 * reach, centre + reach)
+    )
+    axes.set_yticks(range(len(labels) + 1), ["posterior", *labels])
+    axes.set_ylim(len(labels) + 0.6, -0.6)
+    axes.set_xlabel(f"I {element} [kg m²]")
+    axes.grid(axis="x")
+    axes.locator_params(axis="x", nbins=5)
+
+
+def _method(axes: Axes, place: int, row: pd.Series) -> None:
+    estimate, bar = float(row["estimate_kg_m2"]), float(row["bar_rss_kg_m2"])
+    axes.hlines(place, estimate - bar, estimate + bar, color=BASELINE, lw=1.0, zorder=3)
+    axes.plot([estimate], [place], "D", color=BASELINE, ms=4.2, zorder=4)
+
+
+def _inertia_legend(methods: bool) -> list[Line2D | Patch]:
+    handles: list[Line2D | Patch] = [
+        Line2D(
+            [],
+            [],
+            color=POSTERIOR,
+            marker="o",
+            lw=5,
+            mfc="white",
+            label=f"posterior mean and {INTERVAL_SHORT}",
+        ),
+        Patch(facecolor="#ececec", edgecolor=PRIOR, label="prior, 90 % equal-tailed interval"),
+    ]
+    if methods:
+        label = "least squares ± perturbations (rss)"
+        handles.append(Line2D([], [], color=BASELINE, marker="D", ms=4.2, lw=1.0, label=label))
+    return handles
+
+
+def observability_figure(review: Review) -> Figure | None:
+    """Expected posterior over prior width, and the width that came out; None without telemetry."""
+    if review.telemetry is None:
+        return None
+    table = review.telemetry.observability.table
+    rows = table[~table["quantity"].str.contains("thrust[", regex=False)]
+    levels = table[table["quantity"].str.startswith("thrust[all events")]
+    shown = pd.concat([levels, rows], ignore_index=True)
+    figure = new_figure(9.6, 0.21 * len(shown) + 1.5)
+    axes = figure.subplots()
+    came_out = _came_out(review)
+    for place, (_, row) in enumerate(shown.iterrows()):
+        axes.barh(
+            place, row["ratio"], height=0.7, color=VERDICT_FILLS[str(row["verdict"])], zorder=2
+        )
+        label = observed_name(str(row["quantity"]))
+        if label in came_out:
+            axes.plot([came_out[label]], [place], "o", mfc="white", mec=INK, ms=4.6, zorder=3)
+    axes.set_yticks(range(len(shown)), [observed_name(str(q)) for q in shown["quantity"]])
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    axes.set_xlim(0.0, 1.15)
+    axes.axvline(1.0, color="#999999", lw=0.8)
+    axes.grid(axis="x")
+    axes.set_xlabel("posterior over prior standard deviation (1: the prior is returned)")
+    figure.suptitle(
+        "What these events can see: expected before sampling, and what came out",
+        fontsize=11.5,
+        fontweight="bold",
+        color=INK,
+    )
+    handles: list[Line2D | Patch] = [
+        Patch(facecolor=fill, label=f"expected: {verdict}")
+        for verdict, fill in VERDICT_FILLS.items()
+    ]
+    handles.append(
+        Line2D([], [], ls="", marker="o", mfc="white", mec=INK, ms=5, label="came out (sd ratio)")
+    )
+    figure.legend(handles=handles, loc="outside lower center", ncols=5)
+    return figure
+
+
+def observed_name(quantity: str) -> str:
+    """``thrust[all events,z1]`` → ``z1 level``; other quantities keep their name."""
+    if quantity.startswith("thrust[all events,"):
+        return f"{quantity.removeprefix('thrust[all events,').rstrip(']')} level"
+    return quantity
+
+
+def _came_out(review: Review) -> dict[str, float]:
+    """Posterior over prior standard deviation of the same quantities."""
+    found = {
+        str(row["name"]): float(row["sd"]) / float(row["prior_sd"])
+        for _, row in review.nuisances.iterrows()
+    }
+    levels = review.summary[review.summary["quantity"] == "thrust_level_n"]
+    for _, row in levels.iterrows():
+        if float(row["prior_sd"]) > 0:
+            found[f"{row['item']} level"] = float(row["sd"]) / float(row["prior_sd"])
+    return found

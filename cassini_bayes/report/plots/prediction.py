@@ -1,0 +1,247 @@
+"""Figures of predictions: one bias, leave-one-event-out, the ΔV requirement, plans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.prediction.leave_one_out import HeldOut, draws_by_kind, outcome_by_kind
+from cassini_bayes.prediction.navigation import TOLERANCE, Requirement
+from cassini_bayes.prediction.planning import Plan
+from cassini_bayes.prediction.predict import SOURCES, Prediction
+from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, event_axis, new_figure
+
+Array = NDArray[np.float64]
+
+COLUMN_STYLES: Final[Mapping[str, tuple[str, str, str]]] = {
+    "gsw_ideal": ("ideal", "x", "#999933"),
+    "gsw": ("calibrated", "s", "#CC6677"),
+    "fsds": ("FSDS", "^", "#117733"),
+}
+_SOURCE_COLOURS: Final = ("#4477AA", "#EECC66", "#994455", "#88CCEE", "#777777")
+_SHOWN_S: Final = 3.0
+
+
+def prediction_figure(prediction: Prediction) -> Figure:
+    """On-times, pulses, ΔVz and hydrazine of one bias: median, central 50 and 90 % intervals."""
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = new_figure(9.0, 5.6)
+        grid = figure.subplots(2, 2)
+        names = [name.replace("_", "–") for name in prediction.unit_names()]
+        _intervals(grid[0, 0], prediction.unit_on_time_s(), names, "on-time [s]")
+        _intervals(grid[0, 1], prediction.unit_pulses(), names, "pulses [count]")
+        _density(
+            grid[1, 0],
+            {
+                "computed on board": prediction.delta_v_computed_m_s,
+                "delivered": prediction.delta_v_delivered_m_s,
+            },
+        )
+        if prediction.hydrazine_g is not None:
+            grams = prediction.hydrazine_g
+            grid[1, 1].hist(grams, bins=40, range=_shown(grams), density=True, color=POSTERIOR)
+        grid[1, 1].set_xlabel("hydrazine [g]")
+        grid[1, 1].set_ylabel("density [1/g]")
+        request = prediction.request
+        changes = ", ".join(
+            f"wheel {n}: {a:g} → {b:g}"
+            for n, a, b in zip(request.wheels, request.start_rpm, request.end_rpm, strict=True)
+        )
+        figure.suptitle(
+            f"{request.id}, {prediction.epoch.date()} — {changes} rev/min", fontsize=9.5
+        )
+        figure.supxlabel(
+            "dots: medians; thick and thin bars: central 50 and 90 % intervals; "
+            "densities: central 99 % of the draws",
+            fontsize=8,
+        )
+    return figure
+
+
+def _intervals(axes: Axes, draws: Array, names: Sequence[str], label: str) -> None:
+    low, q1, median, q3, high = np.quantile(draws, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
+    x = np.arange(len(names))
+    axes.vlines(x, low, high, color=POSTERIOR, lw=1.2)
+    axes.vlines(x, q1, q3, color=POSTERIOR, lw=4.0)
+    axes.plot(x, median, "o", color="white", mec=POSTERIOR, ms=4.5)
+    axes.set_xticks(x, names)
+    axes.set_ylabel(label)
+    axes.set_ylim(bottom=0.0)
+
+
+def _shown(draws: Array) -> tuple[float, float]:
+    """Ends of the central 99 %: the tails are long and would flatten the rest."""
+    low, high = np.quantile(draws, [0.005, 0.995])
+    return float(low), float(high)
+
+
+def _density(axes: Axes, vectors: Mapping[str, Array | None]) -> None:
+    for (label, vector), colour in zip(vectors.items(), (POSTERIOR, "#BB8800"), strict=True):
+        if vector is not None:
+            axes.hist(
+                1e3 * vector[:, 2],
+                bins=40,
+                range=_shown(1e3 * vector[:, 2]),
+                density=True,
+                histtype="step",
+                color=colour,
+                lw=1.4,
+                label=label,
+            )
+    axes.set_xlabel("ΔV along body Z [mm/s]")
+    axes.set_ylabel("density [s/mm]")
+    axes.legend(loc="best")
+
+
+def leave_one_out_figure(
+    folds: Sequence[HeldOut], columns: Mapping[str, Sequence[TotalsEvent]]
+) -> Figure:
+    """On-times of every held-out event less flight: intervals, and the published columns."""
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = new_figure(11.0, 6.4)
+        grid = figure.subplots(2, -(-len(folds) // 2), sharey=True, squeeze=False).ravel()
+        for axes, held in zip(grid, folds, strict=False):
+            _event_panel(axes, held, columns)
+        for axes in grid[:: max(len(grid) // 2, 1)]:
+            axes.set_ylabel("on-time − flight [s]")
+        for axes in grid[len(folds) :]:
+            axes.set_visible(False)
+        handles, labels = grid[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=6)
+    return figure
+
+
+def _event_panel(axes: Axes, held: HeldOut, columns: Mapping[str, Sequence[TotalsEvent]]) -> None:
+    prediction = held.prediction
+    first = [unit[0] for unit in prediction.units]
+    flight = held.event.on_time_s[first]
+    difference = prediction.unit_on_time_s() - flight
+    low, q1, median, q3, high = np.quantile(difference, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
+    x = np.arange(len(first), dtype=np.float64)
+    axes.axhline(0.0, color=INK, lw=0.8)
+    axes.vlines(x - 0.15, low, high, color=POSTERIOR, lw=1.2, label="predicted, central 90 %")
+    axes.vlines(x - 0.15, q1, q3, color=POSTERIOR, lw=4.0, label="predicted, central 50 %")
+    axes.plot(x - 0.15, median, "o", color="white", mec=POSTERIOR, ms=4.5, label="predicted median")
+    for i, (source, (label, marker, colour)) in enumerate(COLUMN_STYLES.items()):
+        own = next((e for e in columns.get(source, ()) if e.id == held.event.id), None)
+        if own is None:
+            continue
+        off = own.on_time_s[first] - flight
+        at = x + 0.1 + 0.13 * i
+        inside = np.abs(off) <= _SHOWN_S
+        axes.plot(at[inside], off[inside], marker, color=colour, ms=4.0, ls="", label=label)
+        for position, value in zip(at[~inside], off[~inside], strict=True):
+            edge = np.copysign(_SHOWN_S, value)
+            axes.annotate(
+                f"{value:.1f}",
+                (position, edge),
+                xytext=(position, 0.82 * edge),
+                ha="center",
+                va="center",
+                fontsize=6.5,
+                color=colour,
+                arrowprops={"arrowstyle": "->", "color": colour, "lw": 0.8},
+            )
+    names = [name.upper().replace("_", "–") for name in prediction.unit_names()]
+    axes.set_xticks(x, names, rotation=30)
+    axes.set_ylim(-1.05 * _SHOWN_S, 1.05 * _SHOWN_S)
+    axes.set_title(held.event.id.removesuffix("-bias"))
+
+
+def totals_figure(folds: Sequence[HeldOut], columns: Mapping[str, Sequence[TotalsEvent]]) -> Figure:
+    """ΔVz and hydrazine of every held-out event less flight, with the published columns."""
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = new_figure(9.0, 4.0)
+        panels = figure.subplots(1, 2)
+        names = [held.event.id.removesuffix("-bias") for held in folds]
+        for axes, kind, label in (
+            (panels[0], "delta_v_z", "ΔVz − flight [mm/s]"),
+            (panels[1], "hydrazine", "hydrazine − flight [g]"),
+        ):
+            event_axis(axes, names)
+            axes.axhline(0.0, color=INK, lw=0.8)
+            for x, held in enumerate(folds):
+                _totals_slot(axes, x, held, kind, columns)
+            axes.set_ylabel(label)
+        handles, labels = panels[0].get_legend_handles_labels()
+        unique = dict(zip(labels, handles, strict=True))
+        figure.legend(unique.values(), unique.keys(), loc="outside lower center", ncols=5)
+    return figure
+
+
+def _totals_slot(
+    axes: Axes, x: int, held: HeldOut, kind: str, columns: Mapping[str, Sequence[TotalsEvent]]
+) -> None:
+    draws = draws_by_kind(held.prediction).get(kind)
+    outcome = outcome_by_kind(held.event, held.prediction.units).get(kind)
+    if draws is None or outcome is None:
+        return
+    low, median, high = np.quantile(draws[:, 0] - outcome[0], [0.05, 0.5, 0.95])
+    axes.vlines(x - 0.2, low, high, color=POSTERIOR, lw=2.0, label="predicted, central 90 %")
+    axes.plot(x - 0.2, median, "o", color="white", mec=POSTERIOR, ms=4.5, label="predicted median")
+    for i, (source, (label, marker, colour)) in enumerate(COLUMN_STYLES.items()):
+        own = next((e for e in columns.get(source, ()) if e.id == held.event.id), None)
+        if own is None:
+            continue
+        value = outcome_by_kind(own, held.prediction.units)[kind][0] - outcome[0]
+        axes.plot(x + 0.02 + 0.14 * i, value, marker, color=colour, ms=4.0, ls="", label=label)
+
+
+def requirement_figure(judged: Mapping[str, Requirement]) -> Figure:
+    """Spread of the predicted ΔVz per event, what is left without each source, and 1 %."""
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = new_figure(9.0, 4.0)
+        axes = figure.subplots()
+        names = [name.removesuffix("-bias") for name in judged]
+        event_axis(axes, names)
+        width = 0.14
+        for i, source in enumerate(("all", *SOURCES)):
+            heights = [
+                100.0
+                * (requirement.spread_m_s if source == "all" else requirement.without_m_s[source])
+                / abs(requirement.nominal_m_s)
+                for requirement in judged.values()
+            ]
+            axes.bar(
+                np.arange(len(names)) + (i - 2.5) * width,
+                heights,
+                width,
+                color=(INK, *_SOURCE_COLOURS)[i],
+                label="all sources" if source == "all" else f"without: {source}",
+            )
+        axes.axhline(100.0 * TOLERANCE / 3.0, color="#b2182b", lw=1.2, label="required: 1 %")
+        axes.set_ylabel("spread of ΔVz [% of nominal]")
+        figure.legend(loc="outside lower center", ncols=4)
+    return figure
+
+
+def plan_figure(found: Plan) -> Figure:
+    """Expected information on the quantity against hydrazine, with the best trade-offs."""
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = new_figure(6.4, 4.2)
+        axes = figure.subplots()
+        grams = [c.hydrazine_g for c in found.candidates]
+        nats = [c.information_nats for c in found.candidates]
+        axes.scatter(grams, nats, s=7, color="#9fb8d4", lw=0, label="candidate bias")
+        front = found.front()
+        axes.plot(
+            [c.hydrazine_g for c in front],
+            [c.information_nats for c in front],
+            "-o",
+            color=POSTERIOR,
+            ms=3.5,
+            lw=1.0,
+            label="best for its hydrazine",
+        )
+        axes.set_xlabel("expected hydrazine [g]")
+        axes.set_ylabel(f"expected information on {found.quantity} [nats]")
+        axes.set_ylim(bottom=0.0)
+        axes.legend(loc="upper left")
+    return figure

@@ -1,0 +1,137 @@
+"""Reading a review: grids of thrusts, and the draws of a parameter by its name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from cassini_bayes.report.plots.quantities import Scale, display_scale, short_name
+from cassini_bayes.results.review import Review
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One parameter as figures show it: draws in display units, label and unit."""
+
+    label: str
+    unit: str
+    posterior: Array  # (n,)
+    prior: Array  # (m,)
+
+
+def all_events_of(review: Review) -> list[str]:
+    """Ids of all events in the order of the fit."""
+    return [str(event) for event in review.fit.posterior.coords["event"].values]
+
+
+def events_of(review: Review) -> list[str]:
+    """Ids of the events that have thrusts, in the order of the fit: a slew has none."""
+    if "thrust_n" not in review.fit.posterior:
+        return []
+    first = review.fit.posterior["thrust_n"].values[0, 0]
+    has = np.isfinite(first).any(axis=-1)
+    return [event for event, own in zip(all_events_of(review), has, strict=True) if own]
+
+
+def thrusters_of(review: Review) -> list[str]:
+    """Thruster names in the order of the spacecraft; none in a fit without thrusts."""
+    if "thruster" not in review.fit.posterior.coords:
+        return []
+    return [str(name) for name in review.fit.posterior.coords["thruster"].values]
+
+
+def grid(
+    table: pd.DataFrame,
+    column: str,
+    review: Review,
+    item: str = "thruster",
+    events: list[str] | None = None,
+) -> Array:
+    """``column`` of an event × thruster table as (E, K), in the fit's order; NaN where absent.
+
+    ``events`` are the rows wanted, those with thrusts if it is left out.
+    """
+    rows = events_of(review) if events is None else events
+    wide = table.set_index(["event", item])[column].unstack(item)
+    wide = wide.reindex(index=rows, columns=thrusters_of(review))
+    return np.asarray(wide, dtype=float)
+
+
+def thrust_grid(review: Review, column: str) -> Array:
+    """``column`` of the thrust posterior, (E, K)."""
+    rows = review.summary[review.summary["quantity"] == "thrust_n"]
+    return grid(rows, column, review, "item")
+
+
+def level_row(review: Review, column: str) -> Array:
+    """``column`` of the thrusters' levels over all events, (K,)."""
+    rows = review.summary[review.summary["quantity"] == "thrust_level_n"].set_index("item")
+    return np.asarray(rows[column].reindex(thrusters_of(review)), dtype=float)
+
+
+def flat_draws(dataset: xr.Dataset, name: str) -> Array:
+    """Draws of a variable with chains put together, (n, ...)."""
+    values = dataset[name].values
+    return np.asarray(values.reshape(-1, *values.shape[2:]), dtype=float)
+
+
+def level_columns(review: Review) -> list[Column]:
+    """Thrust level of every thruster."""
+    posterior = flat_draws(review.fit.posterior, "thrust_level_n")
+    prior = flat_draws(review.fit.prior, "thrust_level_n")
+    return [
+        Column(f"{name} level", "N", posterior[:, k], prior[:, k])
+        for k, name in enumerate(thrusters_of(review))
+    ]
+
+
+def nuisance_column(review: Review, name: str) -> Column | None:
+    """Draws of a walked parameter; None when the fit keeps it under no name known here.
+
+    Wheel inertias are kept in one variable with a ``wheel`` dimension.
+    """
+    rows = review.nuisances[review.nuisances["name"] == name]
+    if rows.empty:
+        return None
+    unit = str(rows["unit"].iloc[0])
+    posterior, prior = review.fit.posterior, review.fit.prior
+    if name in posterior:
+        after, before = flat_draws(posterior, name), flat_draws(prior, name)
+        if after.ndim > 1:  # of some events: the walked parameter is the same in all of them
+            own = int(np.flatnonzero(np.isfinite(after[0]))[-1])
+            after, before = after[:, own], before[:, own]
+    else:
+        place = _wheel_place(review, name)
+        if place is None:
+            return None
+        after = flat_draws(posterior, _WHEEL_INERTIA)[:, place]
+        before = flat_draws(prior, _WHEEL_INERTIA)[:, place]
+    scale = parameter_scale(review, name)
+    return Column(short_name(name, unit), scale.unit, after * scale.factor, before * scale.factor)
+
+
+_WHEEL_INERTIA = "rwa_inertia_kg_m2"
+
+
+def _wheel_place(review: Review, name: str) -> int | None:
+    """Which wheel's inertia a parameter is: the one whose posterior mean is the same number."""
+    if _WHEEL_INERTIA not in review.fit.posterior:
+        return None
+    mean = float(review.nuisances.set_index("name")["mean"][name])
+    means = flat_draws(review.fit.posterior, _WHEEL_INERTIA).mean(axis=0)
+    same = np.flatnonzero(np.isclose(means, mean, rtol=1e-9, atol=0.0))
+    return int(same[0]) if len(same) else None
+
+
+def parameter_scale(review: Review, name: str) -> Scale:
+    """The unit in which a walked parameter is shown everywhere."""
+    row = review.nuisances.set_index("name").loc[name]
+    return display_scale(
+        str(row["unit"]), float(row["mean"]), float(row["prior_mean"]), float(row["prior_sd"])
+    )

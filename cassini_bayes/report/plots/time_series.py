@@ -1,0 +1,107 @@
+"""The momentum balance of a telemetry event, row by row."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from cassini_bayes.report.plots.quantities import NORMAL_90
+from cassini_bayes.report.plots.style import INK, POSTERIOR, new_figure
+from cassini_bayes.results.review import Review
+from cassini_bayes.results.time_series import EventSeries
+
+BAND: Final = "#dcdcdc"
+MEASURED: Final = "#b5651d"
+
+
+def series_figures(review: Review) -> dict[str, Figure]:
+    """One figure per telemetry event, ``series_1`` …: measured, predicted, and what is left."""
+    if review.telemetry is None:
+        return {}
+    return {
+        f"series_{i}": series_figure(series)
+        for i, series in enumerate(review.telemetry.series, start=1)
+    }
+
+
+def series_figure(series: EventSeries) -> Figure:
+    """Three columns, one per body axis: the momentum above, the residual on its noise below."""
+    figure = new_figure(12.4, 5.6)
+    panels = figure.subplots(2, 3, sharex=True, height_ratios=(1.0, 1.0))
+    for axis, name in enumerate("xyz"):
+        above, below = panels[0, axis], panels[1, axis]
+        _momentum(above, series, axis)
+        _residual(below, series, axis)
+        above.set_title(
+            f"body axis {name}: {100 * series.inside[axis]:.0f} % of rows inside",
+            loc="left",
+            fontsize=9.5,
+        )
+        below.set_xlabel("time [s]")
+    panels[0, 0].set_ylabel(f"{series.quantity} [N m s]")
+    panels[1, 0].set_ylabel("measured − predicted [N m s]")
+    thinned = f", every {_ordinal(series.every)} row" if series.every > 1 else ""
+    figure.suptitle(
+        f"{series.event} ({series.kind}): angular momentum balance{thinned}",
+        fontsize=11.5,
+        fontweight="bold",
+        color=INK,
+    )
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def _ordinal(n: int) -> str:
+    endings = {1: "st", 2: "nd", 3: "rd"}
+    return f"{n}{endings.get(n % 10, 'th') if n % 100 not in (11, 12, 13) else 'th'}"
+
+
+def _momentum(axes: Axes, series: EventSeries, axis: int) -> None:
+    time = series.time_s
+    mean = series.predicted[:, axis]
+    reach = NORMAL_90 * np.hypot(series.predicted_sd[:, axis], series.noise_sd[:, axis])
+    axes.fill_between(time, mean - reach, mean + reach, color=POSTERIOR, alpha=0.2, lw=0)
+    axes.plot(
+        time,
+        series.measured[:, axis],
+        ls="",
+        marker=".",
+        ms=2.6,
+        color=MEASURED,
+        rasterized=True,
+        zorder=2,
+    )
+    axes.plot(time, mean, color=POSTERIOR, lw=1.0, zorder=3)
+    axes.grid(axis="y")
+
+
+def _residual(axes: Axes, series: EventSeries, axis: int) -> None:
+    time, noise = series.time_s, NORMAL_90 * series.noise_sd[:, axis]
+    axes.fill_between(time, -noise, noise, color=BAND, lw=0)
+    axes.plot(
+        time,
+        series.residual[:, axis],
+        ls="",
+        marker=".",
+        ms=2.2,
+        color=POSTERIOR,
+        rasterized=True,
+    )
+    axes.axhline(0.0, color=INK, lw=0.8)
+    reach = max(2.2 * float(noise.max()), 1.05 * float(np.abs(series.residual[:, axis]).max()))
+    axes.set_ylim(-reach, reach)
+    axes.grid(axis="y")
+
+
+def _legend() -> list[Line2D | Patch]:
+    return [
+        Line2D([], [], ls="", marker=".", ms=6, color=MEASURED, label="measured"),
+        Line2D([], [], color=POSTERIOR, lw=1.4, label="predicted, posterior mean"),
+        Patch(facecolor=POSTERIOR, alpha=0.2, label="prediction, 90 % interval"),
+        Patch(facecolor=BAND, label="noise of a row, 90 % interval"),
+    ]

@@ -1,0 +1,155 @@
+"""The estimates this package replaces: least squares with hand-picked perturbation bars.
+
+Paper 003 eqs. (5)-(8) estimate four Z thrusts and two Y-pair thrusts by a pseudo-inverse of the
+momentum balance with rectangular pulses, then divide by a correction factor for rise and tail-off.
+Paper 000 eq. (23) estimates one mean thrust of all thrusters. Error bars come from perturbing each
+assumed parameter by a hand-picked amount. Totals give one time step per event: per event the
+pseudo-inverse is a minimum-norm answer to fewer equations than thrusters, pooled over events it is
+an ordinary least-squares fit. The papers used the time history within each event, which totals do
+not carry; their numbers are not reproduced here, their method is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.totals_terms import wheel_momentum
+from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
+from cassini_bayes.spacecraft.parameters import ParameterSpec
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+
+Array = NDArray[np.float64]
+
+MINIMUM_ON_TIME_S: Final = 5.0  # paper 003 §IV: estimates from shorter on-times are not valid
+PER_EVENT: Final = "pseudo-inverse, per event"
+POOLED: Final = "pseudo-inverse, pooled"
+MEAN: Final = "mean of all thrusters, per event"
+
+# Paper 003 §IV. Inertia does not act on totals rows: they have no rates.
+MOMENTS: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
+MOMENT_PERTURBATION: Final = 0.05
+PRODUCT_PERTURBATION: Final = 0.50
+RELATIVE_PERTURBATIONS: Final[Mapping[str, float]] = {
+    "centre of mass": 0.10,
+    "geometry": 0.01,
+    "wheel inertia": 0.01,
+}
+TAU_FALL_PERTURBATION: Final = 0.10
+ALIGNMENT_PERTURBATION_RAD: Final = 0.01  # 1 % of the column of T
+
+
+def perturbation_bars(model: TotalsModel, nominal: Mapping[str, float]) -> pd.DataFrame:
+    """Every baseline estimate with its perturbation bars.
+
+    Parameters
+    ----------
+    model
+        Totals model (its pulse shape is not used: the papers' correction factor is).
+    nominal
+        Assumed value of every walked or fixed parameter, e.g. the priors' means.
+
+    Returns
+    -------
+    DataFrame with columns method, event ("" when pooled), thruster, estimate_n, bar_rss_n (root sum
+    square of the shifts), bar_worst_n (sum of their absolute values), on_time_s, valid, note.
+    """
+    varied = [dict(nominal), *perturbed(model.specs, nominal)]
+    batch = {name: np.array([point[name] for point in varied]) for name in nominal}
+    stack = model.stack
+    estimates = _estimates(model, batch)
+    rows = []
+    for (method, event), values in estimates.items():
+        shifts = values[1:] - values[0]
+        rss = np.sqrt((shifts**2).sum(0))
+        worst = np.abs(shifts).sum(0)
+        on_time = (
+            stack.on_time_s.sum(0) if event == "" else stack.on_time_s[stack.event_ids.index(event)]
+        )
+        for k, thruster in enumerate(stack.thrusters):
+            fired_long = on_time if method != MEAN else np.full_like(on_time, on_time.sum())
+            valid = bool(fired_long[k] >= MINIMUM_ON_TIME_S and np.isfinite(values[0, k]))
+            rows.append(
+                {
+                    "method": method,
+                    "event": event,
+                    "thruster": thruster,
+                    "estimate_n": values[0, k],
+                    "bar_rss_n": rss[k],
+                    "bar_worst_n": worst[k],
+                    "on_time_s": on_time[k],
+                    "valid": valid,
+                    "note": "" if valid else f"on-time below {MINIMUM_ON_TIME_S:g} s",
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def perturbed(
+    specs: Mapping[str, ParameterSpec], nominal: Mapping[str, float]
+) -> list[dict[str, float]]:
+    """One point per hand-picked perturbation of paper 003's list."""
+    points = []
+    for name, value in nominal.items():
+        block = specs[name].block
+        if block == "inertia":
+            share = MOMENT_PERTURBATION if name in MOMENTS else PRODUCT_PERTURBATION
+            points.append({**nominal, name: value * (1.0 + share)})
+        elif block in RELATIVE_PERTURBATIONS:
+            points.append({**nominal, name: value * (1.0 + RELATIVE_PERTURBATIONS[block])})
+        elif block == "wheel alignment":
+            points.append({**nominal, name: value + ALIGNMENT_PERTURBATION_RAD})
+        elif name == "tau_fall_s":
+            points.append({**nominal, name: value * (1.0 + TAU_FALL_PERTURBATION)})
+    return points
+
+
+def _estimates(model: TotalsModel, batch: Mapping[str, Array]) -> dict[tuple[str, str], Array]:
+    """(method, event) → corrected thrust (n, K) for n sets of assumed parameters."""
+    stack = model.stack
+    absent = {k: np.asarray(v) for k, v in model.absent_wheel_parameters.items()}
+    full = {**batch, **absent}
+    axes, inertias = wheel_axes(model.spacecraft, full), wheel_inertias(model.spacecraft, full)
+    change = wheel_momentum(axes, inertias, stack.wheel_end_rad_s) - wheel_momentum(
+        axes, inertias, stack.wheel_start_rad_s
+    )
+    arms = lever_arms(model.spacecraft, model.branch, full)
+    # the thrusters of a couple always fire together: one unknown for the couple (000 eq. 21)
+    columns = (arms[:, None] * stack.on_time_s[:, None, :]) @ stack.couples.T
+    found: dict[tuple[str, str], Array] = {}
+    for e, event in enumerate(stack.event_ids):
+        factor = correction_factor(stack.on_time_s[e], stack.pulses[e], batch)
+        each = _least_squares(columns[:, e], change[:, e]) @ stack.couples
+        found[PER_EVENT, event] = np.where(stack.on_time_s[e] > 0, each, np.nan) / factor
+        mean = _least_squares(columns[:, e].sum(-1, keepdims=True), change[:, e])
+        weighted = (stack.on_time_s[e] * factor).sum(-1, keepdims=True) / stack.on_time_s[e].sum()
+        found[MEAN, event] = np.broadcast_to(mean / weighted, each.shape)
+    n = len(columns)
+    pooled = _least_squares(columns.reshape(n, -1, columns.shape[-1]), change.reshape(n, -1))
+    factor = correction_factor(stack.on_time_s.sum(0), stack.pulses.sum(0), batch)
+    found[POOLED, ""] = (pooled @ stack.couples) / factor
+    return found
+
+
+def _least_squares(columns: Array, target: Array) -> Array:
+    """Minimum-norm least squares F = pinv(U) V for stacked systems: (n, R, G), (n, R) → (n, G)."""
+    return np.asarray((np.linalg.pinv(columns) @ target[..., None])[..., 0])
+
+
+def correction_factor(on_time_s: Array, pulses: Array, parameters: Mapping[str, Array]) -> Array:
+    """T of paper 003 eq. (7) per thruster at its mean pulse width: (t_c − τ_rise + τ_fall)/t_c.
+
+    on_time_s, pulses (K,); parameters (n,) → (n, K); 1 where a thruster did not fire.
+    """
+    fired = pulses > 0
+    width = np.where(fired, on_time_s / np.where(fired, pulses, 1.0), 1.0)
+    effective = PULSE_SHAPES["published_2012"].effective_time(
+        width,
+        *(np.asarray(parameters[f"tau_{part}_s"])[..., None] for part in ("delay", "rise", "fall")),
+    )
+    return np.where(fired, effective / width, 1.0)

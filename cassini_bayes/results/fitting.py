@@ -1,0 +1,318 @@
+"""Fit a model: warm start, ensembles, thrusts drawn back. What a run file and a notebook share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from cassini_bayes.computing.processes import in_parts
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.joint import JointModel, joint_log_posterior
+from cassini_bayes.model.posterior import log_posterior
+from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.results.joint_draws import draw_all
+from cassini_bayes.results.joint_record import build_joint_fit
+from cassini_bayes.results.record import Fit, build_fit, draws_of
+from cassini_bayes.sampling.ensembles import (
+    Chains,
+    ProgressReport,
+    SamplerSettings,
+    sample,
+    stored_ess,
+)
+from cassini_bayes.sampling.warmstart import (
+    ImportanceDraws,
+    LogDensity,
+    Proposal,
+    WarmStart,
+    warm_start,
+)
+
+Array = NDArray[np.float64]
+Model = TotalsModel | JointModel
+
+_WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
+SERIOUS_EXPANSION_ERROR: Final = 0.1
+WORST_PARETO_K: Final = 0.7
+FALLBACK_INDEPENDENCE: Final = 0.2
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A fitted model: the record of the fit, and what it was made of.
+
+    ``z`` (M, n, d) are the stored draws in walked coordinates, in the order of ``fit.posterior``.
+    """
+
+    model: Model
+    settings: SamplerSettings
+    fit: Fit
+    z: Array
+    warm: WarmStart
+    chains: Chains
+
+    @property
+    def flat_z(self) -> Array:
+        """Stored draws of all ensembles, (M n, d)."""
+        return self.z.reshape(-1, self.z.shape[-1])
+
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences about anything that makes the draws or the evidence doubtful."""
+        found = []
+        convergence, draws = self.chains.convergence, self.warm.draws
+        if not convergence.done:
+            found.append(
+                "Sampling stopped at its limit before the stop rule held: "
+                + "; ".join(convergence.failed)
+            )
+        if draws.pareto_k > WORST_PARETO_K:
+            found.append(
+                "The importance draws behind the evidence are not reliable (Pareto k̂ = "
+                f"{draws.pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
+                "sampling instead of the independence move."
+            )
+        stats = self.fit.groups["sample_stats"]
+        if "jacobian_expansion_error" not in stats:
+            return found
+        error = stats["jacobian_expansion_error"].values.std()
+        if error > SERIOUS_EXPANSION_ERROR:
+            found.append(
+                f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
+                f"deviation over the posterior; {SERIOUS_EXPANSION_ERROR} is tolerable)."
+            )
+        return found
+
+
+def fit_model(
+    model: Model,
+    settings: SamplerSettings | None = None,
+    *,
+    events: Sequence[ReducedEvent] = (),
+    draws_per_ensemble: int = 4_000,
+    prior_draws: int = 4_000,
+    store: CheckpointStore | None = None,
+    say: Callable[[str], None] | None = None,
+    progress: Callable[[ProgressReport], None] | None = None,
+    threads: int = 1,
+) -> Sampled:
+    """Sample the posterior of a model until the stop rule holds, and assemble the fit.
+
+    Parameters
+    ----------
+    model
+        Of totals rows, or of telemetry with totals rows or without.
+    settings
+        Sampler settings with the seed; the same seed gives the same draws.
+    events
+        The telemetry events of a joint model, in its order.
+    draws_per_ensemble, prior_draws
+        How many draws the fit keeps.
+    store
+        Where finished blocks are kept, to go on from after a kill.
+    say, progress
+        Told about stages and sampling progress.
+    threads
+        For the likelihood; the draws do not depend on it.
+
+    Raises
+    ------
+    InputError
+        Settings that the sampler cannot use, or checkpoints of another run.
+    """
+    settings = settings or SamplerSettings()
+    settings.walkers_for(len(model.space.names))
+    if settings.ensembles * draws_per_ensemble < 2 * settings.target_ess:
+        raise InputError(
+            "output.draws_per_ensemble",
+            f"at least {-(-2 * settings.target_ess // settings.ensembles)}, so that the "
+            f"{settings.ensembles} ensembles can hold {settings.target_ess} effective draws",
+            str(draws_per_ensemble),
+            "keep more draws, or ask for a smaller target_ess",
+        )
+    tell = say or (lambda _: None)
+    tell(
+        f"{_count(event_ids(model))}, {len(model.space.names)} walked and "
+        f"{collapsed_size(model)} collapsed parameters"
+    )
+    with in_parts(log_density(model), threads) as density_of:
+        warm, chains = _sampled(
+            model, density_of, settings, draws_per_ensemble, store, tell, progress
+        )
+    z, density = chains.thinned(draws_per_ensemble)
+    tell(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
+    attributes: dict[str, str | float | int] = {
+        "seed": settings.seed,
+        "target_ess": settings.target_ess,
+        "walkers": chains.z.shape[2],
+        "log_evidence": warm.draws.log_evidence,
+        "log_evidence_se": warm.draws.log_evidence_se,
+        "pareto_k": warm.draws.pareto_k,
+        "laplace_log_evidence": warm.laplace_log_evidence,
+        "steps": chains.convergence.step,
+        "burn_in_steps": chains.burn_in,
+        "acceptance": float(chains.acceptance.mean()),
+        "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
+    }
+    rng = _stream(settings.seed, _LINEAR)
+    if isinstance(model, JointModel):
+        fit, _ = build_joint_fit(model, events, z, density, rng, attributes, prior_draws)
+    else:
+        fit = build_fit(model, z, density, rng, attributes, prior_draws)
+    return Sampled(model, settings, fit, z, warm, chains)
+
+
+def _sampled(
+    model: Model,
+    density_of: LogDensity,
+    settings: SamplerSettings,
+    draws_per_ensemble: int,
+    store: CheckpointStore | None,
+    tell: Callable[[str], None],
+    progress: Callable[[ProgressReport], None] | None,
+) -> tuple[WarmStart, Chains]:
+    """Warm start and ensembles, the moves chosen by what the warm start is worth."""
+    warm = _warm_start(density_of, len(model.space.names), settings.seed, store)
+    tell(
+        f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
+        f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
+    )
+    moves = settings
+    if warm.draws.pareto_k > WORST_PARETO_K and settings.independence_share > FALLBACK_INDEPENDENCE:
+        moves = replace(settings, independence_share=FALLBACK_INDEPENDENCE)
+        tell(
+            f"the proposal is poor (Pareto k̂ > {WORST_PARETO_K}): falling back on differential "
+            f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
+        )
+
+    def wants_more(chains: Chains) -> bool:
+        z, _ = chains.thinned(draws_per_ensemble)
+        walkers = chains.z.shape[2]
+        return _derived_ess(model, z, walkers, settings.seed) < settings.target_ess
+
+    chains = sample(
+        density_of,
+        warm.proposal,
+        moves,
+        store=store,
+        progress=progress,
+        more=wants_more,
+    )
+    return warm, chains
+
+
+def log_density(model: Model) -> LogDensity:
+    """The collapsed log posterior of either kind of model, as the sampler calls it."""
+    if isinstance(model, JointModel):
+        return partial(joint_log_posterior, model)
+    return partial(log_posterior, model)
+
+
+def event_ids(model: Model) -> tuple[str, ...]:
+    """Ids of all events of either kind of model."""
+    return model.event_ids if isinstance(model, JointModel) else model.stack.event_ids
+
+
+def _count(events: Sequence[str]) -> str:
+    return f"{len(events)} event{'s' if len(events) != 1 else ''}"
+
+
+def convergence_table(sampled: Sampled) -> pd.DataFrame:
+    """Autocorrelation time, R-hat and effective sample size of every walked parameter."""
+    convergence = sampled.chains.convergence
+    return pd.DataFrame(
+        {
+            "name": sampled.model.space.names,
+            "tau_steps": convergence.autocorrelation_time,
+            "rhat": convergence.rhat,
+            "ess": convergence.ess,
+        }
+    )
+
+
+def _stream(seed: int, which: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence((seed, which)))
+
+
+def collapsed_size(model: Model) -> int:
+    """Numbers integrated out: shared thrust levels, and each event's thrusts, torques and so on."""
+    if not isinstance(model, JointModel):
+        torques = int(np.count_nonzero(model.linear.torque_sd_n_m))
+        own = int(model.linear.own.shape[1]) + torques
+        return int(model.linear.shared.shape[1]) + own * len(model.stack.event_ids)
+    torques = int(np.count_nonzero(model.torque_sd_n_m)) * len(model.event_ids)
+    starts_and_tails = sum(3 + len(terms.pattern.cuts) for terms in model.telemetry)
+    thrusts = int(model.linear.own.shape[1]) * len(model.fired_ids)
+    return int(model.linear.shared.shape[1]) + thrusts + torques + starts_and_tails
+
+
+def _warm_start(
+    density_of: LogDensity, dimension: int, seed: int, store: CheckpointStore | None
+) -> WarmStart:
+    """The warm start: from its checkpoint, or computed and stored."""
+    stored = store.load("warmstart") if store else None
+    if stored is not None:
+        values = {key: np.asarray(array, dtype=np.float64) for key, array in stored.items()}
+        return WarmStart(
+            mode=values["mode"],
+            proposal=Proposal(values["location"], values["factor"], float(values["dof"])),
+            laplace_log_evidence=float(values["laplace_log_evidence"]),
+            draws=ImportanceDraws(
+                z=values["z"],
+                log_weights=values["log_weights"],
+                log_evidence=float(values["log_evidence"]),
+                log_evidence_se=float(values["log_evidence_se"]),
+                pareto_k=float(values["pareto_k"]),
+                efficiency=float(values["efficiency"]),
+            ),
+        )
+    rng = _stream(seed, _WARM_START)
+    warm = warm_start(density_of, dimension, rng)
+    if store is None:
+        return warm
+    draws = warm.draws
+    store.save(
+        "warmstart",
+        {
+            "mode": warm.mode,
+            "location": warm.proposal.location,
+            "factor": warm.proposal.factor,
+            "dof": np.array(warm.proposal.dof),
+            "laplace_log_evidence": np.array(warm.laplace_log_evidence),
+            "z": draws.z,
+            "log_weights": draws.log_weights,
+            "log_evidence": np.array(draws.log_evidence),
+            "log_evidence_se": np.array(draws.log_evidence_se),
+            "pareto_k": np.array(draws.pareto_k),
+            "efficiency": np.array(draws.efficiency),
+        },
+    )
+    return warm
+
+
+def _derived_ess(model: Model, z: Array, walkers: int, seed: int) -> float:
+    """Smallest bulk or tail effective sample size over what is drawn back for these points."""
+    m, n, d = z.shape
+    drawn = _derived(model, z.reshape(-1, d), _stream(seed, _LINEAR)).reshape(m, n, -1)
+    varying = drawn[..., drawn.std((0, 1)) > 0]
+    sizes = [min(stored_ess(varying[:, :, j], walkers)) for j in range(varying.shape[-1])]
+    return min(sizes, default=np.inf)
+
+
+def _derived(model: Model, z: Array, rng: np.random.Generator) -> Array:
+    """Draws (n, q) of the quantities beside the walked ones that the stop rule watches."""
+    if not isinstance(model, JointModel):
+        return draws_of(model, z, rng)[1].thrust_n.reshape(len(z), -1)
+    sample = draw_all(model, z, rng)
+    parts = [sample.torque_n_m.reshape(len(z), -1), *(own[:, :3] for own in sample.own)]
+    if sample.thrusts is not None:
+        parts += [sample.thrusts.thrust_n.reshape(len(z), -1), sample.thrusts.level_n]
+    return np.concatenate(parts, axis=1)

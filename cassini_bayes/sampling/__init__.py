@@ -1,0 +1,1 @@
+"""Modes, importance draws and emcee ensembles of a log density."""

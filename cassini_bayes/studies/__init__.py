@@ -1,0 +1,1 @@
+"""Campaigns that put the package to the test, and the pages of their results."""

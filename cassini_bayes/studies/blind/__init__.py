@@ -1,0 +1,1 @@
+"""The blind campaign: effects hidden in simulated telemetry, to be named."""

@@ -1,0 +1,237 @@
+"""An exact linear-Gaussian classifier that knows what a diagnosis has to find out.
+
+At the baseline's mode the data are y = X β + M_j s + noise, whitened, with β ~ N(0, P⁻¹): so
+y ~ N(M_j s, V) under cause j of size s (in prior scales), V = 1 + X P⁻¹ Xᵀ. Everything that y says
+of all causes is b = Mᵀ V⁻¹ y, and b ~ N(G s, G) with the Gram matrix G = Mᵀ V⁻¹ M. Under cause j,
+
+    log Z_j = ½ b_jᵀ (1 + G_jj)⁻¹ b_j − ½ log det(1 + G_jj)    for s ~ N(0, 1),
+
+and for one s between bounds that times the posterior's share of the bounds over the prior's. The
+attitude channel's information on rate bias and scale adds to G and b. docs/criticism.md §6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, logsumexp
+
+from cassini_bayes.diagnosis.extended import RATE_KINDS, Case, Hypothesis, extend, none_hypothesis
+from cassini_bayes.diagnosis.innovations import fitted_away, linearise
+from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.effects.catalogue import AXES, Catalogue, Effect
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.studies.blind.sizes import NULL_VALUES, hidden_oscillation
+
+Array = NDArray[np.float64]
+KINKED: Final = ("pulse_shape", "time_offset")
+"""Kinds whose change of the data has another direction on each side of zero."""
+KINK: Final = 5e-3  # prior scales off zero, where a kinked effect's slopes are taken
+BEST: Final = 3
+DRAWS: Final = 500
+
+
+@dataclass(frozen=True)
+class Side:
+    """A cause, or one side of it: its columns among all, bounds of its size, log prior."""
+
+    name: str
+    places: tuple[int, ...]
+    low: float
+    high: float
+    log_prior: float
+
+
+@dataclass(frozen=True)
+class Classifier:
+    """All causes of one flight: G (q, q), b (q,) of the flight's own data, and the causes."""
+
+    gram: Array
+    score: Array
+    sides: tuple[Side, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the causes."""
+        return tuple(dict.fromkeys(side.name for side in self.sides))
+
+    def log_scores(self, scores: Array) -> Array:
+        """Log of evidence times prior (n, causes) for statistics b (n, q)."""
+        each = [side.log_prior + log_evidence(self.gram, scores, side) for side in self.sides]
+        return np.stack(
+            [
+                logsumexp([v for v, s in zip(each, self.sides, strict=True) if s.name == n], axis=0)
+                for n in self.names
+            ],
+            axis=1,
+        )
+
+    def ranks(self, scores: Array, name: str) -> NDArray[np.int64]:
+        """Place (n,) of a cause among all of them, from 0."""
+        found = self.log_scores(scores)
+        own = found[:, [self.names.index(name)]]
+        return np.asarray((found > own).sum(1), dtype=np.int64)
+
+    def own_rank(self, name: str) -> int:
+        """Place of a cause by the flight's own data."""
+        return int(self.ranks(self.score[None], name)[0])
+
+    def expected(self, name: str, size: Array, rng: np.random.Generator) -> float:
+        """How often a cause of this size (its parameters in prior scales) is among the best."""
+        side = self._side_of(name, size)
+        mean = self.gram[:, side.places] @ size
+        values, vectors = np.linalg.eigh(self.gram)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        draws = mean + rng.standard_normal((DRAWS, len(mean))) @ root.T
+        return float((self.ranks(draws, name) < BEST).mean())
+
+    def _side_of(self, name: str, size: Array) -> Side:
+        own = [side for side in self.sides if side.name == name]
+        return next((s for s in own if s.low <= size[0] <= s.high), own[0])
+
+
+def log_evidence(gram: Array, scores: Array, side: Side) -> Array:
+    """log Z (n,) of a cause against none, at statistics (n, q)."""
+    places = list(side.places)
+    precision = np.eye(len(places)) + gram[np.ix_(places, places)]
+    b = scores[:, places]
+    mean = np.linalg.solve(precision, b.T).T
+    value = 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
+    if len(places) > 1:
+        return np.asarray(value)
+    width = precision[0, 0] ** -0.5
+    inside = _log_between((side.low - mean[:, 0]) / width, (side.high - mean[:, 0]) / width)
+    return np.asarray(value + inside - _log_between(np.array(side.low), np.array(side.high)))
+
+
+def _log_between(low: Array, high: Array) -> Array:
+    """log(Φ(high) − Φ(low)), on the side where it keeps its digits."""
+    turned = low > 0.0
+    a, b = np.where(turned, -high, low), np.where(turned, -low, high)
+    with np.errstate(divide="ignore"):
+        return np.asarray(log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b))))
+
+
+def classifier(
+    case: Case,
+    catalogue: Catalogue,
+    base: Mode,
+    hidden: Mapping[str, float],
+    flexible: Case | None = None,
+) -> Classifier:
+    """Build the classifier on a flight, linear about the baseline's mode.
+
+    Parameters
+    ----------
+    case, catalogue, base
+        The flight, the causes, the baseline's mode on it.
+    hidden
+        Parameters of what is hidden, by key: a time constant is known, not searched for.
+    flexible
+        The case with columns of an oscillation of known frequency, for ``flexible_mode``.
+    """
+    none = none_hypothesis(case, catalogue)
+    linear, _, _ = linearise(case, none, base.point)
+    # departures count from the centre of the prior, not from the mode
+    d = len(base.point)
+    target = linear.target + linear.columns[:, :d] @ base.point
+    sides: list[Side] = []
+    columns: list[Array] = []
+    for effect in catalogue.effects:
+        own_case = flexible if effect.kind == "flexible_mode" else case
+        if own_case is None:
+            continue
+        for sign in (1.0, -1.0) if effect.kind in KINKED else (0.0,):
+            own_none = none if own_case is case else none_hypothesis(own_case, catalogue)
+            columns.append(_columns(own_case, own_none, base, effect, sign, hidden))
+            first = sum(part.shape[1] for part in columns[:-1])
+            sides.append(_side(effect, sign, first))
+    every = np.concatenate(columns, axis=1)
+    weighed = np.asarray(fitted_away(linear, every))
+    gram, score = every.T @ weighed, weighed.T @ target
+    _add_attitude(gram, score, case, catalogue, sides)
+    return Classifier(gram, score, tuple(sides))
+
+
+def sizes_of(effect: Effect, values: Mapping[str, float], truth: Mapping[str, float]) -> Array:
+    """A hidden effect's parameters in prior scales, as the classifier's columns count them."""
+    if effect.kind == "flexible_mode":
+        values = hidden_oscillation(values)[1]
+    return np.array(
+        [
+            (values[p.key] - (truth[p.key] if p.is_departure else _null(p.key)))
+            / float(p.distribution.keywords["scale"])
+            for p in effect.parameters
+            if p.distribution.name != "lognorm"
+        ]
+    )
+
+
+def _null(key: str) -> float:
+    return NULL_VALUES.get(key, 0.0)
+
+
+def _side(effect: Effect, sign: float, first: int) -> Side:
+    sized = [p for p in effect.parameters if p.distribution.name != "lognorm"]
+    scale = float(sized[0].distribution.keywords["scale"])
+    low, high = ((end - _null(sized[0].key)) / scale for end in sized[0].distribution.support)
+    low, high = (
+        (max(low, 0.0), high) if sign > 0 else (low, min(high, 0.0)) if sign else (low, high)
+    )
+    share = 0.5 if sign else 1.0
+    places = tuple(range(first, first + len(sized)))
+    return Side(effect.name, places, low, high, float(np.log(share * effect.prior_probability)))
+
+
+def _columns(
+    case: Case,
+    none: Hypothesis,
+    base: Mode,
+    effect: Effect,
+    sign: float,
+    hidden: Mapping[str, float],
+) -> Array:
+    """Whitened change of the data (m, q) per prior scale of every parameter of an effect."""
+    plain, rest = [], []
+    for p in effect.parameters:
+        if p.distribution.name == "lognorm":
+            known = hidden.get(p.key)
+            rest.append(0.0 if known is None else float(p.distribution.standard_of(known)))
+            plain.append(p)
+            continue
+        scale = float(p.distribution.keywords["scale"])
+        middle = _null(p.key) + sign * KINK * scale
+        plain.append(replace(p, distribution=Distribution("norm", {"loc": middle, "scale": scale})))
+        rest.append(0.0)
+    extended = extend(none, [replace(effect, parameters=tuple(plain))], case)
+    linear, _, _ = linearise(case, extended, np.concatenate([base.point, rest]))
+    d = len(base.point)
+    sized = [i for i, p in enumerate(effect.parameters) if p.distribution.name != "lognorm"]
+    return linear.columns[:, [d + i for i in sized]]
+
+
+def _add_attitude(
+    gram: Array, score: Array, case: Case, catalogue: Catalogue, sides: Sequence[Side]
+) -> None:
+    """Add what attitude against integrated rates says of rate bias and scale."""
+    for side in sides:
+        kind, _, axis = side.name.partition(":")
+        if kind not in RATE_KINDS:
+            continue
+        i, a = side.places[0], AXES.index(axis)
+        mine = RATE_KINDS.index(kind)
+        score[i] += _scale(catalogue, side.name) * case.rates.linear[a, mine]
+        for other in sides:
+            theirs, _, same = other.name.partition(":")
+            if theirs in RATE_KINDS and same == axis:
+                both = _scale(catalogue, side.name) * _scale(catalogue, other.name)
+                j, other_kind = other.places[0], RATE_KINDS.index(theirs)
+                gram[i, j] += both * case.rates.precision[a, mine, other_kind]
+
+
+def _scale(catalogue: Catalogue, name: str) -> float:
+    return float(catalogue.effect(name).parameters[0].distribution.keywords["scale"])

@@ -1,0 +1,307 @@
+"""Effects to hide, with sizes in σ = √(δᵀV⁻¹δ).
+
+A first guess of the size is the curvature of the marginal likelihood on the flight without the
+effect. Controllers answer an effect and counters show only whole readings, so that the size that
+counts is measured on the flight that has it (:mod:`cassini_bayes.studies.blind.shift`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.diagnosis.extended import Case, Hypothesis, Oscillation, none_hypothesis
+from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.oscillation import flexible_case
+from cassini_bayes.effects.catalogue import Catalogue, Effect
+from cassini_bayes.errors import InputError
+from cassini_bayes.simulation import Truth
+from cassini_bayes.studies.blind.flights import Hidden, Scene
+from cassini_bayes.studies.blind.shift import Seen, changed_size, held, modelled_size, seen_at_truth
+
+Array = NDArray[np.float64]
+LARGEST_IN_PRIOR_SCALES: Final = 4.0
+NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
+NEWTON_STEPS: Final = 3
+STEP: Final = 0.05  # standard deviations, for slopes
+SHIFT: Final = 5e-3  # prior scales: small enough for the noise levels to stay where they are
+MOST_FLIGHTS: Final = 6
+MOST_DRAWS: Final = 50
+SAME_SIZE: Final = 0.05
+_LEAST_FACTOR: Final = 0.15
+_LEAST_TAU_S: Final = 0.005
+_ONE_SIDED: Final[Mapping[str, float]] = {
+    "thruster_leak": 1.0,
+    "thrust_warmup": 1.0,
+    "thruster_degraded": -1.0,
+}
+CURVED: Final = ("rate_bias", "rate_scale")
+"""Kinds whose size is the curvature's: attitude against rates speaks too, and nothing answers."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A trial before anything is hidden: its flight, baseline and truth, and the quiet flight."""
+
+    scene: Scene
+    case: Case
+    catalogue: Catalogue
+    base: Mode
+    truth: Truth
+    plain: Seen
+
+    def seen(self, hidden: Hidden) -> Seen:
+        """The flight without noise that has this effect."""
+        case = self.scene.fly_quietly((hidden,))
+        return seen_at_truth(case, self.catalogue, self.truth)
+
+
+def stage(scene: Scene, case: Case, catalogue: Catalogue, base: Mode) -> Stage:
+    """Fly without noise and without any effect."""
+    truth = scene.truth()
+    plain = seen_at_truth(scene.fly_quietly(()), catalogue, truth)
+    return Stage(scene, case, catalogue, base, truth, plain)
+
+
+@dataclass(frozen=True)
+class Growth:
+    """A way to make an effect grow: parameter values null + s × direction."""
+
+    effect: Effect
+    direction: Mapping[str, float]
+    constant: Mapping[str, float]
+
+    def values(self, s: float) -> dict[str, float]:
+        """Parameters (departures or values) at size s."""
+        return {
+            **{k: NULL_VALUES.get(k, 0.0) + s * v for k, v in self.direction.items()},
+            **self.constant,
+        }
+
+
+def draw_path(effect: Effect, rng: np.random.Generator) -> Growth:
+    """A direction drawn like the prior: s = 1 is one prior scale."""
+    direction, constant = {}, {}
+    several = sum(p.distribution.name != "lognorm" for p in effect.parameters) > 1
+    for parameter in effect.parameters:
+        if parameter.distribution.name == "lognorm":  # a time constant has no null
+            constant[parameter.key] = float(parameter.distribution.sample(rng, 1)[0])
+            continue
+        scale = float(parameter.distribution.keywords["scale"])
+        sign = _ONE_SIDED.get(effect.kind) or float(rng.choice([-1.0, 1.0]))
+        share = abs(float(rng.standard_normal())) if several else 1.0
+        direction[parameter.key] = sign * scale * share
+    return Growth(effect, direction, constant)
+
+
+def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
+    """Values drawn from the catalogue's priors: they are those at s = 1."""
+    direction, constant = {}, {}
+    for parameter in effect.parameters:
+        value = float(parameter.distribution.sample(rng, 1)[0])
+        if parameter.distribution.name == "lognorm":
+            constant[parameter.key] = value
+        else:
+            direction[parameter.key] = value - NULL_VALUES.get(parameter.key, 0.0)
+    return Growth(effect, direction, constant)
+
+
+def sensitivity(case: Case, catalogue: Catalogue, base: Mode, path: Growth) -> float:
+    """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
+    none = none_hypothesis(case, catalogue)
+    values = [_marginal(case, none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
+    bend = float((2.0 * values[1] - values[0] - values[2]) / SHIFT**2)
+    return float(np.sqrt(bend)) if bend > 0 else 0.0
+
+
+def _marginal(case: Case, none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
+    """Log marginal density at a fixed effect, the nuisances integrated out about the mode."""
+    hypothesis = held(none, path.effect, path.values(s), case)
+    moves = STEP * base.factor.T
+    offsets = np.vstack([0.0 * moves[:1], moves, -moves])
+    point, d = base.point, len(base.point)
+    for _ in range(NEWTON_STEPS):
+        found = hypothesis.log_density(point + offsets)
+        gradient = (found[1 : d + 1] - found[d + 1 :]) / (2.0 * STEP)
+        point = point + base.factor @ gradient
+    found = hypothesis.log_density(point + offsets)
+    gradient = (found[1 : d + 1] - found[d + 1 :]) / (2.0 * STEP)
+    return float(found[0] + 0.5 * gradient @ gradient)
+
+
+def hide(path: Growth, s: float, truth: Mapping[str, float], sigma: float) -> Hidden | None:
+    """The effect as the simulation takes it; None where such a size is not physical."""
+    values = path.values(s)
+    parameters = {}
+    for parameter in path.effect.parameters:
+        value = values[parameter.key]
+        low, high = parameter.distribution.support
+        if not low <= value <= high:
+            return None
+        if parameter.is_departure:
+            value += truth[parameter.key]
+        if parameter.key.endswith("inertia_kg_m2") and value <= 0.0:
+            return None
+        parameters[parameter.key] = float(value)
+    if parameters.get("tau_fall_s", 1.0) < _LEAST_TAU_S:
+        return None
+    if parameters.get("thrust_factor", 1.0) < _LEAST_FACTOR:
+        return None
+    return Hidden(path.effect.name, parameters, sigma)
+
+
+def measured(stage: Stage, path: Growth, s: float) -> Hidden | None:
+    """The effect at size s with its σ on the flight that has it; None if it cannot be flown."""
+    hidden = hide(path, s, stage.truth.parameters, float("nan"))
+    if hidden is None:
+        return None
+    try:
+        seen = stage.seen(hidden)
+    except InputError:
+        return None  # not a spacecraft, or not a motion, that the simulation accepts
+    if path.effect.kind == "time_offset":
+        sigma = changed_size(seen, stage.plain)
+    else:
+        sigma = modelled_size(seen, path.effect, path.values(s))
+    return Hidden(hidden.name, hidden.parameters, sigma)
+
+
+def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> Hidden | None:
+    """An effect with its size from the catalogue's prior; None if no draw can be flown."""
+    if effect.kind == "flexible_mode":
+        return _flexible(stage, effect, None, rng)
+    for _ in range(MOST_DRAWS):
+        path = draw_from_prior(effect, rng)
+        if effect.kind in CURVED:
+            rate = sensitivity(stage.case, stage.catalogue, stage.base, path)
+            found = hide(path, 1.0, stage.truth.parameters, rate)
+        else:
+            found = measured(stage, path, 1.0)
+        if found is not None:
+            return found
+    return None
+
+
+def sized_between(
+    stage: Stage, effect: Effect, low: float, high: float, rng: np.random.Generator
+) -> Hidden | None:
+    """An effect of low to high σ; None where no size that is believable and flies is that large."""
+    sigma = float(rng.uniform(low, high))
+    if effect.kind == "flexible_mode":
+        return _flexible(stage, effect, (sigma, (low, high)), rng)
+    path = draw_path(effect, rng)
+    rate = sensitivity(stage.case, stage.catalogue, stage.base, path)
+    if rate <= 0.0:
+        return None
+    start = min(sigma / rate, LARGEST_IN_PRIOR_SCALES)
+    if effect.kind in CURVED:
+        # believable sizes only, and none that is cut off
+        return hide(path, start, stage.truth.parameters, sigma) if start * rate >= sigma else None
+    return search_size(lambda s: measured(stage, path, s), start, sigma, (low, high))
+
+
+def search_size(
+    at: Callable[[float], Hidden | None], start: float, sigma: float, span: tuple[float, float]
+) -> Hidden | None:
+    """Find s whose measured σ is within 5 % of ``sigma``, or, at the end, inside ``span``.
+
+    Secant steps in log s, a factor of four at most: σ of a time offset rises in steps.
+    """
+    s, best = start, None
+    tried: list[tuple[float, float]] = []
+    for _ in range(MOST_FLIGHTS):
+        found = at(s)
+        if found is None:
+            return best
+        value = max(found.sigma, 1e-3)
+        if span[0] <= value <= span[1] and (
+            best is None or abs(value - sigma) < abs(best.sigma - sigma)
+        ):
+            best = found
+        if abs(value - sigma) < SAME_SIZE * sigma:
+            break
+        tried.append((s, value))
+        following = _next(tried, sigma)
+        if following is None:
+            break
+        s = following
+    return best
+
+
+def _next(tried: list[tuple[float, float]], sigma: float) -> float | None:
+    """Next s: between the nearest below and above, else by proportion; None beyond belief."""
+    below = [pair for pair in tried if pair[1] < sigma]
+    above = [pair for pair in tried if pair[1] > sigma]
+    if below and above:
+        (a, fa), (b, fb) = max(below), min(above)
+        share = np.log(sigma / fa) / np.log(fb / fa)
+        return float(np.exp(np.log(a) + np.clip(share, 0.15, 0.85) * np.log(b / a)))
+    s, value = tried[-1]
+    if s >= LARGEST_IN_PRIOR_SCALES and value < sigma:
+        return None
+    return min(s * float(np.clip(sigma / value, 0.25, 4.0)), LARGEST_IN_PRIOR_SCALES)
+
+
+def hidden_oscillation(values: Mapping[str, float]) -> tuple[Oscillation, dict[str, float]]:
+    """What the model calls an oscillation that the simulation hides: its line, its parameters.
+
+    The simulation is told the frequency of the free spacecraft and how fast the body swings.
+    """
+    clamped = float(np.sqrt(1.0 - values["inertia_fraction"]))
+    line = Oscillation(
+        values["frequency_hz"] * clamped, values["damping"] * clamped, int(values["axis"])
+    )
+    found = {
+        "cosine_rad_s": -values["amplitude_rad_s"],
+        "sine_rad_s": 0.0,
+        "inertia_fraction": values["inertia_fraction"],
+        "frequency_shift": 0.0,
+        "damping_shift": 0.0,
+    }
+    return line, found
+
+
+def _flexible(
+    stage: Stage,
+    effect: Effect,
+    wanted: tuple[float, tuple[float, float]] | None,
+    rng: np.random.Generator,
+) -> Hidden | None:
+    """An oscillation between 10 and 316 mHz (log-uniform), size σ and its span given or by prior.
+
+    Amplitude and moving inertia grow together: however little it swings at first, an appendage is
+    driven by whatever moves the body.
+    """
+    known = {
+        "frequency_hz": float(10.0 ** rng.uniform(-2.0, -0.5)),
+        "damping": float(rng.choice([0.0, 0.001, 0.003])),
+        "axis": float(rng.integers(3)),
+    }
+    drawn = {p.key: float(p.distribution.sample(rng, 1)[0]) for p in effect.parameters}
+    amplitude = float(np.hypot(drawn["cosine_rad_s"], drawn["sine_rad_s"]))
+
+    def at(s: float) -> Hidden | None:
+        parameters = {
+            **known,
+            "amplitude_rad_s": s * amplitude,
+            "inertia_fraction": s * drawn["inertia_fraction"],
+        }
+        hidden = Hidden(effect.name, parameters, float("nan"))
+        try:
+            seen = stage.seen(hidden)
+        except InputError:
+            return None  # not a motion that the simulation accepts
+        line, values = hidden_oscillation(parameters)
+        case = flexible_case(seen.case, line)
+        none = none_hypothesis(case, stage.catalogue)
+        sigma = modelled_size(replace(seen, case=case, none=none), effect, values)
+        return replace(hidden, sigma=sigma)
+
+    if wanted is None:
+        return at(1.0)
+    sigma, span = wanted
+    return search_size(at, 1.0, sigma, span)

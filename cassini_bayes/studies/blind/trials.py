@@ -1,0 +1,282 @@
+"""Blind trials: an effect is hidden in simulated telemetry and the diagnosis has to find it.
+
+A trial draws truth, geometry, cause and size, flies the scenario, diagnoses it without a hint and
+keeps what was said: one JSON file per trial.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.diagnosis.evidence import Weighed
+from cassini_bayes.diagnosis.extended import compact, none_hypothesis
+from cassini_bayes.diagnosis.modes import baseline_mode
+from cassini_bayes.diagnosis.naming import Verdict, name_causes
+from cassini_bayes.diagnosis.oscillation import flexible_case
+from cassini_bayes.diagnosis.p_value import p_value
+from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
+from cassini_bayes.effects.catalogue import Catalogue, Effect, read_catalogue
+from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.storage import write_text
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
+from cassini_bayes.studies.blind.oracle import classifier, sizes_of
+from cassini_bayes.studies.blind.sizes import (
+    MOST_DRAWS,
+    Stage,
+    hidden_oscillation,
+    sized_between,
+    sized_from_prior,
+    stage,
+)
+from cassini_bayes.studies.blind.uncatalogued import draw_uncatalogued
+
+Array = NDArray[np.float64]
+# name, number of trials in a full campaign
+STRATA: Final = (
+    ("prior", 150),
+    ("null", 100),
+    ("clear", 80),
+    ("faint", 60),
+    ("uncatalogued", 40),
+    ("two", 40),
+)
+SIGMAS: Final[Mapping[str, tuple[float, float]]] = {
+    "clear": (5.0, 10.0),
+    "faint": (2.0, 3.0),
+    "two": (5.0, 10.0),
+}
+KEPT_CAUSES: Final = 8
+
+
+class NothingToHideError(Exception):
+    """No effect of the wanted size could be flown."""
+
+
+def stratum_of(index: int) -> str:
+    """Stratum of a trial: any first part of the campaign holds all strata in proportion."""
+    total = sum(count for _, count in STRATA)
+    slots = [((i + 0.5) / count, name) for name, count in STRATA for i in range(count)]
+    return sorted(slots)[index % total][1]
+
+
+def draw_effect(catalogue: Catalogue, rng: np.random.Generator) -> Effect:
+    """A cause drawn by its prior probability among the catalogue's."""
+    weights = np.array([effect.prior_probability for effect in catalogue.effects])
+    return catalogue.effects[int(rng.choice(len(weights), p=weights / weights.sum()))]
+
+
+def choose_hidden(stratum: str, set_up: Stage, rng: np.random.Generator) -> tuple[Hidden, ...]:
+    """What a trial of this stratum hides.
+
+    Raises
+    ------
+    NothingToHideError
+        After many draws none could be flown at such a size.
+    """
+    catalogue = set_up.catalogue
+    if stratum == "prior":
+        total = catalogue.none_probability + sum(e.prior_probability for e in catalogue.effects)
+        if rng.uniform() < catalogue.none_probability / total:
+            return ()
+    wanted = 2 if stratum == "two" else 1
+    found: list[Hidden] = []
+    for _ in range(MOST_DRAWS):
+        made = _drawn(stratum, set_up, [h.name.partition(":")[0] for h in found], rng)
+        if made is not None:
+            found.append(made)
+        if len(found) == wanted:
+            return tuple(found)
+    raise NothingToHideError(f"nothing to hide in {MOST_DRAWS} draws for {stratum}")
+
+
+def _drawn(
+    stratum: str, set_up: Stage, taken: Sequence[str], rng: np.random.Generator
+) -> Hidden | None:
+    if stratum == "uncatalogued":
+        return draw_uncatalogued(set_up, rng)
+    effect = draw_effect(set_up.catalogue, rng)
+    if effect.kind in taken:
+        return None
+    if stratum == "prior":
+        return sized_from_prior(set_up, effect, rng)
+    return sized_between(set_up, effect, *SIGMAS[stratum], rng)
+
+
+def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str, Any]:
+    """One trial, as the record that is kept."""
+    own = read_priors(campaign.priors) if priors is None else priors
+    rng = np.random.default_rng(np.random.SeedSequence((campaign.seed, index)))
+    stratum = stratum_of(index)
+    scene = Scene(campaign, campaign.document(rng), int(rng.integers(2**62)), own)
+    began, worked = time.monotonic(), time.process_time()
+    case = scene.fly(())
+    catalogue = read_catalogue(own, case.wheels, case.inputs)
+    hidden: tuple[Hidden, ...] = ()
+    if stratum != "null":
+        none = compact(none_hypothesis(case, catalogue))
+        base = baseline_mode(none.log_density, none.dimension)
+        hidden = choose_hidden(stratum, stage(scene, case, catalogue, base), rng)
+    if hidden:
+        case = scene.fly(hidden)
+    prepared = time.process_time()
+    verdict = name_causes(case, catalogue, rng, pairs=stratum == "two")
+    diagnosed = time.process_time()
+    truth = scene.truth().parameters
+    return {
+        "index": index,
+        "seed": campaign.seed,
+        "events": list(campaign.events),
+        "code": trial_code(),
+        "stratum": stratum,
+        **_record(verdict, hidden, rng),
+        **_oracle(verdict, hidden, truth, rng),
+        "cpu_prepare_s": prepared - worked,
+        "cpu_diagnose_s": diagnosed - prepared,
+        "wall_s": time.monotonic() - began,
+    }
+
+
+def _oracle(
+    verdict: Verdict,
+    hidden: Sequence[Hidden],
+    truth: Mapping[str, float],
+    rng: np.random.Generator,
+) -> dict[str, Any]:
+    """Place of a single catalogued cause for the oracle, and how often it expects the best three.
+
+    Its oscillation is the hidden one, or else the one that the diagnosis looked at.
+    """
+    nothing = {"oracle_rank": None, "oracle_expected": None}
+    if len(hidden) != 1 or hidden[0].name not in verdict.catalogue.names:
+        return nothing
+    effect, values = verdict.catalogue.effect(hidden[0].name), hidden[0].parameters
+    line = verdict.oscillation
+    if effect.kind == "flexible_mode":
+        line = hidden_oscillation(values)[0]
+    flexible = None if line is None else flexible_case(verdict.case, line)
+    found = classifier(verdict.case, verdict.catalogue, verdict.none.mode, values, flexible)
+    return {
+        "oracle_rank": found.own_rank(effect.name),
+        "oracle_expected": found.expected(effect.name, sizes_of(effect, values, truth), rng),
+    }
+
+
+def _record(verdict: Verdict, hidden: Sequence[Hidden], rng: np.random.Generator) -> dict[str, Any]:
+    probabilities = verdict.probabilities
+    none = verdict.none.log_evidence
+    causes = [
+        {
+            "name": w.name,
+            "probability": probabilities[w.name],
+            "log_bayes_factor": float(w.net_evidence - none),
+        }
+        for w in verdict.weighed[:KEPT_CAUSES]
+    ]
+    p = float("nan")
+    if verdict.linear is not None:
+        p = p_value(verdict.linear, [own.time_s for own in verdict.rows], rng)
+    return {
+        "hidden": [
+            {"name": h.name, "parameters": dict(h.parameters), "sigma": h.sigma} for h in hidden
+        ],
+        "causes": causes,
+        "confounded_with": list(verdict.confounded_with(verdict.best.name)),
+        "probability_of_none": probabilities["none"],
+        "probability_of_unknown": probabilities["unknown"],
+        "probability_of_truth": [probabilities.get(h.name, 0.0) for h in hidden]
+        or [probabilities["none"]],
+        "rank_of_truth": [_rank(verdict, h.name) for h in hidden],
+        "sizes": [s for h in hidden for s in _sizes(verdict, h, rng)],
+        "pair": None if verdict.pair is None else verdict.pair.name,
+        "pair_gain": None
+        if verdict.pair is None
+        else float(verdict.pair.net_evidence - verdict.best_cause.net_evidence),
+        "pair_first_like": list(verdict.confounded_with(verdict.best_cause.name)),
+        "pair_second_like": list(verdict.pair_alike),
+        "p_value": p,
+    }
+
+
+def _rank(verdict: Verdict, name: str) -> int | None:
+    """Place of a name among the real causes, from 0; None outside the catalogue."""
+    real = [w.name for w in verdict.weighed if w.hypothesis.effects]
+    return real.index(name) if name in real else None
+
+
+def _sizes(
+    verdict: Verdict, hidden: Hidden, rng: np.random.Generator
+) -> list[dict[str, float | str | bool]]:
+    """Whether the 90 % interval of the true cause's parameters holds what was hidden."""
+    found: Weighed | None = next((w for w in verdict.weighed if w.name == hidden.name), None)
+    if found is None:
+        return []
+    draws, weights = size_draws(verdict.case, found, rng)
+    result: list[dict[str, float | str | bool]] = []
+    for key, values in draws.items():
+        if key not in hidden.parameters:
+            continue
+        low, high = weighted_interval(values, weights)
+        true = float(hidden.parameters[key])
+        result.append(
+            {
+                "parameter": key,
+                "true": true,
+                "low": low,
+                "high": high,
+                "covers": low <= true <= high,
+            }
+        )
+    return result
+
+
+def trial_code() -> str:
+    """Digest of all code that a verdict can depend on."""
+    return code_digest("studies.blind.trials")[:16]
+
+
+def trial_file(folder: Path, index: int) -> Path:
+    """Where a trial's record is kept."""
+    return folder / f"trial_{index:04d}.json"
+
+
+def is_done(campaign: Blind, index: int, folder: Path, code: str) -> bool:
+    """Whether the trial's record is there, whole, and was made by this campaign and code."""
+    path = trial_file(folder, index)
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    wanted = {"seed": campaign.seed, "code": code, "events": list(campaign.events)}
+    return all(found.get(key) == value for key, value in wanted.items())
+
+
+def failed_trial(campaign: Blind, index: int, error: Exception) -> dict[str, Any]:
+    """The record of a trial that ended in an exception: it is counted, and not done again."""
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return {
+        "index": index,
+        "seed": campaign.seed,
+        "events": list(campaign.events),
+        "code": trial_code(),
+        "stratum": stratum_of(index),
+        "error": f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})",
+    }
+
+
+def run_trial(campaign: Blind, index: int, folder: Path) -> None:
+    """Run a trial and keep its record, or the message of the exception that ended it."""
+    try:
+        record = trial(campaign, index)
+    # one trial must not end a campaign, whatever went wrong in it: the page counts failures
+    except Exception as error:  # noqa: BLE001
+        record = failed_trial(campaign, index, error)
+    write_text(trial_file(folder, index), json.dumps(record) + "\n")

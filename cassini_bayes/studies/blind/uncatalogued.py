@@ -1,0 +1,83 @@
+"""Something outside the catalogue, of at least a size in σ, for the blind trials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.diagnosis.extended import Case
+from cassini_bayes.errors import InputError
+from cassini_bayes.studies.blind.flights import Hidden
+from cassini_bayes.studies.blind.shift import changed_size
+from cassini_bayes.studies.blind.sizes import MOST_FLIGHTS, Stage
+
+LEAST_SIGMA: Final = 5.0
+
+
+@dataclass(frozen=True)
+class Strange:
+    """A kind outside the catalogue: parameters of unit size, those that do not grow, log10 span."""
+
+    name: str
+    direction: Mapping[str, float]
+    constant: Mapping[str, float]
+    span: tuple[float, float]
+
+    def hidden(self, size: float) -> Hidden:
+        """The effect at a size."""
+        grown = {key: size * value for key, value in self.direction.items()}
+        return Hidden(self.name, {**grown, **self.constant}, float("nan"))
+
+
+def draw_strange(case: Case, rng: np.random.Generator) -> Strange:
+    """An atmospheric torque, a pressure surge, a tachometer scale or plume impingement."""
+    kinds = ("atmospheric_torque", "pressure_surge", "tachometer_scale", "plume_impingement")
+    kind = str(rng.choice(kinds))
+    event = next(source for source in case.sources if source.thrusters)
+    if kind == "atmospheric_torque":
+        peak = rng.standard_normal(3)
+        direction = {f"peak_{a}_n_m": float(v) for a, v in zip("xyz", peak, strict=True)}
+        when = {
+            "centre_s": float(rng.uniform(0.2, 0.8) * event.duration_s),
+            "width_s": float(rng.uniform(50.0, 250.0)),
+        }
+        return Strange(kind, direction, when, (-4.7, -3.3))
+    if kind == "pressure_surge":
+        when = {
+            "start_s": float(rng.uniform(0.1, 0.6) * event.duration_s),
+            "decay_s": float(rng.uniform(100.0, 500.0)),
+        }
+        return Strange(kind, {"thrust_fraction": 1.0}, when, (-1.5, -0.5))
+    if kind == "tachometer_scale":
+        sign = float(rng.choice([-1.0, 1.0]))
+        return Strange(kind, {"slope_per_rpm": sign}, {}, (-6.0, -4.5))
+    thruster = str(rng.choice(event.thrusters))
+    return Strange(f"{kind}:{thruster}", {"lever_m": 1.0}, {}, (-1.5, -0.3))
+
+
+def draw_uncatalogued(stage: Stage, rng: np.random.Generator) -> Hidden | None:
+    """A strange effect, log-uniform over its span as far as it is at least 5 σ.
+
+    None where even the largest of its kind is smaller on this flight.
+    """
+    strange = draw_strange(stage.case, rng)
+    low, high = strange.span
+    top = _measured(stage, strange.hidden(10.0**high))
+    if top is None or top.sigma < LEAST_SIGMA:
+        return None
+    low = max(low, high - float(np.log10(top.sigma / LEAST_SIGMA)))
+    for _ in range(MOST_FLIGHTS):
+        found = _measured(stage, strange.hidden(10.0 ** float(rng.uniform(low, high))))
+        if found is not None and found.sigma >= LEAST_SIGMA:
+            return found
+    return top
+
+
+def _measured(stage: Stage, hidden: Hidden) -> Hidden | None:
+    try:
+        return replace(hidden, sigma=changed_size(stage.seen(hidden), stage.plain))
+    except InputError:
+        return None  # the simulation refuses it

@@ -1,0 +1,111 @@
+"""The same bias in the closed-loop simulation, for comparison (``predict --simulate``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.prediction.learning import Learned
+from cassini_bayes.prediction.requests import BiasRequest
+
+Array = NDArray[np.float64]
+
+RCS: Final = {"rate_gain_s": 10.0, "hysteresis": 0.15, "rate_knowledge_rad_s": 5e-5}
+"""Settings of the controller that come nearest to flight (docs/simulation.md §7)."""
+START_RATE_RAD_S: Final = 2e-5
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Simulated biases, one per row: on-times (n, K) s, pulses (n, K), durations (n,) s."""
+
+    on_time_s: Array
+    pulses: Array
+    duration_s: Array
+
+
+def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: int) -> ClosedLoop:
+    """Fly the bias in closed loop with ``seeds`` draws of the fitted physics.
+
+    Raises
+    ------
+    InputError
+        Without a mass of the spacecraft (the simulation needs one), or fewer than one seed.
+    """
+    from cassini_bayes.simulation import make_plan, simulate_plan
+    from cassini_bayes.simulation.reader import scenario_of
+    from cassini_bayes.studies.scenario import draw_truth
+
+    if seeds < 1:
+        raise InputError("--simulate", "at least one simulation", str(seeds), "ask for 1 or more")
+    if learned.mass is None:
+        raise InputError("--simulate", "masses in the fit's events", "none", "fill in mass_kg")
+    rows = []
+    for draw in range(min(seeds, learned.size)):
+        document = _document(learned, request, draw)
+        file = scenario_of(document, ".", "predict --simulate")
+        truth = draw_truth(file, seed + draw)
+        event = file.scenario.event[0]
+        plan = make_plan(file.scenario, file.spacecraft, event, truth)
+        motion = simulate_plan(plan, file.scenario, seed + draw).motion
+        logs = [motion.pulses[name] for name in learned.model.stack.thrusters]
+        rows.append(
+            (
+                [float(log.width_s.sum()) for log in logs],
+                [float(log.width_s.size) for log in logs],
+                float(motion.duration_s),
+            )
+        )
+    on_time, pulses, lasts = zip(*rows, strict=True)
+    return ClosedLoop(np.array(on_time), np.array(pulses), np.array(lasts))
+
+
+def _document(learned: Learned, request: BiasRequest, draw: int) -> dict[str, Any]:
+    """A scenario of one bias with the physics of one draw."""
+    model, physics = learned.model, learned.physics
+    level = physics.level_n[draw]
+    wheels = tuple(w.number for w in model.spacecraft.wheels if w.number in request.wheels)
+    order = [request.wheels.index(number) for number in wheels]
+    used = {
+        name
+        for wheel in model.spacecraft.wheels
+        if wheel.number in wheels
+        for name in wheel.parameters
+    }
+    wanted = ("tau_", "cm_", "inertia_", "thruster_")
+    truth: dict[str, Any] = {
+        name: float(np.broadcast_to(value, (physics.size,))[draw])
+        for name, value in physics.parameters.items()
+        if name.startswith(wanted) or name in used
+    }
+    truth["thrust_common_n"] = float(level.mean())
+    truth["thrust_individual_n"] = {
+        name: float(level[k] - level.mean()) for k, name in enumerate(model.stack.thrusters)
+    }
+    assert learned.mass is not None
+    epoch = request.epoch or learned.last_epoch
+    truth["mass_kg"] = float(learned.mass.at(epoch)[draw])
+    return {
+        "spacecraft": {
+            "name": model.spacecraft.name,
+            "branch": model.branch,
+            "wheels": list(wheels),
+        },
+        "truth": truth,
+        "rcs": dict(RCS),
+        "start": {"attitude_spread": 1.0, "rate_rad_s": START_RATE_RAD_S},
+        "propulsion": {"pulse_shape": model.pulse_shape.name},
+        "event": [
+            {
+                "id": "bias",
+                "kind": "bias",
+                "epoch": epoch,
+                "from_rpm": [float(request.start_rpm[i]) for i in order],
+                "to_rpm": [float(request.end_rpm[i]) for i in order],
+            }
+        ],
+    }

@@ -1,0 +1,148 @@
+"""Momentum, order of the integrator, impulse of single pulses, speed."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.simulation import (
+    Motion,
+    ScenarioFile,
+    make_plan,
+    read_scenario,
+    stream,
+)
+from cassini_bayes.simulation.arrays import make_thrusters
+from cassini_bayes.simulation.engine import Steps, simulate_motion
+from cassini_bayes.simulation.kernel import thrust_step
+from cassini_bayes.simulation.settings import StartSettings
+from cassini_bayes.simulation.telemetry import record_interval_s
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.studies.scenario import draw_truth, simulate_file
+from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated
+from cassini_bayes.studies.simulation.tables import markdown
+
+WIDTHS_S: Final = (0.007, 0.02, 0.06, 0.125, 0.25, 0.5, 0.75)
+SHAPES: Final = ("rectangular", "first_order", "first_order_held", "published_2005")
+ORDER_STEPS_S: Final = (2.0, 1.0, 0.5)
+FINEST_STEP_S: Final = 0.0625
+
+
+def relative_drift(motion: Motion) -> float:
+    """Largest |H − H(0) − ∫τ dt| over the largest |H|, inertial frame."""
+    momentum = motion.momentum_inertial_n_m_s()
+    gain = momentum - momentum[0] - motion.angular_impulse_n_m_s
+    return float(np.abs(gain).max() / np.linalg.norm(momentum, axis=1).max())
+
+
+def momentum_section() -> str:
+    """Momentum, integrator order, impulse and speed, as a table."""
+    slews = read_scenario(SCENARIOS / "slews_2000.toml")
+    biases = read_scenario(SCENARIOS / "biases_2009_2010.toml")
+    hour = simulated(slews, 1)[0].motion
+    bias = simulated(biases, 1)[0].motion
+    orders = integrator_orders(biases)
+    rows = [
+        [
+            "relative drift of inertial momentum, slews, 4200 s",
+            f"{relative_drift(hour):.1e}",
+            "1e-8",
+        ],
+        [
+            "drift beyond the torque's integral, wheel bias",
+            f"{relative_drift(bias):.1e}",
+            "1e-8",
+        ],
+        [
+            "order of the integrator, tumbling, steps of 2, 1, 0.5 s",
+            ", ".join(f"{order:.2f}" for order in orders),
+            "4",
+        ],
+        *(
+            [
+                f"largest relative error of a pulse's impulse, 7 to 750 ms, {shape}",
+                f"{max(impulse_error(width, shape) for width in WIDTHS_S):.1e}",
+                "1e-6",
+            ]
+            for shape in SHAPES
+        ),
+        ["speed, wheel bias, 5 ms steps, one core", f"{speed(biases):,.0f} × real time", "2,000"],
+        [
+            "speed, slews with two appendages, 5 ms steps",
+            f"{speed(slews):,.0f} × real time",
+            "2,000",
+        ],
+        ["in memory, wheel bias of 1291 s to telemetry", f"{in_memory_s(biases, 1):.2f} s", "–"],
+        ["in memory, slews of 4200 s to telemetry", f"{in_memory_s(slews, 0):.2f} s", "–"],
+    ]
+    return markdown(["figure", "measured", "required"], rows)
+
+
+def integrator_orders(file: ScenarioFile) -> tuple[float, ...]:
+    """log₂ of the ratio of errors when the step is halved: a tumbling body, no thrusters.
+
+    Errors are distances of attitude and rate at the end from a run with a far finer step.
+    """
+    event = file.scenario.event[0].model_copy(
+        update={"thrusters_on": False, "duration_s": 96.0, "start": StartSettings(rate_rad_s=0.1)}
+    )
+    ends = []
+    for step in (*ORDER_STEPS_S, FINEST_STEP_S):
+        scenario = file.scenario.model_copy(
+            update={"event": (event,), "step_s": step, "cycle_s": ORDER_STEPS_S[0]}
+        )
+        plan = make_plan(scenario, file.spacecraft, event, draw_truth(file, 1))
+        steps = Steps.of(step, scenario.cycle_s, scenario.cycle_s)
+        motion = simulate_motion(plan, steps, stream(1, "start"), stream(1, "knowledge"))
+        ends.append(np.concatenate([motion.attitude[-1], motion.rate_rad_s[-1]]))
+    errors = [float(np.linalg.norm(end - ends[-1])) for end in ends[:-1]]
+    return tuple(math.log2(a / b) for a, b in itertools.pairwise(errors))
+
+
+def impulse_error(width_s: float, shape: str = "first_order") -> float:
+    """Relative error of the impulse of one pulse against the closed form of its shape."""
+    file = read_scenario(SCENARIOS / "fsds_2005.toml")
+    truth = draw_truth(file, 1)
+    propulsion = file.scenario.propulsion.model_copy(update={"pulse_shape": shape})
+    scenario = file.scenario.model_copy(update={"propulsion": propulsion})
+    plan = make_plan(scenario, file.spacecraft, scenario.event[0], truth)
+    thrusters = make_thrusters(plan)
+    on, width = np.array([0.0]), np.array([width_s])
+    level = total = 0.0
+    for i in range(800):
+        level, gained = thrust_step(level, 0.005 * i, 0.005, on, width, 1, thrusters)
+        total += gained
+    taus = [plan.parameters[f"tau_{which}_s"] for which in ("delay", "rise", "fall")]
+    expected = float(PULSE_SHAPES[plan.propulsion.pulse_shape].effective_time(width_s, *taus))
+    return abs(total / expected - 1.0)
+
+
+def speed(file: ScenarioFile) -> float:
+    """Simulated seconds per second of processor time: the best of five, after compilation."""
+    truth = draw_truth(file, 1)
+    scenario = file.scenario
+    plan = make_plan(scenario, file.spacecraft, scenario.event[0], truth)
+    steps = Steps.of(scenario.step_s, scenario.cycle_s, record_interval_s(scenario.telemetry))
+    best = math.inf
+    for _ in range(6):
+        began = time.process_time()
+        motion = simulate_motion(plan, steps, stream(1, "start"), stream(1, "knowledge"))
+        best = min(best, time.process_time() - began)
+    return motion.duration_s / best
+
+
+def in_memory_s(file: ScenarioFile, index: int) -> float:
+    """Processor time from a checked scenario to the telemetry of one event: the best of three."""
+    event = file.scenario.event[index]
+    single = replace(file, scenario=file.scenario.model_copy(update={"event": (event,)}))
+    best = math.inf
+    for _ in range(3):
+        began = time.process_time()
+        simulate_file(single, 1)
+        best = min(best, time.process_time() - began)
+    return best

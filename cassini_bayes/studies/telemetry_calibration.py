@@ -1,0 +1,341 @@
+"""Simulation-based calibration of the joint model on closed-loop telemetry.
+
+Parameters are drawn from the priors, wheel biases and slews are flown by the simulation (which
+knows nothing of regressions), the telemetry is reduced and fitted, and the rank of each true value
+among its posterior draws is kept. Variants change which events are fitted, how often channels are
+sampled and how noisy the wheels are; controls are likelihoods that must fail.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.physics import physics_of
+from cassini_bayes.balance.statistics import (
+    EventStatistics,
+    Layout,
+    Samples,
+    Sampling,
+    reduce_chunks,
+)
+from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.storage import digest
+from cassini_bayes.model.joint import (
+    JointModel,
+    build_joint_model,
+    collapse_joint,
+    draw_joint,
+    full_parameters,
+    joint_log_posterior,
+    joint_physics,
+    sampling_of,
+)
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.results.ranks import rank
+from cassini_bayes.sampling.ensembles import SamplerSettings, sample
+from cassini_bayes.sampling.warmstart import warm_start
+from cassini_bayes.simulation import SimulatedEvent, scenario_of
+from cassini_bayes.studies.scenario import (
+    Simulation,
+    draw_wheel_rates,
+    simulate_file,
+    simulated_samples,
+)
+
+Array = NDArray[np.float64]
+LogDensity = Any
+Control = Literal["none", "balance-residual", "pulse-blind"]
+
+TRUSTED_K: Final = 0.5
+RANK_DRAWS: Final = 999
+# Degrees of freedom, pilots and number of importance draws, cheap first: the noise levels have long
+# tails that a heavier proposal covers. A chain stands in when all fail.
+EFFORTS: Final = ((15.0, 1, 2_500), (6.0, 3, 6_000), (5.0, 4, 12_000))
+# Some forty autocorrelation times of several hundred walkers: enough for 999 draws.
+CHAIN_STEPS: Final = 300
+TAKEOVER_S: Final = 30.0
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way of looking at the calibration scenario.
+
+    ``events`` are the ids that are fitted; ``telemetry`` replaces keys of the scenario's telemetry
+    table; ``wheel_noise_rpm`` is the median of a narrow prior of the wheel noise in place of the
+    priors file's wide one.
+    """
+
+    name: str
+    label: str
+    events: tuple[str, ...]
+    telemetry: Mapping[str, float]
+    wheel_noise_rpm: float | None = None
+    control: Control = "none"
+
+
+_ALL: Final = ("bias-1", "bias-2", "slews")
+_SLOW: Final = {"attitude_every_s": 4.0, "rate_every_s": 4.0, "wheel_every_s": 4.0}
+VARIANTS: Final = (
+    Variant("joint", "two biases and slews, 1 Hz", _ALL, {}),
+    Variant("bias", "one bias, 1 Hz", _ALL[:1], {}),
+    Variant("slew", "slews, 1 Hz", _ALL[2:], {}),
+    Variant("mixed", "rates 4 s, on-times 10 s", _ALL, {**_SLOW, "counter_every_s": 10.0}),
+    Variant("slow", "all channels 4 s", _ALL, {**_SLOW, "counter_every_s": 4.0}),
+    Variant("quiet-wheels", "wheel noise 0.2 rpm", _ALL, {}, 0.2),
+    Variant("noisy-wheels", "wheel noise 1 rpm", _ALL, {}, 1.0),
+)
+CONTROLS: Final = (
+    replace(
+        VARIANTS[6],
+        name="balance-residual",
+        label="control: Gaussian balance residual",
+        control="balance-residual",
+    ),
+    replace(
+        VARIANTS[0],
+        name="pulse-blind",
+        label="control: rows during pulses kept",
+        control="pulse-blind",
+    ),
+)
+
+
+def model_code_digest() -> str:
+    """Digest of all code that a repetition runs through: simulation, model, priors, draws."""
+    return code_digest("studies.telemetry_calibration")
+
+
+@dataclass(frozen=True)
+class TelemetryCampaign:
+    """Repetitions of one variant: scenario, priors, seed."""
+
+    scenario_path: str
+    priors_path: str
+    seed: int
+    variant: Variant
+
+    @property
+    def per_file(self) -> int:
+        """Repetitions that one checkpoint file holds."""
+        return 5
+
+    def identity(self) -> str:
+        """What finished repetitions depend on: variant, seed, scenario, priors, model code."""
+        scenario, priors = digest(Path(self.scenario_path)), digest(Path(self.priors_path))
+        return f"telemetry-sbc/{self.variant}/{self.seed}/{scenario}/{priors}/{model_code_digest()}"
+
+    def names(self) -> tuple[str, ...]:
+        """Names of the ranked scalars: walked parameters, thrusts and torques of the events."""
+        priors = self.priors()
+        thrusters = priors.spacecraft.thruster_names(priors.branch)
+        walked = _walked(priors, fires=any(_fires(e) for e in self.variant.events))
+        thrusts = [
+            f"thrust_n[{event},{thruster}]"
+            for event in self.variant.events
+            if _fires(event)
+            for thruster in thrusters
+        ]
+        first = self.variant.events[0]
+        torques = [f"external_torque_n_m[{first},{axis}]" for axis in "xyz"]
+        return (*walked, *thrusts, *torques)
+
+    def priors(self) -> Priors:
+        """The priors file, with the variant's own wheel noise."""
+        priors = read_priors(self.priors_path)
+        if self.variant.wheel_noise_rpm is None:
+            return priors
+        narrow = Distribution("lognorm", {"s": 0.3, "scale": self.variant.wheel_noise_rpm})
+        return priors.with_distribution("wheel_noise_rpm", narrow)
+
+    def repetition(self, index: int) -> tuple[Array, float, bool]:
+        """Draw, fly, reduce, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in."""
+        rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
+        priors = self.priors()
+        simulation = self.simulate(priors, rng)
+        model = joint_model_of(simulation, self.variant, priors, rng)
+        z, pareto_k, by_chain = _posterior_draws(log_density_of(model, self.variant), model, rng)
+        drawn = flat_draws(model, z, rng)
+        truth = flat_truth(simulation)
+        ranks = [rank(drawn[name], truth[name], rng) for name in self.names()]
+        return np.array(ranks), pareto_k, by_chain
+
+    def simulate(self, priors: Priors, rng: np.random.Generator) -> Simulation:
+        """Fly the scenario once, with wheel rates and truth of this repetition."""
+        path = Path(self.scenario_path)
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document["telemetry"] |= self.variant.telemetry
+        document["event"] = [e for e in document["event"] if e["id"] in self.variant.events]
+        draw_wheel_rates(document["event"], rng)
+        scenario = scenario_of(document, path.parent, str(path))
+        return simulate_file(scenario, int(rng.integers(2**62)), priors=priors)
+
+
+def _fires(event: str) -> bool:
+    return event.startswith("bias")
+
+
+def _walked(priors: Priors, fires: bool) -> tuple[str, ...]:
+    """Names of the walked parameters, in order, for events with or without thrusters."""
+    sampling = sampling_of(priors, (), 1.0, "first_order")
+    layout = Layout(priors.wheels, (), ())
+    silent = build_joint_model([(_made_up(layout), sampling)], priors).space.names
+    if not fires:
+        return silent
+    names = priors.spacecraft.thruster_names(priors.branch)
+    sampling = sampling_of(priors, names, 1.0, "first_order")
+    layout = Layout(priors.wheels, names, sampling.couples)
+    return build_joint_model([(_made_up(layout), sampling)], priors).space.names
+
+
+def _made_up(layout: Layout) -> EventStatistics:
+    """Statistics of nothing in particular, to ask a model for its parameters."""
+    size = layout.size
+    gram = np.tile(np.eye(size), (3, 3, 1, 1))
+    cuts = np.zeros(layout.cut.stop - layout.cut.start)
+    return EventStatistics(
+        "none", "slew", layout, 1.0, 1, gram, np.zeros((1, 3, size)), np.eye(1), cuts, 0.0
+    )
+
+
+def joint_model_of(
+    simulation: Simulation, variant: Variant, priors: Priors, rng: np.random.Generator
+) -> JointModel:
+    """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
+    reduced = []
+    for event in simulation.events:
+        samples, thrusters = simulated_samples(event)
+        samples = with_torque_noise(samples, event, rng)
+        duration = float(samples.time_s[-1])
+        sampling = sampling_of(priors, thrusters, duration, "first_order")
+        if variant.control == "pulse-blind":
+            sampling = replace(sampling, guard_s=0.0)
+        reduced.append((_statistics(event, samples, thrusters, sampling), sampling))
+    return build_joint_model(reduced, priors)
+
+
+def _statistics(
+    event: SimulatedEvent, samples: Samples, thrusters: tuple[str, ...], sampling: Sampling
+) -> EventStatistics:
+    layout = Layout(tuple(event.plan.wheel_numbers), thrusters, sampling.couples)
+    return reduce_chunks(event.plan.event.id, event.plan.event.kind, [samples], layout, sampling)
+
+
+def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Generator) -> Samples:
+    """Telemetry with the momentum of a white torque in it, as much as is true.
+
+    The simulation knows no such torque. Its momentum, conserved in inertial axes, goes to the
+    body's rates first, from where the wheels take it over with the controller's time constant.
+    """
+    plan = event.plan
+    density = plan.parameters["torque_noise_n_m_s05"]
+    values = {name: np.asarray(value) for name, value in plan.parameters.items()}
+    physics = physics_of(plan.spacecraft, "", values, fires=False)
+    numbers = [wheel.number for wheel in plan.spacecraft.wheels]
+    places = [numbers.index(number) for number in plan.wheel_numbers]
+    # no channel is slower than the attitude, which is sampled whenever wheels are
+    known = np.isfinite(samples.attitude[:, 0])
+    to_body = direction_cosines(samples.attitude[known])
+    steps = np.sqrt(np.diff(samples.time_s[known], prepend=samples.time_s[0]))
+    kicks = density * steps[:, None] * rng.standard_normal((len(steps), 3))
+    inertial = np.cumsum(np.einsum("nab,na->nb", to_body, kicks), axis=0)
+    momentum = np.full((len(samples), 3), np.nan)
+    momentum[known] = np.einsum("nab,nb->na", to_body, inertial)
+    by_wheels = np.full_like(momentum, np.nan)
+    by_wheels[known] = _taken_over(momentum[known], steps**2 / TAKEOVER_S)
+    wheels = by_wheels @ np.linalg.pinv(physics.wheel_weights[:, places]).T
+    rates = (momentum - by_wheels) @ np.linalg.inv(physics.inertia_kg_m2).T
+    return replace(
+        samples,
+        rate_rad_s=samples.rate_rad_s + rates,
+        wheel_rad_s=samples.wheel_rad_s + wheels,
+    )
+
+
+def _taken_over(momentum: Array, steps: Array) -> Array:
+    """A first-order lag of momentum (n, 3); ``steps`` (n,) are times between rows over τ."""
+    taken = np.zeros_like(momentum)
+    for i, share in enumerate(-np.expm1(-steps)):
+        before = taken[i - 1] if i > 0 else np.zeros(3)
+        taken[i] = before + share * (momentum[i] - before)
+    return taken
+
+
+def log_density_of(model: JointModel, variant: Variant) -> LogDensity:
+    """The log posterior; for the balance-residual control without its Jacobian."""
+    if variant.control == "balance-residual":
+        return partial(without_jacobian, model)
+    return partial(joint_log_posterior, model)
+
+
+def without_jacobian(model: JointModel, z: Array) -> Array:
+    """The naive likelihood: a density of the balance residual, which shrinks with everything.
+
+    Takes N log det I off again (docs/telemetry-likelihood.md §2).
+    """
+    physics = joint_physics(model, full_parameters(model, z))
+    rows = sum(terms.statistics.rows for terms in model.telemetry)
+    lost = rows * np.linalg.slogdet(physics.inertia_kg_m2)[1]
+    return np.asarray(joint_log_posterior(model, z) - lost)
+
+
+def _posterior_draws(
+    log_density: LogDensity, model: JointModel, rng: np.random.Generator
+) -> tuple[Array, float, bool]:
+    """Importance draws where k̂ allows, else draws of a chain."""
+    dimension = len(model.space.names)
+    for dof, pilots, draws in EFFORTS:
+        warm = warm_start(log_density, dimension, rng, dof=dof, pilots=pilots, draws=draws)
+        if warm.draws.pareto_k < TRUSTED_K:
+            return warm.draws.resample(rng, RANK_DRAWS), warm.draws.pareto_k, False
+    settings = SamplerSettings(
+        target_ess=RANK_DRAWS, max_steps=CHAIN_STEPS, seed=int(rng.integers(2**31))
+    )
+    chains = sample(log_density, warm.proposal, settings)
+    z, _ = chains.thinned(4 * RANK_DRAWS)
+    flat = z.reshape(-1, dimension)
+    return flat[rng.permutation(len(flat))[:RANK_DRAWS]], warm.draws.pareto_k, True
+
+
+def flat_draws(model: JointModel, z: Array, rng: np.random.Generator) -> dict[str, Array]:
+    """Every inferred scalar as name → (n,)."""
+    parameters = model.space.to_parameters(z)
+    draws = draw_joint(model, collapse_joint(model, z), rng)
+    flat = {name: np.asarray(parameters[name]) for name in model.space.names}
+    if draws.thrusts is not None:
+        names = model.spacecraft.thruster_names(model.branch)
+        for e, event in enumerate(model.fired_ids):
+            for k, thruster in enumerate(names):
+                flat[f"thrust_n[{event},{thruster}]"] = draws.thrusts.thrust_n[:, e, k]
+    for terms, own in zip(model.telemetry, draws.own, strict=True):
+        for c, axis in enumerate("xyz"):
+            flat[f"external_torque_n_m[{terms.id},{axis}]"] = own[:, 3 + c]
+    return flat
+
+
+def flat_truth(simulation: Simulation) -> dict[str, float]:
+    """The true values behind :func:`flat_draws`."""
+    truth = dict(simulation.events[0].plan.parameters)
+    for event in simulation.events:
+        name = event.plan.event.id
+        truth |= {
+            f"external_torque_n_m[{name},{axis}]": event.plan.parameters[
+                f"external_torque_{axis}_n_m"
+            ]
+            for axis in "xyz"
+        }
+        if _fires(name):
+            truth |= {
+                f"thrust_n[{name},{thruster}]": thrust
+                for thruster, thrust in event.plan.thrust_n.items()
+            }
+    return truth

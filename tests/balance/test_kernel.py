@@ -1,0 +1,121 @@
+"""Small linear algebra of the compiled likelihood against LAPACK, and what has no value.
+
+The likelihood as a whole is compared with plain algebra in tests/test_joint.py.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cassini_bayes.balance import kernel
+from cassini_bayes.balance.kernel import Entries, FastBands, Noise, Placed, SlowBand
+
+Array = NDArray[np.float64]
+
+
+def positive(size: int, seed: int) -> Array:
+    """A positive matrix of scales from 1e-6 to 1."""
+    rng = np.random.default_rng(seed)
+    scale = 10.0 ** rng.uniform(-6.0, 0.0, size)
+    rough = rng.standard_normal((size, 2 * size))
+    return np.asarray(scale[:, None] * (rough @ rough.T) * scale)
+
+
+@pytest.mark.parametrize("size", [1, 3, 4, 7])
+def test_axes_and_squares_are_those_of_lapack(size: int) -> None:
+    """Jacobi's rotations: the same eigenvalues, axes that are orthonormal and turn back."""
+    wanted = positive(size, size)
+    turned, axes = wanted.copy(), np.empty_like(wanted)
+    kernel._diagonalise(turned, axes)
+    values = np.diagonal(turned)
+    assert np.sort(values) == pytest.approx(np.linalg.eigvalsh(wanted), rel=1e-9, abs=1e-18)
+    assert axes.T @ axes == pytest.approx(np.eye(size), abs=1e-13)
+    assert (axes * values) @ axes.T == pytest.approx(wanted, rel=1e-9, abs=1e-15 * wanted.max())
+
+
+@pytest.mark.parametrize("size", [1, 3, 20])
+def test_factor_and_inverse_are_those_of_lapack(size: int) -> None:
+    """Cholesky's factor, its determinant, solutions and the inverse."""
+    matrix, lower, inverse = positive(size, size), np.empty((size, size)), np.empty((size, size))
+    wanted = np.linalg.slogdet(matrix)[1]
+    assert kernel._factor(matrix, lower) == pytest.approx(wanted, rel=1e-9)
+    assert lower == pytest.approx(np.linalg.cholesky(matrix), rel=1e-6, abs=1e-18)
+    assert kernel._invert(matrix, inverse) == pytest.approx(wanted, rel=1e-9)
+    assert inverse @ matrix == pytest.approx(np.eye(size), abs=1e-6)
+
+
+def equations(beside: Array, own_sd: float = 1.0) -> tuple[Array, Array, Array]:
+    """Normal equations of one unknown and the measured momentum, four modes, nothing faster."""
+    modes = np.random.default_rng(2).standard_normal((3, 2, 4))
+    slow = SlowBand(modes, np.ones(4), np.ones(1), np.eye(1), np.zeros(0), np.zeros((4, 0, 2)))
+    fast = FastBands(
+        np.zeros((0, 3, 3, 2, 2)),
+        np.zeros(0),
+        np.zeros(0),
+        np.zeros((0, 0)),
+        np.zeros((0, 4, 0, 2)),
+    )
+    places = np.arange(2)
+    entries = Entries(places, np.arange(3), places + 1, places[1:], places[1:])
+    noise = Noise(np.ones((1, 3, 1)), beside[None], np.full(1, 1e-12), np.zeros(1))
+    placed = Placed(np.zeros(1), 1.0, np.full((1, 1), own_sd))
+    return kernel.normal_equations(np.ones((1, 2, 3)), noise, entries, slow, fast, placed)
+
+
+def test_inner_products_of_modes_are_the_sums_written_out() -> None:
+    """White noise of three unlike axes: Σ over modes of (y_k)ᵀ W y_l."""
+    beside = positive(3, 9) + np.eye(3)
+    normal, log_scale, kept = equations(beside)
+    modes = np.random.default_rng(2).standard_normal((3, 2, 4))
+    covariance = beside + 1e-12
+    wanted = np.einsum("akm,ab,blm->kl", modes, np.linalg.inv(covariance), modes)
+    assert normal[0] == pytest.approx(wanted, rel=1e-9)
+    assert log_scale[0] == pytest.approx(-2.0 * np.linalg.slogdet(covariance)[1], rel=1e-9)
+    assert kept[0, 0] == pytest.approx(np.eye(1))
+
+
+def test_noise_that_is_none_has_no_density() -> None:
+    """A covariance with a negative direction gives −∞ and nothing that is not a number."""
+    normal, log_scale, _ = equations(np.diag([1.0, 1.0, -1.0]))
+    assert log_scale[0] == -np.inf
+    assert not normal.any()
+
+
+def test_own_unknowns_are_integrated_out_as_a_normal_is() -> None:
+    """Against the normal distribution written out, own unknowns and thrusts of unlike scales."""
+    rng = np.random.default_rng(4)
+    thrusters, own = 2, 3
+    size = thrusters + own + 1
+    rough = rng.standard_normal((size, 3 * size))
+    normal, mean = (rough @ rough.T)[None], rng.standard_normal(own)
+    sd, common = np.array([[10.0, 0.1, 1.0]]), np.array([0.7])
+    thrust = np.array([0.72, 0.65])
+    factor, shift, coupling, matrix, vector, constant = kernel.without_own(
+        normal, thrusters, mean, sd, common
+    )
+    departure = thrust - common
+    found = constant[0] + vector[0] @ departure - 0.5 * departure @ matrix[0] @ departure
+    # ∫ exp(−½ |y − X θ|²) N(own; mean, sd²), a quadratic form in the own unknowns
+    to_own, square = normal[0, thrusters:-1, thrusters:-1], np.diag(sd[0] ** -2)
+    pull = normal[0, thrusters:-1, -1] - normal[0, thrusters:-1, :thrusters] @ thrust
+    pull = pull + mean / sd[0] ** 2
+    precision = to_own + square
+    fit = normal[0, -1, -1] - 2.0 * thrust @ normal[0, :thrusters, -1]
+    fit += thrust @ normal[0, :thrusters, :thrusters] @ thrust
+    wanted = -0.5 * (fit + (mean / sd[0]) @ (mean / sd[0]))
+    wanted += 0.5 * pull @ np.linalg.solve(precision, pull)
+    wanted -= 0.5 * np.linalg.slogdet(precision)[1] + np.log(sd[0]).sum()
+    assert found == pytest.approx(wanted, rel=1e-9)
+    white = np.linalg.solve(factor[0].T, shift[0] - coupling[0] @ thrust)
+    assert mean + sd[0] * white == pytest.approx(np.linalg.solve(precision, pull), rel=1e-8)
+
+
+def test_own_unknowns_without_a_precision_have_no_density() -> None:
+    """Normal equations that no data give: −∞, and information of zero."""
+    normal = -10.0 * np.eye(3)[None]
+    found = kernel.without_own(normal, 1, np.zeros(1), np.ones((1, 1)), np.zeros(1))
+    assert found[-1][0] == -np.inf
+    assert not found[3].any()
+    assert np.isfinite(found[0]).all()

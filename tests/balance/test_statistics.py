@@ -1,0 +1,209 @@
+"""Telemetry to Gram matrices: which rows, which columns, whatever the chunks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from telemetry_cases import made_up_samples, reduced, telemetry_priors
+
+from cassini_bayes.balance.statistics import (
+    Carry,
+    Layout,
+    Samples,
+    load_statistics,
+    reduce_chunks,
+    save_statistics,
+    settle,
+)
+from cassini_bayes.balance.statistics.columns import effective_increments
+from cassini_bayes.balance.statistics.reduction import MODES, local_waves
+from cassini_bayes.balance.statistics.rows import quiet_rows
+from cassini_bayes.errors import InputError
+from cassini_bayes.model.joint import sampling_of
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+
+ARRAYS = ("gram", "projection", "mode_gram", "close_pairs")
+
+
+@pytest.mark.parametrize("chunks", [2, 3, 7, 40])
+@pytest.mark.parametrize("fires", [True, False])
+def test_chunks_do_not_matter(chunks: int, fires: bool) -> None:
+    """Statistics are the same however the telemetry is cut, also in the middle of a firing."""
+    samples = made_up_samples(np.random.default_rng(chunks), 160, fires=fires)
+    whole, _ = reduced(samples, telemetry_priors())
+    cut, _ = reduced(samples, telemetry_priors(), chunks=chunks)
+    assert cut.rows == whole.rows
+    for name in ARRAYS:
+        # pytest.approx would take seconds for a quarter of a million numbers
+        np.testing.assert_allclose(
+            getattr(cut, name), getattr(whole, name), rtol=1e-11, atol=1e-9, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("part", [0.3, 0.04, 1e-3])
+def test_few_polynomials_stand_for_all_cosines(part: float) -> None:
+    """Where many rows span a small part of an event, its cosines are made of fewer functions."""
+    turn = 0.6 + part * np.sort(np.random.default_rng(0).random(600))
+    waves, to_modes = local_waves(turn)
+    assert to_modes is not None
+    assert waves.shape[1] < 0.7 * MODES
+    expected = np.cos(np.pi * turn[:, None] * np.arange(1, MODES + 1))
+    np.testing.assert_allclose(waves @ to_modes.T, expected, rtol=0, atol=1e-11)
+    # and a quarter of them is not enough
+    few = waves.shape[1] // 4
+    assert np.abs(waves[:, :few] @ to_modes[:, :few].T - expected).max() > 1e-11
+
+
+def test_statistics_add_over_rows() -> None:
+    """The Gram matrices of two halves of the rows add up to those of all."""
+    samples = made_up_samples(np.random.default_rng(1), 100, fires=False)
+    whole, sampling = reduced(samples, telemetry_priors())
+    layout = whole.layout
+    rows, _ = settle(samples, Carry.start(layout), layout, sampling, final=True)
+    columns = [np.concatenate([rows.vector[:, c], rows.scalar], axis=1) for c in range(3)]
+    halves = [
+        sum(c[part].T @ d[part] for part in (slice(0, 40), slice(40, None)))
+        for c in columns
+        for d in columns
+    ]
+    assert np.array(halves).reshape(whole.gram.shape) == pytest.approx(whole.gram, rel=1e-12)
+
+
+def test_rows_during_a_pulse_are_left_out() -> None:
+    """A row counts only if the counters read before the guard time equal those at or after it."""
+    counter_time = np.arange(6.0)
+    counters = np.array([[0.0], [0.0], [1.0], [1.0], [1.0], [2.0]])
+    asked = np.array([0.0, 1.0, 1.5, 2.0, 3.0, 3.4, 4.0, 4.5, 5.0, 6.0])
+    quiet = quiet_rows(asked, counter_time, counters, guard_s=0.5)
+    assert quiet.tolist() == [
+        False,  # nothing is known before the first reading
+        True,
+        False,  # the pulse of the second reading may have begun
+        False,
+        True,
+        True,
+        True,
+        False,
+        False,
+        False,  # after the last reading nothing is known
+    ]
+
+
+def test_faster_rows_inside_unchanged_brackets_are_used() -> None:
+    """With on-times every 10 s the rows of a bracket without firing count, other rows do not."""
+    counter_time = np.array([0.0, 10.0, 20.0, 30.0])
+    counters = np.array([[0.0], [0.0], [3.0], [3.0]])
+    asked = np.arange(0.0, 31.0, 2.0)
+    quiet = quiet_rows(asked, counter_time, counters, guard_s=0.4)
+    used = set(asked[quiet])
+    assert used == {2.0, 4.0, 6.0, 8.0, 10.0, 22.0, 24.0, 26.0, 28.0, 30.0}
+
+
+def test_a_merged_firing_is_one_pulse() -> None:
+    """250 ms over two readings with one pulse count have one tail, not two."""
+    priors = telemetry_priors()
+    names = priors.spacecraft.thruster_names("B")
+    sampling = sampling_of(priors, names, 10.0, "first_order")
+    on_time = np.zeros((4, 8))
+    pulses = np.zeros((4, 8))
+    on_time[1, 0], on_time[2, 0], pulses[1, 0] = 0.2, 0.05, 1.0
+    effective = effective_increments(on_time, pulses, sampling)[:, 0, 0].sum()
+    curve = PULSE_SHAPES["first_order"].thrust_fraction
+    impulse = quad(
+        lambda t: float(curve(t, 0.25, *sampling.pulse_reference_s)),
+        0,
+        2.0,
+        limit=400,
+        points=[0.005, 0.255, 0.3, 0.4],
+    )[0]
+    assert effective == pytest.approx(impulse, rel=1e-6)
+
+
+def test_slopes_of_the_effective_on_time() -> None:
+    """The columns of τ_r and τ_f are derivatives of the effective on-time."""
+    priors = telemetry_priors()
+    names = priors.spacecraft.thruster_names("B")
+    sampling = sampling_of(priors, names, 10.0, "first_order")
+    on_time, pulses = np.zeros((3, 8)), np.zeros((3, 8))
+    on_time[1, 2], pulses[1, 2] = 0.09, 3.0
+    value, by_rise, by_fall = effective_increments(on_time, pulses, sampling)[1, 2]
+    _, rise, fall = sampling.pulse_reference_s
+    e = np.exp(-0.03 / rise)
+    assert value == pytest.approx(0.09 + 3 * (fall - rise) * (1 - e), rel=1e-12)
+    assert by_fall == pytest.approx(3 * (1 - e), rel=1e-7)
+    assert by_rise == pytest.approx(3 * (-(1 - e) - (fall - rise) * e * 0.03 / rise**2), rel=1e-7)
+
+
+def test_sign_of_the_quaternion_does_not_matter() -> None:
+    """q and −q are the same attitude: flipped signs give the same statistics."""
+    samples = made_up_samples(np.random.default_rng(2), 90)
+    flipped = samples.attitude.copy()
+    flipped[::3] *= -1.0
+    one, _ = reduced(samples, telemetry_priors())
+    other, _ = reduced(replace(samples, attitude=flipped), telemetry_priors())
+    assert other.gram == pytest.approx(one.gram, rel=1e-12)
+
+
+def test_statistics_survive_their_file(tmp_path: Path) -> None:
+    """What is written is read back; a damaged or missing cache file is no statistics."""
+    whole, _ = reduced(made_up_samples(np.random.default_rng(4), 80), telemetry_priors())
+    path = tmp_path / "event.npz"
+    save_statistics(path, whole)
+    back = load_statistics(path)
+    assert back is not None
+    assert back.layout == whole.layout
+    for name in ARRAYS:
+        assert np.array_equal(getattr(back, name), getattr(whole, name))
+    path.write_bytes(path.read_bytes()[:500])
+    assert load_statistics(path) is None
+    assert load_statistics(tmp_path / "none.npz") is None
+
+
+def test_too_few_rows_are_refused() -> None:
+    """Telemetry that fires all the time leaves nothing to use, and says so."""
+    samples = made_up_samples(np.random.default_rng(5), 40)
+    always = np.arange(40.0)[:, None] * np.full(8, 0.1)
+    busy = replace(samples, on_time_s=always, pulses=np.floor(always * 8))
+    with pytest.raises(InputError, match=r"within .* s of a firing"):
+        reduced(busy, telemetry_priors())
+
+
+def test_ceaseless_firing_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of a firing without end are worked up once enough of them wait."""
+    monkeypatch.setattr("cassini_bayes.balance.statistics.columns.MOST_WAITING", 30)
+    samples = made_up_samples(np.random.default_rng(6), 200)
+    always = np.arange(200.0)[:, None] * np.full(8, 0.1)
+    busy = replace(samples, on_time_s=always, pulses=np.floor(always * 8))
+    priors = telemetry_priors()
+    names = priors.spacecraft.thruster_names("B")
+    sampling = sampling_of(priors, names, 199.0, "first_order")
+    layout = Layout((1, 2, 4), names, sampling.couples)
+    carry = Carry.start(layout)
+    for start in range(0, 200, 10):
+        _, carry = settle(busy.part(start, start + 10), carry, layout, sampling, final=False)
+        assert carry.waiting is not None
+        assert len(carry.waiting) <= 40
+
+
+def test_the_reduction_wants_samples_in_order() -> None:
+    """Samples of several parts joined are the samples of the whole."""
+    samples = made_up_samples(np.random.default_rng(7), 30)
+    joined = Samples.joined([samples.part(0, 10), samples.part(10)])
+    assert np.array_equal(joined.time_s, samples.time_s)
+    one, _ = reduced(samples, telemetry_priors())
+    silent = made_up_samples(np.random.default_rng(8), 30, fires=False)
+    other, _ = reduced(silent, telemetry_priors())
+    with pytest.raises(ValueError, match="different layouts"):
+        one + other
+
+
+def test_reduction_of_nothing_is_refused() -> None:
+    """No chunk at all is too little telemetry."""
+    priors = telemetry_priors()
+    sampling = sampling_of(priors, (), 10.0, "first_order")
+    with pytest.raises(InputError, match="at least 10 rows"):
+        reduce_chunks("none", "slew", [], Layout((1, 2, 4), (), ()), sampling)

@@ -1,0 +1,82 @@
+"""What a diagnosis reads is checked as what a fit reads: mistakes are not taken for physics."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from event_cases import PRIORS, simulated
+
+from cassini_bayes.diagnosis.read import read_case
+from cassini_bayes.errors import InputError
+
+RATES = [f"rate_{axis}_rad_s" for axis in "xyz"]
+WHEELS = ["rwa1_rpm", "rwa2_rpm", "rwa4_rpm"]
+ATTITUDE = ["q1", "q2", "q3", "q4"]
+Change = Callable[[pd.DataFrame], None]
+
+
+def degrees(table: pd.DataFrame) -> None:
+    """Body rates in deg/s."""
+    table[RATES] = np.degrees(table[RATES])
+
+
+def radians(table: pd.DataFrame) -> None:
+    """Wheel rates in rad/s."""
+    table[WHEELS] *= 2.0 * np.pi / 60.0
+
+
+def scalar_first(table: pd.DataFrame) -> None:
+    """Quaternions with the scalar first."""
+    table[ATTITUDE] = np.roll(table[ATTITUDE].to_numpy(), 1, axis=1)
+
+
+def inverse(table: pd.DataFrame) -> None:
+    """Quaternions of the inverse rotation."""
+    table[ATTITUDE[:3]] *= -1.0
+
+
+def changed(folder: Path, event: str, change: Change) -> Path:
+    """A copy of a simulated event with changed telemetry."""
+    copy = folder / event
+    shutil.copytree(simulated() / event, copy)
+    table = pd.read_csv(copy / "telemetry.csv")
+    change(table)
+    table.to_csv(copy / "telemetry.csv", index=False)
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("event", "change", "told"),
+    [
+        ("slews", degrees, "deg/s"),
+        ("bias", radians, "rad/s"),
+        ("slews", scalar_first, "scalar-first"),
+        ("slews", inverse, "turn of the attitude"),
+    ],
+)
+def test_a_mistake_is_named_before_any_cause(
+    tmp_path: Path, event: str, change: Change, told: str
+) -> None:
+    """Units and conventions that a fit refuses are refused by a diagnosis, by the same name."""
+    with pytest.raises(InputError, match=told):
+        read_case([str(changed(tmp_path, event, change))], PRIORS)
+
+
+def test_events_of_another_branch_are_refused(tmp_path: Path) -> None:
+    """A-branch telemetry with B-branch priors is told, not explained by a cause."""
+    copy = changed(tmp_path, "bias", lambda _: None)
+    text = (copy / "event.toml").read_text(encoding="utf-8")
+    (copy / "event.toml").write_text(text.replace('branch = "B"', 'branch = "A"'), encoding="utf-8")
+    with pytest.raises(InputError, match="branch"):
+        read_case([str(copy)], PRIORS)
+
+
+def test_honest_events_are_read() -> None:
+    """The same events without a mistake pass."""
+    case = read_case([str(simulated() / name) for name in ("bias", "slews")], PRIORS)
+    assert [source.id for source in case.sources] == ["bias", "slews"]

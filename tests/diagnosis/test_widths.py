@@ -1,0 +1,56 @@
+"""Sensitivity to the effects' priors: evidence at other widths from the draws that there are."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import norm
+
+from cassini_bayes.diagnosis.evidence import TRUSTED_K, Weighed
+from cassini_bayes.diagnosis.extended import Hypothesis
+from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.widths import reweighted
+from cassini_bayes.effects.catalogue import Effect, EffectParameter
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.parameter_space import ParameterSpace
+from cassini_bayes.sampling.warmstart import pareto_k
+
+PRIOR_SD, NOISE_SD = 2.0e-3, 1.0e-3
+
+
+def weighed(seen: float, draws: int = 20_000) -> Weighed:
+    """A cause whose one parameter is measured once, with exact posterior draws."""
+    precision = 1.0 / PRIOR_SD**2 + 1.0 / NOISE_SD**2
+    mean, sd = seen / NOISE_SD**2 / precision, precision**-0.5
+    x = mean + sd * np.random.default_rng(1).standard_normal(draws)
+    prior = Distribution("norm", {"loc": 0.0, "scale": PRIOR_SD})
+    parameter = EffectParameter("effect_x", "x", "", prior, is_departure=False)
+    effect = Effect("x", "x", "", (parameter,), 0.1, ("telemetry",))
+    model = SimpleNamespace(space=ParameterSpace(("effect_x",), {}, (prior,), ("effect",)))
+    hypothesis = cast(Hypothesis, SimpleNamespace(name="x", effects=(effect,), model=model))
+    mode = Mode(np.array([mean / PRIOR_SD]), np.array([[sd / PRIOR_SD]]), 0.0)
+    even = np.full(draws, -np.log(draws))
+    return Weighed(hypothesis, mode, 0.0, 0.0, (x / PRIOR_SD)[:, None], even)
+
+
+@pytest.mark.parametrize("width", [0.5, 2.0])
+def test_evidence_at_another_width_is_the_closed_form(width: float) -> None:
+    """Normal prior and noise: evidence N(seen; 0, prior² + noise²) at either width."""
+    seen = 2.5e-3
+    log_weights = reweighted(weighed(seen), width)
+    found, k = logsumexp(log_weights), pareto_k(log_weights)
+    wanted = norm.logpdf(seen, 0.0, np.hypot(width * PRIOR_SD, NOISE_SD)) - norm.logpdf(
+        seen, 0.0, np.hypot(PRIOR_SD, NOISE_SD)
+    )
+    assert found == pytest.approx(wanted, abs=0.03)  # five Monte Carlo errors
+    assert k < TRUSTED_K
+
+
+def test_draws_that_do_not_reach_are_told() -> None:
+    """A prior thirty times narrower wants values that no draw of a clear effect has."""
+    k = pareto_k(reweighted(weighed(8.0e-3, draws=500), 1.0 / 30.0))
+    assert k > TRUSTED_K

@@ -1,0 +1,247 @@
+"""The joint model of telemetry: equal to a plain likelihood, right about evidence and draws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from telemetry_cases import (
+    made_up_samples,
+    model_of,
+    plain_log_likelihood,
+    reduced,
+    telemetry_priors,
+)
+
+from cassini_bayes.balance.bands import is_sparse, motion_table
+from cassini_bayes.balance.kernel import estimated_wheels
+from cassini_bayes.balance.physics import physical_inertia
+from cassini_bayes.errors import InputError
+from cassini_bayes.model.joint import (
+    build_joint_model,
+    collapse_joint,
+    draw_joint,
+    joint_log_likelihood,
+    joint_log_posterior,
+    with_equal_bands_merged,
+)
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.sampling.warmstart import warm_start
+from cassini_bayes.studies.telemetry_calibration import without_jacobian
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
+    """Gram matrices and elimination give what a dense normal over all raw rows gives, to 1e-9."""
+    rng = np.random.default_rng(seed)
+    events = [
+        made_up_samples(rng, 60),
+        made_up_samples(rng, 50, fires=False),
+        made_up_samples(rng, 300),  # enough for all bands
+        made_up_samples(rng, 110, every_s=4.0),  # sparse: as many modes as rows
+    ]
+    model = model_of(events)
+    assert [is_sparse(terms.statistics) for terms in model.telemetry] == [False] * 3 + [True]
+    for z in 0.5 * model.space.sample(rng, 2):
+        parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
+        plain = plain_log_likelihood(model, events, parameters)
+        assert joint_log_likelihood(model, z[None])[0] == pytest.approx(plain, rel=1e-9)
+
+
+def test_bands_alike_are_merged_without_a_change() -> None:
+    """Without torque noise a slew's bands as one give the plain likelihood; with it they stay."""
+    rng = np.random.default_rng(14)
+    events = [made_up_samples(rng, 60), made_up_samples(rng, 300, fires=False)]
+    free = telemetry_priors()
+    priors = free.with_fixed("torque_noise_n_m_s05", 0.0)
+    statistics = [reduced(samples, priors, f"e{i}") for i, samples in enumerate(events)]
+    model = build_joint_model(statistics, priors)
+    merged = with_equal_bands_merged(model)
+    assert [len(terms.fast) for terms in merged.telemetry] == [len(model.telemetry[0].fast), 1]
+    z = 0.5 * model.space.sample(rng, 1)
+    parameters = {name: float(v) for name, v in model.space.to_parameters(z[0]).items()}
+    plain = plain_log_likelihood(merged, events, parameters)
+    assert joint_log_likelihood(merged, z)[0] == pytest.approx(plain, rel=1e-9)
+    noisy = build_joint_model(statistics, free)
+    assert with_equal_bands_merged(noisy) is noisy
+
+
+def test_draws_have_the_conditional_moments() -> None:
+    """Draws of an event's own unknowns scatter about a mean with the precision of its equations."""
+    rng = np.random.default_rng(8)
+    model = model_of([made_up_samples(rng, 60, fires=False)])
+    z = np.repeat(model.space.sample(rng, 1), 4_000, axis=0)
+    collapsed = collapse_joint(model, z)
+    own = draw_joint(model, collapsed, rng).own[0]
+    factor = collapsed.own[0].factor[0]
+    covariance = np.linalg.inv(factor @ factor.T) * np.outer(
+        collapsed.own[0].sd[0], collapsed.own[0].sd[0]
+    )
+    expected = collapsed.own[0].mean + collapsed.own[0].sd[0] * np.linalg.solve(
+        factor.T, collapsed.own[0].shift[0]
+    )
+    error = (own.mean(0) - expected) / np.sqrt(np.diag(covariance) / len(own))
+    assert np.abs(error).max() < 4.0
+    assert np.cov(own.T) == pytest.approx(covariance, rel=0.2, abs=0.1 * covariance.max())
+
+
+def test_a_shared_prior_counts_once() -> None:
+    """The prior of a parameter is in the posterior once, however many events share it."""
+    rng = np.random.default_rng(5)
+    events = [made_up_samples(rng, 40), made_up_samples(rng, 40)]
+    model = model_of(events)
+    z = model.space.sample(rng, 3)
+    prior = -0.5 * (z**2).sum(1) - 0.5 * z.shape[1] * np.log(2 * np.pi)
+    assert joint_log_posterior(model, z) - joint_log_likelihood(model, z) == pytest.approx(prior)
+
+
+def test_walked_dimension_does_not_grow_with_events() -> None:
+    """One event and four walk in the same parameters; only what is integrated out grows."""
+    rng = np.random.default_rng(6)
+    one = model_of([made_up_samples(rng, 40)])
+    four = model_of([made_up_samples(rng, 40) for _ in range(4)])
+    assert one.space.names == four.space.names
+
+
+def test_a_common_thrust_that_is_not_normal_is_walked() -> None:
+    """Its prior cannot be integrated out; nearly normal it gives what the normal one gives."""
+    rng = np.random.default_rng(11)
+    priors = telemetry_priors()
+    samples = made_up_samples(rng, 40)
+    normal = build_joint_model([reduced(samples, priors)], priors)
+    wide = replace_with_student(priors)
+    walked = build_joint_model([reduced(samples, wide)], wide)
+    assert set(walked.space.names) - set(normal.space.names) == {"thrust_common_n"}
+    z = walked.space.sample(rng, 1)
+    others = [walked.space.names.index(name) for name in normal.space.names]
+    place = walked.space.names.index("thrust_common_n")
+    # the level on a grid, with its prior, against the integral that the model does itself
+    levels = np.linspace(-8.0, 8.0, 4_001)
+    points = np.repeat(z, len(levels), axis=0)
+    points[:, place] = levels
+    log_p = joint_log_likelihood(walked, points) - 0.5 * levels**2 - 0.5 * np.log(2 * np.pi)
+    top = log_p.max()
+    integral = top + np.log(np.exp(log_p - top).sum() * (levels[1] - levels[0]))
+    assert integral == pytest.approx(joint_log_likelihood(normal, z[:, others])[0], abs=1e-2)
+
+
+def replace_with_student(priors: Priors) -> Priors:
+    """The common thrust with a Student-t prior of so many degrees of freedom that it is normal."""
+    prior = priors.parameters["thrust_common_n"].distribution
+    assert prior is not None
+    student = Distribution("t", {"df": 1e7, "loc": prior.mean(), "scale": prior.sd()})
+    return priors.with_distribution("thrust_common_n", student)
+
+
+def test_the_same_event_twice_is_refused() -> None:
+    """Two events of one name would count the data twice."""
+    rng = np.random.default_rng(7)
+    priors = telemetry_priors()
+    event = reduced(made_up_samples(rng, 40), priors)
+    with pytest.raises(InputError, match="each event once"):
+        build_joint_model([event, event], priors)
+    with pytest.raises(InputError, match="at least one event"):
+        build_joint_model([], priors)
+
+
+def test_a_parameter_that_is_missing_is_named() -> None:
+    """Priors without the noise of the channels are refused by name."""
+    rng = np.random.default_rng(9)
+    priors = telemetry_priors()
+    event = reduced(made_up_samples(rng, 40), priors)
+    lacking = replace(
+        priors,
+        parameters={k: v for k, v in priors.parameters.items() if k != "wheel_noise_rpm"},
+    )
+    with pytest.raises(InputError, match="wheel_noise_rpm"):
+        build_joint_model([event], lacking)
+
+
+def test_evidence_of_a_linear_gaussian_case_is_exact() -> None:
+    """With only lever arms free the evidence is a Gaussian integral; importance draws find it."""
+    rng = np.random.default_rng(12)
+    priors = telemetry_priors()
+    free = ("cm_x_m", "cm_y_m", "thruster_lx_m")
+    for name, prior in priors.parameters.items():
+        if prior.distribution is not None and name not in free:
+            linear = name.startswith(("thrust_", "external_torque"))
+            value = 0.0 if linear and name != "thrust_common_n" else prior.distribution.mean()
+            priors = priors.with_fixed(name, value)
+    # tails as long as the rise: nothing to cut, so that lever arms enter linearly
+    priors = priors.with_fixed("tau_fall_s", 0.02).with_fixed("tau_rise_s", 0.02)
+    samples = made_up_samples(rng, 40)
+    model = build_joint_model([reduced(samples, priors)], priors)
+    assert model.space.names == free
+
+    def plain(z: np.ndarray) -> float:
+        values = {name: float(v) for name, v in model.space.to_parameters(z).items()}
+        return plain_log_likelihood(model, [samples], values) - 0.5 * float(z @ z)
+
+    unit = np.eye(3)
+    centre = plain(np.zeros(3))
+    gradient = np.array([(plain(e) - plain(-e)) / 2 for e in unit])
+    curvature = np.array(
+        [
+            [(plain(a + b) - plain(a - b) - plain(b - a) + plain(-a - b)) / 4 for b in unit]
+            for a in unit
+        ]
+    )
+    # ∫ exp(c + gᵀz + ½ zᵀHz) dz (2π)^(-3/2)
+    exact = (
+        centre
+        - 0.5 * gradient @ np.linalg.solve(curvature, gradient)
+        - 0.5 * np.linalg.slogdet(-curvature)[1]
+    )
+    warm = warm_start(partial(joint_log_posterior, model), 3, rng)
+    assert warm.draws.log_evidence_se < 0.05
+    assert abs(warm.draws.log_evidence - exact) < 3 * warm.draws.log_evidence_se
+
+
+def test_the_naive_balance_residual_pulls_inertia_down() -> None:
+    """A density of the balance residual rewards small inertias; that of the channels does not."""
+    rng = np.random.default_rng(3)
+    priors = telemetry_priors()
+    samples = made_up_samples(rng, 800, fires=False)
+    model = build_joint_model([reduced(samples, priors)], priors)
+    place = model.space.names.index("rwa1_inertia_kg_m2")
+    shrunk = np.zeros((2, len(model.space.names)))
+    for name in model.space.names:
+        if "inertia" in name:
+            shrunk[1, model.space.names.index(name)] = -2.0
+    assert place >= 0
+    right = joint_log_posterior(model, shrunk)
+    naive = without_jacobian(model, shrunk)
+    assert right[1] < right[0] - 5.0
+    assert naive[1] - naive[0] > right[1] - right[0] + 20.0
+
+
+def test_inertia_is_physical_or_said_not_to_be() -> None:
+    """A tensor that breaks the triangle inequality is told apart from one that does not."""
+    good = np.diag([3.0, 4.0, 5.0])
+    bad = np.diag([1.0, 1.0, 3.0])
+    assert physical_inertia(np.stack([good, bad, -good])).tolist() == [True, False, False]
+
+
+def test_wheels_that_show_nothing_leave_the_density_finite() -> None:
+    """Fewer rows than directions leave mean squares of zero: the density is flat there."""
+    spline = motion_table(3)
+    nodes, coefficients = spline.x, np.ascontiguousarray(spline.c)
+    found = [
+        estimated_wheels(
+            3.0,
+            nodes,
+            coefficients,
+            square * np.diag([0.0] * 3 + [1.0, 1.0, 0.0]),
+            np.eye(3),
+            np.eye(3),
+            1.0,
+            np.empty((3, 3)),
+        )
+        for square in (1.0, 1e-6, 1e-12, 1e-24, 0.0)
+    ]
+    assert np.all(np.isfinite(found))
+    assert found[2:] == pytest.approx([found[2]] * 3, abs=1e-4)
+    assert found[0] < found[1] <= found[2] + 1e-4

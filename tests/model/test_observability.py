@@ -1,0 +1,89 @@
+"""What events can see, from their Gram matrices: it comes true, and blind events are blind."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from event_cases import PRIORS, events, model
+
+from cassini_bayes.model.joint import build_joint_model, joint_log_posterior
+from cassini_bayes.model.observability import observability
+from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.sampling.warmstart import warm_start
+
+
+@pytest.mark.parametrize("names", [("bias",), ("bias", "slews")])
+def test_expected_widths_come_true(names: tuple[str, ...]) -> None:
+    """Expected over prior widths are those of the posterior, within a third."""
+    joint = model(*names)
+    table = observability(joint).table.set_index("quantity")
+    warm = warm_start(
+        partial(joint_log_posterior, joint), joint.space.dimension, np.random.default_rng(3)
+    )
+    weights = np.exp(warm.draws.log_weights)
+    mean = weights @ warm.draws.z
+    width = np.sqrt(weights @ (warm.draws.z - mean) ** 2)
+    asked = [n for n, b in zip(joint.space.names, joint.space.blocks, strict=True) if b != "noise"]
+    places = [joint.space.names.index(name) for name in asked]
+    expected = table.loc[asked, "ratio"].to_numpy(dtype=float)
+    told = expected > 0.05  # narrower ones depend on where in the prior the truth lies
+    assert told.sum() > 10
+    assert np.abs(np.log(width[places][told] / expected[told])).max() < np.log(4 / 3)
+
+
+def test_slews_see_inertia_and_biases_see_thrust() -> None:
+    """A slew has no thrust to see; a bias sees nothing of the height of the Z thrusters."""
+    slews = observability(model("slews"))
+    assert not slews.table["block"].eq("thrust").any()
+    moments = [f"inertia_{e}_kg_m2" for e in ("xx", "yy", "zz")]
+    assert set(slews.table.set_index("quantity").loc[moments, "verdict"]) == {"seen well"}
+    bias = observability(model("bias")).table.set_index("quantity")
+    assert bias.loc["thruster_lzz_m", "verdict"] == "not seen"
+    assert bias.loc["thrust[all events,y2]", "ratio"] < 0.9
+
+
+def test_more_events_see_no_less() -> None:
+    """Adding slews narrows every expected width or leaves it."""
+    alone = observability(model("bias")).table.set_index("quantity")["ratio"]
+    both = observability(model("bias", "slews")).table.set_index("quantity")["ratio"]
+    assert (both.reindex(alone.index) <= alone * (1 + 1e-9)).all()
+
+
+def test_fixed_departures_of_thrust_change_nothing_of_what_is_shared(tmp_path: Path) -> None:
+    """No departures per event (their priors fixed at 0): levels are seen as with tiny ones."""
+
+    def seen(width: str) -> pd.Series[float]:
+        path = tmp_path / "priors.toml"
+        path.write_text(priors_with_departures(width), encoding="utf-8")
+        events_ = [(e.statistics, e.sampling) for e in events("bias")]
+        joint = build_joint_model(events_, read_priors(path))
+        return observability(joint).table.set_index("quantity")["ratio"]
+
+    fixed = seen("fixed = 0.0")
+    tiny = seen('dist = "norm"\nloc = 0.0\nscale = 1e-7').loc[fixed.index]
+    assert fixed.index.str.startswith("thrust[bias").sum() == 8
+    np.testing.assert_allclose(fixed, tiny, rtol=1e-3)
+
+
+def priors_with_departures(width: str) -> str:
+    """The telemetry priors with other priors of the departures of an event's thrusts."""
+    text = PRIORS.read_text(encoding="utf-8")
+    for name in ("thrust_event_n", "thrust_jitter_n"):
+        old = f'[parameters.{name}]\ndist = "norm"\nloc = 0.0\nscale = 0.01'
+        assert old in text
+        text = text.replace(old, f"[parameters.{name}]\n{width}")
+    return text
+
+
+def test_the_words_name_what_is_tied_together() -> None:
+    """Moments and wheel inertias scale together in slews: said, and singular values are sorted."""
+    seen = observability(model("slews"))
+    assert any("inertia_xx_kg_m2" in s and "rwa" in s for s in seen.sentences if "tied" in s)
+    assert np.all(np.diff(seen.singular_values) <= 1e-9)
+    assert seen.sentences[0].startswith("Expected before sampling")
+    blind = observability(model("bias")).table["ratio"].max()
+    assert blind == pytest.approx(1.0, abs=1e-6)

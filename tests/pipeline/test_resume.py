@@ -1,0 +1,121 @@
+"""A run that is killed again and again ends with the draws of one left alone, bit for bit."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+import arviz  # noqa: F401 (imported before forking: two seconds that no child spends again)
+import numpy as np
+import pytest
+import run_cases
+
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.results.record import read_fit, save_fit
+
+
+def killing() -> ModuleType:
+    """The script that kills the full flight run; here it kills a small one."""
+    path = run_cases.ROOT / "benchmarks" / "kill_and_resume.py"
+    spec = importlib.util.spec_from_file_location("kill_and_resume", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_kills_change_no_bit(tmp_path: Path) -> None:
+    """SIGKILL at random moments in warm start, sampling and writing: fit.nc is the same."""
+    script = killing()
+    run_file = run_cases.write_run(tmp_path)
+    result = script.kill_and_resume(
+        run_cases.Forked.start,
+        ["run", str(run_file)],
+        tmp_path,
+        np.random.default_rng(1),
+        kills=(0, 0, 1, 1, 2, 2),
+        say=lambda _: None,
+    )
+    assert len(result.kills) == 6
+    assert {kill.stage for kill in result.kills} >= {"sampling", "writing results"}
+    assert result.identical, result.different
+    assert result.variables > 50
+    assert result.posterior_sha256[0] == result.posterior_sha256[1]
+    assert_damage_costs_blocks_only(script, tmp_path, run_file)
+    assert_one_bit_is_seen(script, tmp_path)
+
+
+def assert_damage_costs_blocks_only(script: ModuleType, work: Path, run_file: Path) -> None:
+    """A checkpoint truncated after the fact, and a lost warm start, are computed again."""
+    killed = work / "killed"
+    block = killed / "checkpoint" / "block_0001.npz"
+    block.write_bytes(block.read_bytes()[:1000])
+    (killed / "checkpoint" / "warmstart.npz").unlink()
+    (killed / "fit.nc").unlink()
+    status = run_cases.Forked.start(
+        ["run", str(run_file), "--out", str(killed), "--resume"], work / "damage.log"
+    ).wait()
+    assert status in (0, 1)
+    assert script.compare(work / "alone", killed, ()).identical
+
+
+def assert_one_bit_is_seen(script: ModuleType, work: Path) -> None:
+    """Negative control: one thrust that differs in its last bit is found."""
+    fit = read_fit(work / "killed" / "fit.nc")
+    values = fit.groups["posterior"]["thrust_n"].values
+    values[0, 0, 0, 0] = np.nextafter(values[0, 0, 0, 0], 1.0)
+    save_fit(fit, work / "killed" / "fit.nc")
+    comparison = script.compare(work / "alone", work / "killed", ())
+    assert comparison.different == ("posterior/thrust_n",)
+    assert comparison.posterior_sha256[0] != comparison.posterior_sha256[1]
+    assert not comparison.identical
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
+    """SIGINT in a run: one line, exit 130, no traceback, nothing half-written."""
+    run_file = run_cases.write_run(tmp_path)
+    log, folder = tmp_path / "log", tmp_path / "small"
+    child = run_cases.Forked.start(["run", str(run_file)], log)
+    while "collapsed parameters" not in log.read_text():
+        assert child.poll() is None, log.read_text()
+        time.sleep(0.005)
+    os.kill(child.pid, signal.SIGINT)
+    assert child.wait() == 130
+    text = log.read_text()
+    assert "Traceback" not in text
+    assert text.splitlines()[-1].startswith("stopped")
+    assert "--resume" in text.splitlines()[-1]
+    assert (folder / "resolved.toml").exists()
+    assert not [path for path in folder.rglob("*") if path.name.startswith(".")]
+
+
+def test_what_changed_is_not_resumed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other settings or data than the run began with: refused before anything is touched."""
+    run_file = run_cases.write_run(tmp_path)
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(CheckpointStore, "save", stop)
+        assert run_cases.command(["run", str(run_file), "--quiet"]) == 130
+    resolved = (tmp_path / "small" / "resolved.toml").read_bytes()
+    table = run_cases.small_table()
+    table["source"] = "fsds"
+    run_cases.write_run(tmp_path, table)
+    capfd.readouterr()
+    assert run_cases.command(["run", str(run_file), "--resume"]) == 2
+    error = capfd.readouterr().err
+    assert error.count("\n") == 1
+    assert "provenance.json" in error
+    assert "--force" in error
+    assert (tmp_path / "small" / "resolved.toml").read_bytes() == resolved

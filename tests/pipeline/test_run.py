@@ -1,0 +1,333 @@
+"""A run folder: what is written and when, what is refused, and that nothing is lost on the way."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import json
+import os
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.storage import digest
+from cassini_bayes.pipeline.inputs import read_inputs
+from cassini_bayes.pipeline.run import Outcome, execute, prepare_folder
+from cassini_bayes.pipeline.run_file import RunFile, check_run
+from cassini_bayes.results.record import read_fit
+from cassini_bayes.sampling.ensembles import ProgressReport
+
+
+class Silent:
+    """A reporter that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.reports: list[ProgressReport] = []
+
+    def say(self, text: str) -> None:
+        """Keep a line."""
+        self.lines.append(text)
+
+    def progress(self, report: ProgressReport) -> None:
+        """Keep a report."""
+        self.reports.append(report)
+
+
+def run_of(**changes: object) -> RunFile:
+    """The small run with some of its tables changed."""
+    return check_run(small_table() | changes, "test")
+
+
+def do(run: RunFile, folder: Path, *, force: bool = False, resume: bool = False) -> Outcome:
+    """Execute a run quietly."""
+    reporter = Silent()
+    return execute(
+        run,
+        Path(),
+        folder,
+        name="small",
+        command=["test"],
+        reporter=reporter,
+        force=force,
+        resume=resume,
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    """One small run that several tests look at, and none changes."""
+    return do(run_of(), tmp_path_factory.mktemp("finished") / "small")
+
+
+def test_a_run_folder_is_complete(finished: Outcome) -> None:
+    """Settings, provenance, checkpoints, fit and tables, and no leftovers."""
+    folder = finished.folder
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        "resolved.toml",
+        "provenance.json",
+        "checkpoint",
+        "fit.nc",
+        "summary.csv",
+        "tables",
+    }
+    resolved = tomllib.loads((folder / "resolved.toml").read_text())
+    assert RunFile.model_validate(resolved) == run_of()
+    assert resolved["sampler"]["seed"] == 2010  # a default, filled in
+    provenance = json.loads((folder / "provenance.json").read_text())
+    assert provenance["sha256"][str(B_BRANCH)] == digest(B_BRANCH)
+    assert provenance["sha256"][str(FLIGHT)] == digest(FLIGHT)
+    assert provenance["seed"] == 2010
+    assert provenance["command"] == ["test"]
+    assert {"python", "emcee", "numpy"} <= set(provenance["versions"])
+    with (folder / "summary.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    thrusts = [row for row in rows if row["quantity"] == "thrust_n"]
+    assert len(thrusts) == len(EVENTS) * 8
+    assert read_fit(folder / "fit.nc").posterior.sizes["event"] == len(EVENTS)
+    assert not finished.converged  # a hundred steps are not enough, and it says so
+    assert "limit" in finished.review.warnings[0]
+
+
+def test_settings_are_written_before_sampling(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that stops at its first checkpoint has left its settings and provenance."""
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(CheckpointStore, "save", stop)
+    with pytest.raises(KeyboardInterrupt):
+        do(run_of(), tmp_path / "small")
+    assert {path.name for path in (tmp_path / "small").iterdir()} == {
+        "resolved.toml",
+        "provenance.json",
+    }
+
+
+def test_an_existing_run_is_refused_and_untouched(finished: Outcome) -> None:
+    """Neither --force nor --resume: refused with both named, not a byte changed."""
+    before = {path: path.stat().st_mtime_ns for path in finished.folder.rglob("*")}
+    with pytest.raises(InputError, match="--resume to go on") as caught:
+        do(run_of(), finished.folder)
+    assert "--force" in caught.value.fix
+    assert {path: path.stat().st_mtime_ns for path in finished.folder.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"priors": str(A_BRANCH)},
+        {"priors": "missing.toml"},
+        {"events": ["missing.csv"]},
+        {"source": "gsw_ideal"},
+        {"sampler": {"walkers": 4}},
+    ],
+)
+def test_force_costs_nothing_when_the_inputs_are_bad(
+    tmp_path: Path, changes: dict[str, object]
+) -> None:
+    """An old run is removed only once everything that can be checked has been."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    (folder / "resolved.toml").write_text("an old run")
+    with pytest.raises(InputError):
+        do(run_of(**changes), folder, force=True)
+    assert (folder / "resolved.toml").read_text() == "an old run"
+
+
+def test_force_replaces_runs_only(tmp_path: Path) -> None:
+    """--force clears a run; a folder of something else, or a file, is refused and kept."""
+    old = tmp_path / "old"
+    (old / "checkpoint").mkdir(parents=True)
+    (old / "resolved.toml").write_text("")
+    (old / "checkpoint" / "block_0000.npz").write_text("")
+    prepare_folder(old, force=True, resume=False)
+    assert list(old.iterdir()) == []
+    other = tmp_path / "thesis"
+    other.mkdir()
+    (other / "chapter.tex").write_text("years of work")
+    for force in (True, False):
+        with pytest.raises(InputError, match="only replaces runs"):
+            prepare_folder(other, force=force, resume=False)
+        with pytest.raises(InputError, match="a file"):
+            prepare_folder(other / "chapter.tex", force=force, resume=False)
+    assert (other / "chapter.tex").read_text() == "years of work"
+
+
+def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
+    """A folder with nothing in it, or with a killed write's leftover, is as good as new."""
+    (tmp_path / ".resolved.toml.x8.partial.toml").write_text("half")
+    prepare_folder(tmp_path, force=False, resume=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_force_cut_short_can_be_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A removal that fails half-way leaves what makes it a run, so --force works again."""
+    folder = tmp_path / "old"
+    (folder / "checkpoint").mkdir(parents=True)
+    (folder / "resolved.toml").write_text("")
+
+    def fail(*_: object) -> None:
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("cassini_bayes.pipeline.run.shutil.rmtree", fail)
+        with pytest.raises(OSError, match="denied"):
+            prepare_folder(folder, force=True, resume=False)
+    assert (folder / "resolved.toml").exists()
+    prepare_folder(folder, force=True, resume=False)
+    assert list(folder.iterdir()) == []
+
+
+def test_a_start_without_draws_is_no_run(tmp_path: Path) -> None:
+    """What a start left that never got to a checkpoint needs no --force, and can be resumed."""
+    (tmp_path / "resolved.toml").write_text("settings")
+    (tmp_path / "provenance.json").write_text("{}")
+    prepare_folder(tmp_path, force=False, resume=True)
+    prepare_folder(tmp_path, force=False, resume=False)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "resolved.toml").write_text("settings")
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "checkpoint" / "warmstart.npz").write_text("")
+    with pytest.raises(InputError, match="existing run"):
+        prepare_folder(tmp_path, force=False, resume=False)
+
+
+def test_force_keeps_what_no_run_wrote(tmp_path: Path) -> None:
+    """A user's own file in a run's folder stays where it is."""
+    for name in ("resolved.toml", "fit.nc", "notes.txt"):
+        (tmp_path / name).write_text(name)
+    prepare_folder(tmp_path, force=True, resume=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_resume_wants_a_run(tmp_path: Path) -> None:
+    """Nothing there to resume: said, nothing made."""
+    with pytest.raises(InputError, match="without --resume"):
+        prepare_folder(tmp_path / "none", force=False, resume=True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_resume_wins_over_force(finished: Outcome, tmp_path: Path) -> None:
+    """The command that replaced a run goes on with it once --resume is added."""
+    (finished.folder / ".fit.nc.k1ll.partial.nc").write_text("half")
+    prepare_folder(finished.folder, force=True, resume=True)
+    assert (finished.folder / "fit.nc").exists()
+    assert not list(finished.folder.glob(".*"))
+
+
+def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
+    """A file stands where a folder is needed."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="can be written"):
+        do(run_of(), tmp_path / "file" / "small")
+
+
+@pytest.mark.parametrize("written", ["warmstart.npz", "block_0001.npz", "fit.nc"])
+def test_a_full_disk_loses_nothing(
+    finished: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str
+) -> None:
+    """ENOSPC at any file: one line; resumed with space, the same draws."""
+    folder = tmp_path / "small"
+    replace: Callable[[Path, Path], Path] = Path.replace
+
+    def full(self: Path, target: Path) -> Path:
+        if target.name == written:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return replace(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", full)
+        with pytest.raises(InputError, match="No space left") as caught:
+            do(run_of(), folder)
+    assert caught.value.where.endswith(written)
+    assert not list(folder.rglob(".*"))
+    assert not list(folder.rglob(written))
+    if written != "warmstart.npz":  # the others take seconds each, and go the same way
+        return
+    do(run_of(), folder, resume=True)
+    one, other = (read_fit(path / "fit.nc").posterior for path in (finished.folder, folder))
+    assert one.identical(other)
+
+
+def rows(source: str = "flight") -> list[list[str]]:
+    """Header and first two rows of a source."""
+    with FLIGHT.open(newline="") as stream:
+        header, *lines = csv.reader(stream)
+    return [header, *[line for line in lines if line[-1] == source][:2]]
+
+
+def write_rows(path: Path, cells: list[list[str]]) -> str:
+    """A totals file of these cells."""
+    with path.open("w", newline="") as stream:
+        csv.writer(stream).writerows(cells)
+    return str(path)
+
+
+def test_ids_are_unique_across_files(tmp_path: Path) -> None:
+    """The same event from two files, or twice from one, is refused with both names."""
+    one = write_rows(tmp_path / "one.csv", rows())
+    two = write_rows(tmp_path / "two.csv", rows()[:2])
+    for events in ([one, two], [one, one], [one, f"{one}:{EVENTS[0]}"]):
+        with pytest.raises(InputError, match=EVENTS[0]) as caught:
+            read_inputs(run_of(events=events), Path())
+        assert "once" in caught.value.expected
+        assert events[0] in caught.value.got
+    assert len(read_inputs(run_of(events=[f"{one}:{id_}" for id_ in EVENTS]), Path()).events) == 2
+
+
+def test_ids_and_files_may_hold_colons(tmp_path: Path) -> None:
+    """file.csv:ID with colons in either is one file in the provenance."""
+    cells = rows()
+    cells[1][0] = "2009:bias"
+    path = write_rows(tmp_path / "a:b.csv", cells)
+    inputs = read_inputs(run_of(events=[f"{path}:2009:bias"]), Path())
+    assert [event.id for event in inputs.events] == ["2009:bias"]
+    assert inputs.digests[path] == digest(Path(path))
+
+
+def test_the_base_of_relative_paths(tmp_path: Path) -> None:
+    """Paths of a run file are relative to it."""
+    write_rows(tmp_path / "one.csv", rows())
+    (tmp_path / "b.toml").write_bytes(B_BRANCH.read_bytes())
+    run = run_of(events=["one.csv"], priors="b.toml")
+    assert len(read_inputs(run, tmp_path).events) == 2
+    with pytest.raises(InputError):
+        read_inputs(run, tmp_path / "elsewhere")
+
+
+def test_events_of_a_branch_need_priors_of_that_branch() -> None:
+    """B-branch events with A-branch priors: refused, both named."""
+    with pytest.raises(InputError, match="branch B") as caught:
+        read_inputs(run_of(priors=str(A_BRANCH)), Path())
+    assert "branch A" in caught.value.expected
+
+
+def test_wheels_must_be_in_the_priors_file(tmp_path: Path) -> None:
+    """An event on wheel 3 with priors for wheels 1, 2 and 4."""
+    cells = rows()
+    at = cells[0].index
+    cells[1][at("wheels")] = "1 2 3"
+    for end in ("start", "end"):
+        moved = at(f"rwa4_rpm_{end}")
+        cells[1][at(f"rwa3_rpm_{end}")], cells[1][moved] = cells[1][moved], ""
+    path = write_rows(tmp_path / "one.csv", cells)
+    with pytest.raises(InputError, match="wheels") as caught:
+        read_inputs(run_of(events=[path]), Path())
+    assert "[1, 2, 3]" in caught.value.got
+    assert str(B_BRANCH) in caught.value.expected
+
+
+def test_pulse_counts_are_needed() -> None:
+    """The ideal rows of the tables have none: refused, with what to choose instead."""
+    with pytest.raises(InputError, match="pulses") as caught:
+        read_inputs(run_of(source="gsw_ideal"), Path())
+    assert "gsw_ideal" in caught.value.got

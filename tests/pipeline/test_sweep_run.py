@@ -1,0 +1,236 @@
+"""Sweeps from the command line: killed and resumed, on Dask, in the report, as JSON."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import tomli_w
+from numpy.typing import NDArray
+from run_cases import Forked, command, small_table, write_run
+from sweep_cases import small_fit, toy_baseline
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.storage import is_leftover
+from cassini_bayes.report.sweep import BEGIN, END, with_section
+from cassini_bayes.results.record import save_fit
+from cassini_bayes.sweep.cells import cell_arrays
+from cassini_bayes.sweep.grid import run_cells, stored_cell, workers_at
+from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
+from cassini_bayes.sweep.variations import Variation
+
+ROOT = Path(__file__).parents[2]
+PAGE = """<html><ol>
+<li><a href="#provenance">Provenance</a></li>
+</ol><main>
+<section>
+<h2 id="provenance">Provenance</h2>
+</section>
+</main></html>"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run file and its finished run (fit.nc and a report)."""
+    folder = tmp_path_factory.mktemp("sweep")
+    write_run(folder, small_table())
+    run = folder / "small"
+    run.mkdir()
+    save_fit(small_fit()[1], run / "fit.nc")
+    (run / "report.html").write_text(PAGE)
+    return folder
+
+
+def write_spec(folder: Path, name: str = "spec.toml", **changes: object) -> Path:
+    """A sweep of two blocks and some quantities."""
+    table = {
+        "quantities": ["thrust_level_n[z1]", "tau_fall_s"],
+        "blocks": ["tail-off", "wheel alignment"],
+        "draws": 2_000,
+        "grid": {"widths": [0.5, 4.0], "families": ["uniform"]},
+        **changes,
+    }
+    path = folder / name
+    path.write_text(tomli_w.dumps(table))
+    return path
+
+
+def sweep(folder: Path, spec: Path, *more: str) -> int:
+    """Exit status of a sweep of the finished run."""
+    return command(["sweep", str(folder / "small.toml"), "--spec", str(spec), *more])
+
+
+def test_sweep_writes_tables_figures_and_a_section_of_the_report(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One command: JSON on stdout, CSV files, figures, and the report's section, once."""
+    spec = write_spec(finished)
+    assert sweep(finished, spec, "--jobs", "1", "--json", "--quiet") == 0
+    told = json.loads(capsys.readouterr().out)
+    target = finished / "small" / "sweep"
+    table = pd.read_csv(target / "sweep.csv")
+    assert told["cells"] * 2 == int(table["reported"].sum())
+    assert len(told["sweep"]) == len(table)
+    assert {"reweighted", "re-fitted"} <= set(table["estimate"])
+    assert table["pareto_k"].notna().all()
+    for name in ("baseline", "scaling", "knowledge", "data_worth", "conflict"):
+        assert (target / f"{name}.csv").exists()
+        assert told[name]
+    assert {"tornado_1.png", "overlay_2.svg", "worth.png"} <= {
+        path.name for path in (target / "figures").iterdir()
+    }
+    html = (finished / "small" / "report.html").read_text()
+    assert html.count(BEGIN) == html.count('<a href="#sweep">') == 1
+    assert html.index('id="sweep"') < html.index('id="provenance"')
+
+
+def finished_cells(cells: Path) -> set[Path]:
+    """Files of finished cells, without what a killed write left behind."""
+    return {path for path in cells.glob("*/*.npz") if not is_leftover(path)}
+
+
+def kill_in_the_middle(monkeypatch: pytest.MonkeyPatch, cell: int, *, half_written: bool) -> None:
+    """Let this process, or its child, kill itself at a cell, before or while it is stored."""
+    save, stored = CheckpointStore.save, itertools.count(1)
+
+    def deadly(
+        store: CheckpointStore, name: str, arrays: Mapping[str, NDArray[np.generic]]
+    ) -> None:
+        if next(stored) < cell:
+            save(store, name, arrays)
+            return
+        if half_written:
+            monkeypatch.setattr(Path, "replace", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+            save(store, name, arrays)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr(CheckpointStore, "save", deadly)
+
+
+@pytest.mark.parametrize("half_written", [False, True], ids=["between", "within"])
+def test_killed_sweep_goes_on_without_redoing_finished_cells(
+    finished: Path, monkeypatch: pytest.MonkeyPatch, half_written: bool
+) -> None:
+    """Killed at a random cell: finished ones stay as they are, the table is the uninterrupted one.
+
+    The child kills itself, so that where it dies does not depend on how fast the machine is.
+    """
+    spec = write_spec(finished, "killed.toml", seed=77 + half_written)
+    cells = finished / "small" / "sweep" / "cells"
+    before = finished_cells(cells)
+    arguments = ["sweep", str(finished / "small.toml"), "--spec", str(spec), "--jobs", "1"]
+    arguments += ["--no-report", "--quiet"]
+    last = int(np.random.default_rng(11 + half_written).integers(3, 9))
+    with monkeypatch.context() as patch:
+        kill_in_the_middle(patch, last, half_written=half_written)
+        child = Forked.start(arguments, finished / "killed.log")
+        assert child.wait() == -signal.SIGKILL
+    done = {path: path.stat().st_mtime_ns for path in finished_cells(cells) - before}
+    assert len(done) == last - 1
+    assert any(is_leftover(path) for path in cells.rglob("*")) == half_written
+    assert command(arguments) == 0
+    every = finished_cells(cells) - before
+    assert len(every) > len(done)
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in done.items())
+    assert not any(is_leftover(path) for path in cells.rglob("*"))
+    table = (finished / "small" / "sweep" / "sweep.csv").read_bytes()
+    for path in every:
+        path.unlink()
+    assert command(arguments) == 0
+    assert (finished / "small" / "sweep" / "sweep.csv").read_bytes() == table
+
+
+@pytest.mark.slow
+def test_two_dask_workers_give_the_same_cells(tmp_path: Path) -> None:
+    """A local cluster of two worker processes gives bit for bit what this process gives."""
+    distributed = pytest.importorskip("distributed")
+    baseline = toy_baseline(2_000)
+    names = ("cm_x_m", "cm_y_m")
+    cells = {
+        cell.key: (cell, "auto")
+        for cell in (
+            Variation("pair", "width", names, amount=0.5),
+            Variation("pair", "width", names, amount=4.0),
+            Variation("pair", "shift", ("cm_x_m",), amount=1.0),
+        )
+    }
+    local = CheckpointStore(tmp_path / "local", "same")
+    with workers_at(1, None) as here:
+        assert list(run_cells(cell_arrays, baseline, cells, local, here))[-1] == (3, 3)
+    remote = CheckpointStore(tmp_path / "dask", "same")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        workers_at(1, cluster.scheduler_address) as there,
+    ):
+        assert list(run_cells(cell_arrays, baseline, cells, remote, there))[-1] == (3, 3)
+    for name in cells:
+        ours, theirs = stored_cell(local, name), stored_cell(remote, name)
+        assert ours.keys() == theirs.keys()
+        assert all(np.array_equal(ours[key], theirs[key]) for key in ours)
+
+
+def test_processes_give_the_same_cells(tmp_path: Path) -> None:
+    """Two local processes give what one thread gives; a second run works out nothing."""
+    baseline = toy_baseline(2_000)
+    cell = Variation("pair", "width", ("cm_x_m", "cm_y_m"), amount=0.5)
+    cells = {cell.key: (cell, "auto"), "same-again": (cell, "auto")}
+    stores = [CheckpointStore(tmp_path / str(jobs), "same") for jobs in (1, 2)]
+    for jobs, store in enumerate(stores, start=1):
+        with workers_at(jobs, None) as workers:
+            assert list(run_cells(cell_arrays, baseline, cells, store, workers))[-1] == (2, 2)
+            assert list(run_cells(cell_arrays, baseline, cells, store, workers)) == [(2, 2)]
+    ours, theirs = (stored_cell(store, cell.key) for store in stores)
+    assert all(np.array_equal(ours[key], theirs[key]) for key in ours)
+
+
+def test_no_scheduler_and_no_fit_are_said(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An address where nothing answers, and a run that has no fit yet, end with status 2."""
+    pytest.importorskip("distributed")
+    spec = write_spec(finished)
+    assert sweep(finished, spec, "--fit", str(tmp_path), "--quiet") == 2
+    assert "run it first" in capsys.readouterr().err
+    with pytest.raises(InputError, match="Dask scheduler"), workers_at(1, "nonsense://nowhere"):
+        pass
+
+
+def test_sweep_files_are_checked() -> None:
+    """The shipped file reads; a misspelt key, a wrong width, an unknown family are refused."""
+    shipped = read_sweep_file(ROOT / "runs" / "sweeps" / "flight_2009_2010.toml")
+    assert shipped == SweepFile(quantities=["thrust_level_n", "thrust_common_n", "tau_fall_s"])
+    for table, message in (
+        ({"quantites": ["x"]}, "did you mean 'quantities'"),
+        ({"grid": {"widhts": [2.0]}}, "did you mean 'widths'"),
+        ({"grid": {"widths": [-1.0]}}, "a factor above 0"),
+        ({"grid": {"families": ["cauchy"]}}, "families"),
+        ({"refit": "maybe"}, "refit"),
+        ({"group": [{"name": "own"}]}, "parameters"),
+        ({"quantities": []}, "a list of at least one"),
+        ({"grid": 3}, "a table"),
+        ({"blocks": ["mass", "mass"]}, "differ from each other"),
+        ({"blocks": ["mass"], "group": [{"name": "mass", "parameters": ["a"]}]}, "differ"),
+        ({"group": [{"name": "events", "parameters": ["a"]}]}, "kept for leaving events out"),
+        ({"group": [{"name": "own", "parameters": ["a", "a"]}]}, "each parameter once"),
+    ):
+        with pytest.raises(InputError, match=message):
+            check_sweep(table, "spec.toml")
+
+
+def test_the_section_replaces_an_earlier_one() -> None:
+    """Twice into the same page is once; a page without the report's marks gets it at its end."""
+    once = with_section(PAGE, f"{BEGIN}\nfirst\n{END}\n")
+    twice = with_section(once, f"{BEGIN}\nsecond\n{END}\n")
+    assert "first" in once
+    assert twice == once.replace("first", "second")
+    assert with_section("<main><p>old</p></main>", "NEW") == "<main><p>old</p>NEW</main>"

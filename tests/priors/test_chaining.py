@@ -1,0 +1,229 @@
+"""The posterior of one fit as the prior of the next."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+import xarray as xr
+from numpy.typing import NDArray
+from totals_cases import B_BRANCH, flight
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.posterior import about, log_posterior, thrust_information
+from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.priors.chaining import EarlierFit
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.results.record import Fit, build_fit, draws_of, prior_draws, save_fit
+from cassini_bayes.sampling.warmstart import WarmStart, warm_start
+
+Array = NDArray[np.float64]
+
+LEVELS = "thrust_level_n"
+DRAWS = 8_000
+
+
+def fitted(model: TotalsModel, seed: int) -> tuple[WarmStart, Fit]:
+    """Importance draws of a model, resampled, as a fit."""
+    rng = np.random.default_rng(seed)
+    density = partial(log_posterior, model)
+    warm = warm_start(density, model.space.dimension, rng, draws=DRAWS)
+    z = warm.draws.resample(rng, DRAWS)
+    return warm, build_fit(model, z[None], density(z)[None], rng, {"walkers": 1}, 500)
+
+
+def priors_file(folder: Path, fit: str = "") -> Path:
+    """B-branch priors under which one event says much of its thrusters; ``fit`` is chained."""
+    table = tomllib.loads(B_BRANCH.read_text())
+    for name, scale in (
+        ("tau_fall_s", 0.004),
+        ("thrust_individual_n", 0.06),
+        ("thrust_event_n", 0.003),
+        ("thrust_jitter_n", 0.003),
+    ):
+        table["parameters"][name]["scale"] = scale
+    # with an unknown rate one event's draws would be a scale mixture, which is refused
+    rate = {"fixed": 4e-5, "unit": "rad/s", "source": "test"}
+    table["parameters"]["hold_rate_rad_s"] = rate
+    path = folder / ("chained.toml" if fit else "plain.toml")
+    path.write_text(tomli_w.dumps({**({"from_fit": fit} if fit else {}), **table}))
+    return path
+
+
+def chained_file(folder: Path, fit: str = "first.nc") -> Path:
+    """The same priors with ``from_fit``."""
+    return priors_file(folder, fit)
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[TotalsEvent, ...], Priors]:
+    """A folder with the fit of one event, the two events, and the plain priors."""
+    folder = tmp_path_factory.mktemp("chain")
+    rows, _ = flight(2)
+    priors = read_priors(priors_file(folder))
+    first = build_model(rows[:1], priors, delta_v="ignore")
+    save_fit(fitted(first, 1)[1], folder / "first.nc")
+    return folder, rows, priors
+
+
+def scalars(fit: Fit) -> dict[str, Array]:
+    """Draws of the shared parameters, the levels and the second event's thrusts."""
+    found: dict[str, Array] = {}
+    for name, variable in fit.posterior.data_vars.items():
+        values = variable
+        if "event" in variable.dims:
+            if name != "thrust_n":
+                continue
+            values = variable.sel(event="2009-10-05-bias")
+        flat = values.values.reshape(DRAWS, -1)
+        found |= {f"{name}{i}": flat[:, i] for i in range(flat.shape[1])}
+    return found
+
+
+@pytest.mark.statistical
+def test_two_events_in_sequence_equal_both_at_once(
+    chain: tuple[Path, tuple[TotalsEvent, ...], Priors],
+) -> None:
+    """Means and widths of shared scalars and of the later thrusts, within Monte Carlo error."""
+    folder, rows, priors = chain
+    both, both_fit = fitted(build_model(rows, priors, delta_v="ignore"), 2)
+    later = read_priors(chained_file(folder))
+    after, after_fit = fitted(build_model(rows[1:], later, delta_v="ignore"), 3)
+    assert both.draws.pareto_k < 0.7
+    assert after.draws.pareto_k < 0.7
+    effective = [warm.draws.efficiency * DRAWS for warm in (both, after)]
+    # the moments handed on have the first fit's own Monte Carlo error
+    error = np.sqrt(1 / effective[0] + 1 / effective[1] + 2 / DRAWS)
+    ours, theirs = scalars(after_fit), scalars(both_fit)
+    assert set(ours) == set(theirs)
+    for name, values in theirs.items():
+        if values.std() == 0:
+            continue
+        shift = (ours[name].mean() - values.mean()) / values.std()
+        assert abs(shift) < 5 * error, name
+        assert abs(ours[name].std() / values.std() - 1) < 5 * error, name
+
+
+def test_forgetting_the_first_event_would_be_seen(
+    chain: tuple[Path, tuple[TotalsEvent, ...], Priors],
+) -> None:
+    """Negative control: the second event alone has wider levels than the chain has."""
+    folder, rows, priors = chain
+    later = read_priors(chained_file(folder))
+    alone = fitted(build_model(rows[1:], priors, delta_v="ignore"), 4)[1]
+    after = fitted(build_model(rows[1:], later, delta_v="ignore"), 5)[1]
+    widths = [fit.posterior[LEVELS].values[0].std(0) for fit in (alone, after)]
+    assert (widths[0] / widths[1]).max() > 1.1
+
+
+def test_prior_of_the_chained_model_is_the_posterior_of_the_first(
+    chain: tuple[Path, tuple[TotalsEvent, ...], Priors],
+) -> None:
+    """Prior draws have the first fit's means, widths and correlation of tail-off and levels."""
+    folder, rows, _ = chain
+    later = read_priors(chained_file(folder))
+    model = build_model(rows[1:], later, delta_v="ignore")
+    parameters, draws = prior_draws(model, 20_000, np.random.default_rng(6))
+    with xr.open_dataset(folder / "first.nc", group="posterior", engine="h5netcdf") as stored:
+        levels = stored[LEVELS].values.reshape(-1, 8)
+        fall = stored["tau_fall_s"].values.reshape(-1)
+        common = stored["thrust_common_n"].values.reshape(-1)
+    assert draws.level_n.mean(0) == pytest.approx(levels.mean(0), abs=0.05 * levels.std())
+    assert draws.level_n.std(0) == pytest.approx(levels.std(0), rel=0.05)
+    assert draws.common_n.mean() == pytest.approx(common.mean(), abs=0.05 * common.std())
+    assert draws.common_n.std() == pytest.approx(common.std(), rel=0.05)
+    before = np.corrcoef(fall, levels[:, 0])[0, 1]
+    after = np.corrcoef(np.asarray(parameters["tau_fall_s"]), draws.level_n[:, 0])[0, 1]
+    assert after == pytest.approx(before, abs=0.04)
+    assert abs(before) > 0.3
+
+
+def test_coordinates_of_a_chained_space_go_there_and_back(
+    chain: tuple[Path, tuple[TotalsEvent, ...], Priors],
+) -> None:
+    """to_standard undoes to_parameters; without an earlier fit nothing has changed."""
+    folder, rows, priors = chain
+    model = build_model(rows[1:], read_priors(chained_file(folder)), delta_v="ignore")
+    z = model.space.sample(np.random.default_rng(7), 50)
+    assert model.space.to_standard(model.space.to_parameters(z)) == pytest.approx(z, abs=1e-7)
+    assert model.space.joint is not None
+    assert build_model(rows[1:], priors, delta_v="ignore").space.joint is None
+
+
+def test_moved_information_is_the_same_function() -> None:
+    """log L(F) does not depend on the level it is counted from."""
+    rows, priors = flight(2)
+    model = build_model(rows, priors, delta_v="ignore")
+    from cassini_bayes.model.totals import linear_system
+
+    rng = np.random.default_rng(8)
+    z = 0.3 * model.space.sample(rng, 3)
+    plain = thrust_information(model, linear_system(model, model.space.to_parameters(z)))
+    offset = 0.05 * rng.standard_normal((3, 8))
+    moved = about(plain, offset)
+    departure = 0.05 * rng.standard_normal((3, 2, 8))
+
+    def value(information: object, d: Array) -> Array:
+        info = information
+        assert isinstance(info, type(plain))
+        quadratic = np.einsum("nek,nekl,nel->ne", d, info.matrix, d)
+        return np.asarray(info.constant + (info.vector * d).sum(-1) - 0.5 * quadratic)
+
+    assert value(moved, departure - offset[:, None]) == pytest.approx(value(plain, departure))
+
+
+def spoilt(folder: Path, name: str, change: str) -> str:
+    """The first fit with its tail-off changed into something that is not normal."""
+    with xr.open_dataset(folder / "first.nc", group="posterior", engine="h5netcdf") as stored:
+        data = stored.load()
+    fall = data["tau_fall_s"]
+    centred = fall - fall.mean()
+    if change == "two modes":
+        data["tau_fall_s"] = 0.06 + 0.01 * np.sign(centred) + 0.05 * centred
+    elif change == "skewed":
+        data["tau_fall_s"] = 0.02 + 0.01 * np.exp(1.0 * centred / centred.std())
+    else:
+        data = data.isel(draw=slice(0, 300))
+    data.to_netcdf(folder / name, group="posterior", engine="h5netcdf")
+    return name
+
+
+@pytest.mark.parametrize("change", ["two modes", "skewed", "few"])
+def test_draws_that_are_visibly_not_normal_are_refused(
+    chain: tuple[Path, tuple[TotalsEvent, ...], Priors], change: str
+) -> None:
+    """Two modes, a skewed parameter, too few draws: the message names file and key."""
+    folder = chain[0]
+    name = spoilt(folder, f"{change.replace(' ', '-')}.nc", change)
+    wanted = "too few" if change == "few" else "skewness"
+    with pytest.raises(InputError, match=wanted) as caught:
+        read_priors(chained_file(folder, name))
+    assert "from_fit" in caught.value.where
+
+
+def test_misuse_is_refused(chain: tuple[Path, tuple[TotalsEvent, ...], Priors]) -> None:
+    """A missing fit, a computed ΔV, another branch, a changed chained prior: one line each."""
+    folder, rows, _ = chain
+    with pytest.raises(InputError, match=r"did you mean 'first.nc'"):
+        read_priors(chained_file(folder, "frist.nc"))
+    later = read_priors(chained_file(folder))
+    with pytest.raises(InputError, match="ignore"):
+        build_model(rows[1:], later)
+    with pytest.raises(InputError, match="from_fit"):
+        later.scaled(["tau_fall_s"], width=2.0)
+    assert later.scaled(["mass_factor"], width=2.0).earlier is later.earlier
+    assert isinstance(later.earlier, EarlierFit)
+    other = replace(later.earlier, thrusters=("a",))
+    assert other.thrusters != later.earlier.thrusters
+    _, draws = draws_of(
+        build_model(rows[1:], later, delta_v="ignore"),
+        np.zeros((2, 20)),
+        np.random.default_rng(9),
+    )
+    assert np.isfinite(draws.level_n).all()

@@ -1,0 +1,224 @@
+"""The report: valid, self-contained, escaped, complete, for any shape of run."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from made_up_review import full_figures, full_review, made_up_review
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.report import render_report, write_report
+from cassini_bayes.report.plots.thrusts import thrust_figure
+from cassini_bayes.results.review import Review
+
+VOID = {"meta", "link", "br", "img", "input", "hr", "col", "wbr"}
+
+
+class Page(HTMLParser):
+    """Tags that balance, ids, addresses and the text of a page."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.faults: list[str] = []
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.tags: list[str] = []
+        self.words: list[str] = []
+        self.feed(html)
+        self.close()
+        self.faults += [f"never closed: {tag}" for tag in self.open]
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value or "")
+            if name in ("src", "href", "action", "data", "poster", "srcset"):
+                self.addresses.append(value or "")
+            if name.startswith("on"):
+                self.faults.append(f"{tag} {name}")
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self.open or self.open.pop() != tag:
+            self.faults.append(f"unbalanced: {tag}")
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def review() -> Review:
+    """Eight events, eight thrusters."""
+    return full_review()
+
+
+@pytest.fixture(scope="module")
+def html(review: Review) -> str:
+    """Its report, with all figures."""
+    return render_report(review, full_figures())
+
+
+def test_the_page_is_well_formed(html: str) -> None:
+    """Tags balance, ids are unique, every inner link has its target; the check sees a fault."""
+    page = Page(html)
+    assert page.faults == []
+    assert len(page.ids) == len(set(page.ids))
+    inner = [a[1:] for a in page.addresses if a.startswith("#")]
+    assert len(inner) == 10
+    assert set(inner) <= set(page.ids)
+    assert html.lstrip().startswith("<!DOCTYPE html>")
+    assert Page("<p><b></p>").faults != []
+
+
+def test_the_page_needs_nothing_else(html: str) -> None:
+    """No script, no style sheet, no address but inner links and pictures held in the page."""
+    page = Page(html)
+    assert {"script", "link", "iframe", "object", "embed", "base"} & set(page.tags) == set()
+    assert all(a.startswith(("#", "data:image/")) for a in page.addresses)
+    style = re.search(r"<style>(.*?)</style>", html, re.S)
+    assert style is not None
+    assert "url(" not in style[1]
+    assert "@import" not in style[1]
+    assert "http" not in style[1]
+
+
+def test_pictures_are_whole_and_ask_for_nothing(html: str) -> None:
+    """Every figure is there; SVG pictures carry no script and no outside reference."""
+    found = re.findall(r'src="data:image/(png|svg\+xml);base64,([^"]+)"', html)
+    assert len(found) == 13
+    for kind, content in found:
+        picture = base64.b64decode(content)
+        if kind == "png":
+            assert picture.startswith(b"\x89PNG")
+        else:
+            assert b"<script" not in picture
+            assert all(a.startswith(b"#") for a in re.findall(rb'xlink:href="([^"]+)"', picture))
+
+
+def test_every_thruster_in_every_event_is_listed(html: str, review: Review) -> None:
+    """Both names in one table of the event, its numbers as tabulated."""
+    for event in review.fit.posterior.coords["event"].values:
+        part = html.split(f"<summary>{event}</summary>")[1].split("</details>")[0]
+        names = re.findall(r'<th scope="row">(\w+)</th>', part)
+        assert names == [str(t) for t in review.fit.posterior.coords["thruster"].values]
+    row = review.summary[review.summary["name"] == f"thrust_n[{event},z1]"].iloc[0]
+    assert f"<td>{row['mean']:.3f} ± {row['sd']:.3f}</td>" in part
+
+
+def test_order_summary_then_warnings_then_the_headline(html: str) -> None:
+    """What must be seen first comes first."""
+    places = [
+        html.index(mark)
+        for mark in (
+            "<h1>", 'class="summary"', "Read this first", 'id="thrusts"', 'id="numbers"',
+            'id="nuisances"', 'id="budget"', 'id="checks"', 'id="delta-v"', 'id="convergence"',
+            'id="provenance"', 'id="glossary"',
+        )
+    ]  # fmt: skip
+    assert places == sorted(places)
+
+
+def test_summary_says_level_spread_and_what_limits(html: str, review: Review) -> None:
+    """The numbers in the first paragraph are the tables' own."""
+    first = Page(html.split('<p class="summary">')[1].split("</p>")[0]).text
+    common = review.summary[review.summary["quantity"] == "thrust_common_n"].iloc[0]
+    assert f"{common['mean']:.3f} ± {common['sd']:.3f} N" in first
+    shares = review.budget.filter(like="|share").drop(
+        columns=["noise-only|share", "nonlinear|share"]
+    )
+    worst = shares.mean().idxmax().removesuffix("|share")
+    assert f"{worst} limits the accuracy most: {100 * shares.mean().max():.0f} %" in first
+
+
+def test_intervals_say_kind_and_probability(html: str) -> None:
+    """Headings name the 90 % HDI, the text spells it out."""
+    assert "90 % HDI [N]" in html
+    assert "90 % highest-density interval" in html
+    assert "90 % equal-tailed interval" in html
+
+
+def test_a_conflict_is_flagged_and_a_computed_delta_v_explained(html: str) -> None:
+    """The parameter in conflict is named in the text and marked in the table."""
+    text = Page(html).text
+    assert "In conflict with their priors: cm_y_m" in text
+    assert '<td class="flag">conflict</td>' in html
+    assert "nothing about the true thrust" in text
+
+
+def test_on_times_the_model_does_not_predict_raise_no_alarm(review: Review) -> None:
+    """A replicate that cannot vary has no tail probability, and is left out of the count."""
+    html = render_report(review, {})
+    fixed = int((review.predictive["sd_s"] == 0).sum())
+    assert fixed > 0
+    assert html.count("set by the limit cycle</td>") == fixed
+    assert f"of the {len(review.predictive) - fixed} on-times so predicted" in html
+
+
+def test_malicious_names_are_escaped() -> None:
+    """Markup in an event id, a thruster's note, a fact or a warning stays text."""
+    evil = '<script>alert("x")</script>'
+    review = made_up_review(event_ids=[evil, 'b"><img src=x onerror=y>'], draws=40)
+    review = dataclasses.replace(
+        review, name=evil, warnings=(evil,), facts={evil: evil, "Stop rule": evil}
+    )
+    html = render_report(review, {"thrusts": thrust_figure(review)})
+    page = Page(html)
+    assert page.faults == []
+    assert "script" not in page.tags
+    assert evil not in html
+    assert page.text.count(evil) >= 5
+    assert all(a.startswith(("#", "data:image/")) for a in page.addresses)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"n_events": 1, "delta_v": False},
+        {"baseline": False, "delta_v": False},
+        {"missing_cells": True},
+        {"n_thrusters": 12, "n_events": 2},
+        {"n_events": 1, "n_thrusters": 1},
+    ],
+    ids=str,
+)
+def test_other_shapes_of_run_give_a_whole_report(shape) -> None:
+    """Tables without figures: well formed, no NaN in sight."""
+    review = made_up_review(draws=40, **shape)
+    page = Page(render_report(review, {}))
+    assert page.faults == []
+    assert re.search(r"\bnan\b|\binf\b|\bNone\b", page.text) is None
+    if not shape.get("baseline", True):
+        assert "No estimates by the replaced methods" in page.text
+    if not shape.get("delta_v", True):
+        assert "No event of this run declares a computed ΔV" in page.text
+
+
+def test_writing_is_atomic_and_refusal_is_one_line(review: Review, tmp_path: Path) -> None:
+    """The file holds what was rendered; a folder in its place is an input error."""
+    write_report(review, {}, tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == render_report(review, {})
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError) as caught:
+        write_report(review, {}, tmp_path / "folder")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_headline_is_big_enough_for_a_phone_only_when_enlarged(html: str) -> None:
+    """Pictures shrink to the page; a tap (no script) enlarges one inside its own frame."""
+    assert html.count('type="checkbox"') == html.count("<figure")
+    assert "overflow-x: auto" in html
+    assert 'name="viewport"' in html

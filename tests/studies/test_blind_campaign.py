@@ -1,0 +1,167 @@
+"""The blind campaign's counts and page, from records made up by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cassini_bayes.studies.blind import campaign as blind_campaign
+from cassini_bayes.studies.blind.campaign import read_trials, run_campaign, write_results
+from cassini_bayes.studies.blind.flights import Blind
+from cassini_bayes.studies.blind.rates import first, interval, named, rates, reliability
+from cassini_bayes.studies.blind.trials import is_done, run_trial, trial_file
+
+
+def record(index: int, stratum: str, hidden: str | None, said: str, **other: Any) -> dict[str, Any]:
+    """One finished trial."""
+    size = {"parameter": "p", "true": 1.0, "low": 0.5, "high": 1.5, "covers": True}
+    return {
+        "index": index,
+        "seed": 5,
+        "code": "abc",
+        "stratum": stratum,
+        "hidden": [{"name": hidden, "parameters": {}, "sigma": 6.0}] if hidden else [],
+        "causes": [
+            {"name": said, "probability": 0.9, "log_bayes_factor": 20.0},
+            {"name": "none" if said != "none" else "tail_off", "probability": 0.1}
+            | {"log_bayes_factor": 0.0},
+        ],
+        "confounded_with": [],
+        "probability_of_none": 0.9 if said == "none" else 0.1,
+        "probability_of_unknown": 0.0,
+        "probability_of_truth": [0.9],
+        "rank_of_truth": [0 if said == hidden else 4],
+        "sizes": [size] if hidden else [],
+        "pair": None,
+        "pair_first_like": [],
+        "pair_second_like": [],
+        "p_value": 0.4,
+        "oracle_rank": 0 if hidden else None,
+        "oracle_expected": 0.8 if hidden else None,
+        "wall_s": 12.5,
+        "cpu_prepare_s": 2.0,
+        "cpu_diagnose_s": 10.0,
+    } | other
+
+
+RECORDS = (
+    record(0, "null", None, "none"),
+    record(1, "null", None, "tail_off"),
+    record(2, "clear", "tail_off", "tail_off"),
+    record(3, "clear", "pulse_shape", "tail_off", confounded_with=["pulse_shape"]),
+    record(4, "clear", "time_offset", "rate_scale:z"),
+    record(5, "uncatalogued", "pressure_surge", "unknown"),
+    record(6, "prior", "tail_off", "tail_off"),
+    record(7, "two", "tail_off", "tail_off", pair="tail_off+inertia:xx")
+    | {"hidden": [{"name": n, "parameters": {}, "sigma": 6.0} for n in ("inertia:xx", "tail_off")]},
+)
+
+
+def test_a_named_cause_is_the_hidden_one_or_in_its_group() -> None:
+    """A confounded group counts; a wrong name, or any name where nothing is hidden, does not."""
+    assert [named(r) for r in RECORDS[:5]] == [True, False, True, True, False]
+    assert first(RECORDS[4]) == "rate_scale:z"
+
+
+def test_rates_are_counted_by_part() -> None:
+    """Counts of every rate are those of the records by hand."""
+    table = rates(RECORDS).set_index("rate")
+    assert table.loc["clear: named first (confounded group counts)", "hits"] == 2
+    assert table.loc["clear: named first, name alone", "hits"] == 1
+    assert table.loc["null: causes[0] is not none", "hits"] == 1
+    assert table.loc["uncatalogued: unknown first", "hits"] == 1
+    assert table.loc["two: both named, names alone", "hits"] == 1
+    assert table.loc["two: both named (confounded groups count)", "hits"] == 1
+    assert table.loc["faint: the oracle, on the same data", "trials"] == 0
+    low, high = interval(2, 3)
+    assert table.loc["clear: named first (confounded group counts)", "low_95"] == low
+    assert high < 1.0
+    assert reliability(RECORDS)["right"].to_list() == [1.0, 1.0]  # its bin, and all
+
+
+def test_page_lists_failures_and_claims_no_goal_on_few_trials(tmp_path: Path) -> None:
+    """The page holds every wrong trial, how many there are, and calls no goal reached."""
+    for own in RECORDS:
+        (tmp_path / f"trial_{own['index']:04d}.json").write_text(json.dumps(own))
+    (tmp_path / "trial_0099.json").write_text(json.dumps({**RECORDS[0], "seed": 6}))
+    assert len(read_trials(tmp_path, 5)) == len(RECORDS)
+    write_results(tmp_path, tmp_path / "page", 5, ["command"])
+    page = (tmp_path / "page" / "index.md").read_text()
+    assert "8 trials" in page
+    assert "| 4 | clear | time_offset | 6.00 | rate_scale:z | 0.900 |" in page
+    assert "| 3 | clear" not in page
+    assert "reached" not in page
+    assert "not excluded" in page
+    assert {p.name for p in (tmp_path / "page").iterdir()} >= {
+        "blind.png",
+        "confusion.png",
+        "rates.csv",
+        "trials.csv",
+    }
+
+
+def test_rate_of_no_trials_is_open() -> None:
+    """No trials leave the whole interval."""
+    assert interval(0, 0) == (0.0, 1.0)
+    assert rates(RECORDS[:1]).set_index("rate").loc["two: both named, names alone", "trials"] == 0
+    assert interval(5, 5)[0] == pytest.approx(0.025 ** (1 / 5))
+
+
+def test_failed_trial_is_a_miss_with_its_message(tmp_path: Path) -> None:
+    """A trial that raises is recorded once with its message, and counts as a miss."""
+    campaign = Blind(tmp_path / "no such scenario.toml", tmp_path / "no priors.toml", 5, ("a",))
+    for index in range(3):
+        run_trial(campaign, index, tmp_path)
+    found = json.loads(trial_file(tmp_path, 0).read_text())
+    assert "no priors.toml" in found["error"]
+    assert is_done(campaign, 0, tmp_path, found["code"])
+    assert not is_done(campaign, 0, tmp_path, "another code")
+    assert not is_done(campaign, 4, tmp_path, found["code"])
+    mixed = [*RECORDS[2:4], {"index": 9, "stratum": "clear", "error": "ValueError: bad"}]
+    table = rates(mixed).set_index("rate")
+    assert table.loc["clear: named first (confounded group counts)", "value"] == 2 / 3
+    assert table.loc["all: trial failed", "hits"] == 1
+
+
+def test_half_written_and_foreign_records_are_not_done(tmp_path: Path) -> None:
+    """A record cut in half, of another seed or of other events is done again."""
+    campaign = Blind(Path("s"), Path("p"), 5, ("a",))
+    whole = {"seed": 5, "code": "abc", "events": ["a"]}
+    for text, done in (
+        (json.dumps(whole), True),
+        (json.dumps(whole)[:-3], False),
+        (json.dumps(whole | {"seed": 6}), False),
+        (json.dumps(whole | {"events": ["b"]}), False),
+    ):
+        trial_file(tmp_path, 0).write_text(text)
+        assert is_done(campaign, 0, tmp_path, "abc") is done
+
+
+def test_campaign_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is there is not done again, by one process or two; what is missing is done once."""
+    campaign = Blind(tmp_path / "no scenario.toml", tmp_path / "no priors.toml", 5, ("a",))
+    assert list(run_campaign(campaign, 3, tmp_path, 2))[-1] == (3, 3)
+    before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.glob("trial_*")}
+    trial_file(tmp_path, 1).unlink()
+    assert list(run_campaign(campaign, 3, tmp_path, 1)) == [(2, 3), (3, 3)]
+    after = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.glob("trial_*")}
+    assert {n: b for n, (b, _) in after.items()} == {n: b for n, (b, _) in before.items()}
+    assert [n for n in after if after[n][1] != before[n][1]] == ["trial_0001.json"]
+    monkeypatch.setattr(blind_campaign, "trial_code", lambda: "other code")
+    assert next(run_campaign(campaign, 3, tmp_path, 1)) == (0, 3)
+
+
+def test_a_pair_counts_by_its_groups_one_for_each() -> None:
+    """Both hidden causes must each be in a group of their own; one group for both is a miss."""
+    hidden = {"hidden": [{"name": n, "parameters": {}, "sigma": 6.0} for n in ("leak", "tail_off")]}
+    wrong = record(1, "two", "leak", "leak", pair="leak+pulse_shape") | hidden
+    like = wrong | {"pair_second_like": ["tail_off"]}
+    same = wrong | {"pair_first_like": ["tail_off"]}
+    found = [
+        rates([r]).set_index("rate").loc["two: both named (confounded groups count)", "hits"]
+        for r in (wrong, like, same)
+    ]
+    assert found == [0, 1, 0]

@@ -1,0 +1,129 @@
+"""The telemetry calibration: reproducible repetitions, truths with draws, a sound judgement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cassini_bayes.balance.physics import physics_of
+from cassini_bayes.results.ranks import Ranks
+from cassini_bayes.studies.scenario import simulated_samples
+from cassini_bayes.studies.telemetry_calibration import (
+    CONTROLS,
+    VARIANTS,
+    TelemetryCampaign,
+    flat_draws,
+    flat_truth,
+    joint_model_of,
+    with_torque_noise,
+)
+from cassini_bayes.studies.telemetry_campaign import QUICK, REPETITIONS, judge
+
+SCENARIO = "runs/scenarios/calibration.toml"
+PRIORS = "priors/cassini_b_branch_telemetry.toml"
+
+
+def campaign(name: str, seed: int = 5) -> TelemetryCampaign:
+    """The campaign of one variant."""
+    variant = next(v for v in (*VARIANTS, *CONTROLS) if v.name == name)
+    return TelemetryCampaign(SCENARIO, PRIORS, seed, variant)
+
+
+def test_a_repetition_repeats_and_ranks_every_name() -> None:
+    """The same seed and index give the same ranks, one fraction per name."""
+    slews = campaign("slew")
+    first, k, _ = slews.repetition(0)
+    again, _, _ = slews.repetition(0)
+    assert np.array_equal(first, again)
+    assert first.shape == (len(slews.names()),)
+    assert ((first >= 0) & (first <= 1)).all()
+    assert np.isfinite(k)
+
+
+def test_names_are_those_of_draws_and_truth() -> None:
+    """Every ranked scalar has draws and a true value, and every walked parameter is ranked."""
+    joint = campaign("joint")
+    rng = np.random.default_rng(1)
+    priors = joint.priors()
+    simulation = joint.simulate(priors, rng)
+    model = joint_model_of(simulation, joint.variant, priors, np.random.default_rng(2))
+    drawn = flat_draws(model, model.space.sample(rng, 3), rng)
+    truth = flat_truth(simulation)
+    assert set(joint.names()) <= set(drawn)
+    assert set(joint.names()) <= set(truth)
+    assert set(model.space.names) <= set(joint.names())
+
+
+def test_variants_change_what_they_say() -> None:
+    """Sampling, events and wheel noise of a variant are in its telemetry and priors."""
+    rng = np.random.default_rng(2)
+    mixed = campaign("mixed")
+    telemetry = mixed.simulate(mixed.priors(), rng).events[0].telemetry
+    counters = telemetry.time_s[np.isfinite(telemetry.columns["pulses_z1"])]
+    rates = telemetry.time_s[np.isfinite(telemetry.columns["rate_x_rad_s"])]
+    assert np.diff(counters).min() == pytest.approx(10.0)
+    assert np.diff(rates).min() == pytest.approx(4.0)
+    noisy = campaign("noisy-wheels").priors().parameters["wheel_noise_rpm"].distribution
+    assert noisy is not None
+    assert noisy.quantile_of_standard(np.zeros(1))[0] == pytest.approx(1.0)
+    assert set(REPETITIONS) == set(QUICK) == {v.name for v in (*VARIANTS, *CONTROLS)}
+
+
+def test_the_pulse_blind_control_keeps_more_rows() -> None:
+    """Without the guard time rows during pulses are kept."""
+    one = campaign("bias")
+    priors = one.priors()
+    simulation = one.simulate(priors, np.random.default_rng(3))
+    rows = [
+        joint_model_of(
+            simulation, replace(one.variant, control=control), priors, np.random.default_rng(2)
+        )
+        .telemetry[0]
+        .statistics.rows
+        for control in ("none", "pulse-blind")
+    ]
+    assert rows[1] > rows[0] + 50
+
+
+def test_the_judgement_is_over_all_variants_together() -> None:
+    """Uniform ranks pass; one skewed parameter in one variant fails everything."""
+    rng = np.random.default_rng(4)
+
+    def made_up(n: int, skew: float) -> Ranks:
+        values = rng.uniform(size=(n, 6))
+        values[:, 2] **= skew
+        return Ranks(tuple("abcdef"), values, np.zeros(n), np.zeros(n, dtype=bool))
+
+    good = judge({"one": made_up(200, 1.0), "two": made_up(100, 1.0)})
+    bad = judge({"one": made_up(200, 2.0), "two": made_up(100, 1.0)})
+    assert good.passed
+    assert not bad.passed
+    failing = bad.table[bad.table["p_envelope_holm"] <= 0.01]
+    assert list(failing["variant"] + failing["parameter"]) == ["onec"]
+
+
+def test_torque_noise_walks_in_inertial_axes() -> None:
+    """Wheels and body gain the momentum of a white torque, of variance density² t together."""
+    campaign = TelemetryCampaign(SCENARIO, PRIORS, 4, VARIANTS[2])
+    priors = campaign.priors().with_fixed("torque_noise_n_m_s05", 1e-3)
+    event = campaign.simulate(priors, np.random.default_rng(3)).events[0]
+    samples, _ = simulated_samples(event)
+    physics = physics_of(
+        event.plan.spacecraft,
+        "",
+        {name: np.asarray(value) for name, value in event.plan.parameters.items()},
+        fires=False,
+    )
+    weights = physics.wheel_weights[:, [0, 1, 3]]
+    end, half = [], []
+    for seed in range(200):
+        noisy = with_torque_noise(samples, event, np.random.default_rng(seed))
+        gained = (noisy.wheel_rad_s - samples.wheel_rad_s) @ weights.T
+        gained += (noisy.rate_rad_s - samples.rate_rad_s) @ physics.inertia_kg_m2
+        end.append(gained[-1])
+        half.append(gained[len(gained) // 4])
+    # 600 values: relative standard error of a variance 0.058
+    assert np.var(end) == pytest.approx(1e-6 * samples.time_s[-1], rel=0.24)
+    assert np.var(half) == pytest.approx(0.25e-6 * samples.time_s[-1], rel=0.24)

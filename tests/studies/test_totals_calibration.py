@@ -1,0 +1,144 @@
+"""The calibration campaign: its simulation, its ranks, its judgement, its resumption."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from totals_cases import B_BRANCH, FLIGHT, flight, plain_log_likelihood, point
+
+from cassini_bayes.errors import CassiniBayesError, InputError
+from cassini_bayes.model.totals import build_model
+from cassini_bayes.results.ranks import Ranks, read_ranks, run_repetitions
+from cassini_bayes.results.record import prior_draws
+from cassini_bayes.studies import totals_calibration as calibration
+from cassini_bayes.studies.totals_calibration import (
+    Campaign,
+    judge,
+    simulate_totals,
+    with_room,
+)
+
+CAMPAIGN = Campaign(str(FLIGHT), str(B_BRANCH), seed=3)
+
+
+def uniform_ranks(n: int, shift: float = 0.0) -> Ranks:
+    """Made-up ranks of three parameters; the last one shifted towards one."""
+    ranks = np.random.default_rng(1).uniform(size=(n, 3))
+    ranks[:, 2] = np.clip(ranks[:, 2] + shift, 0, 1)
+    return Ranks(("a", "b", "c"), ranks, np.zeros(n), np.zeros(n, dtype=bool))
+
+
+def test_simulated_events_close_their_momentum_balance() -> None:
+    """Without noise the plain likelihood of the truth is at its peak: the residual is nil."""
+    events, priors = flight()
+    for name in ("hold_rate_rad_s", "hold_attitude_rad", "wheel_resolution_rpm"):
+        priors = priors.with_fixed(name, 1e-9)
+    priors = priors.with_fixed("on_time_resolution_s", 1e-7)
+    template = tuple(with_room(event) for event in events)
+    model = build_model(template, priors, delta_v="ignore")
+    rng = np.random.default_rng(2)
+    parameters, truth = prior_draws(model, 1, rng)
+    simulated = simulate_totals(template, model, parameters, truth, rng)
+    truth_z = np.atleast_2d(model.space.to_standard(parameters))
+    loose = {**point(model, truth_z), "hold_rate_rad_s": 1e-7}
+
+    def density(scale: float) -> float:
+        return plain_log_likelihood(
+            simulated,
+            loose,
+            truth.thrust_n[0] * scale,
+            truth.external_torque_n_m[0],
+            model.linear.common_mean_n,
+            expand_jacobian=False,
+        )
+
+    assert density(1.0) > density(1.003) + 1e2
+    assert density(1.0) > density(0.997) + 1e2
+
+
+def test_simulated_on_times_respond_and_stay_positive() -> None:
+    """On-times and pulse counts change together, on the pairs that work only, and stay positive."""
+    events, priors = flight()
+    template = tuple(with_room(event) for event in events)
+    model = build_model(template, priors, delta_v="ignore")
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        parameters, truth = prior_draws(model, 1, rng)
+        simulated = simulate_totals(template, model, parameters, truth, rng)
+        for row, event in enumerate(simulated):
+            answers = np.abs(model.stack.response[row]).sum(-1) > 0
+            assert event.on_time_s[~answers] == pytest.approx(template[row].on_time_s[~answers])
+            assert (event.on_time_s > 0).all()
+            assert event.pulses is not None
+            width = event.on_time_s / event.pulses
+            before = template[row].on_time_s / template[row].pulses
+            assert width == pytest.approx(before, rel=0.5 / event.pulses.min() + 0.01)
+
+
+def test_repetition_is_reproducible_and_complete() -> None:
+    """The same campaign and index give the same ranks, all of them fractions, one per parameter."""
+    first, k, _ = CAMPAIGN.repetition(7)
+    again, _, _ = CAMPAIGN.repetition(7)
+    other, _, _ = CAMPAIGN.repetition(8)
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert len(first) == len(CAMPAIGN.names())
+    assert ((first >= 0) & (first <= 1)).all()
+    assert np.isfinite(k)
+
+
+def test_judgement_passes_uniform_ranks_and_fails_shifted_ones() -> None:
+    """Uniform ranks pass; one parameter shifted by a tenth fails coverage and uniformity."""
+    good, bad = judge(uniform_ranks(2_000)), judge(uniform_ranks(2_000, shift=0.1))
+    assert good.passed
+    assert good.tolerance == pytest.approx(0.03)
+    assert not bad.passed
+    assert bad.failing == ("c",)
+    assert bad.smallest_p_value < 1e-6
+
+
+def test_few_repetitions_get_a_wider_tolerance() -> None:
+    """With 60 repetitions binomial scatter is wider than 3 %, and so is the tolerance."""
+    assert judge(uniform_ranks(60)).tolerance > 0.1
+
+
+def test_controls_fail_where_the_model_passes() -> None:
+    """Six repetitions suffice: ignoring hold rates or pulse shapes misses most true thrusts."""
+    thrusts = [name.startswith("thrust_n") for name in CAMPAIGN.names()]
+    average = {}
+    for control in calibration.CONTROLS:
+        campaign = replace(CAMPAIGN, control=control)
+        ranks = np.stack([campaign.repetition(index)[0][thrusts] for index in range(6)])
+        average[control] = ((ranks > 0.05) & (ranks < 0.95)).mean()
+    assert average["none"] > 0.8
+    assert average["hold-rates-ignored"] < average["none"] - 0.05
+    assert average["rectangular-pulses"] < 0.4
+
+
+def test_campaign_resumes_and_refuses_foreign_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Finished repetitions are kept; only missing ones run again; another seed's are refused."""
+    monkeypatch.setattr(calibration, "REPETITIONS_PER_FILE", 1)
+    assert list(run_repetitions(CAMPAIGN, 2, tmp_path, 1))[-1] == (2, 2)
+    whole = read_ranks(CAMPAIGN, 2, tmp_path)
+    kept = (tmp_path / "ranks_00000.npz").stat().st_mtime_ns
+    (tmp_path / "ranks_00001.npz").unlink()
+    with pytest.raises(CassiniBayesError, match="missing"):
+        read_ranks(CAMPAIGN, 2, tmp_path)
+    assert list(run_repetitions(CAMPAIGN, 2, tmp_path, 1)) == [(1, 2), (2, 2)]
+    assert np.array_equal(read_ranks(CAMPAIGN, 2, tmp_path).ranks, whole.ranks)
+    assert (tmp_path / "ranks_00000.npz").stat().st_mtime_ns == kept
+    with pytest.raises(InputError, match="another run"):
+        read_ranks(replace(CAMPAIGN, seed=4), 2, tmp_path)
+
+
+def test_parameter_that_a_control_fixes_is_left_out_of_the_judgement() -> None:
+    """A column of NaN (not in the fitted model) beside uniform ranks passes; it is not a miss."""
+    good = uniform_ranks(2_000)
+    blank = replace(good, ranks=np.column_stack([good.ranks[:, :2], np.full(2_000, np.nan)]))
+    assert judge(blank).passed
+    assert blank.of_fitted().names == ("a", "b")
