@@ -6,7 +6,7 @@ The whole job in a few names, loaded when first used::
 
     priors = cb.read_priors("priors/cassini_b_branch_2010.toml")
     events = cb.read_totals("flight.csv", priors.spacecraft)
-    model = cb.build_model(events, priors)
+    model = cb.build_totals(events, priors)
     sampled = cb.fit_model(model, cb.SamplerSettings(seed=1))
     cb.summarise(sampled.fit)
 """
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cassini_bayes.errors import CassiniBayesError, InputError
     from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
-    from cassini_bayes.model.totals import TotalsModel, build_model, prior_centre
+    from cassini_bayes.model.totals import TotalsTerm, build_totals, prior_centre
     from cassini_bayes.priors.reader import Priors, read_priors
     from cassini_bayes.report.plots import make_figures
     from cassini_bayes.results.baselines import perturbation_bars
@@ -35,7 +35,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "errors": ("CassiniBayesError", "InputError"),
     "events.totals": ("TotalsEvent", "read_totals", "write_totals"),
-    "model.totals": ("TotalsModel", "build_model", "prior_centre"),
+    "model.totals": ("TotalsTerm", "build_totals", "prior_centre"),
     "priors.reader": ("Priors", "read_priors"),
     "report.plots": ("make_figures",),
     "results.baselines": ("perturbation_bars",),
@@ -58,9 +58,9 @@ __all__ = [
     "SamplerSettings",
     "Spacecraft",
     "TotalsEvent",
-    "TotalsModel",
+    "TotalsTerm",
     "assemble_review",
-    "build_model",
+    "build_totals",
     "convergence_table",
     "error_budget",
     "fit_model",

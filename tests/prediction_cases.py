@@ -13,13 +13,13 @@ from totals_cases import B_BRANCH, FLIGHT, flight
 
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model.totals import TotalsTerm, build_totals
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.leave_one_out import HeldOut, fold
 from cassini_bayes.prediction.physics import Physics
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.results.record import build_fit, draws_of, save_fit
+from cassini_bayes.results.record import build_totals_fit, draws_of, save_fit
 
 Array = NDArray[np.float64]
 SIZE = 400
@@ -38,10 +38,10 @@ def flights(first: int = 8) -> tuple[tuple[TotalsEvent, ...], Priors]:
 
 
 @cache
-def model() -> TotalsModel:
+def model() -> TotalsTerm:
     """The totals model of the eight events."""
     events, priors = flights()
-    return build_model(events, priors)
+    return build_totals(events, priors)
 
 
 def physics(n: int = SIZE, seed: int = 3) -> Physics:
@@ -71,7 +71,7 @@ def write_run_folder(folder: Path) -> Path:
     """A run folder with a small fit of the eight events; returns the path of ``fit.nc``."""
     rng = np.random.default_rng(6)
     z = 0.3 * rng.standard_normal((1, SIZE, len(model().space.names)))
-    fit = build_fit(model(), z, np.zeros((1, SIZE)), rng, {"seed": 6}, 50)
+    fit = build_totals_fit(model(), z, np.zeros((1, SIZE)), rng, {"seed": 6}, 50)
     run = folder / "small"
     run.mkdir(parents=True)
     save_fit(fit, run / "fit.nc")

@@ -22,7 +22,7 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
 )
 from cassini_bayes.balance.telemetry_terms import TelemetryTerms, cut_probability
-from cassini_bayes.model.joint import JointModel, build_joint_model, sampling_of
+from cassini_bayes.model.posterior import Model, build_model, sampling_of
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
 
@@ -101,11 +101,11 @@ def reduced(
     return reduce_chunks(event_id, kind, parts, layout, sampling), sampling
 
 
-def model_of(events: list[Samples]) -> JointModel:
+def model_of(events: list[Samples]) -> Model:
     """A joint model of made-up events."""
     priors = telemetry_priors()
     statistics = [reduced(samples, priors, f"e{i}") for i, samples in enumerate(events)]
-    return build_joint_model(statistics, priors)
+    return build_model(statistics, priors)
 
 
 def rotation(q: Array) -> Array:
@@ -209,14 +209,14 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
 
 
 def plain_log_likelihood(
-    model: JointModel, events: list[Samples], parameters: Mapping[str, float]
+    model: Model, events: list[Samples], parameters: Mapping[str, float]
 ) -> float:
     """Log density of all channels of all rows, the unknowns integrated out as one dense normal.
 
     Every linear unknown (thrust levels and departures, initial momenta, torques, cut tails,
     cosines) becomes covariance between rows.
     """
-    linear = model.linear
+    linear = model.thrust_prior
     means, blocks, shared, constant = [], [], [], 0.0
     values = dict.fromkeys(model.absent_wheel_parameters, 0.0) | dict(parameters)
     inertia = inertia_tensor(values)
@@ -281,7 +281,7 @@ def plain_log_likelihood(
 
 
 def _unknowns(
-    model: JointModel,
+    model: Model,
     terms: TelemetryTerms,
     samples: Samples,
     rows: PlainRows,
@@ -313,7 +313,7 @@ def _unknowns(
         for part in range(PARTS):
             if rows.totals[g, part] > 0:
                 sd = np.sqrt(chance * (1 - chance) / rows.totals[g, part])
-                step = model.linear.common_mean_n * lost * sd
+                step = model.thrust_prior.common_mean_n * lost * sd
                 own.append(step * (counts[:, g, part][:, None] * arm).reshape(-1))
     return own, columns, mean
 
@@ -427,7 +427,7 @@ def _spin(momentum: Array) -> Array:
     return np.eye(3) * (momentum @ momentum) - np.outer(momentum, momentum)
 
 
-def _nominal_momenta(model: JointModel, rows: PlainRows) -> list[Array]:
+def _nominal_momenta(model: Model, rows: PlainRows) -> list[Array]:
     means = {
         name: distribution.mean()
         for name, distribution in zip(model.space.names, model.space.distributions, strict=True)

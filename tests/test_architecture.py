@@ -307,9 +307,9 @@ OFFENDERS: Final = (
     (
         wrong_way,
         "balance.terms",
-        "def f():\n    from cassini_bayes.model.posterior import collapse",
+        "def f():\n    from cassini_bayes.model.thrusts import collapse",
     ),
-    (wrong_way, "balance.terms", "import cassini_bayes.model.posterior as p"),
+    (wrong_way, "balance.terms", "import cassini_bayes.model.thrusts as p"),
     (wrong_way, "balance.terms", "from cassini_bayes import model"),
     (wrong_way, "errors", "from . import model"),
     (wrong_way, "spacecraft.frames", "from ..model.posterior import collapse"),

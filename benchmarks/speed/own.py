@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import EventStatistics, Samples, Sampling, reduce_chunks
-from cassini_bayes.model.joint import JointModel, build_joint_model, joint_log_posterior
+from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.results.fitting import Sampled, collapsed_size, fit_model
 from cassini_bayes.results.joint_draws import draw_all
 from cassini_bayes.sampling.ensembles import ProgressReport, SamplerSettings, sample, stored_ess
@@ -89,8 +89,8 @@ def sampler_row(folders: list[Path], torque_noise: bool) -> tuple[Row, Array]:
     importlib.import_module("arviz")  # two seconds; the others' imports do not count either
     clock = Stages()
     model = model_of(reduced_events(folders, torque_noise), torque_noise)
-    log_density = partial(joint_log_posterior, model)
-    joint_log_posterior(model, np.zeros((1, len(model.space.names))))
+    log_density = partial(log_posterior, model)
+    log_posterior(model, np.zeros((1, len(model.space.names))))
     warm = warm_start(log_density, len(model.space.names), np.random.default_rng(1))
     warm_s = clock.now()[1]
     settings = SamplerSettings(
@@ -139,7 +139,7 @@ def least_of(chains: Array) -> float:
 def least_ess(fitted: Sampled) -> tuple[float, str]:
     """Smallest bulk or tail effective size of the stored draws, walked and collapsed alike."""
     model, z = fitted.model, fitted.z
-    assert isinstance(model, JointModel)
+    assert isinstance(model, Model)
     m, n, _ = z.shape
     walkers = fitted.chains.z.shape[2]
     drawn = draw_all(model, fitted.flat_z, np.random.default_rng(0))
@@ -158,7 +158,7 @@ def importance_row(folders: list[Path]) -> Row:
     """From event folders to importance draws alone."""
     began = time.perf_counter()
     model = model_of(reduced_events(folders))
-    log_density = partial(joint_log_posterior, model)
+    log_density = partial(log_posterior, model)
     warm = warm_start(log_density, len(model.space.names), np.random.default_rng(1))
     wall = time.perf_counter() - began
     ess = warm.draws.efficiency * len(warm.draws.z)
@@ -176,15 +176,15 @@ def denser(samples: Samples, times: int) -> Samples:
     return replace(Samples(**held), time_s=held["time_s"] + part * np.repeat(step, times))
 
 
-def call_time(model: JointModel, repeats: int, points: int = POINTS) -> float:
+def call_time(model: Model, repeats: int, points: int = POINTS) -> float:
     """Median processor time of a likelihood call per point, seconds."""
     rng = np.random.default_rng(0)
     z = 0.3 * rng.standard_normal((points, len(model.space.names)))
-    joint_log_posterior(model, z)
+    log_posterior(model, z)
     times = []
     for _ in range(repeats):
         began = time.process_time()
-        joint_log_posterior(model, z)
+        log_posterior(model, z)
         times.append(time.process_time() - began)
     return float(np.median(times)) / points
 
@@ -198,7 +198,7 @@ def sample_growth(reduced: Any, samples: Samples, counts: list[int], repeats: in
         chunks = [whole.part(a, a + 100_000) for a in range(0, count, 100_000)]
         layout = reduced.statistics.layout
         statistics = reduce_chunks("bias", "bias", chunks, layout, sampling)
-        models.append(build_joint_model([(statistics, sampling)], _priors()))
+        models.append(build_model([(statistics, sampling)], _priors()))
     # taken in turn, so that a busy machine slows all of them
     times = np.array([[call_time(model, 1) for model in models] for _ in range(repeats)])
     return [
@@ -217,7 +217,7 @@ def event_growth(
     models = []
     for count in counts:
         named = [(replace(pair[0], event_id=f"e{i}"), pair[1]) for i in range(count)]
-        models.append(build_joint_model(named, _priors()))
+        models.append(build_model(named, _priors()))
     times = np.array([[call_time(model, 1) for model in models] for _ in range(repeats)])
     return [
         {"events": count, "walked": len(model.space.names), "call_s": float(value)}

@@ -22,7 +22,7 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.telemetry_terms import cut_tail_sd
-from cassini_bayes.model.joint import collapse_joint, draw_joint, joint_log_posterior
+from cassini_bayes.model.posterior import collapse, draw, log_posterior
 from speed import plain
 from speed.problem import model_of, reduced_events
 
@@ -82,13 +82,13 @@ class Target:
     def many(self, x: Array) -> Array:
         """Log density at (n, size) points."""
         if self.fast:
-            return joint_log_posterior(self.problem.model, x)
+            return log_posterior(self.problem.model, x)
         return np.array([self.one(point) for point in x])
 
     def one(self, x: Array) -> float:
         """Log density at one point."""
         if self.fast:
-            return float(joint_log_posterior(self.problem.model, x[None])[0])
+            return float(log_posterior(self.problem.model, x[None])[0])
         return float(plain.log_posterior(np, scipy.special, self.problem, x))
 
     def likelihood(self, x: Array) -> Any:
@@ -113,9 +113,9 @@ class Target:
 def lifted(problem: plain.Problem, z: Array, rng: np.random.Generator) -> Array:
     """Draws of the plain likelihood's unknowns at walked coordinates, from their conditional."""
     model, terms = problem.model, problem.terms
-    drawn = draw_joint(model, collapse_joint(model, z), rng)
+    drawn = draw(model, collapse(model, z), rng)
     assert drawn.thrusts is not None  # a bias fires
-    thrust = drawn.thrusts.thrust_n[:, 0] - model.linear.common_mean_n
+    thrust = drawn.thrusts.thrust_n[:, 0] - model.thrust_prior.common_mean_n
     own = drawn.own[0]
     parts = [
         z,

@@ -29,15 +29,15 @@ from cassini_bayes.diagnosis.kinematics import (
 from cassini_bayes.effects.catalogue import AXES, Catalogue, Effect
 from cassini_bayes.effects.columns import telemetry_columns
 from cassini_bayes.effects.modifiers import modifier_of
-from cassini_bayes.model.joint import (
-    JointModel,
-    build_joint_model,
-    joint_log_posterior,
+from cassini_bayes.model.posterior import (
+    Model,
+    build_model,
+    log_posterior,
     sampling_of,
     with_equal_bands_merged,
     without_idle,
 )
-from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.model.totals import TotalsTerm
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
@@ -98,7 +98,7 @@ class Case:
     priors: Priors
     sources: tuple[TelemetrySource, ...]
     statistics: tuple[tuple[EventStatistics, Sampling], ...]
-    totals: TotalsModel | None
+    totals: TotalsTerm | None
     rates: RateInformation
     oscillation: Oscillation | None = None
 
@@ -133,7 +133,7 @@ class Case:
 def prepare(
     sources: Sequence[TelemetrySource],
     priors: Priors,
-    totals: TotalsModel | None = None,
+    totals: TotalsTerm | None = None,
     pulse_shape: str = "first_order",
 ) -> Case:
     """Reduce telemetry with every column that an effect may need."""
@@ -172,7 +172,7 @@ class Hypothesis:
     """
 
     name: str
-    model: JointModel
+    model: Model
     effects: tuple[Effect, ...]
     prior_probability: float
     rates: RateInformation | None
@@ -210,7 +210,7 @@ class Hypothesis:
             return np.array([LEAST])
 
     def _inside(self, z: Array) -> Array:
-        value = np.nan_to_num(joint_log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
+        value = np.nan_to_num(log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
         if self.rates is None:
             return value
         parameters = self.model.space.to_parameters(z)
@@ -227,7 +227,7 @@ def none_hypothesis(case: Case, catalogue: Catalogue) -> Hypothesis:
     priors = case.priors
     if case.sources:
         priors = priors.with_fixed(TORQUE_NOISE, 0.0)
-    model = build_joint_model(case.statistics, priors, case.totals, keep_idle=True)
+    model = build_model(case.statistics, priors, case.totals, keep_idle=True)
     return Hypothesis("none", model, (), catalogue.none_probability, None)
 
 
@@ -240,7 +240,7 @@ def unknown_hypothesis(case: Case, catalogue: Catalogue) -> Hypothesis:
     if totals is not None:
         priors = priors.with_distribution(HOLD_RATE, _wider_hold(priors, catalogue))
         totals = replace(totals, space=priors.space([*totals.space.names, *totals.space.fixed]))
-    model = build_joint_model(case.statistics, priors, totals, keep_idle=True)
+    model = build_model(case.statistics, priors, totals, keep_idle=True)
     return Hypothesis(
         "unknown", model, (), catalogue.unknown_probability, None, farthest=UNKNOWN_FARTHEST
     )

@@ -26,7 +26,7 @@ from cassini_bayes.balance.telemetry_terms import (
 )
 from cassini_bayes.diagnosis.extended import Case, Hypothesis
 from cassini_bayes.diagnosis.unresolved import unresolved
-from cassini_bayes.model.joint import full_parameters, joint_physics
+from cassini_bayes.model.posterior import full_parameters, physics_at
 
 Array = NDArray[np.float64]
 SMOOTHED_ROWS: Final = 31
@@ -144,9 +144,9 @@ def linearise(
     d = len(z)
     points = np.vstack([z, z + _STEP * np.eye(d), z - _STEP * np.eye(d)])
     parameters = full_parameters(model, points)
-    physics = joint_physics(model, parameters)
-    thrust = model.linear.common_mean_n
-    levels = model.linear.shared
+    physics = physics_at(model, parameters)
+    thrust = model.thrust_prior.common_mean_n
+    levels = model.thrust_prior.shared
     targets, blocks, own_precision, factors, all_rows = [], [], [], [], []
     for place, terms in enumerate(model.telemetry):
         rows = event_rows(case, place) if known is None else known[place]
@@ -163,7 +163,7 @@ def linearise(
         slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
         own = unknown[:, :, k:]
         shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
-        apart = unknown[:, :, :k] @ model.linear.own if k else unknown[:, :, :0]
+        apart = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
         sd = _own_sd(terms, model.torque_sd_n_m)
         blocks.append((shared, np.concatenate([apart, own], axis=2)))
         own_precision.append(np.concatenate([np.ones(apart.shape[2]), sd**-2]))

@@ -18,7 +18,7 @@ from cassini_bayes.model.event_reduction import (
     require_branch,
     samples_of,
 )
-from cassini_bayes.model.totals import build_model
+from cassini_bayes.model.totals import build_totals
 from cassini_bayes.priors.reader import Priors, read_priors
 
 
@@ -50,7 +50,7 @@ def read_case(
     folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
     sources = [read_source(folder, priors) for folder in folders]
     rows = totals_rows(references, priors, source)
-    totals = build_model(rows, priors) if rows else None
+    totals = build_totals(rows, priors) if rows else None
     if say is not None:
         say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
     return prepare(sources, priors, totals)

@@ -19,8 +19,8 @@ from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
 from cassini_bayes.effects.catalogue import Effect, EffectParameter
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel
-from cassini_bayes.results.joint_record import build_joint_fit
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.results.joint_record import build_fit
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import Proposal, importance, laplace, refined
@@ -38,7 +38,7 @@ def effect_variable(effect: Effect, parameter: EffectParameter) -> str:
     return f"{effect.name.replace(':', '_')}_{parameter.key}"
 
 
-def with_effect_specs(hypothesis: Hypothesis) -> JointModel:
+def with_effect_specs(hypothesis: Hypothesis) -> Model:
     """The hypothesis's model with unit and meaning of the effects' parameters."""
     specs = {
         p.name: ParameterSpec(p.name, p.unit, "effect", f"{effect.name}: {p.key}{_kind(p)}")
@@ -119,7 +119,7 @@ def fit_extended(
     }
     rng = np.random.default_rng((seed, _LINEAR))
     model = with_effect_specs(weighed.hypothesis)
-    fit, _ = build_joint_fit(model, events, z, density, rng, attributes)
+    fit, _ = build_fit(model, events, z, density, rng, attributes)
     save_fit(_renamed(fit, weighed, z), folder / "fit.nc")
     flat = z.reshape(-1, weighed.hypothesis.dimension)
     parameters = weighed.hypothesis.model.space.to_parameters(flat)

@@ -35,7 +35,7 @@ from cassini_bayes.events.plausibility import MomentumRows, check_momentum, mome
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.model.joint import sampling_of
+from cassini_bayes.model.posterior import sampling_of
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 

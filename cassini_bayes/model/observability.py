@@ -29,8 +29,8 @@ from cassini_bayes.balance.telemetry_terms import (
     noise_covariance,
 )
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
-from cassini_bayes.model.joint import JointModel, full_parameters, joint_physics, system_of
-from cassini_bayes.model.totals import TotalsModel, linear_system
+from cassini_bayes.model.posterior import Model, full_parameters, physics_at, system_of
+from cassini_bayes.model.totals import TotalsTerm, linear_system
 from cassini_bayes.spacecraft import thruster_directions
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ class _Coordinates:
     size: int
 
 
-def observability(model: JointModel) -> Observability:
+def observability(model: Model) -> Observability:
     """Expected posterior over prior widths in a joint model, from its Gram matrices alone."""
     places = _coordinates(model)
     information = _information(model, places)
@@ -83,9 +83,9 @@ def observability(model: JointModel) -> Observability:
     return Observability(table, singular, together, _sentences(table, singular, together))
 
 
-def _coordinates(model: JointModel) -> _Coordinates:
+def _coordinates(model: Model) -> _Coordinates:
     at = model.space.dimension
-    shared, p = model.linear.shared.shape[1], model.linear.own.shape[1]
+    shared, p = model.thrust_prior.shared.shape[1], model.thrust_prior.own.shape[1]
     at += shared
     fired = set(model.fired_ids)
     own, extra = [], []
@@ -101,7 +101,7 @@ def _coordinates(model: JointModel) -> _Coordinates:
     return _Coordinates(model.space.dimension, shared, fires, tuple(own), tuple(extra), at)
 
 
-def _information(model: JointModel, places: _Coordinates) -> Array:
+def _information(model: Model, places: _Coordinates) -> Array:
     """Expected information (size, size) of the data on all standardised unknowns."""
     information = np.zeros((places.size, places.size))
     d = model.space.dimension
@@ -112,7 +112,7 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
         for i, (index, part) in enumerate(_totals_parts(model, model.totals, full, places)):
             assert i < first
             information[np.ix_(index, index)] += part
-    physics = joint_physics(model, full) if model.telemetry else None
+    physics = physics_at(model, full) if model.telemetry else None
     for place, terms in enumerate(model.telemetry, start=first):
         assert physics is not None  # there is telemetry
         index = _index(places, place)
@@ -123,7 +123,7 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
         )
         for band, gram, estimate in bands:
             kept = estimate[None]
-            weights = balance_weights(terms, physics, model.linear.common_mean_n, kept)
+            weights = balance_weights(terms, physics, model.thrust_prior.common_mean_n, kept)
             columns = _columns(model, terms, weights)
             noise = noise_covariance(terms, physics, full, kept)[0]
             information[np.ix_(index, index)] += _whitened(
@@ -137,7 +137,7 @@ def _information(model: JointModel, places: _Coordinates) -> Array:
 
 
 def _delta_v_part(
-    model: JointModel,
+    model: Model,
     statistics: DeltaVStatistics,
     physics: Physics,
     full: Mapping[str, Array],
@@ -153,10 +153,10 @@ def _delta_v_part(
     n, k = len(full["mass_kg"]), directions.shape[1]
     per_newton = on_time_weights(statistics, physics, n, k) / full["mass_kg"][:, None, None]
     each = directions.T[None, :, :, None] * per_newton[:, :, None, :]  # (n, K, 3, 4 K)
-    total = model.linear.common_mean_n * each.sum(1)
+    total = model.thrust_prior.common_mean_n * each.sum(1)
     walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * STEP)
-    levels = np.einsum("kca,kq->qca", each[0], model.linear.shared)
-    own = np.einsum("kca,kq->qca", each[0], model.linear.own)
+    levels = np.einsum("kca,kq->qca", each[0], model.thrust_prior.shared)
+    own = np.einsum("kca,kq->qca", each[0], model.thrust_prior.own)
     columns = np.concatenate([walked, levels, own])
     gram, one = statistics.gram[:-1, :-1], statistics.gram[:-1, -1]
     centred = gram - np.outer(one, one) / statistics.rows
@@ -180,7 +180,7 @@ def _index(places: _Coordinates, event: int) -> NDArray[np.int64]:
     )
 
 
-def _columns(model: JointModel, terms: TelemetryTerms, weights: Array) -> Array:
+def _columns(model: Model, terms: TelemetryTerms, weights: Array) -> Array:
     """Coefficients (unknown, 3, A) of the derivative of the residual in all standardised unknowns.
 
     weights (1 + 2d, B, 3): at the prior mean, then one step up and one down per parameter.
@@ -192,7 +192,7 @@ def _columns(model: JointModel, terms: TelemetryTerms, weights: Array) -> Array:
     for b, column in zip(reduced.entries, reduced.row, strict=True):
         by_owner[:, owner[b], :, column] += weights[:, b]
     nominal = np.zeros(last + 1)
-    nominal[:k] = -model.linear.common_mean_n
+    nominal[:k] = -model.thrust_prior.common_mean_n
     nominal[k : k + 3] = -terms.initial_mean_n_m_s
     nominal[k + 3 : k + 6] = -model.torque_mean_n_m
     nominal[last] = 1.0
@@ -205,8 +205,8 @@ def _columns(model: JointModel, terms: TelemetryTerms, weights: Array) -> Array:
     own = -by_owner[0, k:last] * np.concatenate([sd, tails])[:, None, None]
     parts = [walked]
     if k:
-        parts.append(np.einsum("kca,kq->qca", thrust, model.linear.shared))
-        parts.append(np.einsum("kca,kq->qca", thrust, model.linear.own))
+        parts.append(np.einsum("kca,kq->qca", thrust, model.thrust_prior.shared))
+        parts.append(np.einsum("kca,kq->qca", thrust, model.thrust_prior.own))
     return np.concatenate([*parts, own])
 
 
@@ -256,11 +256,11 @@ def _channel_noise(terms: TelemetryTerms, band: Band, nominal: Mapping[str, Arra
 
 
 def _totals_parts(
-    model: JointModel, totals: TotalsModel, full: Mapping[str, Array], places: _Coordinates
+    model: Model, totals: TotalsTerm, full: Mapping[str, Array], places: _Coordinates
 ) -> list[tuple[NDArray[np.int64], Array]]:
     """Information of every totals row: its balance, whitened, against all its unknowns."""
     system = linear_system(totals, full)
-    linear = model.linear
+    linear = model.thrust_prior
     d = (len(system.common_n) - 1) // 2
     at_common = system.target - linear.common_mean_n * system.design.sum(-1)
     walked = -(at_common[1 : d + 1] - at_common[d + 1 :]) / (2.0 * STEP)
@@ -276,7 +276,7 @@ def _totals_parts(
     return found
 
 
-def _asked(model: JointModel, places: _Coordinates) -> NDArray[np.int64]:
+def _asked(model: Model, places: _Coordinates) -> NDArray[np.int64]:
     """Places of what is asked for: walked parameters but the noise levels, shared thrust levels."""
     walked = [i for i, block in enumerate(model.space.blocks) if block != NOISE_BLOCK]
     return np.array([*walked, *range(places.walked, places.walked + places.shared)])
@@ -293,7 +293,7 @@ def _marginal(information: Array, asked: NDArray[np.int64]) -> Array:
     return np.asarray(kept - across @ np.linalg.solve(inner, across.T))
 
 
-def _walked_rows(model: JointModel, covariance: Array) -> list[dict[str, object]]:
+def _walked_rows(model: Model, covariance: Array) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     for i, name in enumerate(model.space.names):
         if model.space.blocks[i] == NOISE_BLOCK:
@@ -304,24 +304,22 @@ def _walked_rows(model: JointModel, covariance: Array) -> list[dict[str, object]
     return rows
 
 
-def _thrust_rows(
-    model: JointModel, places: _Coordinates, covariance: Array
-) -> list[dict[str, object]]:
+def _thrust_rows(model: Model, places: _Coordinates, covariance: Array) -> list[dict[str, object]]:
     """Thrust of every thruster in every event that fires, and of its level over all events."""
     rows: list[dict[str, object]] = []
     if not model.fired_ids:
         return rows
     shared = slice(places.walked, places.walked + places.shared)
     names = model.spacecraft.thruster_names(model.branch)
-    cases = [("all events", places.own[0], np.zeros_like(model.linear.own))]
+    cases = [("all events", places.own[0], np.zeros_like(model.thrust_prior.own))]
     cases += [
-        (name, places.own[i], model.linear.own)
+        (name, places.own[i], model.thrust_prior.own)
         for i, name in enumerate(model.event_ids)
         if places.fires[i]
     ]
     for event, own, factor in cases:
         index = np.r_[shared, own]
-        design = np.concatenate([model.linear.shared, factor], axis=1)
+        design = np.concatenate([model.thrust_prior.shared, factor], axis=1)
         after = np.einsum("kq,qr,kr->k", design, covariance[np.ix_(index, index)], design)
         before = (design**2).sum(1)
         for k, thruster in enumerate(names):
@@ -350,7 +348,7 @@ def _verdict(ratio: float) -> str:
     return "not seen"
 
 
-def _together(model: JointModel, covariance: Array) -> tuple[tuple[str, str, float], ...]:
+def _together(model: Model, covariance: Array) -> tuple[tuple[str, str, float], ...]:
     """Pairs of walked parameters whose expected posterior correlation is strong."""
     names = model.space.names
     width = np.sqrt(np.diagonal(covariance))

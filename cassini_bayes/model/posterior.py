@@ -1,297 +1,466 @@
-"""The collapsed posterior: thrusts and torques integrated out exactly, drawn back afterwards.
+"""Any mix of telemetry events and totals rows in one model, and its collapsed posterior.
 
-Given the walked parameters θ the model is linear-Gaussian in the thrusts and torques, apart from
-the response Jacobian, whose logarithm is expanded to second order about the reference thrust
-(:func:`cassini_bayes.model.predictive.jacobian_expansion_error` measures what that leaves out).
-Each event's own coordinates are eliminated first, then the shared ones, so the cost grows linearly
-with events. ``docs/totals-likelihood.md`` derives the formulae.
+What all events share (pulse shape, centre of mass, geometry, wheels, inertia, noise) is walked;
+thrusts, initial momenta, torques and cut tails are linear-Gaussian and integrated out, each
+event's own first, then the shared thrust levels. The dimension that is walked does not grow with
+events.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.balance.computed_delta_v import channel_log_likelihood, draw_software
-from cassini_bayes.model.totals import LinearBlock, LinearSystem, TotalsModel, linear_system
+from cassini_bayes.balance.computed_delta_v import channel_log_likelihood
+from cassini_bayes.balance.kernel import without_own
+from cassini_bayes.balance.measured_delta_v import (
+    DELTA_V_PARAMETERS,
+    DeltaVStatistics,
+    delta_v_information,
+)
+from cassini_bayes.balance.physics import (
+    CENTRE_PARAMETERS,
+    INERTIA_PARAMETERS,
+    PULSE_PARAMETERS,
+    Modifier,
+    Physics,
+    physics_of,
+)
+from cassini_bayes.balance.statistics import EventStatistics, Sampling
+from cassini_bayes.balance.telemetry_system import EventSystem, event_system
+from cassini_bayes.balance.telemetry_terms import (
+    TelemetryTerms,
+    make_terms,
+    merged_bands,
+    without_idle_columns,
+)
+from cassini_bayes.errors import InputError
+from cassini_bayes.model.thrusts import (
+    CollapsedThrusts,
+    ThrustDraws,
+    ThrustInformation,
+    combine,
+    draw_thrusts,
+    thrust_information,
+)
+from cassini_bayes.model.totals import (
+    THRUST_COMMON,
+    TORQUES,
+    ThrustPrior,
+    TotalsTerm,
+    linear_system,
+    normal_priors,
+    thrust_prior_of,
+)
+from cassini_bayes.priors.reader import ParameterSpace, Priors
+from cassini_bayes.spacecraft import Spacecraft, couples, thruster_directions
+from cassini_bayes.spacecraft.parameters import ParameterSpec
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 Array = NDArray[np.float64]
+_CHANNELS: Final = (
+    "rate_noise_rad_s",
+    "wheel_noise_rpm",
+    "attitude_noise_rad",
+    "torque_noise_n_m_s05",
+)
+_TAIL_SPAN: Final = 5.0
+_PRIOR_SPAN: Final = 2.0
+_POINTS: Final = 4
+_BLOCK: Final = 400
+_FAR: Final = 30.0
 
 
 @dataclass(frozen=True)
-class ThrustInformation:
-    """What events say of their thrusts, everything else of their own integrated out.
+class Model:
+    """Everything that stays constant during a fit of telemetry events and totals rows.
 
-    With d = F − common: log L_e(F) = constant + vectorᵀ d − ½ dᵀ matrix d. Totals and telemetry
-    events alike come down to this.
+    Thrusts are those of the events that fire, totals rows first, then telemetry in order.
     """
 
-    common_n: Array  # (n,)
-    matrix: Array  # (n, E, K, K)
-    vector: Array  # (n, E, K)
-    constant: Array  # (n, E)
+    spacecraft: Spacecraft
+    branch: str
+    space: ParameterSpace
+    specs: Mapping[str, ParameterSpec]
+    thrust_prior: ThrustPrior
+    totals: TotalsTerm | None
+    telemetry: tuple[TelemetryTerms, ...]
+    absent_wheel_parameters: Mapping[str, float]
+    torque_mean_n_m: Array
+    torque_sd_n_m: Array
+    modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
+    delta_v: tuple[DeltaVStatistics, ...] = ()  # measured velocity changes of telemetry events
+
+    @property
+    def event_ids(self) -> tuple[str, ...]:
+        """All events, totals rows first."""
+        rows = self.totals.stack.event_ids if self.totals is not None else ()
+        return (*rows, *(terms.id for terms in self.telemetry))
+
+    @property
+    def fired_ids(self) -> tuple[str, ...]:
+        """Events with thrusts."""
+        rows = self.totals.stack.event_ids if self.totals is not None else ()
+        return (*rows, *(terms.id for terms in self.telemetry if terms.fires))
+
+
+@dataclass(frozen=True)
+class OwnFactors:
+    """Conditional normal of a telemetry event's own unknowns given its thrusts.
+
+    In standardised coordinates v = (u − mean)/sd: precision factorᵀ-wise lower ``factor``, mean
+    factor⁻ᵀ (shift − coupling F).
+    """
+
+    factor: Array  # (n, U, U)
+    shift: Array  # (n, U)
+    coupling: Array  # (n, U, K)
+    sd: Array  # (n, U)
+    mean: Array  # (U,)
 
 
 @dataclass(frozen=True)
 class Collapsed:
-    """Factors of the conditional normal of the linear coordinates at a batch of points.
+    """The collapsed posterior at a batch of points, with all that drawing back needs."""
 
-    Coordinates are the events' own ξ_e (p of them) and the shared η (q); all have N(0, 1) priors.
+    log_likelihood: Array
+    common_n: Array
+    thrusts: CollapsedThrusts | None
+    own: tuple[OwnFactors, ...]
+
+
+def sampling_of(
+    priors: Priors, thrusters: Sequence[str], duration_s: float, pulse_shape: str
+) -> Sampling:
+    """How an event's telemetry is reduced, from the priors of the pulse parameters.
+
+    The guard time is the valve delay and five of the longest likely tail-off times: what a pulse
+    delivers later is below a percent of its tail.
     """
-
-    log_likelihood: Array  # (n,)
-    own_factor: Array  # (n, E, p, p) lower Cholesky factor of an event's own precision
-    own_coupling: Array  # (n, E, p, q) own_factor⁻¹ Λ_ξη
-    own_shift: Array  # (n, E, p) own_factor⁻¹ ν_ξ
-    shared_factor: Array  # (n, q, q) lower Cholesky factor of the shared precision
-    shared_shift: Array  # (n, q) shared_factor⁻¹ ν_η
-
-
-@dataclass(frozen=True)
-class LinearDraws:
-    """One draw of the linear parameters per parameter point."""
-
-    thrust_n: Array  # (n, E, K)
-    common_n: Array  # (n,) the common level
-    level_n: Array  # (n, K) common + individual: a thruster's level over all events
-    external_torque_n_m: Array  # (n, E, 3)
-    software: Array  # (n, 2) factor and on-time per pulse of the on-board ΔV computation
-
-
-def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
-    """Integrate the thrusts and torques out of the likelihood of totals events."""
-    information = thrust_information(model, system)
-    if system.offset_n is not None:
-        information = about(information, system.offset_n)
-    collapsed = combine(model.linear, information)
-    if model.computed is None:
-        return collapsed
-    channel = channel_log_likelihood(model.computed, system.delta_v_variance)
-    return replace(collapsed, log_likelihood=collapsed.log_likelihood + channel)
-
-
-def thrust_information(model: TotalsModel, system: LinearSystem) -> ThrustInformation:
-    """What totals events say of their thrusts, the external torques integrated out.
-
-    With A the whitened design, b the whitened misfit at the common level's mean, and g, H the
-    gradient and Hessian of the response Jacobian there, an event's information on its thrusts is
-    G = AᵀA − H with linear term ν = Aᵀb + g + H d0; d0 is the distance of a walked common level
-    from the reference.
-    """
-    linear = model.linear
-    misfit = system.target - system.common_n[..., None, None] * system.design.sum(-1)
-    factor = _cholesky(system.covariance + system.torque_covariance)
-    white = np.linalg.solve(factor, np.concatenate([system.design, misfit[..., None]], axis=-1))
-    log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
-    rows = factor.shape[-1]
-
-    jacobian = system.jacobian
-    shift = (system.common_n - linear.common_mean_n)[..., None, None]
-    tilt = jacobian.gradient + shift * jacobian.hessian.sum(-1)
-    tilt_value = (
-        jacobian.value
-        + shift[..., 0] * jacobian.gradient.sum(-1)
-        + 0.5 * shift[..., 0] ** 2 * jacobian.hessian.sum((-2, -1))
+    groups = couples(priors.spacecraft, priors.branch) if thrusters else ()
+    reference, guard = (0.0, 0.0, 0.0), 0.0
+    if thrusters:
+        priors.require(PULSE_PARAMETERS, "telemetry with thrusters")
+        moments = [_moments(priors, name) for name in PULSE_PARAMETERS]
+        delay, rise, fall = (mean for mean, _ in moments)
+        reference = (delay, rise, fall)
+        guard = delay + _TAIL_SPAN * (fall + _PRIOR_SPAN * moments[2][1])
+    return Sampling(
+        PULSE_SHAPES[pulse_shape],
+        reference,
+        guard,
+        tuple(tuple(list(thrusters).index(name) for name in group) for group in groups),
+        duration_s,
     )
-    gram = np.swapaxes(white, -1, -2) @ white
+
+
+def _moments(priors: Priors, name: str) -> tuple[float, float]:
+    prior = priors.parameters[name]
+    if prior.distribution is None:
+        assert prior.fixed is not None  # the reader guarantees dist or fixed
+        return prior.fixed, 0.0
+    return prior.distribution.mean(), prior.distribution.sd()
+
+
+def build_model(
+    statistics: Sequence[tuple[EventStatistics, Sampling]],
+    priors: Priors,
+    totals: TotalsTerm | None = None,
+    *,
+    delta_v: Sequence[DeltaVStatistics] = (),
+    keep_idle: bool = False,
+) -> Model:
+    """Assemble the model of telemetry events, with totals rows if there are any.
+
+    ``delta_v`` are measured velocity changes of some of the events.
+    ``keep_idle`` keeps the columns that have no weight yet, for effects to be added;
+    :func:`without_idle` drops them.
+
+    Raises
+    ------
+    InputError
+        No event; an id twice; wheels or parameters that the priors file lacks.
+    """
+    ids = list(totals.stack.event_ids) if totals is not None else []
+    ids += [event.event_id for event, _ in statistics]
+    if not ids:
+        raise InputError("events", "at least one event", "none", "name an event folder or CSV")
+    for name in ids:
+        if ids.count(name) > 1:
+            raise InputError(
+                f"event {name}", "each event once in a fit", "the same id twice", "rename one"
+            )
+    spacecraft = priors.spacecraft
+    n_thrusters = len(spacecraft.thruster_names(priors.branch))
+    fired = totals is not None or any(event.layout.thrusters for event, _ in statistics)
+    names = list(totals.space.names) + list(totals.space.fixed) if totals is not None else []
+    if statistics:
+        names += [*INERTIA_PARAMETERS, *_CHANNELS]
+        names += _wheel_names(statistics, priors)
+    if fired:
+        position_names = spacecraft.geometry[priors.branch].parameters
+        names += [*PULSE_PARAMETERS, *CENTRE_PARAMETERS, *position_names]
+    linear = thrust_prior_of(priors, n_thrusters) if fired else _no_thrust(n_thrusters)
+    if linear.common_is_walked:
+        names.append(THRUST_COMMON)
+    if delta_v:
+        names += DELTA_V_PARAMETERS
+    names = list(dict.fromkeys(names))
+    priors.require(names, "the model of these events")
+    space = priors.space(names)
+    _refuse_free_delay(space, fired, priors.path)
+    means, scales = normal_priors(priors, TORQUES)
+    own_names = [name for wheel in spacecraft.wheels for name in wheel.parameters]
+    nominal = {**dict.fromkeys(own_names, 0.0), **_centre(space)}
+    model = Model(
+        spacecraft=spacecraft,
+        branch=priors.branch,
+        space=space,
+        specs={name: prior.spec for name, prior in priors.parameters.items()},
+        thrust_prior=linear,
+        totals=totals,
+        telemetry=tuple(
+            make_terms(event, sampling, spacecraft, nominal) for event, sampling in statistics
+        ),
+        absent_wheel_parameters={
+            name: 0.0 for name in own_names if name not in (*space.names, *space.fixed)
+        },
+        torque_mean_n_m=np.array(means),
+        torque_sd_n_m=np.array(scales),
+        delta_v=tuple(delta_v),
+    )
+    return model if keep_idle else without_idle(model)
+
+
+def without_idle(model: Model) -> Model:
+    """The model without columns that no parameter point gives weight: call it after a change."""
+    if not model.telemetry:
+        return model
+    points = model.space.sample(np.random.default_rng(0), _POINTS)
+    physics = physics_at(model, full_parameters(model, points))
+    thrust = model.thrust_prior.common_mean_n
+    telemetry = tuple(without_idle_columns(t, physics, thrust) for t in model.telemetry)
+    return replace(model, telemetry=telemetry)
+
+
+def with_equal_bands_merged(model: Model) -> Model:
+    """The model with a slew's bands as one where no torque noise tells them apart."""
+    if model.space.fixed.get("torque_noise_n_m_s05") != 0.0:
+        return model
+    return replace(model, telemetry=tuple(merged_bands(terms) for terms in model.telemetry))
+
+
+def full_parameters(model: Model, z: Array) -> dict[str, Array]:
+    """Every parameter the physics may ask for at walked coordinates z (n, d), as (n,) arrays."""
+    values = {**model.absent_wheel_parameters, **model.space.to_parameters(z)}
+    return {
+        name: value if isinstance(value, np.ndarray) else np.full(len(z), value)
+        for name, value in values.items()
+    }
+
+
+def physics_at(model: Model, full: Mapping[str, Array]) -> Physics:
+    """Physics of the telemetry events at the parameters of :func:`full_parameters`."""
+    fires = bool(model.fired_ids)
+    return physics_of(model.spacecraft, model.branch, full, model.modifiers, fires=fires)
+
+
+def system_of(
+    model: Model, terms: TelemetryTerms, physics: Physics, full: Mapping[str, Array]
+) -> EventSystem:
+    """Normal equations of one telemetry event of the model at n points.
+
+    ``physics`` and ``full`` are those of :func:`physics_at` and :func:`full_parameters`.
+    """
+    return event_system(
+        terms,
+        physics,
+        full,
+        model.thrust_prior.common_mean_n,
+        model.torque_mean_n_m,
+        model.torque_sd_n_m,
+    )
+
+
+def _centre(space: ParameterSpace) -> dict[str, float]:
+    means = {n: d.mean() for n, d in zip(space.names, space.distributions, strict=True)}
+    return {**space.fixed, **means}
+
+
+def _no_thrust(thrusters: int) -> ThrustPrior:
+    nothing = np.zeros((thrusters, 0))
+    return ThrustPrior(0.0, 0.0, False, 0.0, nothing, nothing, np.zeros(3), np.zeros(3))
+
+
+def _wheel_names(
+    statistics: Sequence[tuple[EventStatistics, Sampling]], priors: Priors
+) -> list[str]:
+    used = {number for event, _ in statistics for number in event.layout.wheels}
+    missing = sorted(used - set(priors.wheels))
+    if missing:
+        raise InputError(
+            f"{priors.path}: spacecraft.wheels",
+            f"every wheel the events use, {sorted(used)}",
+            str(list(priors.wheels)),
+            "list them, with their priors",
+        )
+    return [
+        name
+        for wheel in priors.spacecraft.wheels
+        if wheel.number in used
+        for name in wheel.parameters
+    ]
+
+
+def _refuse_free_delay(space: ParameterSpace, fired: bool, where: str) -> None:
+    if fired and "tau_delay_s" in space.names:
+        raise InputError(
+            f"{where}: parameters.tau_delay_s",
+            "a fixed value (telemetry sees pulses only after they are over)",
+            "a distribution",
+            "fix it; the delay cancels in first_order pulses",
+        )
+
+
+def collapse(model: Model, z: Array) -> Collapsed:
+    """Everything linear integrated out at walked coordinates z (n, d)."""
+    n = len(z)
+    full = full_parameters(model, z)
+    log_likelihood = np.zeros(n)
+    common = np.full(n, model.thrust_prior.common_mean_n)
+    if model.thrust_prior.common_is_walked:
+        common = full[THRUST_COMMON]
+    parts: list[ThrustInformation] = []
+    if model.totals is not None:
+        system = linear_system(model.totals, full)
+        parts.append(thrust_information(model.totals, system))
+        if model.totals.computed is not None:
+            log_likelihood = log_likelihood + channel_log_likelihood(
+                model.totals.computed, system.delta_v_variance
+            )
+    own = []
+    physics = physics_at(model, full) if model.telemetry else None
+    for terms in model.telemetry:
+        assert physics is not None  # there is telemetry
+        event = system_of(model, terms, physics, full)
+        factors, information = eliminate_own(event, terms.pattern.thrusters, common)
+        own.append(factors)
+        if terms.fires:
+            parts.append(_with_delta_v(model, terms, physics, full, information))
+        else:
+            log_likelihood = log_likelihood + information.constant[:, 0]
+    if not parts:
+        return Collapsed(log_likelihood, common, None, tuple(own))
+    thrusts = combine(model.thrust_prior, _joined(parts))
+    return Collapsed(log_likelihood + thrusts.log_likelihood, common, thrusts, tuple(own))
+
+
+def _with_delta_v(
+    model: Model,
+    terms: TelemetryTerms,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    information: ThrustInformation,
+) -> ThrustInformation:
+    """An event's information on its thrusts with that of its measured velocity change, if any."""
+    own = next((part for part in model.delta_v if part.event_id == terms.id), None)
+    if own is None:
+        return information
+    directions = thruster_directions(model.spacecraft, model.branch)
+    matrix, vector, constant = delta_v_information(
+        own, physics, directions, parameters, information.common_n
+    )
     return ThrustInformation(
-        common_n=system.common_n,
-        matrix=gram[..., :-1, :-1] - jacobian.hessian,
-        vector=gram[..., :-1, -1] + tilt,
-        constant=(
-            -0.5 * gram[..., -1, -1] - log_det - 0.5 * rows * np.log(2.0 * np.pi) + tilt_value
-        ),
+        information.common_n,
+        information.matrix + matrix[:, None],
+        information.vector + vector[:, None],
+        information.constant + constant[:, None],
     )
 
 
-def about(information: ThrustInformation, offset_n: Array) -> ThrustInformation:
-    """The same information about other mean levels, common + offset (n, K).
+def _joined(parts: Sequence[ThrustInformation]) -> ThrustInformation:
+    if len(parts) == 1:
+        return parts[0]
+    return ThrustInformation(
+        parts[0].common_n,
+        np.concatenate([part.matrix for part in parts], axis=1),
+        np.concatenate([part.vector for part in parts], axis=1),
+        np.concatenate([part.constant for part in parts], axis=1),
+    )
 
-    With d = d' + δ: c + νᵀd − ½ dᵀGd = (c + νᵀδ − ½ δᵀGδ) + (ν − Gδ)ᵀ d' − ½ d'ᵀ G d'.
+
+def eliminate_own(
+    event: EventSystem, thrusters: int, common_n: Array
+) -> tuple[OwnFactors, ThrustInformation]:
+    """Integrate an event's initial momentum, torque and cut tails out of its normal equations.
+
+    With M the normal equations and v the standardised own unknowns, their precision is
+    1 + s M_vv s; what is left is the information on the thrusts (docs/telemetry-likelihood.md §5).
     """
-    moved = (information.matrix @ offset_n[:, None, :, None])[..., 0]
-    along = offset_n[:, None, :] * (information.vector - 0.5 * moved)
-    return replace(
-        information,
-        vector=information.vector - moved,
-        constant=information.constant + along.sum(-1),
+    factor, shift, coupling, matrix, vector, constant = without_own(
+        event.normal,
+        thrusters,
+        event.own_mean,
+        event.own_sd,
+        np.ascontiguousarray(common_n),
     )
+    information = ThrustInformation(
+        common_n, matrix[:, None], vector[:, None], (event.log_scale + constant)[:, None]
+    )
+    return OwnFactors(factor, shift, coupling, event.own_sd, event.own_mean), information
 
 
-def combine(linear: LinearBlock, information: ThrustInformation) -> Collapsed:
-    """Integrate the thrusts out of the information of all events.
+def log_likelihood(model: Model, z: Array) -> Array:
+    """Collapsed log likelihood (n,) at walked coordinates z (n, d).
 
-    Thrust is S η + L ξ_e beyond the common level, so ξ_e is eliminated with the Cholesky factor of
-    1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S (Rasmussen & Williams 2006,
-    eqs. A.9-A.12).
+    Worked up in blocks whose arrays stay in the processor's cache.
     """
-    own, shared = linear.own, linear.shared
-    matrix, vector = information.matrix, information.vector
-    by_shared = _times(matrix, shared)
-    own_precision = _times(np.swapaxes(_times(matrix, own), -1, -2), own)
-    own_factor = _cholesky(own_precision + np.eye(own.shape[1]))
-    right = _times(
-        np.concatenate([np.swapaxes(by_shared, -1, -2), vector[..., None, :]], axis=-2), own
-    )
-    solved: Array = np.asarray(np.linalg.solve(own_factor, np.swapaxes(right, -1, -2)), dtype=float)
-    schur = np.swapaxes(solved, -1, -2) @ solved
-    shared_precision = shared.T @ by_shared.sum(-3) - schur[..., :-1, :-1].sum(-3)
-    shared_linear = vector.sum(-2) @ shared - schur[..., :-1, -1].sum(-2)
-    shared_factor = _cholesky(shared_precision + np.eye(shared.shape[1]))
-    shared_shift = np.linalg.solve(shared_factor, shared_linear[..., None])[..., 0]
-    own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
-    shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
-    log_likelihood = (
-        (information.constant + 0.5 * schur[..., -1, -1] - own_log_det).sum(-1)
-        + 0.5 * (shared_shift**2).sum(-1)
-        - shared_log_det
-    )
-    return Collapsed(
-        log_likelihood=log_likelihood,
-        own_factor=own_factor,
-        own_coupling=solved[..., :-1],
-        own_shift=solved[..., -1],
-        shared_factor=shared_factor,
-        shared_shift=shared_shift,
-    )
+    blocks = [z[start : start + _BLOCK] for start in range(0, len(z), _BLOCK)]
+    return np.concatenate([collapse(model, block).log_likelihood for block in blocks])
 
 
-def _cholesky(matrix: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
+def log_posterior(model: Model, z: Array) -> Array:
+    """Collapsed log likelihood plus log prior density in z, (n,); each prior counts once.
 
-
-def _times(stack: Array, matrix: Array) -> Array:
-    """stack (..., r, K) @ matrix (K, c) as one product: numpy would loop over the stack."""
-    product = stack.reshape(-1, stack.shape[-1]) @ matrix
-    return np.asarray(product.reshape(*stack.shape[:-1], matrix.shape[1]))
-
-
-def log_likelihood(model: TotalsModel, z: Array) -> Array:
-    """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
-    return collapse(model, linear_system(model, model.space.to_parameters(z))).log_likelihood
-
-
-def log_posterior(model: TotalsModel, z: Array) -> Array:
-    """Collapsed log likelihood plus log prior density in z, shape (n,); each prior counts once."""
-    return np.asarray(log_likelihood(model, z) + model.space.log_prior_terms(z).sum(-1))
+    Far out in a proposal's tails, where the prior has 1e-190, quantiles overflow: the likelihood
+    stays there what it is at the edge.
+    """
+    inside = np.clip(z, -_FAR, _FAR)
+    return np.asarray(log_likelihood(model, inside) + model.space.log_prior_terms(z).sum(-1))
 
 
 @dataclass(frozen=True)
-class ThrustDraws:
-    """One draw of the thrusts per parameter point."""
+class JointDraws:
+    """One draw of everything integrated out per parameter point.
 
-    thrust_n: Array  # (n, E, K)
-    common_n: Array  # (n,)
-    level_n: Array  # (n, K)
-
-
-def draw_thrusts(
-    linear: LinearBlock,
-    collapsed: Collapsed,
-    common_n: Array,
-    rng: np.random.Generator,
-    offset_n: Array | None = None,
-) -> ThrustDraws:
-    """One draw of all events' thrusts from their conditional normal at every parameter point."""
-    n, n_events, n_own, n_shared = collapsed.own_coupling.shape
-    shared = _solve_transposed(
-        collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
-    )
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
-    own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
-    level = common_n[:, None] + shared @ linear.shared.T
-    if offset_n is not None:
-        level = level + offset_n
-    return ThrustDraws(
-        thrust_n=level[:, None, :] + own @ linear.own.T,
-        common_n=draw_common(linear, common_n, level, rng),
-        level_n=level,
-    )
-
-
-def draw_linear(
-    model: TotalsModel, system: LinearSystem, collapsed: Collapsed, rng: np.random.Generator
-) -> LinearDraws:
-    """One draw of thrusts and torques from their conditional normal at every parameter point."""
-    thrusts = draw_thrusts(model.linear, collapsed, system.common_n, rng, system.offset_n)
-    return LinearDraws(
-        thrust_n=thrusts.thrust_n,
-        common_n=thrusts.common_n,
-        level_n=thrusts.level_n,
-        external_torque_n_m=draw_torque(model, system, thrusts.thrust_n, rng),
-        software=(
-            np.zeros((len(thrusts.common_n), 2))
-            if model.computed is None
-            else draw_software(model.computed, system.delta_v_variance, rng)
-        ),
-    )
-
-
-def draw_common(
-    linear: LinearBlock, common_n: Array, level_n: Array, rng: np.random.Generator
-) -> Array:
-    """The common level given every thruster's level = common + individual; the data add nothing.
-
-    A thruster's own departure of width zero makes the common level that of every thruster.
+    ``own`` has per telemetry event the initial momentum (3), the steady torque (3) and the
+    standardised cut tails.
     """
-    normals = rng.standard_normal(len(level_n))
-    if linear.common_sd_n == 0.0:
-        return common_n
-    if linear.individual_sd_n == 0.0:
-        return level_n[:, 0]
-    weight = linear.common_sd_n**-2 + level_n.shape[1] * linear.individual_sd_n**-2
-    mean = (
-        common_n * linear.common_sd_n**-2 + level_n.sum(-1) * linear.individual_sd_n**-2
-    ) / weight
-    return np.asarray(mean + normals / np.sqrt(weight))
+
+    thrusts: ThrustDraws | None
+    own: tuple[Array, ...]
 
 
-def draw_torque(
-    model: TotalsModel, system: LinearSystem, thrust_n: Array, rng: np.random.Generator
-) -> Array:
-    """External torques given the thrusts: a prior draw corrected by the residual it leaves."""
-    linear = model.linear
-    residual = system.target - (system.design @ thrust_n[..., None])[..., 0]
-    departure = linear.torque_sd_n_m * rng.standard_normal((*residual.shape[:-1], 3))
-    noise = np.linalg.cholesky(system.covariance) @ rng.standard_normal((*residual.shape, 1))
-    missing = residual - (system.torque_design @ departure[..., None] + noise)[..., 0]
-    answer = np.linalg.solve(system.covariance + system.torque_covariance, missing[..., None])
-    gain = linear.torque_sd_n_m**2 * (np.swapaxes(system.torque_design, -1, -2) @ answer)[..., 0]
-    return np.asarray(linear.torque_mean_n_m + departure + gain)
-
-
-def _solve_transposed(factor: Array, right: Array) -> Array:
-    """Solve factorᵀ x = right for stacked lower factors and vectors."""
-    solution = np.linalg.solve(np.swapaxes(factor, -1, -2), right[..., None])
-    return np.asarray(solution[..., 0])
-
-
-def thrust_moments(model: TotalsModel, z: Array) -> tuple[Array, Array]:
-    """Conditional mean and variance (n, E, K) of every event's thrusts given the nuisances z.
-
-    This is the estimate, and the noise-only variance, that a fit with all nuisances held at z would
-    report; its change with z is the consider-style contribution of each nuisance.
-    """
-    system = linear_system(model, model.space.to_parameters(z))
-    mean, variance = moments_of(model.linear, collapse(model, system), system.common_n)
-    if system.offset_n is not None:
-        mean = mean + system.offset_n[:, None, :]
-    return mean, variance
-
-
-def moments_of(linear: LinearBlock, collapsed: Collapsed, common_n: Array) -> tuple[Array, Array]:
-    """Mean and variance (n, E, K) of the thrusts that :func:`draw_thrusts` draws."""
-    own, shared = linear.own, linear.shared
-    shared_inverse = np.linalg.inv(collapsed.shared_factor)
-    shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
-    own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.own_factor), -1, -2)
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared_mean[:, None, :, None])[..., 0]
-    own_mean = (own_inverse_t @ pull[..., None])[..., 0]
-    # thrust = … + [S − L gain] (η − η̂) + L (own noise)
-    gain = own_inverse_t @ collapsed.own_coupling
-    response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
-    spread = own @ own_inverse_t
-    mean = common_n[:, None, None] + own_mean @ own.T + (shared_mean @ shared.T)[:, None, :]
-    return mean, (spread**2).sum(-1) + (response**2).sum(-1)
+def draw(model: Model, collapsed: Collapsed, rng: np.random.Generator) -> JointDraws:
+    """Draw thrusts, then every telemetry event's own unknowns given its thrusts."""
+    thrusts = (
+        None
+        if collapsed.thrusts is None
+        else draw_thrusts(model.thrust_prior, collapsed.thrusts, collapsed.common_n, rng)
+    )
+    place = 0 if model.totals is None else len(model.totals.stack.event_ids)
+    own = []
+    for terms, factors in zip(model.telemetry, collapsed.own, strict=True):
+        pull = factors.shift
+        if terms.fires:
+            assert thrusts is not None  # an event that fires has thrusts
+            pull = pull - (factors.coupling @ thrusts.thrust_n[:, place, :, None])[..., 0]
+            place += 1
+        white = pull + rng.standard_normal(pull.shape)
+        v = np.linalg.solve(np.swapaxes(factors.factor, -1, -2), white[..., None])[..., 0]
+        own.append(factors.mean + factors.sd * v)
+    return JointDraws(thrusts, tuple(own))

@@ -8,26 +8,26 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.computed_delta_v import event_channel_log_likelihood
 from cassini_bayes.balance.physics import Parameters
 from cassini_bayes.balance.totals_terms import response_jacobian
-from cassini_bayes.model.posterior import LinearDraws
-from cassini_bayes.model.totals import LinearSystem, TotalsModel, linear_system
+from cassini_bayes.model.thrusts import LinearDraws
+from cassini_bayes.model.totals import LinearSystem, TotalsTerm, linear_system
 from cassini_bayes.spacecraft import lever_arms
 
 Array = NDArray[np.float64]
 
 
-def balance_residual(model: TotalsModel, system: LinearSystem, draws: LinearDraws) -> Array:
+def balance_residual(model: TotalsTerm, system: LinearSystem, draws: LinearDraws) -> Array:
     """Thruster impulse plus external torque minus the wheels' change, (n, E, R).
 
     The first three rows are the body axes in N m s; any further three are ΔV in m/s.
     """
     impulse = (system.design @ draws.thrust_n[..., None])[..., 0]
-    departure = draws.external_torque_n_m - model.linear.torque_mean_n_m
+    departure = draws.external_torque_n_m - model.thrust_prior.torque_mean_n_m
     torque = (system.torque_design @ departure[..., None])[..., 0]
     return np.asarray(impulse + torque - system.target)
 
 
 def response_matrix(
-    model: TotalsModel, system: LinearSystem, parameters: Parameters, thrust_n: Array
+    model: TotalsTerm, system: LinearSystem, parameters: Parameters, thrust_n: Array
 ) -> Array:
     """M = ∂(momentum)/∂(responding on-times) at given thrusts (n, E, K) → (n, E, 3, 3), N m."""
     stretch = on_time_stretch(model, system)
@@ -36,7 +36,7 @@ def response_matrix(
     return np.asarray((arms[..., None, :, :] * thrust_n[..., None, :]) @ rows)
 
 
-def on_time_stretch(model: TotalsModel, system: LinearSystem) -> Array:
+def on_time_stretch(model: TotalsTerm, system: LinearSystem) -> Array:
     """Effective over commanded on-time s/u (n, E, K); 1 where a thruster did not fire."""
     on_time = model.stack.on_time_s
     fired = on_time > 0
@@ -44,7 +44,7 @@ def on_time_stretch(model: TotalsModel, system: LinearSystem) -> Array:
 
 
 def replicate_on_times(
-    model: TotalsModel, parameters: Parameters, draws: LinearDraws, rng: np.random.Generator
+    model: TotalsTerm, parameters: Parameters, draws: LinearDraws, rng: np.random.Generator
 ) -> Array:
     """Commanded on-times (n, E, K) of the same biases flown again, one replicate per draw.
 
@@ -61,7 +61,7 @@ def replicate_on_times(
     return np.asarray(model.stack.on_time_s + (model.stack.response @ answer)[..., 0])
 
 
-def event_log_likelihood(model: TotalsModel, parameters: Parameters, draws: LinearDraws) -> Array:
+def event_log_likelihood(model: TotalsTerm, parameters: Parameters, draws: LinearDraws) -> Array:
     """Log density (n, E) of each event's figures given all parameters, thrusts and torques."""
     system = linear_system(model, parameters)
     factor = np.linalg.cholesky(system.covariance)
@@ -80,7 +80,7 @@ def event_log_likelihood(model: TotalsModel, parameters: Parameters, draws: Line
     return np.asarray(density)
 
 
-def jacobian_expansion_error(model: TotalsModel, parameters: Parameters, thrust_n: Array) -> Array:
+def jacobian_expansion_error(model: TotalsTerm, parameters: Parameters, thrust_n: Array) -> Array:
     """Exact minus expanded log Jacobian, summed over events, at thrusts (n, E, K) → (n,) nats.
 
     The collapsed likelihood uses the expansion; this measures what it leaves out.
@@ -91,7 +91,7 @@ def jacobian_expansion_error(model: TotalsModel, parameters: Parameters, thrust_
     exact = response_jacobian(
         arms, on_time_stretch(model, system), model.stack.response, thrust_n
     ).value
-    step = thrust_n - model.linear.common_mean_n
+    step = thrust_n - model.thrust_prior.common_mean_n
     quadratic = (
         expanded.value
         + (expanded.gradient * step).sum(-1)

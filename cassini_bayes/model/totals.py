@@ -1,8 +1,8 @@
 """From events and priors to a model: what is walked, what is linear, what they predict.
 
-A :class:`TotalsModel` is everything that stays constant during a fit. :func:`linear_system` turns a
+A :class:`TotalsTerm` is everything that stays constant during a fit. :func:`linear_system` turns a
 batch of walked parameters into the linear-Gaussian system of the thrusts and torques, which
-:mod:`cassini_bayes.model.posterior` integrates out exactly. The same system serves the likelihood,
+:mod:`cassini_bayes.model.thrusts` integrates out exactly. The same system serves the likelihood,
 the posterior predictive and the residuals.
 """
 
@@ -66,7 +66,7 @@ _DELTA_V_NOISE: Final = ("delta_v_noise_m_s", "delta_v_resolution_m_s")
 
 
 @dataclass(frozen=True)
-class LinearBlock:
+class ThrustPrior:
     """Prior of the parameters that enter linearly.
 
     thrust[e] = common mean + shared @ η + own @ ξ_e, with η shared by all events, ξ_e the event's
@@ -88,7 +88,7 @@ class LinearBlock:
 
 
 @dataclass(frozen=True)
-class TotalsModel:
+class TotalsTerm:
     """Model of totals-only bias events: data, parameter space, linear block, pulse shape."""
 
     spacecraft: Spacecraft
@@ -96,7 +96,7 @@ class TotalsModel:
     stack: TotalsStack
     space: ParameterSpace
     specs: Mapping[str, ParameterSpec]
-    linear: LinearBlock
+    thrust_prior: ThrustPrior
     pulse_shape: PulseShape
     delta_v: DeltaVUse
     absent_wheel_parameters: Mapping[str, float]
@@ -140,13 +140,13 @@ class LinearSystem:
     offset_n: Array | None = None  # (n, K) mean level less the common one, from an earlier fit
 
 
-def build_model(
+def build_totals(
     events: tuple[TotalsEvent, ...],
     priors: Priors,
     *,
     pulse_shape: str = "first_order",
     delta_v: DeltaVUse = "as-declared",
-) -> TotalsModel:
+) -> TotalsTerm:
     """Assemble the model of totals-only bias events.
 
     Parameters
@@ -192,13 +192,13 @@ def build_model(
         ]
         for prime in (True, False)
     )
-    draft = TotalsModel(
+    draft = TotalsTerm(
         spacecraft=spacecraft,
         branch=priors.branch,
         stack=stack,
         space=priors.space(()),
         specs={name: prior.spec for name, prior in priors.parameters.items()},
-        linear=linear_block(replace(priors, earlier=None), len(stack.thrusters)),
+        thrust_prior=thrust_prior_of(replace(priors, earlier=None), len(stack.thrusters)),
         pulse_shape=PULSE_SHAPES[pulse_shape],
         delta_v=delta_v,
         # a parameter that an idle wheel shares with a prime one keeps its prior
@@ -225,7 +225,7 @@ def build_model(
                 np.array(scales),
             ),
         )
-    if draft.linear.common_is_walked:
+    if draft.thrust_prior.common_is_walked:
         names.append(THRUST_COMMON)
     names = list(dict.fromkeys(names))
     priors.require(names, "the totals model")
@@ -237,7 +237,7 @@ def build_model(
     return model
 
 
-def _chained(model: TotalsModel, priors: Priors) -> TotalsModel:
+def _chained(model: TotalsTerm, priors: Priors) -> TotalsTerm:
     """The model with thrust levels from an earlier fit, given the parameters that both walk."""
     earlier = priors.earlier
     assert earlier is not None  # asked for with an earlier fit only
@@ -250,12 +250,12 @@ def _chained(model: TotalsModel, priors: Priors) -> TotalsModel:
         )
     levels, factor = earlier.levels(model.space.names)
     factor.setflags(write=False)
-    return replace(model, linear=replace(model.linear, shared=factor, chained=levels))
+    return replace(model, thrust_prior=replace(model.thrust_prior, shared=factor, chained=levels))
 
 
-def _require_sense(model: TotalsModel, where: str) -> None:
+def _require_sense(model: TotalsTerm, where: str) -> None:
     """Refuse priors under which the model has nothing to estimate or no noise to weigh it by."""
-    linear, centre = model.linear, prior_centre(model)
+    linear, centre = model.thrust_prior, prior_centre(model)
     if not linear.common_mean_n > 0:
         raise InputError(
             f"{where}: parameters.{THRUST_COMMON}",
@@ -287,7 +287,7 @@ def _require_sense(model: TotalsModel, where: str) -> None:
         )
 
 
-def prior_centre(model: TotalsModel) -> dict[str, float]:
+def prior_centre(model: TotalsTerm) -> dict[str, float]:
     """Prior mean of every walked parameter and value of every fixed one: what one would assume."""
     if model.space.joint is not None:
         centre = model.space.to_parameters(np.zeros(model.space.dimension))
@@ -299,7 +299,7 @@ def prior_centre(model: TotalsModel) -> dict[str, float]:
     return {**model.space.fixed, **means}
 
 
-def _require_mass(model: TotalsModel) -> None:
+def _require_mass(model: TotalsTerm) -> None:
     stack = model.stack
     used = model.uses_measured_delta_v | model.uses_computed_delta_v
     for row, event_id in enumerate(stack.event_ids):
@@ -314,7 +314,7 @@ def _require_mass(model: TotalsModel) -> None:
             )
 
 
-def linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
+def thrust_prior_of(priors: Priors, n_thrusters: int) -> ThrustPrior:
     """Read the linear parameters' priors; they must be normal (or fixed) to be integrated out."""
     if priors.earlier is not None:
         raise InputError(
@@ -332,7 +332,7 @@ def linear_block(priors: Priors, n_thrusters: int) -> LinearBlock:
     mean = common.fixed if common.distribution is None else common.distribution.mean()
     assert mean is not None  # the reader guarantees dist or fixed
     individual, event, jitter = levels
-    return LinearBlock(
+    return ThrustPrior(
         common_mean_n=float(mean),
         common_sd_n=common_sd,
         common_is_walked=walked,
@@ -378,7 +378,7 @@ def _level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
     return np.asarray(factor, dtype=np.float64)
 
 
-def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
+def linear_system(model: TotalsTerm, parameters: Parameters) -> LinearSystem:
     """Everything the collapsed likelihood needs, at a batch of walked parameters.
 
     Parameters
@@ -400,7 +400,7 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
             axes, inertias, stack.wheel_is_prime, full["wheel_resolution_rpm"]
         )
         + on_time_rounding_covariance(
-            arms, model.linear.common_mean_n, stack.couples, full["on_time_resolution_s"]
+            arms, model.thrust_prior.common_mean_n, stack.couples, full["on_time_resolution_s"]
         )
     )
     design = thruster_columns(arms, effective)
@@ -419,24 +419,28 @@ def linear_system(model: TotalsModel, parameters: Parameters) -> LinearSystem:
         )
     fired = stack.on_time_s > 0
     stretch = np.where(fired, effective / np.where(fired, stack.on_time_s, 1.0), 1.0)
-    reference = np.full((n_events, n_thrusters), model.linear.common_mean_n)
-    common = full[THRUST_COMMON] if model.linear.common_is_walked else model.linear.common_mean_n
+    reference = np.full((n_events, n_thrusters), model.thrust_prior.common_mean_n)
+    common = (
+        full[THRUST_COMMON]
+        if model.thrust_prior.common_is_walked
+        else model.thrust_prior.common_mean_n
+    )
     return LinearSystem(
         design=design,
         torque_design=torque_design,
-        target=target - torque_design @ model.linear.torque_mean_n_m,
+        target=target - torque_design @ model.thrust_prior.torque_mean_n_m,
         covariance=covariance,
-        torque_covariance=_outer(torque_design * model.linear.torque_sd_n_m),
+        torque_covariance=_outer(torque_design * model.thrust_prior.torque_sd_n_m),
         jacobian=response_jacobian(arms, stretch, stack.response, reference),
         delta_v_variance=np.broadcast_to(_delta_v_variance(full), batch),
         common_n=np.broadcast_to(np.asarray(common, dtype=np.float64), batch),
         effective_on_time_s=np.broadcast_to(effective, (*batch, n_events, n_thrusters)),
-        offset_n=_offset(model.linear, full, batch, n_thrusters),
+        offset_n=_offset(model.thrust_prior, full, batch, n_thrusters),
     )
 
 
 def _offset(
-    linear: LinearBlock, parameters: Parameters, batch: tuple[int, ...], n_thrusters: int
+    linear: ThrustPrior, parameters: Parameters, batch: tuple[int, ...], n_thrusters: int
 ) -> Array | None:
     """Mean levels less the common one (..., K); None without an earlier fit."""
     if linear.chained is None:
@@ -446,7 +450,7 @@ def _offset(
     return np.broadcast_to(levels, (*batch, n_thrusters))
 
 
-def _effective_on_time(model: TotalsModel, physics: Physics) -> Array:
+def _effective_on_time(model: TotalsTerm, physics: Physics) -> Array:
     """Effective on-time of every thruster and event, (..., E, K) s."""
     stack = model.stack
     effective = effective_on_time(
@@ -482,7 +486,7 @@ def _batch_shape(parameters: Parameters) -> tuple[int, ...]:
 
 
 def _with_delta_v_rows(
-    model: TotalsModel,
+    model: TotalsTerm,
     parameters: Parameters,
     effective: Array,
     design: Array,

@@ -16,8 +16,8 @@ from cassini_bayes.model.event_reduction import (
     reduce_event,
     store_reduction,
 )
-from cassini_bayes.model.joint import JointModel, build_joint_model
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model.posterior import Model, build_model
+from cassini_bayes.model.totals import TotalsTerm, build_totals
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.priors.reader import Priors, read_priors
 
@@ -35,8 +35,8 @@ class Inputs:
     events: tuple[TotalsEvent, ...]
     telemetry: tuple[ReducedEvent, ...]
     priors: Priors
-    totals: TotalsModel | None
-    model: TotalsModel | JointModel
+    totals: TotalsTerm | None
+    model: TotalsTerm | Model
     digests: Mapping[str, str]
 
     def store(self, folder: Path) -> None:
@@ -94,7 +94,7 @@ def read_inputs(
         given |= dict.fromkeys(ids, reference)
     totals = None
     if events:
-        totals = build_model(
+        totals = build_totals(
             tuple(events), priors, pulse_shape=run.model.pulse_shape, delta_v=run.model.delta_v
         )
     return Inputs(
@@ -103,11 +103,11 @@ def read_inputs(
 
 
 def _model(
-    telemetry: list[ReducedEvent], priors: Priors, totals: TotalsModel | None
-) -> TotalsModel | JointModel:
+    telemetry: list[ReducedEvent], priors: Priors, totals: TotalsTerm | None
+) -> TotalsTerm | Model:
     if totals is not None and not telemetry:
         return totals
-    return build_joint_model(
+    return build_model(
         [(e.statistics, e.sampling) for e in telemetry],
         priors,
         totals,

@@ -23,10 +23,10 @@ from cassini_bayes import __version__
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
-from cassini_bayes.model.joint import JointModel
 from cassini_bayes.model.observability import observability
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import DeltaVUse, build_model
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.thrusts import totals_log_posterior
+from cassini_bayes.model.totals import DeltaVUse, build_totals
 from cassini_bayes.pipeline.inputs import STATISTICS, Inputs, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile
@@ -168,7 +168,7 @@ def execute(
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
     if resume:
         refuse_other_run(folder / "provenance.json", provenance.identity)
-    if isinstance(inputs.model, JointModel):
+    if isinstance(inputs.model, Model):
         for sentence in observability(inputs.model).sentences:
             reporter.say(sentence)
     prepare_folder(folder, force=force, resume=resume)
@@ -209,7 +209,7 @@ def _review(
     name: str, run: RunFile, inputs: Inputs, sampled: Sampled, provenance: Provenance
 ) -> Review:
     """Every table of the run, for either kind of model."""
-    if isinstance(inputs.model, JointModel):
+    if isinstance(inputs.model, Model):
         return assemble_joint_review(
             name,
             inputs.model,
@@ -253,10 +253,10 @@ def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
                 thrust_variant(label, inputs.totals, values.reshape(-1, *values.shape[2:]))
             )
             continue
-        model = build_model(
+        model = build_totals(
             inputs.events, inputs.priors, pulse_shape=run.model.pulse_shape, delta_v=use
         )
-        warm = warm_start(partial(log_posterior, model), len(model.space.names), rng)
+        warm = warm_start(partial(totals_log_posterior, model), len(model.space.names), rng)
         z = warm.draws.resample(rng, len(warm.draws.z))
         _, draws = draws_of(model, z, rng)
         trusted = warm.draws.pareto_k < 0.7
@@ -323,7 +323,7 @@ def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, 
 def _data_rows(run: RunFile, sampled: Sampled) -> str:
     """Where the data came from; the source chooses rows of totals files only."""
     named = ", ".join(run.events)
-    if isinstance(sampled.model, JointModel):
+    if isinstance(sampled.model, Model):
         totals = f"; totals rows of source “{run.source}”" if sampled.model.totals else ""
         return f"telemetry{totals}: {named}"
     return f"source “{run.source}” of {named}"

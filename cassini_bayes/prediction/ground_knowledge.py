@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.model.totals import TotalsTerm
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.prediction.physics import Physics
@@ -96,7 +96,7 @@ def group_impulse(layout: PairLayout, thrust_n: Array, effective_s: Array) -> tu
 
 
 def hydrazine_regression(
-    model: TotalsModel,
+    model: TotalsTerm,
     events: tuple[TotalsEvent, ...],
     physics: Physics,
     layout: PairLayout,
@@ -207,7 +207,7 @@ def no_trend(epochs: list[datetime], size: int) -> Trend:
 
 
 def lateral_variance(
-    model: TotalsModel, events: tuple[TotalsEvent, ...], rng: np.random.Generator, size: int
+    model: TotalsTerm, events: tuple[TotalsEvent, ...], rng: np.random.Generator, size: int
 ) -> Array:
     """Variance (n,) of a printed ΔV component across the net thrust, (m/s)²."""
     directions = thruster_directions(model.spacecraft, model.branch)

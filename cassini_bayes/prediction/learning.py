@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.model.totals import TotalsTerm
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
 from cassini_bayes.prediction.firing import (
@@ -79,7 +79,7 @@ class Learned:
     at its mean and the draws (ramps of ``ramp_wheels``, loop time) behind the duration.
     """
 
-    model: TotalsModel
+    model: TotalsTerm
     layout: PairLayout
     physics: Physics
     firing: Mapping[str, Array | float]
@@ -103,7 +103,7 @@ class Learned:
 
 
 def learn(
-    model: TotalsModel,
+    model: TotalsTerm,
     events: tuple[TotalsEvent, ...],
     physics: Physics,
     beliefs: Beliefs,
@@ -172,7 +172,7 @@ def _trends(
 
 
 def training_features(
-    model: TotalsModel,
+    model: TotalsTerm,
     events: tuple[TotalsEvent, ...],
     physics: Physics,
     manager: WheelManager,

@@ -222,7 +222,7 @@ class _Judge:
         t, w, q = torque - torque.mean(0), momentum - momentum.mean(0), draws - draws.mean()
         n, p = len(draws), physics.parameters
         hold = hold_rate_covariance(inertia_tensor(p), np.asarray(p["hold_rate_rad_s"]))
-        own = model.linear.own
+        own = model.thrust_prior.own
         return _Judge(
             thruster_moment=np.einsum("nik,njl->ikjl", t, t) / n,
             cross_moment=np.einsum("nik,njl->ikjl", t, w) / n,

@@ -156,7 +156,7 @@ def _firings(
 
 def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:
     """Thrusts (n, K) of a new event: level, trend of the printed thrust, its own departures."""
-    own = learned.model.linear.own
+    own = learned.model.thrust_prior.own
     trend = learned.thrust_trend
     moved = trend.at(epoch) - trend.centre
     departure = rng.standard_normal((learned.size, own.shape[1])) @ own.T
@@ -198,7 +198,7 @@ def _momentum_noise(
     covariance = covariance + wheel_rounding_covariance(per_rpm, unit, prime, step)[:, 0]
     factor = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
     normals = rng.standard_normal((2, learned.size, 3))
-    torque = model.linear.torque_mean_n_m + model.linear.torque_sd_n_m * normals[1]
+    torque = model.thrust_prior.torque_mean_n_m + model.thrust_prior.torque_sd_n_m * normals[1]
     return np.asarray((factor @ normals[0][..., None])[..., 0] - torque * duration_s[:, None])
 
 

@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.totals_terms import wheel_momentum
-from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.model.totals import TotalsTerm
 from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
 from cassini_bayes.spacecraft.parameters import ParameterSpec
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
@@ -44,7 +44,7 @@ TAU_FALL_PERTURBATION: Final = 0.10
 ALIGNMENT_PERTURBATION_RAD: Final = 0.01  # 1 % of the column of T
 
 
-def perturbation_bars(model: TotalsModel, nominal: Mapping[str, float]) -> pd.DataFrame:
+def perturbation_bars(model: TotalsTerm, nominal: Mapping[str, float]) -> pd.DataFrame:
     """Every baseline estimate with its perturbation bars.
 
     Parameters
@@ -109,7 +109,7 @@ def perturbed(
     return points
 
 
-def _estimates(model: TotalsModel, batch: Mapping[str, Array]) -> dict[tuple[str, str], Array]:
+def _estimates(model: TotalsTerm, batch: Mapping[str, Array]) -> dict[tuple[str, str], Array]:
     """(method, event) → corrected thrust (n, K) for n sets of assumed parameters."""
     stack = model.stack
     absent = {k: np.asarray(v) for k, v in model.absent_wheel_parameters.items()}

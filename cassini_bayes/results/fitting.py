@@ -15,12 +15,12 @@ from cassini_bayes.computing.processes import in_parts
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel, joint_log_posterior
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.model.posterior import Model, log_posterior
+from cassini_bayes.model.thrusts import totals_log_posterior
+from cassini_bayes.model.totals import TotalsTerm
 from cassini_bayes.results.joint_draws import draw_all
-from cassini_bayes.results.joint_record import build_joint_fit
-from cassini_bayes.results.record import Fit, build_fit, draws_of
+from cassini_bayes.results.joint_record import build_fit
+from cassini_bayes.results.record import Fit, build_totals_fit, draws_of
 from cassini_bayes.sampling.ensembles import (
     Chains,
     ProgressReport,
@@ -37,7 +37,7 @@ from cassini_bayes.sampling.warmstart import (
 )
 
 Array = NDArray[np.float64]
-Model = TotalsModel | JointModel
+AnyModel = TotalsTerm | Model
 
 _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
 SERIOUS_EXPANSION_ERROR: Final = 0.1
@@ -52,7 +52,7 @@ class Sampled:
     ``z`` (M, n, d) are the stored draws in walked coordinates, in the order of ``fit.posterior``.
     """
 
-    model: Model
+    model: AnyModel
     settings: SamplerSettings
     fit: Fit
     z: Array
@@ -93,7 +93,7 @@ class Sampled:
 
 
 def fit_model(
-    model: Model,
+    model: AnyModel,
     settings: SamplerSettings | None = None,
     *,
     events: Sequence[ReducedEvent] = (),
@@ -163,15 +163,15 @@ def fit_model(
         "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
     }
     rng = _stream(settings.seed, _LINEAR)
-    if isinstance(model, JointModel):
-        fit, _ = build_joint_fit(model, events, z, density, rng, attributes, prior_draws)
+    if isinstance(model, Model):
+        fit, _ = build_fit(model, events, z, density, rng, attributes, prior_draws)
     else:
-        fit = build_fit(model, z, density, rng, attributes, prior_draws)
+        fit = build_totals_fit(model, z, density, rng, attributes, prior_draws)
     return Sampled(model, settings, fit, z, warm, chains)
 
 
 def _sampled(
-    model: Model,
+    model: AnyModel,
     density_of: LogDensity,
     settings: SamplerSettings,
     draws_per_ensemble: int,
@@ -209,16 +209,16 @@ def _sampled(
     return warm, chains
 
 
-def log_density(model: Model) -> LogDensity:
+def log_density(model: AnyModel) -> LogDensity:
     """The collapsed log posterior of either kind of model, as the sampler calls it."""
-    if isinstance(model, JointModel):
-        return partial(joint_log_posterior, model)
-    return partial(log_posterior, model)
+    if isinstance(model, Model):
+        return partial(log_posterior, model)
+    return partial(totals_log_posterior, model)
 
 
-def event_ids(model: Model) -> tuple[str, ...]:
+def event_ids(model: AnyModel) -> tuple[str, ...]:
     """Ids of all events of either kind of model."""
-    return model.event_ids if isinstance(model, JointModel) else model.stack.event_ids
+    return model.event_ids if isinstance(model, Model) else model.stack.event_ids
 
 
 def _count(events: Sequence[str]) -> str:
@@ -242,16 +242,16 @@ def _stream(seed: int, which: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence((seed, which)))
 
 
-def collapsed_size(model: Model) -> int:
+def collapsed_size(model: AnyModel) -> int:
     """Numbers integrated out: shared thrust levels, and each event's thrusts, torques and so on."""
-    if not isinstance(model, JointModel):
-        torques = int(np.count_nonzero(model.linear.torque_sd_n_m))
-        own = int(model.linear.own.shape[1]) + torques
-        return int(model.linear.shared.shape[1]) + own * len(model.stack.event_ids)
+    if not isinstance(model, Model):
+        torques = int(np.count_nonzero(model.thrust_prior.torque_sd_n_m))
+        own = int(model.thrust_prior.own.shape[1]) + torques
+        return int(model.thrust_prior.shared.shape[1]) + own * len(model.stack.event_ids)
     torques = int(np.count_nonzero(model.torque_sd_n_m)) * len(model.event_ids)
     starts_and_tails = sum(3 + len(terms.pattern.cuts) for terms in model.telemetry)
-    thrusts = int(model.linear.own.shape[1]) * len(model.fired_ids)
-    return int(model.linear.shared.shape[1]) + thrusts + torques + starts_and_tails
+    thrusts = int(model.thrust_prior.own.shape[1]) * len(model.fired_ids)
+    return int(model.thrust_prior.shared.shape[1]) + thrusts + torques + starts_and_tails
 
 
 def _warm_start(
@@ -298,7 +298,7 @@ def _warm_start(
     return warm
 
 
-def _derived_ess(model: Model, z: Array, walkers: int, seed: int) -> float:
+def _derived_ess(model: AnyModel, z: Array, walkers: int, seed: int) -> float:
     """Smallest bulk or tail effective sample size over what is drawn back for these points."""
     m, n, d = z.shape
     drawn = _derived(model, z.reshape(-1, d), _stream(seed, _LINEAR)).reshape(m, n, -1)
@@ -307,9 +307,9 @@ def _derived_ess(model: Model, z: Array, walkers: int, seed: int) -> float:
     return min(sizes, default=np.inf)
 
 
-def _derived(model: Model, z: Array, rng: np.random.Generator) -> Array:
+def _derived(model: AnyModel, z: Array, rng: np.random.Generator) -> Array:
     """Draws (n, q) of the quantities beside the walked ones that the stop rule watches."""
-    if not isinstance(model, JointModel):
+    if not isinstance(model, Model):
         return draws_of(model, z, rng)[1].thrust_n.reshape(len(z), -1)
     sample = draw_all(model, z, rng)
     parts = [sample.torque_n_m.reshape(len(z), -1), *(own[:, :3] for own in sample.own)]

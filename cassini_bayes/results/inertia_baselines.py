@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.inertia import ELEMENTS, PLACES
 from cassini_bayes.results.telemetry_baselines import PlainRows, assumed_physics, plain_rows
 
@@ -26,7 +26,7 @@ PURE: Final = 0.2  # a slew about one axis: the other rates below this share of 
 TURNING: Final = 0.1  # of the largest rate about the axis: slower rows tell nothing
 
 
-def inertia_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+def inertia_methods(model: Model, events: Sequence[ReducedEvent]) -> pd.DataFrame:
     """Inertia by the papers' methods from every slew, and from all slews together.
 
     Columns label, method, event ("" for all slews), element, estimate_kg_m2, bar_rss_kg_m2,

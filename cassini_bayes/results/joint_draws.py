@@ -13,21 +13,21 @@ from cassini_bayes.balance.computed_delta_v import draw_software
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_information
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import INITIAL_SD_N_M_S
-from cassini_bayes.model.joint import (
-    JointModel,
-    collapse_joint,
-    draw_joint,
+from cassini_bayes.model.posterior import (
+    Model,
+    collapse,
+    draw,
     full_parameters,
-    joint_physics,
+    physics_at,
     system_of,
 )
-from cassini_bayes.model.posterior import (
+from cassini_bayes.model.predictive import event_log_likelihood
+from cassini_bayes.model.thrusts import (
     LinearDraws,
     ThrustDraws,
     draw_torque,
     moments_of,
 )
-from cassini_bayes.model.predictive import event_log_likelihood
 from cassini_bayes.model.totals import linear_system
 from cassini_bayes.results.record import prior_software, prior_thrusts
 from cassini_bayes.spacecraft import thruster_directions
@@ -37,7 +37,7 @@ BATCH: Final = 1_000  # points worked up at a time: normal equations take 10 kB 
 
 
 @dataclass(frozen=True)
-class JointSample:
+class Draws:
     """One draw of everything per parameter point.
 
     ``parameters`` are the walked and fixed ones; ``thrusts`` those of the events that fire (None
@@ -56,13 +56,13 @@ class JointSample:
         """Number of draws n."""
         return len(self.torque_n_m)
 
-    def at(self, places: NDArray[np.int64]) -> JointSample:
+    def at(self, places: NDArray[np.int64]) -> Draws:
         """Some of the draws, by their places among the n."""
         thrusts = self.thrusts
         if thrusts is not None:
             every = (thrusts.thrust_n, thrusts.common_n, thrusts.level_n)
             thrusts = ThrustDraws(*(values[places] for values in every))
-        return JointSample(
+        return Draws(
             {
                 name: values[places] if isinstance(values, np.ndarray) else values
                 for name, values in self.parameters.items()
@@ -73,7 +73,7 @@ class JointSample:
             self.software[places],
         )
 
-    def totals(self, model: JointModel) -> LinearDraws:
+    def totals(self, model: Model) -> LinearDraws:
         """The part of the totals rows."""
         assert self.thrusts is not None  # totals rows fire
         assert model.totals is not None
@@ -93,10 +93,10 @@ def batches(n: int) -> Iterator[slice]:
         yield slice(start, min(start + BATCH, n))
 
 
-def draw_all(model: JointModel, z: Array, rng: np.random.Generator) -> JointSample:
+def draw_all(model: Model, z: Array, rng: np.random.Generator) -> Draws:
     """Draw thrusts, torques, initial momenta and cut tails from their exact conditional at z."""
     parts = [_draw_batch(model, z[rows], rng) for rows in batches(len(z))]
-    return JointSample(
+    return Draws(
         parameters=model.space.to_parameters(z),
         thrusts=None if parts[0].thrusts is None else _joined([p.thrusts for p in parts]),
         torque_n_m=np.concatenate([p.torque_n_m for p in parts]),
@@ -114,8 +114,8 @@ def _joined(parts: list[ThrustDraws | None]) -> ThrustDraws:
     )
 
 
-def _draw_batch(model: JointModel, z: Array, rng: np.random.Generator) -> JointSample:
-    draws = draw_joint(model, collapse_joint(model, z), rng)
+def _draw_batch(model: Model, z: Array, rng: np.random.Generator) -> Draws:
+    draws = draw(model, collapse(model, z), rng)
     torques = [own[:, None, 3:6] for own in draws.own]
     software = np.zeros((len(z), 2))
     if model.totals is not None:
@@ -126,15 +126,15 @@ def _draw_batch(model: JointModel, z: Array, rng: np.random.Generator) -> JointS
         torques.insert(0, torque)
         if model.totals.computed is not None:
             software = draw_software(model.totals.computed, system.delta_v_variance, rng)
-    return JointSample({}, draws.thrusts, np.concatenate(torques, axis=1), draws.own, software)
+    return Draws({}, draws.thrusts, np.concatenate(torques, axis=1), draws.own, software)
 
 
-def prior_sample(model: JointModel, n: int, rng: np.random.Generator) -> JointSample:
+def prior_sample(model: Model, n: int, rng: np.random.Generator) -> Draws:
     """Everything drawn from its prior, before any data."""
     parameters = model.space.to_parameters(model.space.sample(rng, n))
     thrusts = None
     if model.fired_ids:
-        thrusts = prior_thrusts(model.linear, parameters, (n, len(model.fired_ids)), rng)
+        thrusts = prior_thrusts(model.thrust_prior, parameters, (n, len(model.fired_ids)), rng)
     normals = rng.standard_normal((n, len(model.event_ids), 3))
     torque = model.torque_mean_n_m + model.torque_sd_n_m * normals
     rows = len(model.event_ids) - len(model.telemetry)
@@ -143,16 +143,16 @@ def prior_sample(model: JointModel, n: int, rng: np.random.Generator) -> JointSa
         start = terms.initial_mean_n_m_s + INITIAL_SD_N_M_S * rng.standard_normal((n, 3))
         own.append(np.concatenate([start, torque[:, rows + place]], axis=1))
     software = np.zeros((n, 2)) if model.totals is None else prior_software(model.totals, n, rng)
-    return JointSample(parameters, thrusts, torque, tuple(own), software)
+    return Draws(parameters, thrusts, torque, tuple(own), software)
 
 
-def thrust_places(model: JointModel) -> list[int]:
+def thrust_places(model: Model) -> list[int]:
     """Place among all events of every event with thrusts."""
     ids = list(model.event_ids)
     return [ids.index(name) for name in model.fired_ids]
 
 
-def joint_event_log_likelihood(model: JointModel, z: Array, sample: JointSample) -> Array:
+def event_log_density(model: Model, z: Array, sample: Draws) -> Array:
     """Log density (n, E) of each event's data given everything, its thrusts and torque included.
 
     The torque noise of telemetry is integrated out: it has no value of its own in the fit.
@@ -161,7 +161,7 @@ def joint_event_log_likelihood(model: JointModel, z: Array, sample: JointSample)
     return np.concatenate(found)
 
 
-def _log_likelihood_batch(model: JointModel, z: Array, sample: JointSample, rows: slice) -> Array:
+def _log_likelihood_batch(model: Model, z: Array, sample: Draws, rows: slice) -> Array:
     full = full_parameters(model, z[rows])
     columns: list[Array] = []
     place = 0
@@ -177,7 +177,7 @@ def _log_likelihood_batch(model: JointModel, z: Array, sample: JointSample, rows
         density = event_log_likelihood(model.totals, full, part)
         columns.extend(density.T)
         place = density.shape[1]
-    physics = joint_physics(model, full) if model.telemetry else None
+    physics = physics_at(model, full) if model.telemetry else None
     for terms, own in zip(model.telemetry, sample.own, strict=True):
         assert physics is not None  # there is telemetry
         system = system_of(model, terms, physics, full)
@@ -198,7 +198,7 @@ def _log_likelihood_batch(model: JointModel, z: Array, sample: JointSample, rows
 
 
 def _delta_v_density(
-    model: JointModel,
+    model: Model,
     statistics: DeltaVStatistics,
     physics: Physics,
     full: Mapping[str, Array],
@@ -212,11 +212,11 @@ def _delta_v_density(
     return np.asarray(constant + (vector * thrust_n).sum(-1) - 0.5 * square)
 
 
-def joint_thrust_moments(model: JointModel, z: Array) -> tuple[Array, Array]:
+def thrust_moments_of(model: Model, z: Array) -> tuple[Array, Array]:
     """Conditional mean and variance (n, E, K) of the thrusts given the walked parameters z."""
     found = []
     for rows in batches(len(z)):
-        collapsed = collapse_joint(model, z[rows])
+        collapsed = collapse(model, z[rows])
         assert collapsed.thrusts is not None  # asked for where events fire
-        found.append(moments_of(model.linear, collapsed.thrusts, collapsed.common_n))
+        found.append(moments_of(model.thrust_prior, collapsed.thrusts, collapsed.common_n))
     return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])

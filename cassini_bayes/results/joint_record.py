@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.balance.telemetry_terms import INITIAL_SD_N_M_S
 from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel, full_parameters, joint_physics
+from cassini_bayes.model.posterior import Model, full_parameters, physics_at
 from cassini_bayes.model.predictive import (
     balance_residual,
     jacobian_expansion_error,
@@ -24,9 +24,9 @@ from cassini_bayes.model.predictive import (
 from cassini_bayes.model.totals import SOFTWARE, THRUST_COMMON, TORQUES, linear_system
 from cassini_bayes.results.inertia import ELEMENTS, WITHOUT_WHEELS, elements_of, without_wheels
 from cassini_bayes.results.joint_draws import (
-    JointSample,
+    Draws,
     draw_all,
-    joint_event_log_likelihood,
+    event_log_density,
     prior_sample,
     thrust_places,
 )
@@ -46,8 +46,8 @@ from cassini_bayes.spacecraft.pulses import effective_on_time
 Array = NDArray[np.float64]
 
 
-def build_joint_fit(
-    model: JointModel,
+def build_fit(
+    model: Model,
     events: Sequence[ReducedEvent],
     z: Array,
     log_density: Array,
@@ -56,7 +56,7 @@ def build_joint_fit(
     prior_size: int = 4_000,
     *,
     replicate: bool = True,
-) -> tuple[Fit, JointSample]:
+) -> tuple[Fit, Draws]:
     """Assemble every group from walked draws z (M, n, d) with log_density (M, n).
 
     ``events`` are the telemetry events in the model's order; the sample returned holds what was
@@ -68,7 +68,7 @@ def build_joint_fit(
     sample, prior = draw_all(model, flat, rng), prior_sample(model, prior_size, rng)
     prior_z = model.space.to_standard(prior.parameters)
     coordinates, shape, before = joint_coordinates(model), (m, n), (1, prior_size)
-    density = joint_event_log_likelihood(model, flat, sample)
+    density = event_log_density(model, flat, sample)
     blocks = {
         block.replace(" ", "_").replace("-", "_"): ((), terms, "1", f"log prior, block {block}")
         for block, terms in _log_prior(model, flat, sample).items()
@@ -105,10 +105,10 @@ def build_joint_fit(
 
 
 def _replicates(
-    model: JointModel,
+    model: Model,
     events: Sequence[ReducedEvent],
     z: Array,
-    sample: JointSample,
+    sample: Draws,
     chain_length: int,
     rng: np.random.Generator,
 ) -> tuple[xr.Dataset, xr.Dataset]:
@@ -119,7 +119,7 @@ def _replicates(
     return channel_datasets(found, joint_coordinates(model), used_wheels(model), origin)
 
 
-def joint_coordinates(model: JointModel) -> Coordinates:
+def joint_coordinates(model: Model) -> Coordinates:
     """Labels of every dimension: all events, the branch's thrusters, the wheels in use, axes."""
     used = set(used_wheels(model))
     return {
@@ -130,7 +130,7 @@ def joint_coordinates(model: JointModel) -> Coordinates:
     }
 
 
-def used_wheels(model: JointModel) -> tuple[int, ...]:
+def used_wheels(model: Model) -> tuple[int, ...]:
     """Numbers of the wheels that any event of the model uses, in file order."""
     used = {number for terms in model.telemetry for number in terms.statistics.layout.wheels}
     if model.totals is not None:
@@ -148,10 +148,10 @@ def spread_over_events(values: Array, places: Sequence[int], n_events: int) -> A
 
 
 def _posterior(
-    model: JointModel,
+    model: Model,
     events: Sequence[ReducedEvent],
     z: Array,
-    sample: JointSample,
+    sample: Draws,
     shape: tuple[int, int],
 ) -> xr.Dataset:
     variables: dict[str, Variable] = {}
@@ -180,7 +180,7 @@ def _posterior(
 
 
 def _thrust_variables(
-    model: JointModel, events: Sequence[ReducedEvent], z: Array, sample: JointSample
+    model: Model, events: Sequence[ReducedEvent], z: Array, sample: Draws
 ) -> dict[str, Variable]:
     thrusts = sample.thrusts
     assert thrusts is not None  # asked for where events fire
@@ -210,13 +210,13 @@ def _thrust_variables(
     }
 
 
-def _stretch(model: JointModel, events: Sequence[ReducedEvent], z: Array) -> Array:
+def _stretch(model: Model, events: Sequence[ReducedEvent], z: Array) -> Array:
     """Effective over commanded on-time (n, E', K) of the events that fire."""
     full = full_parameters(model, z)
     parts = []
     if model.totals is not None:
         parts.append(on_time_stretch(model.totals, linear_system(model.totals, full)))
-    physics = joint_physics(model, full)
+    physics = physics_at(model, full)
     for event in events:
         if not event.fires:
             continue
@@ -233,11 +233,11 @@ def _stretch(model: JointModel, events: Sequence[ReducedEvent], z: Array) -> Arr
     return np.concatenate(parts, axis=1)
 
 
-def _inertia_variables(model: JointModel, z: Array) -> dict[str, Variable]:
+def _inertia_variables(model: Model, z: Array) -> dict[str, Variable]:
     if not model.telemetry:
         return {}
     full = full_parameters(model, z)
-    hub = without_wheels(joint_physics(model, full), model.spacecraft, used_wheels(model))
+    hub = without_wheels(physics_at(model, full), model.spacecraft, used_wheels(model))
     values = np.broadcast_to(elements_of(hub), (len(z), len(ELEMENTS)))
     label = "inertia about the centre of mass less the wheels' spin inertia, Σ I_w a aᵀ"
     return {
@@ -251,7 +251,7 @@ def _inertia_variables(model: JointModel, z: Array) -> dict[str, Variable]:
     }
 
 
-def _parameter_variables(model: JointModel, sample: JointSample) -> dict[str, Variable]:
+def _parameter_variables(model: Model, sample: Draws) -> dict[str, Variable]:
     """Walked parameters; wheel inertias together, those integrated out elsewhere left out."""
     variables: dict[str, Variable] = {}
     used = used_wheels(model)
@@ -275,7 +275,7 @@ def _parameter_variables(model: JointModel, sample: JointSample) -> dict[str, Va
     return variables
 
 
-def _mass(model: JointModel, sample: JointSample) -> Array | None:
+def _mass(model: Model, sample: Draws) -> Array | None:
     """Wet mass (n, E) of totals rows with a velocity change and of burns, NaN elsewhere."""
     values = np.full((sample.size, len(model.event_ids)), np.nan)
     if model.totals is not None and "mass_factor" in sample.parameters:
@@ -290,9 +290,9 @@ def _mass(model: JointModel, sample: JointSample) -> Array | None:
 
 
 def _predictive(
-    model: JointModel,
+    model: Model,
     z: Array,
-    sample: JointSample,
+    sample: Draws,
     rng: np.random.Generator,
     shape: tuple[int, int],
 ) -> xr.Dataset:
@@ -323,13 +323,13 @@ def _predictive(
     )
 
 
-def _log_prior(model: JointModel, z: Array, sample: JointSample) -> dict[str, Array]:
+def _log_prior(model: Model, z: Array, sample: Draws) -> dict[str, Array]:
     """Log prior densities (n,) per block, walked and integrated out; a width of zero adds none."""
     found = {block: terms.copy() for block, terms in model.space.log_prior_by_block(z).items()}
     torque = sample.torque_n_m - model.torque_mean_n_m
     added = {"torque": normal_log_density(torque, model.torque_sd_n_m).sum((-2, -1))}
     if sample.thrusts is not None:
-        added["thrust"] = thrust_log_prior(model.linear, sample.parameters, sample.thrusts)
+        added["thrust"] = thrust_log_prior(model.thrust_prior, sample.parameters, sample.thrusts)
     pairs = zip(model.telemetry, sample.own, strict=True)
     starts = [
         normal_log_density(own[:, :3] - terms.initial_mean_n_m_s, INITIAL_SD_N_M_S).sum(-1)
@@ -346,7 +346,7 @@ def _log_prior(model: JointModel, z: Array, sample: JointSample) -> dict[str, Ar
     return found
 
 
-def _observed(model: JointModel, events: Sequence[ReducedEvent]) -> xr.Dataset:
+def _observed(model: Model, events: Sequence[ReducedEvent]) -> xr.Dataset:
     """On-times and pulses of every event that fires, ΔV of the totals rows."""
     coordinates = joint_coordinates(model)
     n_events, thrusters = len(model.event_ids), coordinates["thruster"]
@@ -372,7 +372,7 @@ def _observed(model: JointModel, events: Sequence[ReducedEvent]) -> xr.Dataset:
     )
 
 
-def _constants(model: JointModel, events: Sequence[ReducedEvent]) -> xr.Dataset:
+def _constants(model: Model, events: Sequence[ReducedEvent]) -> xr.Dataset:
     n_events = len(model.event_ids)
     first = n_events - len(model.telemetry)
     duration, used, read, printed = np.full((4, n_events), np.nan)

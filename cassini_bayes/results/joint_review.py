@@ -9,8 +9,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel, full_parameters
 from cassini_bayes.model.observability import observability
+from cassini_bayes.model.posterior import Model, full_parameters
 from cassini_bayes.model.totals import linear_system, prior_centre
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.baselines import perturbation_bars
@@ -50,7 +50,7 @@ _BALANCE_COLUMNS = (
 
 def assemble_joint_review(
     name: str,
-    model: JointModel,
+    model: Model,
     events: tuple[ReducedEvent, ...],
     priors: Priors,
     fit: Fit,
@@ -134,7 +134,7 @@ def event_table(events: Sequence[ReducedEvent], series: Sequence[EventSeries]) -
     )
 
 
-def _baseline(model: JointModel, events: tuple[ReducedEvent, ...]) -> pd.DataFrame:
+def _baseline(model: Model, events: tuple[ReducedEvent, ...]) -> pd.DataFrame:
     parts = [thrust_methods(model, events), burn_methods(model, events)]
     if model.totals is not None:
         parts.append(perturbation_bars(model.totals, prior_centre(model.totals)))
@@ -146,7 +146,7 @@ def _baseline(model: JointModel, events: tuple[ReducedEvent, ...]) -> pd.DataFra
     return table
 
 
-def _predictive(model: JointModel, fit: Fit) -> pd.DataFrame:
+def _predictive(model: Model, fit: Fit) -> pd.DataFrame:
     """Replicated on-times of the totals rows; nothing without any."""
     if model.totals is None:
         return pd.DataFrame()
@@ -154,7 +154,7 @@ def _predictive(model: JointModel, fit: Fit) -> pd.DataFrame:
     return table[table["event"].isin(model.totals.stack.event_ids)].reset_index(drop=True)
 
 
-def _totals_balance(model: JointModel, fit: Fit, z: Array) -> pd.DataFrame:
+def _totals_balance(model: Model, fit: Fit, z: Array) -> pd.DataFrame:
     if model.totals is None:
         return pd.DataFrame(columns=list(_BALANCE_COLUMNS))
     rows = len(model.totals.stack.event_ids)
@@ -190,5 +190,5 @@ def _balance(ids: Sequence[str], left: Array, spread: Array, noise: Array) -> pd
     )
 
 
-def _delta_v(model: JointModel, fit: Fit) -> pd.DataFrame:
+def _delta_v(model: Model, fit: Fit) -> pd.DataFrame:
     return pd.DataFrame() if model.totals is None else delta_v_table(model.totals, fit)

@@ -14,13 +14,6 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.physics import Parameters
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.storage import write_bytes
-from cassini_bayes.model.posterior import (
-    LinearDraws,
-    ThrustDraws,
-    collapse,
-    draw_common,
-    draw_linear,
-)
 from cassini_bayes.model.predictive import (
     balance_residual,
     event_log_likelihood,
@@ -28,11 +21,18 @@ from cassini_bayes.model.predictive import (
     on_time_stretch,
     replicate_on_times,
 )
+from cassini_bayes.model.thrusts import (
+    LinearDraws,
+    ThrustDraws,
+    collapse_totals,
+    draw_common,
+    draw_linear,
+)
 from cassini_bayes.model.totals import (
     SOFTWARE,
     TORQUES,
-    LinearBlock,
-    TotalsModel,
+    ThrustPrior,
+    TotalsTerm,
     linear_system,
 )
 
@@ -74,19 +74,19 @@ class Fit:
 
 
 def draws_of(
-    model: TotalsModel, z: Array, rng: np.random.Generator
+    model: TotalsTerm, z: Array, rng: np.random.Generator
 ) -> tuple[dict[str, Array | float], LinearDraws]:
     """Physical parameters and a draw of the thrusts and torques at posterior points z (n, d)."""
     parameters = model.space.to_parameters(z)
     system = linear_system(model, parameters)
-    return parameters, draw_linear(model, system, collapse(model, system), rng)
+    return parameters, draw_linear(model, system, collapse_totals(model, system), rng)
 
 
 def prior_draws(
-    model: TotalsModel, n: int, rng: np.random.Generator
+    model: TotalsTerm, n: int, rng: np.random.Generator
 ) -> tuple[dict[str, Array | float], LinearDraws]:
     """Parameters, thrusts and torques drawn from their priors, before any data."""
-    linear = model.linear
+    linear = model.thrust_prior
     parameters = model.space.to_parameters(model.space.sample(rng, n))
     n_events = len(model.stack.event_ids)
     thrusts = prior_thrusts(linear, parameters, (n, n_events), rng)
@@ -101,7 +101,7 @@ def prior_draws(
 
 
 def prior_thrusts(
-    linear: LinearBlock, parameters: Parameters, shape: tuple[int, int], rng: np.random.Generator
+    linear: ThrustPrior, parameters: Parameters, shape: tuple[int, int], rng: np.random.Generator
 ) -> ThrustDraws:
     """Thrusts drawn from their prior, for ``shape`` = (draws n, events E)."""
     n = shape[0]
@@ -124,7 +124,7 @@ def prior_thrusts(
     return ThrustDraws(level[:, None, :] + own @ linear.own.T, common, level)
 
 
-def prior_software(model: TotalsModel, n: int, rng: np.random.Generator) -> Array:
+def prior_software(model: TotalsTerm, n: int, rng: np.random.Generator) -> Array:
     """Constants of the on-board ΔV computation drawn from their prior, (n, 2)."""
     if model.computed is None:
         return np.zeros((n, 2))
@@ -136,8 +136,8 @@ def prior_software(model: TotalsModel, n: int, rng: np.random.Generator) -> Arra
 _COMMON: Final = "thrust_common_n"
 
 
-def build_fit(
-    model: TotalsModel,
+def build_totals_fit(
+    model: TotalsTerm,
     z: Array,
     log_density: Array,
     rng: np.random.Generator,
@@ -211,14 +211,14 @@ def build_fit(
 
 
 def _collapsed_log_prior(
-    model: TotalsModel, parameters: Parameters, draws: LinearDraws
+    model: TotalsTerm, parameters: Parameters, draws: LinearDraws
 ) -> dict[str, Array]:
     """Log prior densities (n,) of what is integrated out, per block, at its draws.
 
     Levels given the common one, departures given the levels, torques, software; a width of zero
     adds nothing.
     """
-    linear = model.linear
+    linear = model.thrust_prior
     thrust = thrust_log_prior(
         linear, parameters, ThrustDraws(draws.thrust_n, draws.common_n, draws.level_n)
     )
@@ -233,7 +233,7 @@ def _collapsed_log_prior(
     return found
 
 
-def thrust_log_prior(linear: LinearBlock, parameters: Parameters, draws: ThrustDraws) -> Array:
+def thrust_log_prior(linear: ThrustPrior, parameters: Parameters, draws: ThrustDraws) -> Array:
     """Log prior density (n,) of drawn thrusts: common level, thrusters' levels, departures."""
     mean = np.asarray(parameters.get(_COMMON, linear.common_mean_n))
     departure = draws.thrust_n - draws.level_n[:, None, :]
@@ -265,12 +265,12 @@ Coordinates = Mapping[str, list[str] | list[int]]
 
 
 def _dataset(
-    variables: Mapping[str, Variable], model: TotalsModel, shape: tuple[int, int]
+    variables: Mapping[str, Variable], model: TotalsTerm, shape: tuple[int, int]
 ) -> xr.Dataset:
     return dataset_of(variables, _coordinates(model), shape)
 
 
-def _coordinates(model: TotalsModel) -> dict[str, list[str] | list[int]]:
+def _coordinates(model: TotalsTerm) -> dict[str, list[str] | list[int]]:
     prime = model.stack.wheel_is_used
     return {
         "event": list(model.stack.event_ids),
@@ -298,7 +298,7 @@ def dataset_of(
 
 
 def _parameter_dataset(
-    model: TotalsModel, parameters: Parameters, draws: LinearDraws, shape: tuple[int, int]
+    model: TotalsTerm, parameters: Parameters, draws: LinearDraws, shape: tuple[int, int]
 ) -> xr.Dataset:
     variables: dict[str, Variable] = {
         "thrust_n": (("event", "thruster"), draws.thrust_n, "N", "steady thrust in the event"),
@@ -353,7 +353,7 @@ def _parameter_dataset(
 
 
 def _predictive_dataset(
-    model: TotalsModel,
+    model: TotalsTerm,
     parameters: Parameters,
     draws: LinearDraws,
     rng: np.random.Generator,
@@ -380,7 +380,7 @@ def _predictive_dataset(
     )
 
 
-def _observed(model: TotalsModel) -> xr.Dataset:
+def _observed(model: TotalsTerm) -> xr.Dataset:
     stack, coordinates = model.stack, _coordinates(model)
     return xr.Dataset(
         {
@@ -404,7 +404,7 @@ def _observed(model: TotalsModel) -> xr.Dataset:
     )
 
 
-def _constants(model: TotalsModel) -> xr.Dataset:
+def _constants(model: TotalsTerm) -> xr.Dataset:
     stack, coordinates = model.stack, _coordinates(model)
     prime = stack.wheel_is_used
     rpm = 60.0 / (2.0 * np.pi)
@@ -431,7 +431,7 @@ def _constants(model: TotalsModel) -> xr.Dataset:
     for name, value in model.space.fixed.items():
         spec = model.specs[name]
         data[name] = xr.DataArray(value, attrs={"units": spec.unit, "long_name": spec.meaning})
-    for name, value in zip(TORQUES, model.linear.torque_mean_n_m, strict=True):
+    for name, value in zip(TORQUES, model.thrust_prior.torque_mean_n_m, strict=True):
         data[f"prior_mean_{name}"] = xr.DataArray(
             value, attrs={"units": "N m", "long_name": "prior mean of the steady external torque"}
         )

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from cassini_bayes.balance.computed_delta_v import predicted_delta_v
 from cassini_bayes.computing.arviz_import import arviz
-from cassini_bayes.model.joint import JointModel
 from cassini_bayes.model.observability import Observability
-from cassini_bayes.model.totals import SOFTWARE, TotalsModel, linear_system, prior_centre
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.totals import SOFTWARE, TotalsTerm, linear_system, prior_centre
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.baselines import perturbation_bars
 from cassini_bayes.results.record import Fit
@@ -161,7 +161,7 @@ def _where_it_is(variable: xr.DataArray) -> xr.DataArray:
     return variable.dropna("event", how="all") if "event" in variable.dims else variable
 
 
-def nuisance_table(model: TotalsModel | JointModel, priors: Priors, z: Array) -> pd.DataFrame:
+def nuisance_table(model: TotalsTerm | Model, priors: Priors, z: Array) -> pd.DataFrame:
     """Prior against posterior of every walked parameter in its own units, with the verdict."""
     table = prior_against_posterior(model, z)
     physical = model.space.to_parameters(z)
@@ -214,7 +214,7 @@ def predictive_table(fit: Fit) -> pd.DataFrame:
     )
 
 
-def balance_table(model: TotalsModel, fit: Fit, z: Array) -> pd.DataFrame:
+def balance_table(model: TotalsTerm, fit: Fit, z: Array) -> pd.DataFrame:
     """Momentum left over per event and axis, against the noise the model allows for."""
     residual = fit.groups["posterior_predictive"]["balance_residual_n_m_s"]
     events, axes = residual.coords["event"].values, residual.coords["axis"].values
@@ -233,7 +233,7 @@ def balance_table(model: TotalsModel, fit: Fit, z: Array) -> pd.DataFrame:
     )
 
 
-def delta_v_table(model: TotalsModel, fit: Fit) -> pd.DataFrame:
+def delta_v_table(model: TotalsTerm, fit: Fit) -> pd.DataFrame:
     """Printed ΔV against the on-board computation, events that declare a computed ΔV only.
 
     ``computed_sd_mm_s`` is the spread of the computation itself, ``noise_sd_mm_s`` that of the
@@ -264,7 +264,7 @@ def delta_v_table(model: TotalsModel, fit: Fit) -> pd.DataFrame:
     )
 
 
-def thrust_variant(name: str, model: TotalsModel, thrust_n: Array) -> pd.DataFrame:
+def thrust_variant(name: str, model: TotalsTerm, thrust_n: Array) -> pd.DataFrame:
     """Thrust posterior under one use of ΔV, long format; thrust_n (n, E, K)."""
     low, high = hdi(thrust_n)
     stack = model.stack
@@ -283,7 +283,7 @@ def thrust_variant(name: str, model: TotalsModel, thrust_n: Array) -> pd.DataFra
 
 def assemble_review(
     name: str,
-    model: TotalsModel,
+    model: TotalsTerm,
     priors: Priors,
     fit: Fit,
     z: Array,

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cassini_bayes.model.joint import JointModel
-from cassini_bayes.model.posterior import thrust_moments
-from cassini_bayes.model.totals import TotalsModel
-from cassini_bayes.results.joint_draws import joint_thrust_moments
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.thrusts import thrust_moments
+from cassini_bayes.model.totals import TotalsTerm
+from cassini_bayes.results.joint_draws import thrust_moments_of
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ LEAST_CONTRACTION = 0.05
 MOVED = 0.5
 
 
-def error_budget(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
+def error_budget(model: TotalsTerm | Model, z: Array) -> pd.DataFrame:
     """Split every thrust's variance over the nuisances, in two ways.
 
     z (n, d) are posterior draws. With m(z) the conditional mean of a thrust given the nuisances:
@@ -81,21 +81,21 @@ def error_budget(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
     )
 
 
-def _moments(model: TotalsModel | JointModel, z: Array) -> tuple[Array, Array]:
+def _moments(model: TotalsTerm | Model, z: Array) -> tuple[Array, Array]:
     """Conditional mean and variance (n, E, K) of the thrusts, for either kind of model."""
-    if isinstance(model, JointModel):
-        return joint_thrust_moments(model, z)
+    if isinstance(model, Model):
+        return thrust_moments_of(model, z)
     return thrust_moments(model, z)
 
 
-def _labels(model: TotalsModel | JointModel) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _labels(model: TotalsTerm | Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Events with thrusts, and the thrusters."""
-    if isinstance(model, JointModel):
+    if isinstance(model, Model):
         return model.fired_ids, model.spacecraft.thruster_names(model.branch)
     return model.stack.event_ids, model.stack.thrusters
 
 
-def prior_against_posterior(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
+def prior_against_posterior(model: TotalsTerm | Model, z: Array) -> pd.DataFrame:
     """Prior and posterior of every walked parameter, with a conflict flag.
 
     In standard-normal coordinates the prior is N(0, 1). If prior and likelihood agree, the shift of

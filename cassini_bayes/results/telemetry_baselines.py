@@ -25,7 +25,7 @@ from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import direction_cosines, effective_increments
 from cassini_bayes.events.telemetry import read_chunks
 from cassini_bayes.model.event_reduction import ReducedEvent, samples_of
-from cassini_bayes.model.joint import JointModel
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.baselines import (
     MEAN,
     MINIMUM_ON_TIME_S,
@@ -86,7 +86,7 @@ def plain_rows(event: ReducedEvent, spacecraft: Spacecraft) -> PlainRows:
 _CHANNELS: Final = ("time_s", "attitude", "rate_rad_s", "wheel_rad_s", "on_time_s", "pulses")
 
 
-def thrust_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+def thrust_methods(model: Model, events: Sequence[ReducedEvent]) -> pd.DataFrame:
     """Thrust by the papers' methods from every telemetry event that fires.
 
     Columns as of :func:`cassini_bayes.results.baselines.perturbation_bars`. Methods without a
@@ -120,7 +120,7 @@ def thrust_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.Data
     return pd.DataFrame(rows)
 
 
-def burn_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+def burn_methods(model: Model, events: Sequence[ReducedEvent]) -> pd.DataFrame:
     """Mean thrust along the measured velocity change of every burn (paper 000 App. D).
 
     M ΔV over the on-time of the thrusters that push that way, divided by T; columns as of
@@ -149,7 +149,7 @@ def burn_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFr
     return pd.DataFrame(rows)
 
 
-def torque_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+def torque_methods(model: Model, events: Sequence[ReducedEvent]) -> pd.DataFrame:
     """External torque from the wheels' drift over every quiescent event (paper 000 App. A).
 
     T diag(I_w) Δρ over the time, from straight lines through the wheel rates; columns event, axis,
@@ -181,7 +181,7 @@ def drift_torque(physics: Physics, wheels: tuple[int, ...], data: PlainRows) -> 
     return np.asarray(physics.wheel_weights[..., list(wheels)] @ drift)
 
 
-def assumed_physics(model: JointModel) -> tuple[dict[str, Array], Physics]:
+def assumed_physics(model: Model) -> tuple[dict[str, Array], Physics]:
     """Prior means, then one point per perturbation of paper 003: parameters (n,), and physics."""
     space = model.space
     means = {n: d.mean() for n, d in zip(space.names, space.distributions, strict=True)}
@@ -269,7 +269,7 @@ def ratio(sampling: Sampling, data: PlainRows, parameters: Mapping[str, Array]) 
 
 
 def _thrust_rows(
-    model: JointModel,
+    model: Model,
     event: str,
     estimates: Mapping[str, Array],
     factors: Mapping[str, Array],
@@ -316,7 +316,7 @@ def _row(
 
 
 def _pooled(
-    model: JointModel,
+    model: Model,
     batch: Mapping[str, Array],
     events: Sequence[ReducedEvent],
     gathered: Sequence[tuple[Array, Array]],

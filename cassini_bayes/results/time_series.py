@@ -25,9 +25,9 @@ from cassini_bayes.balance.telemetry_terms import (
 )
 from cassini_bayes.events.telemetry import read_chunks
 from cassini_bayes.model.event_reduction import ReducedEvent, samples_of
-from cassini_bayes.model.joint import JointModel, full_parameters, joint_physics
+from cassini_bayes.model.posterior import Model, full_parameters, physics_at
 from cassini_bayes.priors.quantiles import NORMAL_90
-from cassini_bayes.results.joint_draws import JointSample, draw_all
+from cassini_bayes.results.joint_draws import Draws, draw_all
 from cassini_bayes.spacecraft import Spacecraft
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ class EventSeries:
 
 
 def event_series(
-    model: JointModel,
+    model: Model,
     events: tuple[ReducedEvent, ...],
     z: Array,
     rng: np.random.Generator,
@@ -122,10 +122,10 @@ def shown_places(n: int) -> Places:
 
 
 def balances(
-    model: JointModel,
+    model: Model,
     events: Sequence[ReducedEvent],
     z: Array,
-    sample: JointSample,
+    sample: Draws,
     most_rows: int = MOST_ROWS,
 ) -> Iterator[Balance]:
     """Balance of every telemetry event at z (n, d) and what was drawn there, row by row.
@@ -133,7 +133,7 @@ def balances(
     Rows are thinned evenly to at most ``most_rows``; the files are read again.
     """
     full = full_parameters(model, z)
-    physics = joint_physics(model, full)
+    physics = physics_at(model, full)
     place = len(model.event_ids) - len(model.telemetry)
     for terms, event, own in zip(model.telemetry, events, sample.own, strict=True):
         unknowns = own
@@ -141,7 +141,7 @@ def balances(
             unknowns = np.concatenate([_thrusts(sample, place), own], axis=1)
             place += 1
         rows, every = _rows(terms, event, model.spacecraft, most_rows)
-        weights = balance_weights(terms, physics, model.linear.common_mean_n)
+        weights = balance_weights(terms, physics, model.thrust_prior.common_mean_n)
         measured, predicted = _both_sides(terms, rows, weights, unknowns)
         yield Balance(
             terms=terms,
@@ -156,7 +156,7 @@ def balances(
         )
 
 
-def _thrusts(sample: JointSample, place: int) -> Array:
+def _thrusts(sample: Draws, place: int) -> Array:
     assert sample.thrusts is not None  # the event fires
     return sample.thrusts.thrust_n[:, place]
 

@@ -28,8 +28,8 @@ from cassini_bayes.balance.totals_terms import wheel_momentum
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import TotalsModel, build_model, prior_centre
+from cassini_bayes.model.thrusts import totals_log_posterior
+from cassini_bayes.model.totals import TotalsTerm, build_totals, prior_centre
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.published import perturbations
@@ -146,7 +146,7 @@ def covered_set(campaign: CoverageCampaign, index: int) -> dict[str, Array]:
     template = tuple(with_room(event) for event in read)
     stream = (campaign.seed, READINGS.index(campaign.reading), index)
     rng = np.random.default_rng(np.random.SeedSequence(stream))
-    model = build_model(template, priors)
+    model = build_totals(template, priors)
     parameters, truth = prior_draws(model, 1, rng)
     simulated = simulate_totals(template, model, parameters, truth, rng)
     return estimated(simulated, priors, truth.thrust_n[0], rng)
@@ -156,7 +156,7 @@ def estimated(
     events: tuple[TotalsEvent, ...], priors: Priors, thrust_n: Array, rng: np.random.Generator
 ) -> dict[str, Array]:
     """Every estimate of a set of events with true thrusts (E, K); see :func:`covered_set`."""
-    model = build_model(events, priors)
+    model = build_totals(events, priors)
     found = _squares(model)
     truth = estimands(model, thrust_n[None])
     for name in ESTIMANDS:
@@ -175,7 +175,7 @@ def estimated(
     return {**found, "pareto_k": np.array(k), "by_chain": np.array(float(by_chain))}
 
 
-def estimands(model: TotalsModel, thrust_n: Array) -> dict[str, Array]:
+def estimands(model: TotalsTerm, thrust_n: Array) -> dict[str, Array]:
     """What is estimated, of thrusts (n, E, K): means weighted by on-time, and thrusts themselves.
 
     ``EVENT_MEAN`` (n, E), ``THRUSTER`` (n, K), ``THRUSTER_EVENT`` (n, E K).
@@ -190,10 +190,10 @@ def estimands(model: TotalsModel, thrust_n: Array) -> dict[str, Array]:
 
 
 def _bayesian_draws(
-    model: TotalsModel, rng: np.random.Generator
+    model: TotalsTerm, rng: np.random.Generator
 ) -> tuple[dict[str, Array], float, bool]:
     """Thrusts (n, E, K) from the Laplace normal and from the posterior; k̂, and if by a chain."""
-    density = partial(log_posterior, model)
+    density = partial(totals_log_posterior, model)
     d = model.space.dimension
     warm = warm_start(density, d, rng, pilots=1, draws=DRAWS)
     by_chain = not warm.draws.pareto_k < TRUSTED_K
@@ -211,7 +211,7 @@ def _bayesian_draws(
     return thrusts, warm.draws.pareto_k, by_chain
 
 
-def _squares(model: TotalsModel) -> dict[str, Array]:
+def _squares(model: TotalsTerm) -> dict[str, Array]:
     """The papers' least squares: intervals from perturbations and from the fit's own scatter."""
     nominal = prior_centre(model)
     table = perturbation_bars(model, nominal)
@@ -239,9 +239,7 @@ def _squares(model: TotalsModel) -> dict[str, Array]:
     return found
 
 
-def squares_errors(
-    model: TotalsModel, nominal: Mapping[str, float]
-) -> dict[str, tuple[Array, int]]:
+def squares_errors(model: TotalsTerm, nominal: Mapping[str, float]) -> dict[str, tuple[Array, int]]:
     """Standard errors of the papers' least squares, and their degrees of freedom.
 
     σ̂² (UᵀU)⁻¹ with σ̂² the residual variance: the mean thrust of an event has three equations for

@@ -29,14 +29,14 @@ from cassini_bayes.balance.statistics import (
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.joint import (
-    JointModel,
-    build_joint_model,
-    collapse_joint,
-    draw_joint,
+from cassini_bayes.model.posterior import (
+    Model,
+    build_model,
+    collapse,
+    draw,
     full_parameters,
-    joint_log_posterior,
-    joint_physics,
+    log_posterior,
+    physics_at,
     sampling_of,
 )
 from cassini_bayes.priors.distributions import Distribution
@@ -188,13 +188,13 @@ def _walked(priors: Priors, fires: bool) -> tuple[str, ...]:
     """Names of the walked parameters, in order, for events with or without thrusters."""
     sampling = sampling_of(priors, (), 1.0, "first_order")
     layout = Layout(priors.wheels, (), ())
-    silent = build_joint_model([(_made_up(layout), sampling)], priors).space.names
+    silent = build_model([(_made_up(layout), sampling)], priors).space.names
     if not fires:
         return silent
     names = priors.spacecraft.thruster_names(priors.branch)
     sampling = sampling_of(priors, names, 1.0, "first_order")
     layout = Layout(priors.wheels, names, sampling.couples)
-    return build_joint_model([(_made_up(layout), sampling)], priors).space.names
+    return build_model([(_made_up(layout), sampling)], priors).space.names
 
 
 def _made_up(layout: Layout) -> EventStatistics:
@@ -209,7 +209,7 @@ def _made_up(layout: Layout) -> EventStatistics:
 
 def joint_model_of(
     simulation: Simulation, variant: Variant, priors: Priors, rng: np.random.Generator
-) -> JointModel:
+) -> Model:
     """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
     reduced = []
     for event in simulation.events:
@@ -220,7 +220,7 @@ def joint_model_of(
         if variant.control == "pulse-blind":
             sampling = replace(sampling, guard_s=0.0)
         reduced.append((_statistics(event, samples, thrusters, sampling), sampling))
-    return build_joint_model(reduced, priors)
+    return build_model(reduced, priors)
 
 
 def _statistics(
@@ -270,26 +270,26 @@ def _taken_over(momentum: Array, steps: Array) -> Array:
     return taken
 
 
-def log_density_of(model: JointModel, variant: Variant) -> LogDensity:
+def log_density_of(model: Model, variant: Variant) -> LogDensity:
     """The log posterior; for the balance-residual control without its Jacobian."""
     if variant.control == "balance-residual":
         return partial(without_jacobian, model)
-    return partial(joint_log_posterior, model)
+    return partial(log_posterior, model)
 
 
-def without_jacobian(model: JointModel, z: Array) -> Array:
+def without_jacobian(model: Model, z: Array) -> Array:
     """The naive likelihood: a density of the balance residual, which shrinks with everything.
 
     Takes N log det I off again (docs/telemetry-likelihood.md §2).
     """
-    physics = joint_physics(model, full_parameters(model, z))
+    physics = physics_at(model, full_parameters(model, z))
     rows = sum(terms.statistics.rows for terms in model.telemetry)
     lost = rows * np.linalg.slogdet(physics.inertia_kg_m2)[1]
-    return np.asarray(joint_log_posterior(model, z) - lost)
+    return np.asarray(log_posterior(model, z) - lost)
 
 
 def _posterior_draws(
-    log_density: LogDensity, model: JointModel, rng: np.random.Generator
+    log_density: LogDensity, model: Model, rng: np.random.Generator
 ) -> tuple[Array, float, bool]:
     """Importance draws where k̂ allows, else draws of a chain."""
     dimension = len(model.space.names)
@@ -306,10 +306,10 @@ def _posterior_draws(
     return flat[rng.permutation(len(flat))[:RANK_DRAWS]], warm.draws.pareto_k, True
 
 
-def flat_draws(model: JointModel, z: Array, rng: np.random.Generator) -> dict[str, Array]:
+def flat_draws(model: Model, z: Array, rng: np.random.Generator) -> dict[str, Array]:
     """Every inferred scalar as name → (n,)."""
     parameters = model.space.to_parameters(z)
-    draws = draw_joint(model, collapse_joint(model, z), rng)
+    draws = draw(model, collapse(model, z), rng)
     flat = {name: np.asarray(parameters[name]) for name in model.space.names}
     if draws.thrusts is not None:
         names = model.spacecraft.thruster_names(model.branch)

@@ -24,8 +24,8 @@ from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.posterior import LinearDraws, log_posterior
-from cassini_bayes.model.totals import SOFTWARE, TotalsModel, build_model
+from cassini_bayes.model.thrusts import LinearDraws, totals_log_posterior
+from cassini_bayes.model.totals import SOFTWARE, TotalsTerm, build_totals
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.ranks import Ranks, rank
 from cassini_bayes.results.record import draws_of, prior_draws
@@ -80,7 +80,7 @@ class Campaign:
 
     def names(self) -> tuple[str, ...]:
         """Names of the ranked scalars, in the order of the ranks."""
-        model = build_model(self._template(), read_priors(self.priors_path))
+        model = build_totals(self._template(), read_priors(self.priors_path))
         return tuple(_flatten(*prior_draws(model, 1, np.random.default_rng(0)), model))
 
     def _template(self) -> tuple[TotalsEvent, ...]:
@@ -91,20 +91,21 @@ class Campaign:
         """Draw, simulate, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in for it."""
         priors, template = read_priors(self.priors_path), self._template()
         rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
-        model = build_model(template, priors)
+        model = build_totals(template, priors)
         parameters, truth = prior_draws(model, 1, rng)
         simulated = simulate_totals(template, model, parameters, truth, rng)
-        fitted = build_model(
+        fitted = build_totals(
             simulated,
             _controlled(priors, self.control),
             pulse_shape="rectangular" if self.control == "rectangular-pulses" else "first_order",
         )
         dimension = len(fitted.space.names)
-        warm = warm_start(partial(log_posterior, fitted), dimension, rng, pilots=1, draws=2_000)
+        density = partial(totals_log_posterior, fitted)
+        warm = warm_start(density, dimension, rng, pilots=1, draws=2_000)
         by_chain = not warm.draws.pareto_k < TRUSTED_K
         if by_chain:
             settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
-            chains = sample(partial(log_posterior, fitted), warm.proposal, settings)
+            chains = sample(density, warm.proposal, settings)
             z, _ = chains.thinned(4 * RANK_DRAWS)
             z = rng.permutation(z.reshape(-1, dimension))[:RANK_DRAWS]
         else:
@@ -178,7 +179,7 @@ def with_room(event: TotalsEvent) -> TotalsEvent:
 
 def simulate_totals(
     template: tuple[TotalsEvent, ...],
-    model: TotalsModel,
+    model: TotalsTerm,
     parameters: Mapping[str, Array | float],
     truth: LinearDraws,
     rng: np.random.Generator,
@@ -250,7 +251,7 @@ def simulate_totals(
 
 
 def _on_board_delta_v(
-    model: TotalsModel,
+    model: TotalsTerm,
     on_time: Array,
     pulses: Array,
     parameters: Mapping[str, Array],
@@ -279,7 +280,7 @@ def _controlled(priors: Priors, control: Control) -> Priors:
 
 
 def _flatten(
-    parameters: Mapping[str, Array | float], draws: LinearDraws, model: TotalsModel
+    parameters: Mapping[str, Array | float], draws: LinearDraws, model: TotalsTerm
 ) -> dict[str, Array]:
     """Every inferred scalar as name → (n,)."""
     stack = model.stack

@@ -15,21 +15,21 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel, build_joint_model, joint_log_likelihood
-from cassini_bayes.model.posterior import log_likelihood
+from cassini_bayes.model.posterior import Model, build_model, log_likelihood
+from cassini_bayes.model.thrusts import totals_log_likelihood
 from cassini_bayes.model.totals import (
     SOFTWARE,
     THRUST_COMMON,
     THRUST_LEVELS,
     TORQUES,
     DeltaVUse,
-    TotalsModel,
-    build_model,
+    TotalsTerm,
+    build_totals,
 )
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.results.joint_record import build_joint_fit
-from cassini_bayes.results.record import build_fit
+from cassini_bayes.results.joint_record import build_fit
+from cassini_bayes.results.record import build_totals_fit
 from cassini_bayes.spacecraft import Spacecraft
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class ModelFactory(Protocol):
 class TotalsSweepModel:
     """Totals rows as a :class:`SweepModel`."""
 
-    model: TotalsModel
+    model: TotalsTerm
 
     @property
     def space(self) -> ParameterSpace:
@@ -97,11 +97,11 @@ class TotalsSweepModel:
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at z (n, d)."""
-        return log_likelihood(self.model, z)
+        return totals_log_likelihood(self.model, z)
 
     def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
         """Every quantity of the posterior at z (n, d)."""
-        return build_fit(self.model, z[None], np.zeros((1, len(z))), rng, {}, 1).posterior
+        return build_totals_fit(self.model, z[None], np.zeros((1, len(z))), rng, {}, 1).posterior
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class TotalsFactory:
         """The model with these priors, leaving out the event named ``without``."""
         kept = tuple(event for event in self.events if event.id != without)
         return TotalsSweepModel(
-            build_model(kept, priors, pulse_shape=self.pulse_shape, delta_v=self.delta_v)
+            build_totals(kept, priors, pulse_shape=self.pulse_shape, delta_v=self.delta_v)
         )
 
 
@@ -130,7 +130,7 @@ class TotalsFactory:
 class JointSweepModel:
     """Telemetry, with totals rows or without, as a :class:`SweepModel`."""
 
-    model: JointModel
+    model: Model
     events: tuple[ReducedEvent, ...]
 
     @property
@@ -154,14 +154,12 @@ class JointSweepModel:
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at z (n, d)."""
-        return joint_log_likelihood(self.model, z)
+        return log_likelihood(self.model, z)
 
     def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
         """Every quantity of the posterior at z (n, d)."""
         density = np.zeros((1, len(z)))
-        fit, _ = build_joint_fit(
-            self.model, self.events, z[None], density, rng, {}, 1, replicate=False
-        )
+        fit, _ = build_fit(self.model, self.events, z[None], density, rng, {}, 1, replicate=False)
         return fit.posterior
 
 
@@ -189,7 +187,7 @@ class JointFactory:
             return rows
         statistics = [(reduced.statistics, reduced.sampling) for reduced in kept]
         totals = None if rows is None else rows.model
-        return JointSweepModel(build_joint_model(statistics, priors, totals), kept)
+        return JointSweepModel(build_model(statistics, priors, totals), kept)
 
 
 def scalar_names(dataset: xr.Dataset) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from test_run import Silent
 from cassini_bayes.balance.telemetry_terms import INITIAL_SD_N_M_S
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals, write_totals
-from cassini_bayes.model.joint import collapse_joint
+from cassini_bayes.model.posterior import collapse
 from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run import Outcome, execute
 from cassini_bayes.pipeline.run_file import check_run
@@ -28,7 +28,7 @@ from cassini_bayes.report.plots.style import STYLE
 from cassini_bayes.report.plots.thrusts import thrust_figure
 from cassini_bayes.report.plots.time_series import series_figures
 from cassini_bayes.results import fitting
-from cassini_bayes.results.joint_draws import draw_all, joint_event_log_likelihood
+from cassini_bayes.results.joint_draws import draw_all, event_log_density
 from cassini_bayes.results.record import GROUPS, normal_log_density, read_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings
 from cassini_bayes.sampling.warmstart import WarmStart
@@ -213,7 +213,7 @@ def test_event_density_is_the_collapsed_one_before_integrating() -> None:
     """log p(data | all) + log p(own) − log p(own | data) is the collapsed likelihood."""
     joint = model("slews")
     z = np.repeat(joint.space.sample(np.random.default_rng(4), 1) * 0.1, 3, axis=0)
-    collapsed = collapse_joint(joint, z)
+    collapsed = collapse(joint, z)
     sample = draw_all(joint, z, np.random.default_rng(5))
     factors, own = collapsed.own[0], sample.own[0]
     prior = normal_log_density(own - factors.mean, factors.sd).sum(-1)
@@ -221,7 +221,7 @@ def test_event_density_is_the_collapsed_one_before_integrating() -> None:
     white = np.einsum("nij,ni->nj", factors.factor, standard) - factors.shift
     log_det = np.log(np.diagonal(factors.factor, axis1=1, axis2=2)).sum(-1)
     given = normal_log_density(white, 1.0).sum(-1) + log_det - np.log(factors.sd).sum(-1)
-    density = joint_event_log_likelihood(joint, z, sample)[:, 0]
+    density = event_log_density(joint, z, sample)[:, 0]
     assert density + prior - given == pytest.approx(collapsed.log_likelihood, rel=1e-9)
     assert np.ptp(own[:, 0]) > 0
     assert factors.sd[0, 0] == INITIAL_SD_N_M_S

@@ -9,8 +9,8 @@ import pytest
 from totals_cases import flight
 
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.posterior import LinearDraws
-from cassini_bayes.model.totals import TotalsModel, build_model, prior_centre
+from cassini_bayes.model.thrusts import LinearDraws
+from cassini_bayes.model.totals import TotalsTerm, build_totals, prior_centre
 from cassini_bayes.results.baselines import (
     MEAN,
     PER_EVENT,
@@ -27,14 +27,14 @@ def equal_pulses(event: TotalsEvent) -> TotalsEvent:
     return replace(event, pulses=pulses, on_time_s=0.125 * pulses)
 
 
-def exact_events(thrust: float) -> tuple[TotalsModel, dict[str, float]]:
+def exact_events(thrust: float) -> tuple[TotalsTerm, dict[str, float]]:
     """Eight biases flown by thrusters of one level, without noise, at the nominal parameters."""
     events, priors = flight()
     for name in ("hold_rate_rad_s", "hold_attitude_rad", "wheel_resolution_rpm"):
         priors = priors.with_fixed(name, 1e-12)
     priors = priors.with_fixed("on_time_resolution_s", 1e-6)
     template = tuple(equal_pulses(with_room(event)) for event in events)
-    model = build_model(template, priors, delta_v="ignore")
+    model = build_totals(template, priors, delta_v="ignore")
     nominal = prior_centre(model)
     n_events, k = model.stack.on_time_s.shape
     truth = LinearDraws(
@@ -46,7 +46,7 @@ def exact_events(thrust: float) -> tuple[TotalsModel, dict[str, float]]:
     )
     rng = np.random.default_rng(1)
     simulated = simulate_totals(template, model, nominal, truth, rng)
-    return build_model(simulated, priors, delta_v="ignore"), nominal
+    return build_totals(simulated, priors, delta_v="ignore"), nominal
 
 
 def test_pooled_and_mean_estimates_return_the_thrust_of_noise_free_events() -> None:
@@ -90,7 +90,7 @@ def test_correction_factor_is_equation_seven_of_paper_003() -> None:
 def test_bars_combine_one_at_a_time_perturbations() -> None:
     """RSS is below the worst case; removing the tail-off perturbation leaves smaller bars."""
     events, priors = flight()
-    model = build_model(events, priors, delta_v="ignore")
+    model = build_totals(events, priors, delta_v="ignore")
     nominal = prior_centre(model)
     table = perturbation_bars(model, nominal)
     assert (table["bar_rss_n"] <= table["bar_worst_n"] + 1e-12).all()
@@ -105,7 +105,7 @@ def test_bars_combine_one_at_a_time_perturbations() -> None:
 def test_short_on_times_are_marked_invalid() -> None:
     """The 5 s rule of paper 003 marks thrusters with less on-time, in totals per event."""
     events, priors = flight()
-    model = build_model(events, priors, delta_v="ignore")
+    model = build_totals(events, priors, delta_v="ignore")
     table = perturbation_bars(model, prior_centre(model))
     per_event = table[table["method"] == PER_EVENT]
     assert (per_event["valid"] == (per_event["on_time_s"] >= 5.0)).all()
@@ -120,7 +120,7 @@ def test_thruster_that_did_not_fire_has_no_estimate() -> None:
         on_time_s=events[0].on_time_s * (np.arange(8) != 2),
         pulses=events[0].pulses * (np.arange(8) != 2),
     )
-    model = build_model((silent, events[1]), priors, delta_v="ignore")
+    model = build_totals((silent, events[1]), priors, delta_v="ignore")
     table = perturbation_bars(model, prior_centre(model))
     row = table[
         (table["method"] == PER_EVENT) & (table["event"] == silent.id) & (table["thruster"] == "z3")

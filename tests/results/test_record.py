@@ -17,27 +17,34 @@ from run_cases import B_BRANCH, FLIGHT
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files import storage
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model.thrusts import totals_log_posterior
+from cassini_bayes.model.totals import TotalsTerm, build_totals
 from cassini_bayes.priors.reader import read_priors
-from cassini_bayes.results.record import GROUPS, Fit, build_fit, prior_draws, read_fit, save_fit
+from cassini_bayes.results.record import (
+    GROUPS,
+    Fit,
+    build_totals_fit,
+    prior_draws,
+    read_fit,
+    save_fit,
+)
 from cassini_bayes.spacecraft import thruster_directions
 
 DIMS = {"chain", "draw", "event", "thruster", "wheel", "axis"}
 UNITS = ("1", "N", "s", "m", "kg", "kg m2", "N m", "N m s", "rad", "rad/s", "rpm", "m/s", "m s-1")
 
 
-def make_fit(priors_file: Path = B_BRANCH, **fixed: float) -> tuple[TotalsModel, Fit]:
+def make_fit(priors_file: Path = B_BRANCH, **fixed: float) -> tuple[TotalsTerm, Fit]:
     """A fit of two flight events to prior draws taken as posterior ones: quick, and complete."""
     priors = read_priors(priors_file)
     for name, value in fixed.items():
         priors = priors.with_fixed(name, value)
-    model = build_model(read_totals(FLIGHT, priors.spacecraft)[:2], priors)
+    model = build_totals(read_totals(FLIGHT, priors.spacecraft)[:2], priors)
     rng = np.random.default_rng(0)
     z = 0.1 * rng.normal(size=(2, 30, len(model.space.names)))
-    density = log_posterior(model, z.reshape(60, -1)).reshape(2, 30)
+    density = totals_log_posterior(model, z.reshape(60, -1)).reshape(2, 30)
     attributes = {"seed": 3, "log_evidence": -1.25, "stop_rule": "all criteria met"}
-    return model, build_fit(model, z, density, rng, attributes, 40)
+    return model, build_totals_fit(model, z, density, rng, attributes, 40)
 
 
 @pytest.fixture(scope="module")

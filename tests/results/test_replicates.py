@@ -11,9 +11,9 @@ import pytest
 from event_cases import events, model, simulated
 from numpy.typing import NDArray
 
-from cassini_bayes.model.joint import joint_log_posterior
+from cassini_bayes.model.posterior import log_posterior
 from cassini_bayes.results.joint_draws import draw_all
-from cassini_bayes.results.joint_record import build_joint_fit
+from cassini_bayes.results.joint_record import build_fit
 from cassini_bayes.results.record import Fit, read_fit, save_fit
 from cassini_bayes.results.replicates import REPLICATED_ROWS, Replicates, replicated
 from cassini_bayes.results.time_series import DRAWS, Balance, balances, shown_places
@@ -29,7 +29,7 @@ def draws() -> Array:
     """Posterior points (2, 300, d) of both events, importance-sampled."""
     joint = model(*NAMES)
     start = warm_start(
-        lambda z: joint_log_posterior(joint, z), len(joint.space.names), np.random.default_rng(2)
+        lambda z: log_posterior(joint, z), len(joint.space.names), np.random.default_rng(2)
     )
     assert start.draws.pareto_k < 0.7
     return start.draws.resample(np.random.default_rng(3), 600).reshape(2, 300, -1)
@@ -48,9 +48,9 @@ def rows() -> tuple[Balance, ...]:
 def fit() -> Fit:
     """The record of a fit, with all groups."""
     joint, z = model(*NAMES), draws()
-    density = joint_log_posterior(joint, z.reshape(600, -1)).reshape(2, 300)
+    density = log_posterior(joint, z.reshape(600, -1)).reshape(2, 300)
     rng = np.random.default_rng(5)
-    return build_joint_fit(joint, events(*NAMES), z, density, rng, {}, 200)[0]
+    return build_fit(joint, events(*NAMES), z, density, rng, {}, 200)[0]
 
 
 def inside(measured: Array, replicates: Array) -> Array:
@@ -158,7 +158,5 @@ def test_a_fit_can_do_without() -> None:
     """Sweeps ask for quantities alone: the telemetry is not read again, and there is no channel."""
     joint, z = model(*NAMES), draws()[:, :5]
     rng = np.random.default_rng(5)
-    found, _ = build_joint_fit(
-        joint, events(*NAMES), z, np.zeros((2, 5)), rng, {}, 5, replicate=False
-    )
+    found, _ = build_fit(joint, events(*NAMES), z, np.zeros((2, 5)), rng, {}, 5, replicate=False)
     assert "rate_rad_s" not in found.groups["posterior_predictive"]

@@ -7,25 +7,25 @@ import pandas as pd
 import pytest
 from totals_cases import flight
 
-from cassini_bayes.model.posterior import log_posterior, thrust_moments
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model.thrusts import thrust_moments, totals_log_posterior
+from cassini_bayes.model.totals import TotalsTerm, build_totals
 from cassini_bayes.results.record import draws_of
 from cassini_bayes.results.sensitivity import error_budget, prior_against_posterior
 from cassini_bayes.sampling.warmstart import warm_start
 
 
 @pytest.fixture(scope="module")
-def fitted() -> tuple[TotalsModel, np.ndarray]:
+def fitted() -> tuple[TotalsTerm, np.ndarray]:
     """The flight model without ΔV and posterior draws of its nuisances."""
     events, priors = flight()
-    model = build_model(events, priors, delta_v="ignore")
+    model = build_totals(events, priors, delta_v="ignore")
     rng = np.random.default_rng(1)
-    warm = warm_start(lambda z: log_posterior(model, z), len(model.space.names), rng)
+    warm = warm_start(lambda z: totals_log_posterior(model, z), len(model.space.names), rng)
     return model, warm.draws.resample(rng, 4_000)
 
 
 @pytest.fixture(scope="module")
-def budget(fitted: tuple[TotalsModel, np.ndarray]) -> pd.DataFrame:
+def budget(fitted: tuple[TotalsTerm, np.ndarray]) -> pd.DataFrame:
     """The flight events' error budget."""
     return error_budget(*fitted)
 
@@ -38,7 +38,7 @@ def test_shares_of_the_variance_sum_to_one(budget: pd.DataFrame) -> None:
 
 
 def test_full_sd_is_that_of_the_draws(
-    fitted: tuple[TotalsModel, np.ndarray], budget: pd.DataFrame
+    fitted: tuple[TotalsTerm, np.ndarray], budget: pd.DataFrame
 ) -> None:
     """The budget's total standard deviation is that of thrusts drawn back (Monte Carlo error)."""
     model, z = fitted
@@ -54,7 +54,7 @@ def test_tail_off_dominates_the_flight_thrusts(budget: pd.DataFrame) -> None:
 
 
 def test_consider_contribution_is_the_shift_from_one_prior_sd(
-    fitted: tuple[TotalsModel, np.ndarray], budget: pd.DataFrame
+    fitted: tuple[TotalsTerm, np.ndarray], budget: pd.DataFrame
 ) -> None:
     """Moving tau_fall by one prior standard deviation shifts the estimate by its contribution."""
     model, z = fitted
@@ -71,7 +71,7 @@ def test_consider_contribution_is_the_shift_from_one_prior_sd(
 
 
 def test_conflict_is_flagged_when_a_prior_is_moved_away(
-    fitted: tuple[TotalsModel, np.ndarray],
+    fitted: tuple[TotalsTerm, np.ndarray],
 ) -> None:
     """A tail-off prior far from what the data want is a conflict; the real one is not."""
     events, priors = flight()
@@ -80,9 +80,9 @@ def test_conflict_is_flagged_when_a_prior_is_moved_away(
     moved = priors.scaled(["thrust_common_n"], width=0.1).scaled(
         ["tau_fall_s"], width=0.5, shift=5.0
     )
-    model = build_model(events, moved, delta_v="ignore")
+    model = build_totals(events, moved, delta_v="ignore")
     rng = np.random.default_rng(3)
-    warm = warm_start(lambda z: log_posterior(model, z), len(model.space.names), rng)
+    warm = warm_start(lambda z: totals_log_posterior(model, z), len(model.space.names), rng)
     table = prior_against_posterior(model, warm.draws.resample(rng, 4_000)).set_index("name")
     assert table.loc["tau_fall_s", "verdict"] == "conflict"
     honest = prior_against_posterior(*fitted).set_index("name")

@@ -10,7 +10,7 @@ import pytest
 from totals_cases import B_BRANCH, FLIGHT, flight, plain_log_likelihood, point
 
 from cassini_bayes.errors import CassiniBayesError, InputError
-from cassini_bayes.model.totals import build_model
+from cassini_bayes.model.totals import build_totals
 from cassini_bayes.results.ranks import Ranks, read_ranks, run_repetitions
 from cassini_bayes.results.record import prior_draws
 from cassini_bayes.studies import totals_calibration as calibration
@@ -38,7 +38,7 @@ def test_simulated_events_close_their_momentum_balance() -> None:
         priors = priors.with_fixed(name, 1e-9)
     priors = priors.with_fixed("on_time_resolution_s", 1e-7)
     template = tuple(with_room(event) for event in events)
-    model = build_model(template, priors, delta_v="ignore")
+    model = build_totals(template, priors, delta_v="ignore")
     rng = np.random.default_rng(2)
     parameters, truth = prior_draws(model, 1, rng)
     simulated = simulate_totals(template, model, parameters, truth, rng)
@@ -51,7 +51,7 @@ def test_simulated_events_close_their_momentum_balance() -> None:
             loose,
             truth.thrust_n[0] * scale,
             truth.external_torque_n_m[0],
-            model.linear.common_mean_n,
+            model.thrust_prior.common_mean_n,
             expand_jacobian=False,
         )
 
@@ -63,7 +63,7 @@ def test_simulated_on_times_respond_and_stay_positive() -> None:
     """On-times and pulse counts change together, on the pairs that work only, and stay positive."""
     events, priors = flight()
     template = tuple(with_room(event) for event in events)
-    model = build_model(template, priors, delta_v="ignore")
+    model = build_totals(template, priors, delta_v="ignore")
     rng = np.random.default_rng(4)
     for _ in range(50):
         parameters, truth = prior_draws(model, 1, rng)

@@ -12,7 +12,7 @@ from telemetry_cases import made_up_samples, reduced, telemetry_priors
 from totals_cases import flight
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.model.joint import build_joint_model
+from cassini_bayes.model.posterior import build_model
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.cells import BY_CHAIN, REFITTED, REWEIGHTED, cell_arrays
@@ -224,7 +224,7 @@ def test_every_cell_of_telemetry_alone_can_be_computed() -> None:
     """No change of the default grid asks a telemetry model for a parameter it cannot walk."""
     priors = telemetry_priors()
     statistics = [reduced(made_up_samples(np.random.default_rng(1)), priors)]
-    model = JointSweepModel(build_joint_model(statistics, priors), ())
+    model = JointSweepModel(build_model(statistics, priors), ())
     grid = GridTable()
     cells = grid_of(
         blocks_of(model, priors),
@@ -236,7 +236,7 @@ def test_every_cell_of_telemetry_alone_can_be_computed() -> None:
     )
     assert {cell.group for cell in cells} >= {"thrust", "inertia", "torque", "tail-off"}
     for cell in cells:
-        changed = JointSweepModel(build_joint_model(statistics, cell.applied(priors)), ())
+        changed = JointSweepModel(build_model(statistics, cell.applied(priors)), ())
         middle = np.zeros((1, changed.space.dimension))
         assert np.isfinite(changed.log_likelihood(middle)).all(), cell.key
 

@@ -65,14 +65,14 @@ def _known(none: Hypothesis, case: Case, truth: Truth, width: int) -> Array:
     """
     model = none.model
     shared = len(none.model.space.names)
-    shared += model.linear.shared.shape[1] if model.linear.shared.size else 0
+    shared += model.thrust_prior.shared.shape[1] if model.thrust_prior.shared.size else 0
     known, place = np.zeros(width), shared
     for source, terms in zip(case.sources, model.telemetry, strict=True):
-        own = model.linear.own if terms.pattern.thrusters else np.zeros((0, 0))
+        own = model.thrust_prior.own if terms.pattern.thrusters else np.zeros((0, 0))
         if own.size:
             thrusts = truth.thrust_n(source.id, source.thrusters)
             departure = np.array([thrusts[k] for k in source.thrusters])
-            departure = departure - model.linear.common_mean_n
+            departure = departure - model.thrust_prior.common_mean_n
             known[place : place + own.shape[1]] = np.linalg.solve(own, departure)
         place += own.shape[1]
         values = truth.of(source.id)
