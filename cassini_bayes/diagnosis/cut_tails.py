@@ -24,7 +24,6 @@ from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.telemetry_terms import cut_probability, lost_per_cut_s
 from cassini_bayes.diagnosis.extended import Case, Hypothesis
-from cassini_bayes.model.posterior import full_parameters, physics_at
 
 Array = NDArray[np.float64]
 ACROSS_S: Final = 0.035
@@ -112,12 +111,13 @@ def single_cuts(
     Columns (n, 3, s) in N m s, the variances (s,) of their unknowns, whose means are 0, and the
     mean (n, 3) that the likelihood lacks.
     """
-    model, terms = hypothesis.model, hypothesis.model.telemetry[place]
-    layout = terms.statistics.layout
+    model, term = hypothesis.model, hypothesis.model.telemetry[place]
+    statistics = term.event.statistics
+    layout = statistics.layout
     mean = np.zeros((len(time_s), 3))
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
-    physics = physics_at(model, full_parameters(model, z[None]))
-    interval, duration = terms.statistics.counter_interval_s, terms.sampling.duration_s
+    physics = term.physics(model.points(z[None]))
+    interval, duration = statistics.counter_interval_s, term.event.sampling.duration_s
     samples = case.sources[place].samples
     for members in layout.couples if layout.thrusters else ():
         found = losses(samples, members, time_s, duration, interval)

@@ -1,44 +1,163 @@
-"""The collapsed posterior: thrusts and torques integrated out exactly, drawn back afterwards.
+"""Thrusts of all events together: their prior, integrated out exactly, and drawn back.
 
-Given the walked parameters θ the model is linear-Gaussian in the thrusts and torques, apart from
-the response Jacobian, whose logarithm is expanded to second order about the reference thrust
-(:func:`cassini_bayes.model.predictive.jacobian_expansion_error` measures what that leaves out).
-Each event's own coordinates are eliminated first, then the shared ones, so the cost grows linearly
-with events. ``docs/totals-likelihood.md`` derives the formulae.
+Thrust of thruster k in event e is F = common + individual_k + event_e + jitter_ek, all normal. Each
+event's information on its thrusts is normal too, so its own coordinates are eliminated first, then
+the shared ones, and the cost grows linearly with events. ``docs/totals-likelihood.md`` derives the
+formulae.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import prod
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.computed_delta_v import channel_log_likelihood, draw_software
-from cassini_bayes.model.totals import LinearSystem, ThrustPrior, TotalsTerm, linear_system
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.physics import Parameters
+from cassini_bayes.priors.chaining import ChainedLevels
+from cassini_bayes.priors.reader import Priors
 
-Array = NDArray[np.float64]
+THRUST_COMMON: Final = "thrust_common_n"
+THRUST_LEVELS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
+
+
+@dataclass(frozen=True)
+class ThrustPrior:
+    """Prior of the thrusts, which enter linearly.
+
+    thrust[e] = common mean + shared @ η + own @ ξ_e, with η shared by all events, ξ_e the event's
+    own, all N(0, 1) before the data: shared @ sharedᵀ is the prior covariance of the thrusters'
+    levels (common + individual), own @ ownᵀ that of an event's departures (event + jitter). Where
+    nothing fires there are no thrusters, K = 0.
+    """
+
+    common_mean_n: float
+    common_sd_n: float  # 0 where the common level is walked or fixed
+    common_is_walked: bool
+    individual_sd_n: float
+    shared: Array  # (K, q)
+    own: Array  # (K, p)
+    # levels from an earlier fit: ``shared`` is then a factor of their covariance given the walked
+    # parameters, and their mean takes the place of the common one
+    chained: ChainedLevels | None = None
+
+    @property
+    def walked(self) -> tuple[str, ...]:
+        """The common thrust, where its prior is no normal one."""
+        return (THRUST_COMMON,) if self.common_is_walked else ()
+
+    @property
+    def integrated(self) -> tuple[str, ...]:
+        """Parameters whose priors act although they are not walked."""
+        names = (THRUST_COMMON, *THRUST_LEVELS) if len(self.shared) else ()
+        return tuple(name for name in names if name not in self.walked)
+
+    def common_at(self, parameters: Parameters, n: int) -> Array:
+        """The level about which thrusts are counted, (n,) N."""
+        common = parameters[THRUST_COMMON] if self.common_is_walked else self.common_mean_n
+        return np.broadcast_to(np.asarray(common, dtype=np.float64), (n,))
+
+    def offset_at(self, parameters: Parameters, common_n: Array) -> Array | None:
+        """Mean levels less the common one (n, K), from an earlier fit; None without one."""
+        if self.chained is None:
+            return None
+        return self.chained.levels_n(parameters) - common_n[:, None]
+
+
+def thrust_prior_of(priors: Priors, thrusters: int) -> ThrustPrior:
+    """The thrusts' prior; its parameters must be normal or fixed, the common level may be walked.
+
+    Raises
+    ------
+    InputError
+        A parameter that the file lacks, or whose prior cannot be integrated out.
+    """
+    if not thrusters:
+        nothing = np.zeros((0, 0))
+        return ThrustPrior(0.0, 0.0, False, 0.0, nothing, nothing)
+    priors.require([THRUST_COMMON], "the thrusts")
+    individual, event, jitter = priors.normal(THRUST_LEVELS)[1]
+    common = priors.parameters[THRUST_COMMON]
+    walked = common.distribution is not None and not common.distribution.is_normal
+    common_sd = 0.0 if common.distribution is None or walked else common.distribution.sd()
+    return ThrustPrior(
+        common_mean_n=common.mean,
+        common_sd_n=common_sd,
+        common_is_walked=walked,
+        individual_sd_n=individual,
+        shared=_level_factor(common_sd, individual, thrusters),
+        own=_level_factor(event, jitter, thrusters),
+    )
+
+
+def _level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
+    """Factor B (K, rank) with B Bᵀ = common_sd² 1 1ᵀ + individual_sd² 1."""
+    if individual_sd > 0:
+        covariance = np.full((size, size), common_sd**2) + individual_sd**2 * np.eye(size)
+        factor = np.linalg.cholesky(covariance)
+    else:
+        factor = np.full((size, int(common_sd > 0)), common_sd)
+    factor.setflags(write=False)
+    return np.asarray(factor, dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class ThrustInformation:
     """What events say of their thrusts, everything else of their own integrated out.
 
-    With d = F − common: log L_e(F) = constant + vectorᵀ d − ½ dᵀ matrix d. Totals and telemetry
-    events alike come down to this.
+    With d = F − common: log L_e(F) = constant + vectorᵀ d − ½ dᵀ matrix d.
     """
 
-    common_n: Array  # (n,)
     matrix: Array  # (n, E, K, K)
     vector: Array  # (n, E, K)
     constant: Array  # (n, E)
 
+    @classmethod
+    def nothing(cls, n: int, thrusters: int) -> ThrustInformation:
+        """Of no event."""
+        return cls(
+            np.zeros((n, 0, thrusters, thrusters)), np.zeros((n, 0, thrusters)), np.zeros((n, 0))
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[ThrustInformation]) -> ThrustInformation:
+        """Of the events of all parts, in order."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(
+            np.concatenate([part.matrix for part in parts], axis=1),
+            np.concatenate([part.vector for part in parts], axis=1),
+            np.concatenate([part.constant for part in parts], axis=1),
+        )
+
+    def about(self, offset_n: Array) -> ThrustInformation:
+        """The same about other mean levels, common + offset (n, K).
+
+        With d = d' + δ: c + νᵀd − ½ dᵀGd = (c + νᵀδ − ½ δᵀGδ) + (ν − Gδ)ᵀ d' − ½ d'ᵀ G d'.
+        """
+        moved = (self.matrix @ offset_n[:, None, :, None])[..., 0]
+        along = offset_n[:, None, :] * (self.vector - 0.5 * moved)
+        return replace(self, vector=self.vector - moved, constant=self.constant + along.sum(-1))
+
+
+@dataclass(frozen=True)
+class ThrustDraws:
+    """One draw of the thrusts per parameter point."""
+
+    thrust_n: Array  # (n, E, K)
+    common_n: Array  # (n,) the common level
+    level_n: Array  # (n, K) common + individual: a thruster's level over all events
+
 
 @dataclass(frozen=True)
 class CollapsedThrusts:
-    """Factors of the conditional normal of the linear coordinates at a batch of points.
+    """Conditional normal of the thrusts at a batch of points, by its factors.
 
     Coordinates are the events' own ξ_e (p of them) and the shared η (q); all have N(0, 1) priors.
+    Levels are counted from ``centre_n`` (n, K) or, without an earlier fit, (n, 1).
     """
 
     log_likelihood: Array  # (n,)
@@ -47,87 +166,22 @@ class CollapsedThrusts:
     own_shift: Array  # (n, E, p) own_factor⁻¹ ν_ξ
     shared_factor: Array  # (n, q, q) lower Cholesky factor of the shared precision
     shared_shift: Array  # (n, q) shared_factor⁻¹ ν_η
+    common_n: Array  # (n,)
+    offset_n: Array | None  # (n, K)
 
 
-@dataclass(frozen=True)
-class LinearDraws:
-    """One draw of the linear parameters per parameter point."""
-
-    thrust_n: Array  # (n, E, K)
-    common_n: Array  # (n,) the common level
-    level_n: Array  # (n, K) common + individual: a thruster's level over all events
-    external_torque_n_m: Array  # (n, E, 3)
-    software: Array  # (n, 2) factor and on-time per pulse of the on-board ΔV computation
-
-
-def collapse_totals(model: TotalsTerm, system: LinearSystem) -> CollapsedThrusts:
-    """Integrate the thrusts and torques out of the likelihood of totals events."""
-    information = thrust_information(model, system)
-    if system.offset_n is not None:
-        information = about(information, system.offset_n)
-    collapsed = combine(model.thrust_prior, information)
-    if model.computed is None:
-        return collapsed
-    channel = channel_log_likelihood(model.computed, system.delta_v_variance)
-    return replace(collapsed, log_likelihood=collapsed.log_likelihood + channel)
-
-
-def thrust_information(model: TotalsTerm, system: LinearSystem) -> ThrustInformation:
-    """What totals events say of their thrusts, the external torques integrated out.
-
-    With A the whitened design, b the whitened misfit at the common level's mean, and g, H the
-    gradient and Hessian of the response Jacobian there, an event's information on its thrusts is
-    G = AᵀA − H with linear term ν = Aᵀb + g + H d0; d0 is the distance of a walked common level
-    from the reference.
-    """
-    linear = model.thrust_prior
-    misfit = system.target - system.common_n[..., None, None] * system.design.sum(-1)
-    factor = _cholesky(system.covariance + system.torque_covariance)
-    white = np.linalg.solve(factor, np.concatenate([system.design, misfit[..., None]], axis=-1))
-    log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
-    rows = factor.shape[-1]
-
-    jacobian = system.jacobian
-    shift = (system.common_n - linear.common_mean_n)[..., None, None]
-    tilt = jacobian.gradient + shift * jacobian.hessian.sum(-1)
-    tilt_value = (
-        jacobian.value
-        + shift[..., 0] * jacobian.gradient.sum(-1)
-        + 0.5 * shift[..., 0] ** 2 * jacobian.hessian.sum((-2, -1))
-    )
-    gram = np.swapaxes(white, -1, -2) @ white
-    return ThrustInformation(
-        common_n=system.common_n,
-        matrix=gram[..., :-1, :-1] - jacobian.hessian,
-        vector=gram[..., :-1, -1] + tilt,
-        constant=(
-            -0.5 * gram[..., -1, -1] - log_det - 0.5 * rows * np.log(2.0 * np.pi) + tilt_value
-        ),
-    )
-
-
-def about(information: ThrustInformation, offset_n: Array) -> ThrustInformation:
-    """The same information about other mean levels, common + offset (n, K).
-
-    With d = d' + δ: c + νᵀd − ½ dᵀGd = (c + νᵀδ − ½ δᵀGδ) + (ν − Gδ)ᵀ d' − ½ d'ᵀ G d'.
-    """
-    moved = (information.matrix @ offset_n[:, None, :, None])[..., 0]
-    along = offset_n[:, None, :] * (information.vector - 0.5 * moved)
-    return replace(
-        information,
-        vector=information.vector - moved,
-        constant=information.constant + along.sum(-1),
-    )
-
-
-def combine(linear: ThrustPrior, information: ThrustInformation) -> CollapsedThrusts:
+def collapse_thrusts(
+    prior: ThrustPrior, information: ThrustInformation, common_n: Array, offset_n: Array | None
+) -> CollapsedThrusts:
     """Integrate the thrusts out of the information of all events.
 
-    Thrust is S η + L ξ_e beyond the common level, so ξ_e is eliminated with the Cholesky factor of
+    Thrust is S η + L ξ_e beyond the mean level, so ξ_e is eliminated with the Cholesky factor of
     1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S (Rasmussen & Williams 2006,
     eqs. A.9-A.12).
     """
-    own, shared = linear.own, linear.shared
+    if offset_n is not None:
+        information = information.about(offset_n)
+    own, shared = prior.own, prior.shared
     matrix, vector = information.matrix, information.vector
     by_shared = _times(matrix, shared)
     own_precision = _times(np.swapaxes(_times(matrix, own), -1, -2), own)
@@ -155,6 +209,8 @@ def combine(linear: ThrustPrior, information: ThrustInformation) -> CollapsedThr
         own_shift=solved[..., -1],
         shared_factor=shared_factor,
         shared_shift=shared_shift,
+        common_n=common_n,
+        offset_n=offset_n,
     )
 
 
@@ -164,102 +220,8 @@ def _cholesky(matrix: Array) -> Array:
 
 def _times(stack: Array, matrix: Array) -> Array:
     """stack (..., r, K) @ matrix (K, c) as one product: numpy would loop over the stack."""
-    product = stack.reshape(-1, stack.shape[-1]) @ matrix
+    product = stack.reshape(prod(stack.shape[:-1]), stack.shape[-1]) @ matrix
     return np.asarray(product.reshape(*stack.shape[:-1], matrix.shape[1]))
-
-
-def totals_log_likelihood(model: TotalsTerm, z: Array) -> Array:
-    """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
-    return collapse_totals(model, linear_system(model, model.space.to_parameters(z))).log_likelihood
-
-
-def totals_log_posterior(model: TotalsTerm, z: Array) -> Array:
-    """Collapsed log likelihood plus log prior density in z, shape (n,); each prior counts once."""
-    return np.asarray(totals_log_likelihood(model, z) + model.space.log_prior_terms(z).sum(-1))
-
-
-@dataclass(frozen=True)
-class ThrustDraws:
-    """One draw of the thrusts per parameter point."""
-
-    thrust_n: Array  # (n, E, K)
-    common_n: Array  # (n,)
-    level_n: Array  # (n, K)
-
-
-def draw_thrusts(
-    linear: ThrustPrior,
-    collapsed: CollapsedThrusts,
-    common_n: Array,
-    rng: np.random.Generator,
-    offset_n: Array | None = None,
-) -> ThrustDraws:
-    """One draw of all events' thrusts from their conditional normal at every parameter point."""
-    n, n_events, n_own, n_shared = collapsed.own_coupling.shape
-    shared = _solve_transposed(
-        collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
-    )
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
-    own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
-    level = common_n[:, None] + shared @ linear.shared.T
-    if offset_n is not None:
-        level = level + offset_n
-    return ThrustDraws(
-        thrust_n=level[:, None, :] + own @ linear.own.T,
-        common_n=draw_common(linear, common_n, level, rng),
-        level_n=level,
-    )
-
-
-def draw_linear(
-    model: TotalsTerm, system: LinearSystem, collapsed: CollapsedThrusts, rng: np.random.Generator
-) -> LinearDraws:
-    """One draw of thrusts and torques from their conditional normal at every parameter point."""
-    thrusts = draw_thrusts(model.thrust_prior, collapsed, system.common_n, rng, system.offset_n)
-    return LinearDraws(
-        thrust_n=thrusts.thrust_n,
-        common_n=thrusts.common_n,
-        level_n=thrusts.level_n,
-        external_torque_n_m=draw_torque(model, system, thrusts.thrust_n, rng),
-        software=(
-            np.zeros((len(thrusts.common_n), 2))
-            if model.computed is None
-            else draw_software(model.computed, system.delta_v_variance, rng)
-        ),
-    )
-
-
-def draw_common(
-    linear: ThrustPrior, common_n: Array, level_n: Array, rng: np.random.Generator
-) -> Array:
-    """The common level given every thruster's level = common + individual; the data add nothing.
-
-    A thruster's own departure of width zero makes the common level that of every thruster.
-    """
-    normals = rng.standard_normal(len(level_n))
-    if linear.common_sd_n == 0.0:
-        return common_n
-    if linear.individual_sd_n == 0.0:
-        return level_n[:, 0]
-    weight = linear.common_sd_n**-2 + level_n.shape[1] * linear.individual_sd_n**-2
-    mean = (
-        common_n * linear.common_sd_n**-2 + level_n.sum(-1) * linear.individual_sd_n**-2
-    ) / weight
-    return np.asarray(mean + normals / np.sqrt(weight))
-
-
-def draw_torque(
-    model: TotalsTerm, system: LinearSystem, thrust_n: Array, rng: np.random.Generator
-) -> Array:
-    """External torques given the thrusts: a prior draw corrected by the residual it leaves."""
-    linear = model.thrust_prior
-    residual = system.target - (system.design @ thrust_n[..., None])[..., 0]
-    departure = linear.torque_sd_n_m * rng.standard_normal((*residual.shape[:-1], 3))
-    noise = np.linalg.cholesky(system.covariance) @ rng.standard_normal((*residual.shape, 1))
-    missing = residual - (system.torque_design @ departure[..., None] + noise)[..., 0]
-    answer = np.linalg.solve(system.covariance + system.torque_covariance, missing[..., None])
-    gain = linear.torque_sd_n_m**2 * (np.swapaxes(system.torque_design, -1, -2) @ answer)[..., 0]
-    return np.asarray(linear.torque_mean_n_m + departure + gain)
 
 
 def _solve_transposed(factor: Array, right: Array) -> Array:
@@ -268,24 +230,53 @@ def _solve_transposed(factor: Array, right: Array) -> Array:
     return np.asarray(solution[..., 0])
 
 
-def thrust_moments(model: TotalsTerm, z: Array) -> tuple[Array, Array]:
-    """Conditional mean and variance (n, E, K) of every event's thrusts given the nuisances z.
+def draw_thrusts(
+    prior: ThrustPrior, collapsed: CollapsedThrusts, rng: np.random.Generator
+) -> ThrustDraws:
+    """One draw of all events' thrusts from their conditional normal at every parameter point."""
+    n, n_events, n_own, n_shared = collapsed.own_coupling.shape
+    shared = _solve_transposed(
+        collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
+    )
+    pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
+    own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
+    common = collapsed.common_n
+    level = common[:, None] + shared @ prior.shared.T
+    if collapsed.offset_n is not None:
+        level = level + collapsed.offset_n
+    return ThrustDraws(
+        thrust_n=level[:, None, :] + own @ prior.own.T,
+        common_n=_draw_common(prior, common, level, rng),
+        level_n=level,
+    )
 
-    This is the estimate, and the noise-only variance, that a fit with all nuisances held at z would
-    report; its change with z is the consider-style contribution of each nuisance.
+
+def _draw_common(
+    prior: ThrustPrior, common_n: Array, level_n: Array, rng: np.random.Generator
+) -> Array:
+    """The common level given every thruster's level = common + individual; the data add nothing.
+
+    A thruster's own departure of width zero makes the common level that of every thruster.
     """
-    system = linear_system(model, model.space.to_parameters(z))
-    mean, variance = moments_of(model.thrust_prior, collapse_totals(model, system), system.common_n)
-    if system.offset_n is not None:
-        mean = mean + system.offset_n[:, None, :]
-    return mean, variance
+    if not level_n.shape[1]:
+        return common_n
+    normals = rng.standard_normal(len(level_n))
+    if prior.common_sd_n == 0.0:
+        return common_n
+    if prior.individual_sd_n == 0.0:
+        return level_n[:, 0]
+    weight = prior.common_sd_n**-2 + level_n.shape[1] * prior.individual_sd_n**-2
+    mean = (common_n * prior.common_sd_n**-2 + level_n.sum(-1) * prior.individual_sd_n**-2) / weight
+    return np.asarray(mean + normals / np.sqrt(weight))
 
 
-def moments_of(
-    linear: ThrustPrior, collapsed: CollapsedThrusts, common_n: Array
-) -> tuple[Array, Array]:
-    """Mean and variance (n, E, K) of the thrusts that :func:`draw_thrusts` draws."""
-    own, shared = linear.own, linear.shared
+def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Array, Array]:
+    """Mean and variance (n, E, K) of the thrusts that :func:`draw_thrusts` draws.
+
+    This is the estimate, and the noise-only variance, that a fit with all nuisances held at these
+    points would report; its change with them is the consider-style contribution of each nuisance.
+    """
+    own, shared = prior.own, prior.shared
     shared_inverse = np.linalg.inv(collapsed.shared_factor)
     shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
     own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.own_factor), -1, -2)
@@ -295,5 +286,56 @@ def moments_of(
     gain = own_inverse_t @ collapsed.own_coupling
     response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
     spread = own @ own_inverse_t
-    mean = common_n[:, None, None] + own_mean @ own.T + (shared_mean @ shared.T)[:, None, :]
+    common = collapsed.common_n[:, None, None]
+    mean = common + own_mean @ own.T + (shared_mean @ shared.T)[:, None, :]
+    if collapsed.offset_n is not None:
+        mean = mean + collapsed.offset_n[:, None, :]
     return mean, (spread**2).sum(-1) + (response**2).sum(-1)
+
+
+def prior_thrusts(
+    prior: ThrustPrior, parameters: Parameters, shape: tuple[int, int], rng: np.random.Generator
+) -> ThrustDraws:
+    """Thrusts drawn from their prior, for ``shape`` = (draws n, events E)."""
+    n, thrusters = shape[0], len(prior.shared)
+    common = prior.common_at(parameters, n)
+    if not thrusters:
+        return ThrustDraws(np.zeros((*shape, 0)), common, np.zeros((n, 0)))
+    if prior.chained is not None:
+        own = rng.standard_normal((*shape, prior.own.shape[1]))
+        spread = rng.standard_normal((n, prior.shared.shape[1])) @ prior.shared.T
+        level = prior.chained.levels_n(parameters) + spread
+        common = _draw_common(prior, common, level, rng)
+        return ThrustDraws(level[:, None, :] + own @ prior.own.T, common, level)
+    individual = prior.individual_sd_n * rng.standard_normal((n, thrusters))
+    common = common + prior.common_sd_n * rng.standard_normal(n)
+    own = rng.standard_normal((*shape, prior.own.shape[1]))
+    level = common[:, None] + individual
+    return ThrustDraws(level[:, None, :] + own @ prior.own.T, common, level)
+
+
+def thrust_log_prior(prior: ThrustPrior, parameters: Parameters, draws: ThrustDraws) -> Array:
+    """Log prior density (n,) of drawn thrusts: common level, thrusters' levels, departures."""
+    departure = draws.thrust_n - draws.level_n[:, None, :]
+    if prior.chained is not None:
+        departures = draws.level_n - prior.chained.levels_n(parameters)
+        level = np.asarray(np.linalg.solve(prior.shared, departures.T).T, dtype=np.float64)
+        scale = np.log(np.diagonal(prior.shared)).sum()
+        thrust = normal_log_density(level, 1.0).sum(-1) - scale
+    else:
+        mean = prior.common_at(parameters, len(draws.common_n))
+        thrust = normal_log_density(draws.common_n - mean, prior.common_sd_n)
+        individual = draws.level_n - draws.common_n[:, None]
+        thrust = thrust + normal_log_density(individual, prior.individual_sd_n).sum(-1)
+    if prior.own.shape[1]:
+        white = departure @ np.linalg.pinv(prior.own).T
+        scale = 0.5 * np.linalg.slogdet(prior.own.T @ prior.own)[1]
+        thrust = thrust + (normal_log_density(white, 1.0).sum(-1) - scale).sum(-1)
+    return np.asarray(thrust)
+
+
+def normal_log_density(values: Array, sd: Array | float) -> Array:
+    """log N(values; 0, sd²), 0 where sd is 0 (a fixed parameter has no density)."""
+    scale = np.where(np.asarray(sd) > 0, sd, 1.0)
+    density = -0.5 * (values / scale) ** 2 - np.log(scale * np.sqrt(2.0 * np.pi))
+    return np.where(np.asarray(sd) > 0, density, 0.0)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.totals import TotalsTerm
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
 from cassini_bayes.prediction.firing import (
@@ -79,7 +79,7 @@ class Learned:
     at its mean and the draws (ramps of ``ramp_wheels``, loop time) behind the duration.
     """
 
-    model: TotalsTerm
+    model: Model
     layout: PairLayout
     physics: Physics
     firing: Mapping[str, Array | float]
@@ -103,7 +103,7 @@ class Learned:
 
 
 def learn(
-    model: TotalsTerm,
+    model: Model,
     events: tuple[TotalsEvent, ...],
     physics: Physics,
     beliefs: Beliefs,
@@ -117,7 +117,7 @@ def learn(
     InputError
         The events are not those of the model, or the layout of the thrusters is another.
     """
-    if tuple(event.id for event in events) != model.stack.event_ids:
+    if tuple(event.id for event in events) != model.totals_rows.stack.event_ids:
         raise InputError("events", "the events of the fit", "others", "name the fit's own events")
     layout = pair_layout(model.spacecraft, model.branch)
     ramp_wheels = tuple(sorted({n for event in events for n in event.wheels}))
@@ -172,7 +172,7 @@ def _trends(
 
 
 def training_features(
-    model: TotalsTerm,
+    model: Model,
     events: tuple[TotalsEvent, ...],
     physics: Physics,
     manager: WheelManager,

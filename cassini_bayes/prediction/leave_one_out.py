@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.totals import build_totals
+from cassini_bayes.model.posterior import build_model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import importance_physics
@@ -63,7 +63,7 @@ def fold(
     event = events[held_out]
     others = tuple(other for row, other in enumerate(events) if row != held_out)
     rng = np.random.default_rng(np.random.SeedSequence((seed, held_out)))
-    model = build_totals(others, priors, pulse_shape=pulse_shape)
+    model = build_model(others, priors, pulse_shape=pulse_shape)
     physics, efficiency, k = importance_physics(model, rng, PHYSICS_DRAWS)
     learned = learn(model, others, physics, beliefs, rng, size)
     prediction = predict(learned, request_of(event), rng)

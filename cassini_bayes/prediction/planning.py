@@ -98,12 +98,11 @@ def quantities(learned: Learned) -> dict[str, Array]:
     """
     physics = learned.physics
     found = {
-        f"{LEVEL}{name}_n": physics.level_n[:, k]
-        for k, name in enumerate(learned.model.stack.thrusters)
+        f"{LEVEL}{name}_n": physics.level_n[:, k] for k, name in enumerate(learned.model.thrusters)
     }
     found["thrust_mean_n"] = physics.level_n.mean(1)
     kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
-    for k, name in enumerate(learned.model.stack.thrusters):
+    for k, name in enumerate(learned.model.thrusters):
         found[f"impulse_per_on_time_{name}_n"] = physics.level_n[:, k] * kappa[:, 0]
     for name in learned.model.space.names:
         found[name] = np.asarray(physics.parameters[name])

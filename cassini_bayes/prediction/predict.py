@@ -108,12 +108,15 @@ def predict(
     pulses = _pulses(learned, on_time, streams[4])
     times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
     effective = effective_on_time(
-        model.pulse_shape, on_time, pulses, *(np.asarray(v)[..., None] for v in times)
+        model.totals_rows.pulse_shape,
+        on_time,
+        pulses,
+        *(np.asarray(v)[..., None] for v in times),
     )
     return Prediction(
         request=request,
         epoch=epoch,
-        thrusters=model.stack.thrusters,
+        thrusters=model.thrusters,
         units=learned.layout.units,
         on_time_s=on_time,
         pulses=pulses,
@@ -198,7 +201,7 @@ def _momentum_noise(
     covariance = covariance + wheel_rounding_covariance(per_rpm, unit, prime, step)[:, 0]
     factor = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
     normals = rng.standard_normal((2, learned.size, 3))
-    torque = model.thrust_prior.torque_mean_n_m + model.thrust_prior.torque_sd_n_m * normals[1]
+    torque = model.torque_mean_n_m + model.torque_sd_n_m * normals[1]
     return np.asarray((factor @ normals[0][..., None])[..., 0] - torque * duration_s[:, None])
 
 
@@ -259,7 +262,7 @@ def _computed(
     still: bool,
 ) -> Array | None:
     """ΔV of the on-board computation: (F/M)(f u + o n) along the thrust, and lateral scatter."""
-    if learned.acceleration is None or learned.model.computed is None:
+    if learned.acceleration is None or learned.model.totals_rows.computed is None:
         return None
     directions = thruster_directions(learned.model.spacecraft, learned.model.branch)
     software = learned.physics.software

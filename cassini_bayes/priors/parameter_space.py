@@ -75,6 +75,17 @@ class ParameterSpace:
         """Number of free parameters d."""
         return len(self.names)
 
+    def centre(self) -> dict[str, float]:
+        """Prior mean of every walked parameter and value of every fixed one.
+
+        With an earlier fit, where its mean lies.
+        """
+        if self.joint is not None:
+            at_mean = self.to_parameters(np.zeros(self.dimension))
+            return {name: float(value) for name, value in at_mean.items()}
+        means = (distribution.mean() for distribution in self.distributions)
+        return {**self.fixed, **dict(zip(self.names, means, strict=True))}
+
     def to_parameters(self, z: ArrayLike) -> dict[str, Array | float]:
         """θ_i = F_i⁻¹(Φ(z_i)): z (..., d) → name → (...,) array; fixed values as floats."""
         points = self._correlated(self._points(z))

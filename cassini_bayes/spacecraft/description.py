@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from types import MappingProxyType
@@ -197,6 +197,13 @@ class Spacecraft:
             The spacecraft has no such branch.
         """
         return self.geometry_of(branch).names
+
+    def wheel_parameters(self, numbers: Iterable[int] | None = None) -> tuple[str, ...]:
+        """Names of the parameters of some wheels, or of all, in file order."""
+        chosen = {wheel.number for wheel in self.wheels} if numbers is None else set(numbers)
+        return tuple(
+            name for wheel in self.wheels if wheel.number in chosen for name in wheel.parameters
+        )
 
     def wheel(self, number: int) -> Wheel:
         """The wheel with a number.

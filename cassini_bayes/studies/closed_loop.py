@@ -52,7 +52,7 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
         event = file.scenario.event[0]
         plan = make_plan(file.scenario, file.spacecraft, event, truth)
         motion = simulate_plan(plan, file.scenario, seed + draw).motion
-        logs = [motion.pulses[name] for name in learned.model.stack.thrusters]
+        logs = [motion.pulses[name] for name in learned.model.thrusters]
         rows.append(
             (
                 [float(log.width_s.sum()) for log in logs],
@@ -84,7 +84,7 @@ def _document(learned: Learned, request: BiasRequest, draw: int) -> dict[str, An
     }
     truth["thrust_common_n"] = float(level.mean())
     truth["thrust_individual_n"] = {
-        name: float(level[k] - level.mean()) for k, name in enumerate(model.stack.thrusters)
+        name: float(level[k] - level.mean()) for k, name in enumerate(model.thrusters)
     }
     assert learned.mass is not None
     epoch = request.epoch or learned.last_epoch
@@ -98,7 +98,7 @@ def _document(learned: Learned, request: BiasRequest, draw: int) -> dict[str, An
         "truth": truth,
         "rcs": dict(RCS),
         "start": {"attitude_spread": 1.0, "rate_rad_s": START_RATE_RAD_S},
-        "propulsion": {"pulse_shape": model.pulse_shape.name},
+        "propulsion": {"pulse_shape": model.totals_rows.pulse_shape.name},
         "event": [
             {
                 "id": "bias",

@@ -10,7 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.model.totals import SOFTWARE, THRUST_COMMON
+from cassini_bayes.model.thrusts import THRUST_COMMON
+from cassini_bayes.model.totals import SOFTWARE
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.models import SweepModel, walked_values

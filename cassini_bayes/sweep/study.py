@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.checks import nearest
-from cassini_bayes.model.totals import THRUST_COMMON
+from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.cells import Baseline, cell_arrays

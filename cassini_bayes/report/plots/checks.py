@@ -36,13 +36,8 @@ LEGEND_COLUMN_IN: Final = 2.3
 NOT_REPLICATED_S: Final = 1e-9  # a replicate that never varies: set by the limit cycle
 
 
-def predictive_figure(review: Review) -> Figure | None:
-    """Measured on-times on the replicates' interval; below, measured minus predicted.
-
-    None without totals rows: telemetry has its time series.
-    """
-    if review.predictive.empty:
-        return None
+def predictive_figure(review: Review) -> Figure:
+    """Measured on-times on the replicates' interval; below, measured minus predicted."""
     events = list(dict.fromkeys(review.predictive["event"].astype(str)))
     styles = thruster_styles(thrusters_of(review))
     figure = new_figure(float(np.clip(1.5 * len(events) + 1.5, 9.6, 16.0)), 7.4)

@@ -15,13 +15,12 @@ from scipy.ndimage import gaussian_filter1d
 from cassini_bayes.computing.arviz_import import corner
 from cassini_bayes.report.plots.quantities import MISSING, plus_minus, wrapped_name
 from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR_LINE
-from cassini_bayes.report.plots.tables import Column, events_of, level_columns, nuisance_column
+from cassini_bayes.report.plots.tables import Column, level_columns, nuisance_column
 from cassini_bayes.results.review import Review
 
 Array = NDArray[np.float64]
 
 MOST_DRAWS: Final = 8_000
-MOST_COLUMNS: Final = 9
 CONTOUR_LEVELS: Final = (0.393, 0.865)  # 1 and 2 standard deviations of a two-dimensional normal
 PANEL_IN: Final = 1.32
 SMALLEST_IN: Final = 6.0
@@ -36,8 +35,6 @@ WIDEST_VIEW: Final = 5.0  # posterior standard deviations shown on either side f
 
 def thrust_corner(review: Review) -> Figure | None:
     """Levels of all thrusters with tail-off time: the thrust–tail-off degeneracy."""
-    if not events_of(review):
-        return None
     columns = level_columns(review)
     tail = nuisance_column(review, "tau_fall_s")
     title = "Thrust levels of the thrusters"
@@ -47,29 +44,9 @@ def thrust_corner(review: Review) -> Figure | None:
     return corner_figure(columns, title)
 
 
-def nuisance_corners(review: Review) -> list[Figure]:
-    """Every walked parameter, kept together by block, on as few pages as labels allow."""
-    pages = [
-        corner_figure([c for name in page if (c := nuisance_column(review, name))], title)
-        for page, title in _pages(review)
-    ]
-    return [page for page in pages if page is not None]
-
-
-def _pages(review: Review) -> list[tuple[list[str], str]]:
-    """Names per page and the page's title; a block is split only where it is larger than a page."""
-    table = review.nuisances
-    pages: list[tuple[list[str], list[str]]] = []
-    for block in dict.fromkeys(table["block"]):
-        members = list(table[table["block"] == block]["name"])
-        for start in range(0, len(members), MOST_COLUMNS):
-            part = members[start : start + MOST_COLUMNS]
-            if pages and len(pages[-1][0]) + len(part) <= MOST_COLUMNS:
-                pages[-1][0].extend(part)
-                pages[-1][1].append(str(block))
-            else:
-                pages.append((part, [str(block)]))
-    return [(names, f"Nuisances: {', '.join(dict.fromkeys(blocks))}") for names, blocks in pages]
+def nuisance_corner(review: Review, names: Sequence[str], title: str) -> Figure | None:
+    """Some of the walked parameters."""
+    return corner_figure([c for name in names if (c := nuisance_column(review, name))], title)
 
 
 def corner_figure(columns: Sequence[Column], title: str) -> Figure | None:

@@ -18,22 +18,20 @@ from cassini_bayes.report.plots.panels import (
 )
 from cassini_bayes.report.plots.quantities import INTERVAL, NORMAL_90, NORMAL_INTERVAL, short_events
 from cassini_bayes.report.plots.style import INK, POSTERIOR, event_axis, new_figure
-from cassini_bayes.report.plots.tables import events_of, grid, thrusters_of
+from cassini_bayes.report.plots.tables import grid, thrusters_of
 from cassini_bayes.results.review import Review
 
 CHANNEL_NOISE: Final = "delta_v_noise_m_s"
 MM_PER_M: Final = 1e3
 
 
-def delta_v_figure(review: Review) -> Figure | None:
-    """Printed ΔV against the fit of the on-board computation; None when no event declares one.
+def delta_v_figure(review: Review) -> Figure:
+    """Printed ΔV against the fit of the on-board computation.
 
     The thick bar is what is known of the computed value, the thin one adds the channel's own noise,
     as fitted: the printed value belongs in the thin one.
     """
     table = review.delta_v
-    if table.empty:
-        return None
     events = [str(e) for e in table["event"]]
     printed, mean, sd = (
         table[c].to_numpy(dtype=float)
@@ -99,17 +97,15 @@ def _channel_noise_mm_s(review: Review) -> float:
     return 0.0
 
 
-def delta_v_thrust_figure(review: Review) -> Figure | None:
-    """Thrust under the uses of ΔV, one panel per thruster; None when there are no variants."""
-    table = review.variants
-    if table.empty:
-        return None
-    events, thrusters = events_of(review), thrusters_of(review)
+def delta_v_thrust_figure(review: Review) -> Figure:
+    """Thrust under the uses of ΔV, one panel per thruster."""
+    table, thrusters = review.variants, thrusters_of(review)
+    events = list(dict.fromkeys(table["event"].astype(str)))
     variants = list(dict.fromkeys(table["variant"]))
     labels = short_events(events)
     grids = {
         variant: [
-            grid(table[table["variant"] == variant], column, review)
+            grid(table[table["variant"] == variant], column, review, events=events)
             for column in ("mean_n", "hdi_90_low_n", "hdi_90_high_n")
         ]
         for variant in variants

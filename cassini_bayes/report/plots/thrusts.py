@@ -30,7 +30,8 @@ from cassini_bayes.report.plots.tables import (
     thrust_grid,
     thrusters_of,
 )
-from cassini_bayes.results.review import Review, hdi
+from cassini_bayes.results.review import Review
+from cassini_bayes.results.tables import hdi
 
 Array = NDArray[np.float64]
 
@@ -57,17 +58,15 @@ BASELINES: Final = (
 )
 
 
-def thrust_figure(review: Review) -> Figure | None:
+def thrust_figure(review: Review) -> Figure:
     """Credible interval of every thruster in every event, one panel per thruster.
 
     Grey band: prior. Thick bar and marker: posterior. Black symbols: the least-squares methods of
     the papers with their perturbation bars, hollow where the papers call the estimate not valid.
     Dashed: the thrust printed with the event. Estimates outside the axes are carets at the edge
-    with their value. The last column is the thruster's level over all events. None without thrusts.
+    with their value. The last column is the thruster's level over all events.
     """
     events, thrusters = events_of(review), thrusters_of(review)
-    if not events:
-        return None
     styles = thruster_styles(thrusters)
     labels = [*short_events(events), ALL_EVENTS]
     mean = _with_level(review, "mean")

@@ -12,21 +12,10 @@ from matplotlib.patches import Patch
 
 from cassini_bayes.report.plots.quantities import NORMAL_90
 from cassini_bayes.report.plots.style import INK, POSTERIOR, new_figure
-from cassini_bayes.results.review import Review
 from cassini_bayes.results.time_series import EventSeries
 
 BAND: Final = "#dcdcdc"
 MEASURED: Final = "#b5651d"
-
-
-def series_figures(review: Review) -> dict[str, Figure]:
-    """One figure per telemetry event, ``series_1`` …: measured, predicted, and what is left."""
-    if review.telemetry is None:
-        return {}
-    return {
-        f"series_{i}": series_figure(series)
-        for i, series in enumerate(review.telemetry.series, start=1)
-    }
 
 
 def series_figure(series: EventSeries) -> Figure:

@@ -67,8 +67,8 @@ def _known(none: Hypothesis, case: Case, truth: Truth, width: int) -> Array:
     shared = len(none.model.space.names)
     shared += model.thrust_prior.shared.shape[1] if model.thrust_prior.shared.size else 0
     known, place = np.zeros(width), shared
-    for source, terms in zip(case.sources, model.telemetry, strict=True):
-        own = model.thrust_prior.own if terms.pattern.thrusters else np.zeros((0, 0))
+    for source, term in zip(case.sources, model.telemetry, strict=True):
+        own = model.thrust_prior.own if term.event.fires else np.zeros((0, 0))
         if own.size:
             thrusts = truth.thrust_n(source.id, source.thrusters)
             departure = np.array([thrusts[k] for k in source.thrusters])
@@ -78,7 +78,7 @@ def _known(none: Hypothesis, case: Case, truth: Truth, width: int) -> Array:
         values = truth.of(source.id)
         torque = np.array([values[f"external_torque_{axis}_n_m"] for axis in "xyz"])
         known[place + 3 : place + 6] = torque - model.torque_mean_n_m
-        place += 6 + len(terms.pattern.cuts)
+        place += 6 + len(term.balance.pattern.cuts)
     return known
 
 
