@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.totals import TotalsTerm
+from cassini_bayes.model import Model
 from cassini_bayes.priors.reader import Priors, read_priors
 
 Array = NDArray[np.float64]
@@ -158,6 +158,6 @@ def jacobian_determinant(
     return float(np.linalg.det(np.array(columns).T))
 
 
-def point(model: TotalsTerm, z: Array) -> dict[str, float]:
+def point(model: Model, z: Array) -> dict[str, float]:
     """Parameters of a single point as floats."""
     return {k: float(np.asarray(v).reshape(-1)[0]) for k, v in model.space.to_parameters(z).items()}

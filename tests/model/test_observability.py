@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from event_cases import PRIORS, events, model
 
+from cassini_bayes.model import build_model, log_posterior
 from cassini_bayes.model.observability import observability
-from cassini_bayes.model.posterior import build_model, log_posterior
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.sampling.warmstart import warm_start
 
@@ -59,8 +59,7 @@ def test_fixed_departures_of_thrust_change_nothing_of_what_is_shared(tmp_path: P
     def seen(width: str) -> pd.Series[float]:
         path = tmp_path / "priors.toml"
         path.write_text(priors_with_departures(width), encoding="utf-8")
-        events_ = [(e.statistics, e.sampling) for e in events("bias")]
-        joint = build_model(events_, read_priors(path))
+        joint = build_model(events("bias"), read_priors(path))
         return observability(joint).table.set_index("quantity")["ratio"]
 
     fixed = seen("fixed = 0.0")

@@ -1,4 +1,4 @@
-"""The joint model of telemetry: equal to a plain likelihood, right about evidence and draws."""
+"""The model of telemetry: equal to a plain likelihood, right about evidence and draws."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 import pytest
 from telemetry_cases import (
+    event_of,
     made_up_samples,
     model_of,
     plain_log_likelihood,
-    reduced,
     telemetry_priors,
 )
 
@@ -19,14 +19,9 @@ from cassini_bayes.balance.bands import is_sparse, motion_table
 from cassini_bayes.balance.kernel import estimated_wheels
 from cassini_bayes.balance.physics import physical_inertia
 from cassini_bayes.errors import InputError
-from cassini_bayes.model.posterior import (
-    build_model,
-    collapse,
-    draw,
-    log_likelihood,
-    log_posterior,
-    with_equal_bands_merged,
-)
+from cassini_bayes.model import build_model, collapse, draw, log_likelihood, log_posterior
+from cassini_bayes.model.posterior import with_equal_bands_merged
+from cassini_bayes.model.telemetry import unknowns_of
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import warm_start
@@ -44,7 +39,7 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
         made_up_samples(rng, 110, every_s=4.0),  # sparse: as many modes as rows
     ]
     model = model_of(events)
-    assert [is_sparse(terms.statistics) for terms in model.telemetry] == [False] * 3 + [True]
+    assert [is_sparse(term.event.statistics) for term in model.telemetry] == [False] * 3 + [True]
     for z in 0.5 * model.space.sample(rng, 2):
         parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
         plain = plain_log_likelihood(model, events, parameters)
@@ -57,15 +52,16 @@ def test_bands_alike_are_merged_without_a_change() -> None:
     events = [made_up_samples(rng, 60), made_up_samples(rng, 300, fires=False)]
     free = telemetry_priors()
     priors = free.with_fixed("torque_noise_n_m_s05", 0.0)
-    statistics = [reduced(samples, priors, f"e{i}") for i, samples in enumerate(events)]
-    model = build_model(statistics, priors)
+    reduced = [event_of(samples, priors, f"e{i}") for i, samples in enumerate(events)]
+    model = build_model(reduced, priors)
     merged = with_equal_bands_merged(model)
-    assert [len(terms.fast) for terms in merged.telemetry] == [len(model.telemetry[0].fast), 1]
+    fast = len(model.telemetry[0].balance.fast)
+    assert [len(term.balance.fast) for term in merged.telemetry] == [fast, 1]
     z = 0.5 * model.space.sample(rng, 1)
     parameters = {name: float(v) for name, v in model.space.to_parameters(z[0]).items()}
     plain = plain_log_likelihood(merged, events, parameters)
     assert log_likelihood(merged, z)[0] == pytest.approx(plain, rel=1e-9)
-    noisy = build_model(statistics, free)
+    noisy = build_model(reduced, free)
     assert with_equal_bands_merged(noisy) is noisy
 
 
@@ -74,15 +70,13 @@ def test_draws_have_the_conditional_moments() -> None:
     rng = np.random.default_rng(8)
     model = model_of([made_up_samples(rng, 60, fires=False)])
     z = np.repeat(model.space.sample(rng, 1), 4_000, axis=0)
-    collapsed = collapse(model, z)
-    own = draw(model, collapsed, rng).own[0]
-    factor = collapsed.own[0].factor[0]
-    covariance = np.linalg.inv(factor @ factor.T) * np.outer(
-        collapsed.own[0].sd[0], collapsed.own[0].sd[0]
-    )
-    expected = collapsed.own[0].mean + collapsed.own[0].sd[0] * np.linalg.solve(
-        factor.T, collapsed.own[0].shift[0]
-    )
+    (event,) = collapse(model, z[:1]).terms
+    draws = draw(model, z, rng)
+    own = unknowns_of(draws.thrusts.thrust_n, draws.own[0])
+    normal, mean, sd = event.system.normal[0], event.system.own_mean, event.system.own_sd[0]
+    precision = normal[:-1, :-1] + np.diag(sd**-2)
+    covariance = np.linalg.inv(precision)
+    expected = covariance @ (normal[:-1, -1] + mean / sd**2)
     error = (own.mean(0) - expected) / np.sqrt(np.diag(covariance) / len(own))
     assert np.abs(error).max() < 4.0
     assert np.cov(own.T) == pytest.approx(covariance, rel=0.2, abs=0.1 * covariance.max())
@@ -111,9 +105,9 @@ def test_a_common_thrust_that_is_not_normal_is_walked() -> None:
     rng = np.random.default_rng(11)
     priors = telemetry_priors()
     samples = made_up_samples(rng, 40)
-    normal = build_model([reduced(samples, priors)], priors)
+    normal = build_model([event_of(samples, priors)], priors)
     wide = replace_with_student(priors)
-    walked = build_model([reduced(samples, wide)], wide)
+    walked = build_model([event_of(samples, wide)], wide)
     assert set(walked.space.names) - set(normal.space.names) == {"thrust_common_n"}
     z = walked.space.sample(rng, 1)
     others = [walked.space.names.index(name) for name in normal.space.names]
@@ -140,7 +134,7 @@ def test_the_same_event_twice_is_refused() -> None:
     """Two events of one name would count the data twice."""
     rng = np.random.default_rng(7)
     priors = telemetry_priors()
-    event = reduced(made_up_samples(rng, 40), priors)
+    event = event_of(made_up_samples(rng, 40), priors)
     with pytest.raises(InputError, match="each event once"):
         build_model([event, event], priors)
     with pytest.raises(InputError, match="at least one event"):
@@ -151,7 +145,7 @@ def test_a_parameter_that_is_missing_is_named() -> None:
     """Priors without the noise of the channels are refused by name."""
     rng = np.random.default_rng(9)
     priors = telemetry_priors()
-    event = reduced(made_up_samples(rng, 40), priors)
+    event = event_of(made_up_samples(rng, 40), priors)
     lacking = replace(
         priors,
         parameters={k: v for k, v in priors.parameters.items() if k != "wheel_noise_rpm"},
@@ -173,7 +167,7 @@ def test_evidence_of_a_linear_gaussian_case_is_exact() -> None:
     # tails as long as the rise: nothing to cut, so that lever arms enter linearly
     priors = priors.with_fixed("tau_fall_s", 0.02).with_fixed("tau_rise_s", 0.02)
     samples = made_up_samples(rng, 40)
-    model = build_model([reduced(samples, priors)], priors)
+    model = build_model([event_of(samples, priors)], priors)
     assert model.space.names == free
 
     def plain(z: np.ndarray) -> float:
@@ -205,7 +199,7 @@ def test_the_naive_balance_residual_pulls_inertia_down() -> None:
     rng = np.random.default_rng(3)
     priors = telemetry_priors()
     samples = made_up_samples(rng, 800, fires=False)
-    model = build_model([reduced(samples, priors)], priors)
+    model = build_model([event_of(samples, priors)], priors)
     place = model.space.names.index("rwa1_inertia_kg_m2")
     shrunk = np.zeros((2, len(model.space.names)))
     for name in model.space.names:

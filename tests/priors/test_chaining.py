@@ -16,11 +16,11 @@ from totals_cases import B_BRANCH, flight
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.thrusts import about, thrust_information, totals_log_posterior
-from cassini_bayes.model.totals import TotalsTerm, build_totals
+from cassini_bayes.model import Model, build_model, collapse, draw, draw_prior, log_posterior
 from cassini_bayes.priors.chaining import EarlierFit
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.results.record import Fit, build_totals_fit, draws_of, prior_draws, save_fit
+from cassini_bayes.results.groups import build_fit
+from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.warmstart import WarmStart, warm_start
 
 Array = NDArray[np.float64]
@@ -29,13 +29,13 @@ LEVELS = "thrust_level_n"
 DRAWS = 8_000
 
 
-def fitted(model: TotalsTerm, seed: int) -> tuple[WarmStart, Fit]:
+def fitted(model: Model, seed: int) -> tuple[WarmStart, Fit]:
     """Importance draws of a model, resampled, as a fit."""
     rng = np.random.default_rng(seed)
-    density = partial(totals_log_posterior, model)
+    density = partial(log_posterior, model)
     warm = warm_start(density, model.space.dimension, rng, draws=DRAWS)
     z = warm.draws.resample(rng, DRAWS)
-    return warm, build_totals_fit(model, z[None], density(z)[None], rng, {"walkers": 1}, 500)
+    return warm, build_fit(model, z[None], density(z)[None], rng, {"walkers": 1}, 500)
 
 
 def priors_file(folder: Path, fit: str = "") -> Path:
@@ -67,7 +67,7 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[TotalsE
     folder = tmp_path_factory.mktemp("chain")
     rows, _ = flight(2)
     priors = read_priors(priors_file(folder))
-    first = build_totals(rows[:1], priors, delta_v="ignore")
+    first = build_model(rows[:1], priors, delta_v="ignore")
     save_fit(fitted(first, 1)[1], folder / "first.nc")
     return folder, rows, priors
 
@@ -92,9 +92,9 @@ def test_two_events_in_sequence_equal_both_at_once(
 ) -> None:
     """Means and widths of shared scalars and of the later thrusts, within Monte Carlo error."""
     folder, rows, priors = chain
-    both, both_fit = fitted(build_totals(rows, priors, delta_v="ignore"), 2)
+    both, both_fit = fitted(build_model(rows, priors, delta_v="ignore"), 2)
     later = read_priors(chained_file(folder))
-    after, after_fit = fitted(build_totals(rows[1:], later, delta_v="ignore"), 3)
+    after, after_fit = fitted(build_model(rows[1:], later, delta_v="ignore"), 3)
     assert both.draws.pareto_k < 0.7
     assert after.draws.pareto_k < 0.7
     effective = [warm.draws.efficiency * DRAWS for warm in (both, after)]
@@ -116,8 +116,8 @@ def test_forgetting_the_first_event_would_be_seen(
     """Negative control: the second event alone has wider levels than the chain has."""
     folder, rows, priors = chain
     later = read_priors(chained_file(folder))
-    alone = fitted(build_totals(rows[1:], priors, delta_v="ignore"), 4)[1]
-    after = fitted(build_totals(rows[1:], later, delta_v="ignore"), 5)[1]
+    alone = fitted(build_model(rows[1:], priors, delta_v="ignore"), 4)[1]
+    after = fitted(build_model(rows[1:], later, delta_v="ignore"), 5)[1]
     widths = [fit.posterior[LEVELS].values[0].std(0) for fit in (alone, after)]
     assert (widths[0] / widths[1]).max() > 1.1
 
@@ -128,8 +128,9 @@ def test_prior_of_the_chained_model_is_the_posterior_of_the_first(
     """Prior draws have the first fit's means, widths and correlation of tail-off and levels."""
     folder, rows, _ = chain
     later = read_priors(chained_file(folder))
-    model = build_totals(rows[1:], later, delta_v="ignore")
-    parameters, draws = prior_draws(model, 20_000, np.random.default_rng(6))
+    model = build_model(rows[1:], later, delta_v="ignore")
+    drawn = draw_prior(model, 20_000, np.random.default_rng(6))
+    draws = drawn.thrusts
     with xr.open_dataset(folder / "first.nc", group="posterior", engine="h5netcdf") as stored:
         levels = stored[LEVELS].values.reshape(-1, 8)
         fall = stored["tau_fall_s"].values.reshape(-1)
@@ -139,7 +140,7 @@ def test_prior_of_the_chained_model_is_the_posterior_of_the_first(
     assert draws.common_n.mean() == pytest.approx(common.mean(), abs=0.05 * common.std())
     assert draws.common_n.std() == pytest.approx(common.std(), rel=0.05)
     before = np.corrcoef(fall, levels[:, 0])[0, 1]
-    after = np.corrcoef(np.asarray(parameters["tau_fall_s"]), draws.level_n[:, 0])[0, 1]
+    after = np.corrcoef(np.asarray(drawn.parameters["tau_fall_s"]), draws.level_n[:, 0])[0, 1]
     assert after == pytest.approx(before, abs=0.04)
     assert abs(before) > 0.3
 
@@ -149,24 +150,23 @@ def test_coordinates_of_a_chained_space_go_there_and_back(
 ) -> None:
     """to_standard undoes to_parameters; without an earlier fit nothing has changed."""
     folder, rows, priors = chain
-    model = build_totals(rows[1:], read_priors(chained_file(folder)), delta_v="ignore")
+    model = build_model(rows[1:], read_priors(chained_file(folder)), delta_v="ignore")
     z = model.space.sample(np.random.default_rng(7), 50)
     assert model.space.to_standard(model.space.to_parameters(z)) == pytest.approx(z, abs=1e-7)
     assert model.space.joint is not None
-    assert build_totals(rows[1:], priors, delta_v="ignore").space.joint is None
+    assert build_model(rows[1:], priors, delta_v="ignore").space.joint is None
 
 
 def test_moved_information_is_the_same_function() -> None:
     """log L(F) does not depend on the level it is counted from."""
     rows, priors = flight(2)
-    model = build_totals(rows, priors, delta_v="ignore")
-    from cassini_bayes.model.totals import linear_system
-
+    model = build_model(rows, priors, delta_v="ignore")
     rng = np.random.default_rng(8)
     z = 0.3 * model.space.sample(rng, 3)
-    plain = thrust_information(model, linear_system(model, model.space.to_parameters(z)))
+    (rows,) = collapse(model, z).terms
+    plain = rows.information
     offset = 0.05 * rng.standard_normal((3, 8))
-    moved = about(plain, offset)
+    moved = plain.about(offset)
     departure = 0.05 * rng.standard_normal((3, 2, 8))
 
     def value(information: object, d: Array) -> Array:
@@ -214,16 +214,13 @@ def test_misuse_is_refused(chain: tuple[Path, tuple[TotalsEvent, ...], Priors]) 
         read_priors(chained_file(folder, "frist.nc"))
     later = read_priors(chained_file(folder))
     with pytest.raises(InputError, match="ignore"):
-        build_totals(rows[1:], later)
+        build_model(rows[1:], later)
     with pytest.raises(InputError, match="from_fit"):
         later.scaled(["tau_fall_s"], width=2.0)
     assert later.scaled(["mass_factor"], width=2.0).earlier is later.earlier
     assert isinstance(later.earlier, EarlierFit)
     other = replace(later.earlier, thrusters=("a",))
     assert other.thrusters != later.earlier.thrusters
-    _, draws = draws_of(
-        build_totals(rows[1:], later, delta_v="ignore"),
-        np.zeros((2, 20)),
-        np.random.default_rng(9),
-    )
-    assert np.isfinite(draws.level_n).all()
+    chained = build_model(rows[1:], later, delta_v="ignore")
+    draws = draw(chained, np.zeros((2, 20)), np.random.default_rng(9))
+    assert np.isfinite(draws.thrusts.level_n).all()

@@ -13,9 +13,14 @@ import pytest
 from event_cases import document, priors
 from numpy.typing import NDArray
 
-from cassini_bayes.model.event_reduction import ReducedEvent, reduce_event
-from cassini_bayes.model.observability import observability
-from cassini_bayes.model.posterior import Model, build_model, log_likelihood
+from cassini_bayes.model import (
+    Model,
+    ReducedEvent,
+    build_model,
+    log_likelihood,
+    observability,
+    reduce_event,
+)
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
 
@@ -44,7 +49,7 @@ def model(factor: float = 1.0) -> Model:
     assert event.delta_v is not None
     own = event.delta_v
     scaled = replace(own, cross=factor * own.cross, square=factor**2 * own.square)
-    return build_model([(event.statistics, event.sampling)], priors(), delta_v=[scaled])
+    return build_model([replace(event, delta_v=scaled)], priors())
 
 
 def known_mass() -> Model:
@@ -52,13 +57,13 @@ def known_mass() -> Model:
     event = flown("measured")[0]
     assert event.delta_v is not None
     known = priors().with_fixed("mass_kg", flown("measured")[1]["mass_kg"])
-    return build_model([(event.statistics, event.sampling)], known, delta_v=[event.delta_v])
+    return build_model([event], known)
 
 
 def without() -> Model:
     """The same model without the velocity change."""
     event = flown("measured")[0]
-    return build_model([(event.statistics, event.sampling)], priors())
+    return build_model([replace(event, delta_v=None)], priors())
 
 
 def at_truth(joint: Model) -> Array:
@@ -71,7 +76,7 @@ def test_a_measured_change_is_a_datum_and_a_computed_one_is_not() -> None:
     """The reduction holds the one and leaves the other out."""
     assert flown("measured")[0].delta_v is not None
     assert flown("computed")[0].delta_v is None
-    assert model().delta_v[0].event_id == "bias"
+    assert model().telemetry[0].event.delta_v is not None
     assert {"mass_kg", "delta_v_noise_m_s"} <= set(model().space.names)
     assert "mass_kg" not in without().space.names
 

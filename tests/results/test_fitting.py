@@ -7,9 +7,9 @@ import pytest
 from totals_cases import flight
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.model.totals import build_totals
+from cassini_bayes.model import build_model
 from cassini_bayes.results.fitting import Sampled, fit_model
-from cassini_bayes.results.review import summarise
+from cassini_bayes.results.tables import summarise
 from cassini_bayes.sampling.ensembles import SamplerSettings, stored_ess
 
 SILENT = SamplerSettings(ensembles=2, target_ess=800, seed=5)
@@ -20,7 +20,7 @@ def silent() -> Sampled:
     """One event whose dead-band rates are so large that its figures say nothing."""
     events, priors = flight(1)
     return fit_model(
-        build_totals(events, priors.with_fixed("hold_rate_rad_s", 1e3), delta_v="ignore"),
+        build_model(events, priors.with_fixed("hold_rate_rad_s", 1e3), delta_v="ignore"),
         SILENT,
         draws_per_ensemble=2_000,
         prior_draws=2_000,
@@ -76,6 +76,6 @@ def test_effective_size_of_stored_draws_sees_slow_walkers() -> None:
 def test_too_few_stored_draws_are_refused() -> None:
     """Settings that could never reach the target are an error before sampling."""
     events, priors = flight(1)
-    model = build_totals(events, priors, delta_v="ignore")
+    model = build_model(events, priors, delta_v="ignore")
     with pytest.raises(InputError, match="draws_per_ensemble"):
         fit_model(model, SamplerSettings(target_ess=2_000), draws_per_ensemble=500)

@@ -7,25 +7,23 @@ import pandas as pd
 import pytest
 from totals_cases import flight
 
-from cassini_bayes.model.thrusts import thrust_moments, totals_log_posterior
-from cassini_bayes.model.totals import TotalsTerm, build_totals
-from cassini_bayes.results.record import draws_of
+from cassini_bayes.model import Model, build_model, conditional_thrusts, draw, log_posterior
 from cassini_bayes.results.sensitivity import error_budget, prior_against_posterior
 from cassini_bayes.sampling.warmstart import warm_start
 
 
 @pytest.fixture(scope="module")
-def fitted() -> tuple[TotalsTerm, np.ndarray]:
+def fitted() -> tuple[Model, np.ndarray]:
     """The flight model without ΔV and posterior draws of its nuisances."""
     events, priors = flight()
-    model = build_totals(events, priors, delta_v="ignore")
+    model = build_model(events, priors, delta_v="ignore")
     rng = np.random.default_rng(1)
-    warm = warm_start(lambda z: totals_log_posterior(model, z), len(model.space.names), rng)
+    warm = warm_start(lambda z: log_posterior(model, z), len(model.space.names), rng)
     return model, warm.draws.resample(rng, 4_000)
 
 
 @pytest.fixture(scope="module")
-def budget(fitted: tuple[TotalsTerm, np.ndarray]) -> pd.DataFrame:
+def budget(fitted: tuple[Model, np.ndarray]) -> pd.DataFrame:
     """The flight events' error budget."""
     return error_budget(*fitted)
 
@@ -38,12 +36,12 @@ def test_shares_of_the_variance_sum_to_one(budget: pd.DataFrame) -> None:
 
 
 def test_full_sd_is_that_of_the_draws(
-    fitted: tuple[TotalsTerm, np.ndarray], budget: pd.DataFrame
+    fitted: tuple[Model, np.ndarray], budget: pd.DataFrame
 ) -> None:
     """The budget's total standard deviation is that of thrusts drawn back (Monte Carlo error)."""
     model, z = fitted
-    _, draws = draws_of(model, z, np.random.default_rng(2))
-    sd = draws.thrust_n.std(0).reshape(-1)
+    draws = draw(model, z, np.random.default_rng(2))
+    sd = draws.thrusts.thrust_n.std(0).reshape(-1)
     assert budget["full_sd_n"].to_numpy() == pytest.approx(sd, rel=4.5 / np.sqrt(2 * len(z)))
 
 
@@ -54,7 +52,7 @@ def test_tail_off_dominates_the_flight_thrusts(budget: pd.DataFrame) -> None:
 
 
 def test_consider_contribution_is_the_shift_from_one_prior_sd(
-    fitted: tuple[TotalsTerm, np.ndarray], budget: pd.DataFrame
+    fitted: tuple[Model, np.ndarray], budget: pd.DataFrame
 ) -> None:
     """Moving tau_fall by one prior standard deviation shifts the estimate by its contribution."""
     model, z = fitted
@@ -63,7 +61,7 @@ def test_consider_contribution_is_the_shift_from_one_prior_sd(
     step = 0.2
     shifted = np.tile(centre, (2, 1))
     shifted[:, names.index("tau_fall_s")] += [step, -step]
-    mean, _ = thrust_moments(model, shifted)
+    mean, _ = conditional_thrusts(model, shifted)
     slope = np.abs(mean[0] - mean[1]).reshape(-1) / (2 * step)
     fall = budget["tail-off|consider_n"].to_numpy()
     assert (fall >= slope * 0.98).all()
@@ -71,7 +69,7 @@ def test_consider_contribution_is_the_shift_from_one_prior_sd(
 
 
 def test_conflict_is_flagged_when_a_prior_is_moved_away(
-    fitted: tuple[TotalsTerm, np.ndarray],
+    fitted: tuple[Model, np.ndarray],
 ) -> None:
     """A tail-off prior far from what the data want is a conflict; the real one is not."""
     events, priors = flight()
@@ -80,9 +78,9 @@ def test_conflict_is_flagged_when_a_prior_is_moved_away(
     moved = priors.scaled(["thrust_common_n"], width=0.1).scaled(
         ["tau_fall_s"], width=0.5, shift=5.0
     )
-    model = build_totals(events, moved, delta_v="ignore")
+    model = build_model(events, moved, delta_v="ignore")
     rng = np.random.default_rng(3)
-    warm = warm_start(lambda z: totals_log_posterior(model, z), len(model.space.names), rng)
+    warm = warm_start(lambda z: log_posterior(model, z), len(model.space.names), rng)
     table = prior_against_posterior(model, warm.draws.resample(rng, 4_000)).set_index("name")
     assert table.loc["tau_fall_s", "verdict"] == "conflict"
     honest = prior_against_posterior(*fitted).set_index("name")

@@ -15,8 +15,7 @@ from spacecraft_cases import CASSINI, FILES, PRIORS, TWELVE, balanced_events, pr
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
-from cassini_bayes.model.thrusts import collapse_totals, draw_linear, totals_log_posterior
-from cassini_bayes.model.totals import TotalsTerm, build_totals, linear_system
+from cassini_bayes.model import Model, build_model, draw, log_posterior
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.spacecraft import AXIS_DEMANDS, Spacecraft, lever_arms, load_spacecraft
 
@@ -317,14 +316,13 @@ def made_up(name: str, seed: int) -> tuple[tuple[TotalsEvent, ...], Array]:
     return balanced_events(name, priors.branch, values, thrust, rng, n), thrust
 
 
-def posterior_thrust(model: TotalsTerm) -> tuple[Array, Array]:
+def posterior_thrust(model: Model) -> tuple[Array, Array]:
     """Mean and standard deviation (E, K) of every thrust, all nuisances integrated over."""
     rng = np.random.default_rng(5)
-    warm = warm_start(lambda z: totals_log_posterior(model, z), len(model.space.names), rng)
+    warm = warm_start(lambda z: log_posterior(model, z), len(model.space.names), rng)
     assert warm.draws.pareto_k < 0.7
     z = warm.draws.resample(rng, 1500)
-    system = linear_system(model, model.space.to_parameters(z))
-    thrust = draw_linear(model, system, collapse_totals(model, system), rng).thrust_n
+    thrust = draw(model, z, rng).thrusts.thrust_n
     return thrust.mean(0), thrust.std(0)
 
 
@@ -335,9 +333,9 @@ def test_thrusts_of_any_spacecraft_are_recovered(name: str, tmp_path: Path) -> N
     priors = priors_of(name)
     path = tmp_path / "events.csv"
     write_totals(path, events, priors.spacecraft)
-    model = build_totals(read_totals(path, priors.spacecraft, "simulation"), priors)
+    model = build_model(read_totals(path, priors.spacecraft, "simulation"), priors)
     z = model.space.sample(np.random.default_rng(3), 50)
-    assert np.isfinite(totals_log_posterior(model, z)).all()
+    assert np.isfinite(log_posterior(model, z)).all()
     mean, sd = posterior_thrust(model)
     score = (mean - truth) / sd
     assert np.abs(score).max() < 4.0
@@ -350,7 +348,7 @@ def test_thrusts_of_any_spacecraft_are_recovered(name: str, tmp_path: Path) -> N
     assert np.median(sd / np.hypot(prior_sd, model.thrust_prior.individual_sd_n)) < 0.6
     # negative control: on-times recorded half again too long cannot pass for these thrusts
     longer = tuple(replace(event, on_time_s=1.5 * event.on_time_s) for event in events)
-    wrong, spread = posterior_thrust(build_totals(longer, priors))
+    wrong, spread = posterior_thrust(build_model(longer, priors))
     assert np.median(np.abs(wrong - truth) / spread) > 4.0
 
 

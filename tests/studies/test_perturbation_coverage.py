@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import curve_fit
 from totals_cases import B_BRANCH, FLIGHT, cassini_arm, cassini_wheel_axis, flight, point
 
-from cassini_bayes.model.totals import build_totals, prior_centre
+from cassini_bayes.model import build_model
 from cassini_bayes.studies.perturbation_campaign import holds_claim, verdict
 from cassini_bayes.studies.perturbation_coverage import (
     CLAIMS,
@@ -53,8 +53,8 @@ def test_priors_have_the_printed_sizes() -> None:
 def test_standard_errors_are_those_of_a_least_squares_program() -> None:
     """scipy's curve_fit on balances written out by hand gives the same errors, pooled and mean."""
     rows, priors = flight()
-    model = build_totals(rows, priors, delta_v="ignore")
-    nominal = prior_centre(model)
+    model = build_model(rows, priors, delta_v="ignore")
+    nominal = model.space.centre()
     values = point(model, np.zeros((1, model.space.dimension))) | nominal
     errors = squares_errors(model, nominal)
     couples = (("z1",), ("z2",), ("z3",), ("z4",), ("y1", "y3"), ("y2", "y4"))
@@ -155,6 +155,6 @@ def test_a_set_has_every_interval_and_repeats_itself() -> None:
 def test_point_of_a_uniform_prior_is_inside_it() -> None:
     """Walked coordinates of the maximum reading never leave the stated sizes."""
     rows, priors = flight(1)
-    model = build_totals(rows, stated_priors(priors, "maximum"), delta_v="ignore")
+    model = build_model(rows, stated_priors(priors, "maximum"), delta_v="ignore")
     far = point(model, np.full((1, model.space.dimension), 9.0))
     assert far["cm_x_m"] == pytest.approx(1.1 * 0.13)

@@ -183,15 +183,15 @@ def test_a_fit_gives_its_own_draws_back(fit: Path) -> None:
 
 def test_a_fit_of_other_events_is_refused(fit: Path, tmp_path: Path) -> None:
     """Ids or on-times that differ, and files that are no fit."""
-    from cassini_bayes.model.totals import build_totals
+    from cassini_bayes.model import build_model
 
     events, priors = flights()
     rng = np.random.default_rng(1)
     with pytest.raises(InputError, match="a fit of the events"):
-        physics_of_fit(build_totals(events[:3], priors), fit, rng, 10)
+        physics_of_fit(build_model(events[:3], priors), fit, rng, 10)
     changed = (replace(events[0], on_time_s=events[0].on_time_s + 1.0), *events[1:])
     with pytest.raises(InputError, match="other on-times"):
-        physics_of_fit(build_totals(changed, priors), fit, rng, 10)
+        physics_of_fit(build_model(changed, priors), fit, rng, 10)
     (tmp_path / "no.nc").write_text("nothing")
     with pytest.raises(InputError, match=r"fit\.nc"):
         physics_of_fit(model(), tmp_path / "no.nc", rng, 10)
@@ -202,16 +202,15 @@ def test_importance_draws_are_those_of_the_posterior() -> None:
     """Means of the walked parameters against the self-normalised weights of other draws."""
     from functools import partial
 
-    from cassini_bayes.model.thrusts import totals_log_posterior
-    from cassini_bayes.model.totals import build_totals
+    from cassini_bayes.model import build_model, log_posterior
     from cassini_bayes.sampling.warmstart import warm_start
 
     events, priors = flights(3)
-    small = build_totals(events, priors)
+    small = build_model(events, priors)
     found, _, k = importance_physics(small, np.random.default_rng(2), 2_000)
     assert k < 0.7
     other = warm_start(
-        partial(totals_log_posterior, small), len(small.space.names), np.random.default_rng(3)
+        partial(log_posterior, small), len(small.space.names), np.random.default_rng(3)
     ).draws
     weights = np.exp(other.log_weights)
     for name in ("tau_fall_s", "cm_x_m", "hold_rate_rad_s"):
