@@ -21,13 +21,11 @@ import telemetry_cases
 import totals_cases
 from numpy.typing import NDArray
 
-from cassini_bayes.chaining import EarlierFit
-from cassini_bayes.criticism.cases import a_branch, flight_2004, fsds
-from cassini_bayes.criticism.catalogue import Catalogue, read_catalogue
-from cassini_bayes.criticism.diagnosis import catalogue_of
-from cassini_bayes.criticism.estimates import estimate_case, read_estimates
-from cassini_bayes.criticism.evidence import weigh_beside
-from cassini_bayes.criticism.extended import (
+from cassini_bayes.balance.statistics import EventStatistics
+from cassini_bayes.diagnosis.diagnosis import catalogue_of
+from cassini_bayes.diagnosis.estimates import estimate_case, read_estimates
+from cassini_bayes.diagnosis.evidence import weigh_beside
+from cassini_bayes.diagnosis.extended import (
     Case,
     Hypothesis,
     Oscillation,
@@ -36,36 +34,38 @@ from cassini_bayes.criticism.extended import (
     none_hypothesis,
     unknown_hypothesis,
 )
-from cassini_bayes.criticism.gauss_newton import evidence_with_noise, predict_left_out
-from cassini_bayes.criticism.gauss_newton import fit as fit_on_times
-from cassini_bayes.criticism.modes import Mode, baseline_mode, mode_at
-from cassini_bayes.criticism.naming import name_causes
-from cassini_bayes.criticism.on_time_verdict import weigh_on_times
-from cassini_bayes.criticism.on_times import Hypothesis as OnTimeHypothesis
-from cassini_bayes.criticism.on_times import OnTimeCase, on_time_case
-from cassini_bayes.criticism.on_times import hypothesis as on_time_hypothesis
-from cassini_bayes.criticism.oscillation import flexible_case
-from cassini_bayes.criticism.read import read_case
-from cassini_bayes.criticism.search import near_mode
-from cassini_bayes.criticism.summaries import SummaryCause, weigh_summaries
-from cassini_bayes.distributions import Distribution
-from cassini_bayes.event_reduction import ReducedEvent, reduce_event
-from cassini_bayes.events import read_totals
-from cassini_bayes.joint import (
+from cassini_bayes.diagnosis.gauss_newton import evidence_with_noise, predict_left_out
+from cassini_bayes.diagnosis.gauss_newton import fit as fit_on_times
+from cassini_bayes.diagnosis.modes import Mode, baseline_mode, mode_at
+from cassini_bayes.diagnosis.naming import name_causes
+from cassini_bayes.diagnosis.on_time_verdict import weigh_on_times
+from cassini_bayes.diagnosis.on_times import Hypothesis as OnTimeHypothesis
+from cassini_bayes.diagnosis.on_times import OnTimeCase, on_time_case
+from cassini_bayes.diagnosis.on_times import hypothesis as on_time_hypothesis
+from cassini_bayes.diagnosis.oscillation import flexible_case
+from cassini_bayes.diagnosis.read import read_case
+from cassini_bayes.diagnosis.search import near_mode
+from cassini_bayes.diagnosis.summaries import SummaryCause, weigh_summaries
+from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
+from cassini_bayes.events.totals import read_totals
+from cassini_bayes.model.event_reduction import ReducedEvent, reduce_event
+from cassini_bayes.model.joint import (
     JointModel,
     build_joint_model,
     collapse_joint,
     joint_log_posterior,
 )
-from cassini_bayes.model import TotalsModel, build_model
-from cassini_bayes.posterior import log_posterior, moments_of, thrust_moments
+from cassini_bayes.model.posterior import log_posterior, moments_of, thrust_moments
+from cassini_bayes.model.totals import TotalsModel, build_model
 from cassini_bayes.prediction.beliefs import read_beliefs
-from cassini_bayes.priors import Priors, read_priors
-from cassini_bayes.pulses import PULSE_SHAPES
-from cassini_bayes.scenario import Simulation, simulate_file, write_simulation
+from cassini_bayes.priors.chaining import EarlierFit
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.sampling.warmstart import Proposal, find_mode, importance, laplace, warm_start
 from cassini_bayes.simulation import scenario_of
-from cassini_bayes.statistics import EventStatistics
-from cassini_bayes.warmstart import Proposal, find_mode, importance, laplace, warm_start
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.studies.published_cases import a_branch, flight_2004, fsds
+from cassini_bayes.studies.scenario import Simulation, simulate_file, write_simulation
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
