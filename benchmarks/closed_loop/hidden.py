@@ -102,6 +102,9 @@ ON_PARAMETERS = (
     "inertia",
 )
 """Kinds whose parameters are those of the baseline, with other values."""
+ON_THRUSTS = ("thrust_scale", "thruster_degraded")
+ON_RECORD = ("time_offset", "rate_bias", "rate_scale")
+"""Kinds that change what channels show, not the motion."""
 ONE_SIDED = {"thruster_degraded": -1.0, "thruster_leak": 1.0, "pulse_shape": 1.0}
 NEEDS_FIRING = (
     "thrust_scale",
@@ -150,7 +153,7 @@ def targets(kind: str, wheels: Sequence[int]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Path:
+class Growth:
     """A way for an effect to grow: parameters are start + size × step, or constant."""
 
     name: str
@@ -180,9 +183,9 @@ def _possible(effect: Effect, truth: Truth) -> bool:
     return True
 
 
-def draw_path(
+def draw_growth(
     name: str, truth: Truth, widths: Mapping[str, float], rng: np.random.Generator
-) -> Path:
+) -> Growth:
     """A direction to grow in: one step is a size worth hiding.
 
     ``widths`` are the standard deviations of the parameters' priors.
@@ -197,14 +200,14 @@ def draw_path(
         direction /= np.linalg.norm(direction)
         return {key: step * float(d) for key, d in zip(keys, direction, strict=True)}
 
-    def growing(step: Mapping[str, float]) -> Path:
-        return Path(name, {key: values.get(key, 0.0) for key in step}, step, {})
+    def growing(step: Mapping[str, float]) -> Growth:
+        return Growth(name, {key: values.get(key, 0.0) for key in step}, step, {})
 
     if kind in ("thrust_scale", "thruster_degraded"):
-        return Path(name, {"thrust_factor": 1.0}, {"thrust_factor": 0.2 * sign}, {})
+        return Growth(name, {"thrust_factor": 1.0}, {"thrust_factor": 0.2 * sign}, {})
     if kind == "thrust_warmup":
         constant = {"warmup_time_s": float(10.0 ** rng.uniform(0.0, 1.0))}
-        return Path(name, {"warmup_deficit": 0.0}, {"warmup_deficit": 0.2}, constant)
+        return Growth(name, {"warmup_deficit": 0.0}, {"warmup_deficit": 0.2}, constant)
     if kind == "tail_off":
         return growing({"tau_fall_s": 0.08 * sign})
     if kind == "pulse_shape":
@@ -238,10 +241,10 @@ def draw_path(
         return growing(several([f"peak_{axis}_n_m" for axis in AXES], 3e-5))
     if kind == "thrust_swirl":
         return growing({"lever_m": 0.2 * sign})
-    return _slosh_path(name, truth, rng)
+    return _slosh_growth(name, truth, rng)
 
 
-def _slosh_path(name: str, truth: Truth, rng: np.random.Generator) -> Path:
+def _slosh_growth(name: str, truth: Truth, rng: np.random.Generator) -> Growth:
     """A slosh particle that grows in mass; where and how it moves is constant."""
     place, along = rng.uniform(-1.0, 1.0, 3), rng.standard_normal(3)
     along /= np.linalg.norm(along)
@@ -254,7 +257,7 @@ def _slosh_path(name: str, truth: Truth, rng: np.random.Generator) -> Path:
     for axis in range(3):
         constant[f"place_{AXES[axis]}_m"] = float(centre[axis] + 1.5 * place[axis])
         constant[f"along_{AXES[axis]}"] = float(along[axis])
-    return Path(name, {"particle_kg": 0.0}, {"particle_kg": 20.0}, constant)
+    return Growth(name, {"particle_kg": 0.0}, {"particle_kg": 20.0}, constant)
 
 
 def _slosh(values: Mapping[str, float]) -> Slosh:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from closed_loop.hidden import Effect
+    from closed_loop.hidden import Effect, Growth
     from closed_loop.scene import Flown, Scene
 
 STRATA = ("empty", "clear", "empty", "clear", "empty", "clear", "empty", "clear", "uncatalogued")
@@ -30,7 +30,7 @@ STRATA = ("empty", "clear", "empty", "clear", "empty", "clear", "empty", "clear"
 CLEAR_SIGMA = (6.0, 14.0)
 ACCEPTED_SIGMA = (5.0, 20.0)
 MOST_STEPS = 3.0
-"""Of a path: beyond that an effect is no longer believable."""
+"""Of a growth: beyond that an effect is no longer believable."""
 _MOST_FLIGHTS = 4
 _MOST_NAMES = 30
 _KEPT_CAUSES = 8
@@ -88,6 +88,7 @@ def run(setting: Setting, index: int, say: Callable[[str], None]) -> None:
     record["hidden"] = [
         {"name": e.name, "parameters": dict(e.parameters), "sigma": e.sigma} for e in effects
     ]
+    record["truth"] = {"parameters": dict(flown[1].parameters), "thrust_n": dict(flown[1].thrust_n)}
     events = [str(folder / "record" / event.name) for event in scene.events]
     inputs = [*events, "--priors", str(folder / "record" / "priors.toml"), "--seed", "1"]
     said = _called([setting.command, "diagnose", *inputs, "--out", str(folder / "diagnosis")])
@@ -116,7 +117,7 @@ def choose(
 ) -> tuple[tuple[Effect, ...], Flown]:
     """What a trial hides, and its flight: nothing, or one effect of 5 to 20 σ (wanted: 6 to 14)."""
     from closed_loop.cassini import spread
-    from closed_loop.hidden import CLEAR, NEEDS_FIRING, UNCATALOGUED, draw_path, targets
+    from closed_loop.hidden import CLEAR, NEEDS_FIRING, UNCATALOGUED, draw_growth, targets
     from closed_loop.scene import fly_scene
 
     if stratum == "empty":
@@ -129,32 +130,36 @@ def choose(
         for kind in (UNCATALOGUED if stratum == "uncatalogued" else CLEAR)
         if (fires or kind not in NEEDS_FIRING) and targets(kind, scene.truth.wheels)
     ]
+    plain = fly_scene(scene, ())
     for _ in range(_MOST_NAMES):
         kind = str(rng.choice(kinds))
         target = str(rng.choice(targets(kind, scene.truth.wheels)))
         name = f"{kind}:{target}" if target else kind
-        path = draw_path(name, scene.truth, widths, rng)
+        growth = draw_growth(name, scene.truth, widths, rng)
         wanted = float(np.exp(rng.uniform(*np.log(CLEAR_SIGMA))))
-        found = _sized(scene, path.effect, wanted)
+        found = _sized(scene, growth, wanted, plain)
         if found is not None:
             return (found[0],), found[1]
     raise NothingClearError(f"nothing clear to hide in {_MOST_NAMES} draws")
 
 
 def _sized(
-    scene: Scene, at: Callable[[float, Any], Effect | None], wanted: float
+    scene: Scene, growth: Growth, wanted: float, plain: Flown
 ) -> tuple[Effect, Flown] | None:
     """The effect that stands out by about so many σ, flown; None where no believable size does."""
-    from closed_loop.hidden import Effect
+    from closed_loop.hidden import ON_RECORD, Effect, applied
     from closed_loop.scene import fly_scene
     from closed_loop.sizes import sigma
 
-    size = 1.0
+    size = _first_size(scene, growth, wanted, plain)
     for _ in range(_MOST_FLIGHTS):
-        effect = at(size, scene.truth)
-        if effect is None:
+        effect = None if size is None else growth.effect(size, scene.truth)
+        if effect is None or size is None:
             return None
-        flown = fly_scene(scene, (effect,))
+        if effect.kind in ON_RECORD:
+            flown = (plain[0], *applied(scene.truth, (effect,)))
+        else:
+            flown = fly_scene(scene, (effect,))
         own = sigma(flown[0], scene.truth, (effect,), flown[2], scene.channels, scene.priors)
         if ACCEPTED_SIGMA[0] <= own <= ACCEPTED_SIGMA[1] and 0.7 <= own / wanted <= 1.4:
             return Effect(effect.name, effect.parameters, own), flown
@@ -163,6 +168,23 @@ def _sized(
             return None
         size = following
     return None
+
+
+def _first_size(scene: Scene, growth: Growth, wanted: float, plain: Flown) -> float | None:
+    """Where to begin: what the balance of the flight without it would take the effect for.
+
+    Only for what acts on parameters and thrusts; None where no believable size would be enough.
+    """
+    from closed_loop.hidden import ON_PARAMETERS, ON_THRUSTS, applied
+    from closed_loop.sizes import sigma
+
+    effect = growth.effect(0.5, scene.truth)
+    if effect is None or effect.kind not in (*ON_PARAMETERS, *ON_THRUSTS):
+        return 1.0
+    changed, departures = applied(scene.truth, (effect,))
+    own = sigma(plain[0], changed, (effect,), departures, scene.channels, scene.priors)
+    size = 0.5 * wanted / max(own, 1e-6)
+    return size if size <= MOST_STEPS else None
 
 
 def _called(arguments: Sequence[str]) -> dict[str, Any]:
