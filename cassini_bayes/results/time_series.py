@@ -144,17 +144,13 @@ def _rows(term: TelemetryTerm, most_rows: int) -> tuple[Rows, int]:
     """The columns at evenly thinned rows of the balance, streamed in constant memory."""
     statistics = term.event.statistics
     every = max(1, -(-statistics.rows // most_rows))
-    times, vectors, scalars = [], [], []
+    parts = []
     carry, done = Carry.start(statistics.layout), 0
     for samples, final in _with_end(term.event.rows):
         rows, carry = settle(samples, carry, statistics.layout, term.event.sampling, final)
-        kept = slice((-done) % every, None, every)
+        parts.append(rows.part(slice((-done) % every, None, every)))
         done += len(rows.time_s)
-        times.append(rows.time_s[kept])
-        vectors.append(rows.vector[kept])
-        scalars.append(rows.scalar[kept])
-    joined = Rows(np.concatenate(times), np.concatenate(vectors), np.concatenate(scalars))
-    return joined, every
+    return Rows.joined(parts), every
 
 
 def _with_end(samples: Iterable[Samples]) -> Iterator[tuple[Samples, bool]]:
