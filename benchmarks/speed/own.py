@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import Samples, reduce_chunks
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.event_reduction import ReducedEvent
@@ -23,7 +23,6 @@ from cassini_bayes.sampling.warmstart import warm_start
 from speed.problem import model_of, reduced_events
 
 Row = dict[str, Any]
-Array = NDArray[np.float64]
 TARGET = 2_000
 FIRST_CHECK = 300
 CHECKED_STEPS = 600

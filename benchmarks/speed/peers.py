@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import scipy.special
 import scipy.stats
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.telemetry_terms import INITIAL_SD_N_M_S, cut_tail_sd
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.posterior import log_posterior
@@ -28,7 +28,6 @@ from cassini_bayes.model.telemetry import unknowns_of
 from speed import plain
 from speed.problem import model_of, reduced_events
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 TARGET = 2_000
 LEAST_ESS = 100.0  # of a chain that has mixed

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import tomli_w
 import xarray as xr
-from numpy.typing import NDArray
 from totals_cases import B_BRANCH, flight
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model import Model, build_model, collapse, draw, draw_prior, log_posterior
@@ -22,8 +22,6 @@ from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.warmstart import WarmStart, warm_start
-
-Array = NDArray[np.float64]
 
 LEVELS = "thrust_level_n"
 DRAWS = 8_000

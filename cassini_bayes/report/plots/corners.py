@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.arviz_import import corner
 from cassini_bayes.report.plots.quantities import MISSING, plus_minus, wrapped_name
 from cassini_bayes.report.plots.style import (
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 MOST_DRAWS: Final = 8_000
 CONTOUR_LEVELS: Final = (0.393, 0.865)  # 1 and 2 standard deviations of a two-dimensional normal

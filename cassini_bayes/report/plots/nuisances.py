@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-Array = NDArray[np.float64]
 
 PRIOR_UNITS: Final = "departure from the prior mean [prior standard deviations]"
 MARKERS: Final = {"conflict": "X", "informed": "o", "prior returned": "s"}

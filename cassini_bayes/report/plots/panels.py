@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report.plots.style import (
     event_axis,
     new_figure,
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-Array = NDArray[np.float64]
 
 PANELS_ACROSS: Final = 4
 NARROWEST_IN: Final = 9.2  # title and legend need it
