@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.diagnosis.extended import Case, TelemetrySource, prepare
-from cassini_bayes.events.plausibility import check_momentum, momentum_rows
+
 from cassini_bayes.events.telemetry import read_chunks, read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import (
@@ -60,16 +60,16 @@ def totals_rows(
     return tuple(row for table in tables for row in read_totals(table, priors.spacecraft, source))
 
 
-def read_source(folder: Path, priors: Priors) -> TelemetrySource:
+def read_source(folder: Path, priors: Priors, policy: Policy = STRICT) -> TelemetrySource:
     """One event folder as rows, checked as for a fit; a diagnosis keeps them in memory."""
     event = read_event(folder, priors.spacecraft)
     require_branch(event, priors)
-    nominal = nominal_values(priors)
-    momentum, samples = momentum_rows(nominal), []
+    check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
+    samples = []
     for chunk in read_chunks(event, priors.spacecraft):
-        momentum.add(chunk)
+        check.add(chunk)
         samples.append(samples_of(chunk))
-    check_momentum(event, momentum, priors.spacecraft, nominal)
+    check.verdict()
     return TelemetrySource(
         event.id, event.kind, event.wheels, event.thrusters, Samples.joined(samples)
     )

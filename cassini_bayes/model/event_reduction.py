@@ -33,7 +33,7 @@ from cassini_bayes.balance.statistics import (
 from cassini_bayes.balance.statistics.reduction import BLOCK_ROWS
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility import MomentumRows, check_momentum, momentum_rows
+from cassini_bayes.events.plausibility import STRICT, Policy, TelemetryCheck
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import write_text
@@ -67,6 +67,7 @@ class ReadingRecord:
     on_time_s: tuple[float, ...]  # (K,) gained from the first to the last reading
     pulses: tuple[float, ...]  # (K,)
     mends: tuple[str, ...]
+    findings: tuple[str, ...] = ()  # what was accepted, or fits nothing known
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,6 +223,7 @@ def reduce_event(
     pulse_shape: str,
     cache: Path | None = None,
     say: Say | None = None,
+    policy: Policy = STRICT,
 ) -> ReducedEvent:
     """Read an event folder and reduce its telemetry, or take the reduction from the cache.
 
@@ -237,12 +239,14 @@ def reduce_event(
         Folder of earlier reductions; nothing is written there (:func:`store_reduction` does).
     say
         Told what was read.
+    policy
+        Mistakes in the telemetry that the user accepts.
 
     Raises
     ------
     InputError
-        Bad telemetry (file, row and column named), a momentum balance that no fault of a
-        spacecraft leaves so wide open (the mistake that would close it is named), another thruster
+        Bad telemetry (file, row and column named), a mistake that explains what no fault of a
+        spacecraft does (it is named), another thruster
         branch than the priors', or too few rows that can be used.
     """
     event = read_event(folder, priors.spacecraft)
@@ -253,10 +257,10 @@ def reduce_event(
     key = reduction_key(event, sampling)
     cached = _cached(cache, key)
     if cached is None:
-        statistics, reading = _reduced(event, rows, priors, sampling, say)
+        statistics, reading = _reduced(event, rows, priors, sampling, say, policy)
         if abs(reading.end_s - guess) > _SAME_S:  # the file's tail did not tell
             sampling = sampling_of(priors, event.thrusters, reading.end_s, pulse_shape)
-            statistics, reading = _reduced(event, rows, priors, sampling, say)
+            statistics, reading = _reduced(event, rows, priors, sampling, say, policy)
     else:
         statistics, reading = cached
         sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
@@ -268,6 +272,8 @@ def reduce_event(
         )
         for line in reading.mends:
             say(f"{event.id}: mended: {line}")
+        for line in reading.findings:
+            say(f"{event.id}: {line}")
     return ReducedEvent(
         statistics,
         sampling,
@@ -339,6 +345,7 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
             on_time_s=tuple(float(value) for value in fields["on_time_s"]),
             pulses=tuple(float(value) for value in fields["pulses"]),
             mends=tuple(str(line) for line in fields["mends"]),
+            findings=tuple(str(line) for line in fields["findings"]),
         )
     except (OSError, ValueError, TypeError, KeyError):
         return None
@@ -352,14 +359,14 @@ class _Reading:
         self,
         event: TelemetryEvent,
         rows: EventRows,
-        momentum: MomentumRows,
+        check: TelemetryCheck,
         until_s: float,
         say: Say | None,
     ) -> None:
         self._event, self._rows = event, rows
         self._until_s, self._say = until_s, say
         self._began = self._told = time.monotonic()
-        self._momentum = momentum
+        self._check = check
         self.rows = 0
         self.start_s, self.end_s = np.nan, np.nan
         self._first: Array | None = None
@@ -373,7 +380,7 @@ class _Reading:
             self.rows += chunk.rows
             self.end_s = float(chunk.time_s[-1])
             self._count(chunk)
-            self._momentum.add(chunk)
+            self._check.add(chunk)
             yield samples_of(chunk)
             self._tell()
 
@@ -398,7 +405,7 @@ class _Reading:
         self._first = counters[:, rows[0]] if self._first is None else self._first
         self._last = counters[:, rows[-1]]
 
-    def record(self) -> ReadingRecord:
+    def record(self, findings: tuple[str, ...]) -> ReadingRecord:
         """The record, once the last chunk has been taken."""
         gained = np.zeros((2, len(self._event.thrusters)))
         if self._first is not None and self._last is not None:
@@ -410,19 +417,23 @@ class _Reading:
             on_time_s=tuple(float(value) for value in gained[0]),
             pulses=tuple(float(value) for value in gained[1]),
             mends=self._rows.mends.lines(),
+            findings=findings,
         )
 
 
 def _reduced(
-    event: TelemetryEvent, rows: EventRows, priors: Priors, sampling: Sampling, say: Say | None
+    event: TelemetryEvent,
+    rows: EventRows,
+    priors: Priors,
+    sampling: Sampling,
+    say: Say | None,
+    policy: Policy,
 ) -> tuple[EventStatistics, ReadingRecord]:
     layout = Layout(event.wheels, event.thrusters, sampling.couples)
-    nominal = nominal_values(priors)
-    momentum = momentum_rows(nominal)
-    reading = _Reading(event, rows, momentum, sampling.duration_s, say)
+    check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
+    reading = _Reading(event, rows, check, sampling.duration_s, say)
     statistics = reduce_chunks(event.id, event.kind, reading.samples(), layout, sampling)
-    check_momentum(event, momentum, priors.spacecraft, nominal)
-    return statistics, reading.record()
+    return statistics, reading.record(check.verdict().findings)
 
 
 def nominal_values(priors: Priors) -> dict[str, float]:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from cassini_bayes.events.plausibility.balance import Balance, check_momentum, momentum_rows
-from cassini_bayes.events.plausibility.rows import MomentumRows
+from cassini_bayes.events.plausibility.check import (
+    Plausibility,
+    TelemetryCheck,
+    check_telemetry,
+)
+from cassini_bayes.events.plausibility.verdict import MISTAKES, STRICT, Policy
 
-__all__ = ["Balance", "MomentumRows", "check_momentum", "momentum_rows"]
+__all__ = ["MISTAKES", "STRICT", "Plausibility", "Policy", "TelemetryCheck", "check_telemetry"]

@@ -1,8 +1,7 @@
-"""Rows of telemetry at which every channel was sampled, evenly thinned in constant memory."""
+"""Rows of telemetry that the checks look at, evenly thinned in constant memory."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,83 +10,85 @@ import numpy as np
 from cassini_bayes.arrays import Array
 from cassini_bayes.events.telemetry import Chunk
 
-MOST_ROWS: Final = 4096
+MOST_MOTION_ROWS: Final = 4096
+MOST_BALANCE_ROWS: Final = 1024
 LEAST_ROWS: Final = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Motion:
+    """Rows at which attitude and body rates were both sampled."""
+
+    time_s: Array  # (n,)
+    attitude: Array  # (n, 4)
+    rate_rad_s: Array  # (n, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows(Motion):
     """Rows at which every channel was sampled; counters are 0 wide without thrusters."""
 
-    time_s: Array
-    attitude: Array
-    rate_rad_s: Array
-    wheel_rpm: Array
-    effective_s: Array
+    wheel_rpm: Array  # (n, W)
+    on_time_s: Array  # (n, K)
+    pulses: Array  # (n, K)
 
 
-class MomentumRows:
-    """Collects, in constant memory, evenly spaced rows at which every channel was sampled.
+class Thinned:
+    """At most so many rows of a table, evenly spaced, however long it gets and however it comes."""
 
-    Feed it the chunks of one event while they are read for something else.
-    """
-
-    def __init__(self, tau_difference_s: float) -> None:
-        self._tau_s = tau_difference_s
+    def __init__(self, most: int) -> None:
+        self._most = most
         self._stride = 1
         self._seen = 0
         self._kept: list[Array] = []
-        self._shape: tuple[int, int] | None = None
 
-    def add(self, chunk: Chunk) -> None:
-        """Take what a chunk has of such rows."""
-        effective = chunk.on_time_s
-        if chunk.pulses.shape == effective.shape:
-            effective = effective + self._tau_s * chunk.pulses
-        parts = (
-            chunk.time_s[:, None],
-            chunk.attitude,
-            chunk.rate_rad_s,
-            chunk.wheel_rpm,
-            effective,
-        )
-        self._shape = (
-            chunk.attitude.shape[1] + chunk.rate_rad_s.shape[1],
-            chunk.wheel_rpm.shape[1],
-        )
-        table = np.concatenate(parts, axis=1)
+    def add(self, table: Array) -> None:
+        """Take rows; those with a cell that was not sampled are no rows."""
         table = table[~np.isnan(table).any(axis=1)]
         number = np.arange(self._seen, self._seen + len(table))
         self._seen += len(table)
         self._kept.append(table[number % self._stride == 0])
-        while sum(map(len, self._kept)) > MOST_ROWS:
+        while sum(map(len, self._kept)) > self._most:
             self._kept = [np.concatenate(self._kept)[::2]]
             self._stride *= 2
 
-    def rows(self) -> Rows | None:
-        """What was collected; None if a channel is lacking or rows are too few."""
-        if self._shape is None or self._shape[0] != 7 or self._shape[1] == 0:
-            return None
-        table = np.concatenate(self._kept)
+    def table(self) -> Array:
+        """The rows kept."""
+        return np.concatenate(self._kept)
+
+
+class RowCollector:
+    """Feed it an event's chunks; it keeps what the checks of motion and of momentum need."""
+
+    def __init__(self) -> None:
+        self._motion = Thinned(MOST_MOTION_ROWS)
+        self._rows = Thinned(MOST_BALANCE_ROWS)
+        self._wheels, self._counters = 0, 0
+        self._complete = False
+
+    def add(self, chunk: Chunk) -> None:
+        """Take a chunk."""
+        has_pulses = chunk.pulses.shape == chunk.on_time_s.shape
+        pulses = chunk.pulses if has_pulses else np.zeros_like(chunk.on_time_s)
+        self._wheels, self._counters = chunk.wheel_rpm.shape[1], chunk.on_time_s.shape[1]
+        self._complete = chunk.attitude.shape[1] + chunk.rate_rad_s.shape[1] == 7
+        motion = (chunk.time_s[:, None], chunk.attitude, chunk.rate_rad_s)
+        self._motion.add(np.concatenate(motion, axis=1))
+        channels = (*motion, chunk.wheel_rpm, chunk.on_time_s, pulses)
+        self._rows.add(np.concatenate(channels, axis=1))
+
+    def motion(self) -> Motion | None:
+        """Rows with attitude and rates; None if too few."""
+        table = self._motion.table() if self._complete else np.zeros((0, 8))
         if len(table) < LEAST_ROWS:
             return None
-        wheels = self._shape[1]
-        return Rows(
-            table[:, 0],
-            table[:, 1:5],
-            table[:, 5:8],
-            table[:, 8 : 8 + wheels],
-            table[:, 8 + wheels :],
-        )
+        return Motion(table[:, 0], table[:, 1:5], table[:, 5:8])
 
-
-def conventions(attitude: Array) -> Iterator[tuple[str, Array]]:
-    """Yield other ways of writing an attitude, turned into ours."""
-    inverse = attitude * np.array([-1.0, -1.0, -1.0, 1.0])
-    first = np.roll(attitude, -1, axis=1)
-    yield "quaternions that look like body → J2000", inverse
-    yield "quaternions that look scalar-first", first
-    yield (
-        "quaternions that look scalar-first and body → J2000",
-        first * np.array([-1.0, -1.0, -1.0, 1.0]),
-    )
+    def rows(self) -> Rows | None:
+        """Rows with every channel; None if there are no wheels or too few rows."""
+        table = self._rows.table() if self._complete and self._wheels else np.zeros((0, 8))
+        if len(table) < LEAST_ROWS:
+            return None
+        ends = np.cumsum([8, self._wheels, self._counters])
+        wheels, on_time, pulses = np.split(table[:, 8:], ends[1:] - 8, axis=1)
+        return Rows(table[:, 0], table[:, 1:5], table[:, 5:8], wheels, on_time, pulses)

@@ -1,0 +1,45 @@
+"""Attitudes as matrices, as turns from one to the next, and in other conventions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.arrays import Array
+
+_CONJUGATE: Final = np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def body_to_inertial(attitude: Array) -> Array:
+    """Cᵀ (n, 3, 3) of C = (q4² − q·q) 1 + 2 q qᵀ − 2 q4 [q×], of attitudes (n, 4)."""
+    q, q4 = attitude[:, :3], attitude[:, 3]
+    matrix = 2.0 * q[:, :, None] * q[:, None, :]
+    matrix += (q4 * q4 - np.einsum("ij,ij->i", q, q))[:, None, None] * np.eye(3)
+    zero = np.zeros(len(q))
+    cross = np.array(
+        [[zero, -q[:, 2], q[:, 1]], [q[:, 2], zero, -q[:, 0]], [-q[:, 1], q[:, 0], zero]]
+    ).transpose(2, 0, 1)
+    return np.asarray(matrix + 2.0 * q4[:, None, None] * cross)
+
+
+def turns_rad(attitude: Array) -> Array:
+    """Small turns (n − 1, 3) in body axes from one attitude to the next."""
+    old, new = attitude[:-1], attitude[1:]
+    scalar = np.einsum("ij,ij->i", old, new)
+    vector = old[:, 3:] * new[:, :3] - new[:, 3:] * old[:, :3] - np.cross(old[:, :3], new[:, :3])
+    vector *= np.where(scalar < 0.0, -1.0, 1.0)[:, None]
+    size = np.linalg.norm(vector, axis=1)
+    angle = 2.0 * np.arctan2(size, np.abs(scalar))
+    return np.asarray(vector * (angle / np.where(size > 0.0, size, 1.0))[:, None])
+
+
+def read_as(attitude: Array) -> Mapping[str, Array]:
+    """The attitudes if the file had them in another convention, turned into ours."""
+    first = np.roll(attitude, -1, axis=1)
+    return {
+        "body → J2000": attitude * _CONJUGATE,
+        "scalar-first": first,
+        "scalar-first and body → J2000": first * _CONJUGATE,
+    }

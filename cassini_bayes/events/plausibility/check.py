@@ -1,0 +1,198 @@
+"""The one door that events of telemetry pass: rows are collected, then judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.arrays import Array
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility.attitudes import turns_rad
+from cassini_bayes.events.plausibility.counts import PulseSteps
+from cassini_bayes.events.plausibility.hypotheses import AXES, Evidence, explanations
+from cassini_bayes.events.plausibility.momentum import Nominal
+from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
+from cassini_bayes.events.plausibility.verdict import (
+    STRICT,
+    SUSPECT,
+    Findings,
+    Policy,
+    best_explanations,
+    refuse_best,
+)
+from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
+from cassini_bayes.spacecraft import Spacecraft
+
+OPEN: Final = 0.3
+"""Of the momentum exchanged: what may stay open without a name before an event is refused."""
+SILENT_SIGMAS: Final = 8.0
+LEAST_TURN_RAD: Final = 2e-4
+"""A wobble of the attitude that a rate which never changes cannot have made."""
+
+
+@dataclass(frozen=True)
+class Plausibility:
+    """How well motion and momentum fit each other.
+
+    ``misfit`` is in units of noise (0 for an event that fits, NaN for one with too few rows to
+    judge), ``rows`` those with every channel, ``findings`` what was not refused but has to be said.
+    """
+
+    rows: int
+    misfit: float
+    findings: tuple[str, ...] = ()
+
+
+class TelemetryCheck:
+    """Feed it an event's chunks while they are read for something else; then ask for its verdict.
+
+    Parameters
+    ----------
+    event, spacecraft
+        From :func:`read_event`.
+    parameters
+        Nominal values by name: inertia, wheels, and for events with on-times geometry, centre of
+        mass, ``thrust_common_n``, ``tau_rise_s`` and ``tau_fall_s``; prior means will do.
+    policy
+        Mistakes that the user accepts.
+    """
+
+    def __init__(
+        self,
+        event: TelemetryEvent,
+        spacecraft: Spacecraft,
+        parameters: Mapping[str, float],
+        policy: Policy = STRICT,
+    ) -> None:
+        self._event, self._policy = event, policy
+        self._nominal = Nominal.of(
+            spacecraft, event.branch, event.wheels, parameters, fires=bool(event.thrusters)
+        )
+        self._rows = RowCollector()
+        self._pulses = PulseSteps()
+
+    def add(self, chunk: Chunk) -> None:
+        """Take a chunk."""
+        self._rows.add(chunk)
+        self._pulses.add(chunk)
+
+    def verdict(self) -> Plausibility:
+        """Judge what was collected.
+
+        Raises
+        ------
+        InputError
+            A mistake explains what physics does not, or the balance of momentum stays wide open.
+            The message names the mistake that explains it best, and what would as well.
+        """
+        findings = Findings()
+        self._check_pulses(findings)
+        rows, motion = self._rows.rows(), self._rows.motion()
+        if motion is not None:
+            self._check_still_rates(motion, findings)
+        evidence = Evidence(self._nominal, motion, rows)
+        misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
+        if misfit > SUSPECT:
+            self._explain(evidence, misfit, findings)
+        return Plausibility(0 if rows is None else len(rows.time_s), misfit, tuple(findings.sentences))
+
+    def _check_pulses(self, findings: Findings) -> None:
+        if self._pulses.counted == 1:
+            return
+        findings.refuse(
+            self._policy,
+            "pulse-count",
+            InputError(
+                f"{self._event.telemetry}: columns pulses_…",
+                "every pulse counted once",
+                f"counts that all grow by multiples of {self._pulses.counted}",
+                f"divide them by {self._pulses.counted}",
+            ),
+        )
+
+    def _check_still_rates(self, motion: Motion, findings: Findings) -> None:
+        """A rate that never changes tells nothing: refused where the attitude wobbles."""
+        turns = turns_rad(motion.attitude)
+        wobble = _detrended(np.cumsum(turns, axis=0), motion.time_s[1:])
+        noise = np.sqrt(0.5 * np.mean(np.diff(turns, axis=0) ** 2, axis=0))
+        still = np.ptp(motion.rate_rad_s, axis=0) == 0.0
+        moves = np.abs(wobble).max(axis=0) > np.maximum(SILENT_SIGMAS * noise, LEAST_TURN_RAD)
+        for axis in np.flatnonzero(still & moves):
+            findings.refuse(
+                self._policy,
+                "rate-silent",
+                InputError(
+                    f"{self._event.telemetry}: column rate_{AXES[axis]}_rad_s",
+                    "the body rate of an attitude that turns to and fro by"
+                    f" {np.abs(wobble[:, axis]).max():.3g} rad",
+                    f"{motion.rate_rad_s[0, axis]:.6g} in every row",
+                    "give the body rate about that axis",
+                ),
+            )
+
+    def _explain(self, evidence: Evidence, misfit: float, findings: Findings) -> None:
+        event = self._event
+        where = str(event.telemetry)
+        found = list(explanations(evidence, event.wheels, event.thrusters))
+        best = best_explanations(misfit, found)
+        if best:
+            expected = "attitude, rates, wheels and counters of one motion"
+            refuse_best(where, expected, misfit, best, self._policy, findings)
+            return
+        balance = evidence.balance()
+        share = 0.0
+        if balance is not None and evidence.rows is not None:
+            share = balance.open_nms / max(_exchanged(evidence.rows, evidence.nominal), 1e-9)
+        said = f"{100.0 * share:.3g} % of the exchanged momentum unexplained"
+        if share > OPEN:
+            findings.refuse(
+                self._policy,
+                "open-balance",
+                InputError(
+                    where,
+                    "a momentum balance that closes at nominal values",
+                    f"{said} (misfit {misfit:.3g}); no single mistake of a channel explains it",
+                    "check kind, branch and wheels in event.toml, the columns' order, signs and"
+                    " units, and that the nominal values are this spacecraft's",
+                ),
+            )
+            return
+        findings.sentences.append(
+            f"{where}: something that no catalogued effect and no single mistake of a channel"
+            f" explains (misfit {misfit:.3g}, honest events stay below {SUSPECT:g}; {said}): diagnose it"
+        )
+
+
+def check_telemetry(
+    event: TelemetryEvent,
+    chunks: Iterable[Chunk],
+    spacecraft: Spacecraft,
+    parameters: Mapping[str, float],
+    policy: Policy = STRICT,
+) -> Plausibility:
+    """Collect and judge at once; see :class:`TelemetryCheck`."""
+    check = TelemetryCheck(event, spacecraft, parameters, policy)
+    for chunk in chunks:
+        check.add(chunk)
+    return check.verdict()
+
+
+def _detrended(values: Array, time_s: Array) -> Array:
+    design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
+    return np.asarray(values - design @ np.linalg.lstsq(design, values, rcond=None)[0])
+
+
+def _exchanged(rows: Rows, nominal: Nominal) -> float:
+    """Largest change of momentum that any kind of carrier shows, RMS over rows, N m s."""
+    momenta = (
+        rows.rate_rad_s @ nominal.inertia.T,
+        (2.0 * np.pi / 60.0) * rows.wheel_rpm @ nominal.spins.T,
+        rows.on_time_s @ nominal.torques.T,
+    )
+    return max(
+        float(np.sqrt(np.mean(np.sum((value - value.mean(axis=0)) ** 2, axis=1))))
+        for value in momenta
+    )

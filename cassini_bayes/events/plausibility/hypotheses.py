@@ -1,0 +1,391 @@
+"""Mistakes that telemetry may hold, each undone and scored by the misfit that it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, permutations, product
+from typing import Final
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from cassini_bayes.arrays import Array
+from cassini_bayes.events.plausibility.attitudes import read_as
+from cassini_bayes.events.plausibility.momentum import (
+    RPM_RAD_S,
+    Correction,
+    Momentum,
+    MomentumFit,
+    Nominal,
+    momentum_of,
+)
+from cassini_bayes.events.plausibility.rows import Motion, Rows
+from cassini_bayes.events.plausibility.turning import Turning, turning_of
+from cassini_bayes.events.plausibility.verdict import Explanation
+
+ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
+FREE_PRICE: Final = 12.0  # a free size: some six nats of Occam's factor
+SILENT: Final = 1.5
+"""Without one axis of three, noise-free misfits are two thirds as large."""
+WHEEL_UNITS: Final = {
+    "rad/s": 1.0 / RPM_RAD_S,
+    "deg/s": 1.0 / 6.0,
+    "rev/s": 60.0,
+    "rev/min turned to rad/s twice": RPM_RAD_S,
+}
+RATE_UNITS: Final = {
+    "deg/s": np.pi / 180.0,
+    "mrad/s": 1e-3,
+    "µrad/s": 1e-6,
+    "arcsec/s": np.pi / 648_000.0,
+    "rad/s turned from deg/s twice": 180.0 / np.pi,
+}
+TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
+LATE_S: Final = (2.0, 5.0, 12.0, 30.0, 75.0)
+LEAST_FACTOR_STEP: Final = 0.08
+"""A free factor closer to 1 is a departure, no mistake."""
+AXES: Final = "xyz"
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """An event's rows and motion, and what physics leaves of them."""
+
+    nominal: Nominal
+    motion: Motion | None
+    rows: Rows | None
+
+    @cached_property
+    def turning(self) -> Turning | None:
+        """Turns against rates."""
+        return None if self.motion is None else turning_of(self.motion)
+
+    @cached_property
+    def momentum(self) -> Momentum | None:
+        """Columns of the balance."""
+        return None if self.rows is None else momentum_of(self.rows)
+
+    @cached_property
+    def as_recorded(self) -> Correction:
+        """Nothing corrected."""
+        return Correction.nothing(self.nominal.spins.shape[1], self.nominal.torques.shape[1])
+
+    def balance(self, correction: Correction | None = None) -> MomentumFit | None:
+        """The momentum balance with a correction."""
+        if self.momentum is None:
+            return None
+        return self.momentum.fit(self.nominal, correction or self.as_recorded)
+
+    def turned(self, rate: Array | None = None, axes: Sequence[int] = (0, 1, 2)) -> float:
+        """χ² of turns and rates beyond its degrees of freedom."""
+        if self.turning is None:
+            return 0.0
+        rate = np.eye(3) if rate is None else rate
+        return max(self.turning.misfit(rate, axes) - 3.0 * len(axes), 0.0)
+
+    def misfit(self, correction: Correction | None = None, rate: Array | None = None) -> float:
+        """Misfit of motion and momentum; ``rate`` maps rates for the motion alone."""
+        correction = correction or self.as_recorded
+        fit = self.balance(correction)
+        open_part = 0.0 if fit is None else fit.excess
+        return open_part + self.turned(correction.rate if rate is None else rate)
+
+
+def explanations(
+    evidence: Evidence, wheels: Sequence[int], thrusters: Sequence[str]
+) -> Iterator[Explanation]:
+    """Every mistake, undone at its best."""
+    yield from _of_wheels(evidence, wheels)
+    yield from _of_silent_channels(evidence, wheels)
+    yield from _of_thrusters(evidence, thrusters)
+    yield from _of_rates(evidence)
+    yield from _of_attitudes(evidence)
+    yield from _of_times(evidence)
+
+
+def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
+    if evidence.momentum is None:
+        return
+    nothing, count = evidence.as_recorded, len(wheels)
+    still = evidence.turned()
+
+    def left(correction: Correction) -> float:
+        fit = evidence.balance(correction)
+        assert fit is not None
+        return fit.excess + still
+
+    fix = "correct the names of the rwa…_rpm columns, or wheels in event.toml"
+    for order in permutations(range(count)):
+        if order == tuple(range(count)):
+            continue
+        # column j of the file holds the wheel that stands at order[j]
+        matrix = np.zeros((count, count))
+        matrix[list(order), range(count)] = 1.0
+        names = [wheels[i] for i in order]
+        yield Explanation(
+            "wheel-order",
+            f"columns of wheels {list(wheels)} that look like those of wheels {names}",
+            fix,
+            left(nothing.with_wheel(matrix)),
+            ORDER_PRICE,
+        )
+    own_sign = "give wheel rates about the wheels' own axes as the spacecraft file has them"
+    for signs in product((1.0, -1.0), repeat=count):
+        turned = [w for w, sign in zip(wheels, signs, strict=True) if sign < 0.0]
+        if not turned:
+            continue
+        named = "all wheels" if len(turned) == count else f"wheels {turned}"
+        yield Explanation(
+            "wheel-sign",
+            f"rates of {named} of the opposite sign",
+            own_sign,
+            left(nothing.with_wheel(np.diag(signs))),
+            ORDER_PRICE,
+        )
+    for unit, factor in WHEEL_UNITS.items():
+        yield Explanation(
+            "wheel-unit",
+            f"wheel rates that look like {unit} (times {factor:.4g})",
+            "convert the rwa…_rpm columns to rev/min",
+            left(nothing.with_wheel(factor * np.eye(count))),
+        )
+    for w, number in enumerate(wheels):
+        fit = evidence.balance(replace(nothing, wheel_factor=(w,)))
+        assert fit is not None
+        factor = float(fit.factors[0])
+        if abs(factor - 1.0) > LEAST_FACTOR_STEP and abs(factor) > 1e-3:
+            yield Explanation(
+                "wheel-factor",
+                f"a rate of wheel {number} that has to be multiplied by {factor:.4g}",
+                f"check the unit and scale of rwa{number}_rpm",
+                fit.excess + still,
+                FREE_PRICE,
+            )
+        axis = evidence.nominal.spins[:, [w]]
+        yield Explanation(
+            "wheel-offset",
+            f"a rate of wheel {number} with a constant error",
+            f"check the zero of rwa{number}_rpm",
+            left(replace(nothing, offset=axis)),
+            FREE_PRICE,
+        )
+
+
+def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
+    """One wheel, or the rate about one axis, that may be anything: the rest still has to fit."""
+    rows, nominal = evidence.rows, evidence.nominal
+    if rows is None:
+        return
+    for w, number in enumerate(wheels):
+        column, what = rows.wheel_rpm[:, w], "does not tell its wheel's rate"
+        if np.ptp(column) == 0.0:
+            what = f"stands still at {column[0]:.10g}"
+        for other in range(len(wheels)):
+            if other != w and np.array_equal(column, rows.wheel_rpm[:, other]):
+                what = f"repeats rwa{wheels[other]}_rpm"
+        spin = nominal.spins[:, w]
+        across = momentum_of(rows, spin).fit(nominal, evidence.as_recorded)
+        yield Explanation(
+            "wheel-silent",
+            f"a column rwa{number}_rpm that {what}",
+            f"give the rate of wheel {number}",
+            SILENT * across.excess + evidence.turned(),
+            2.0 * FREE_PRICE,
+        )
+    for axis in range(3):
+        others = [a for a in range(3) if a != axis]
+        across = momentum_of(rows, nominal.inertia[:, axis]).fit(nominal, evidence.as_recorded)
+        yield Explanation(
+            "rate-silent",
+            f"a column rate_{AXES[axis]}_rad_s that does not tell the motion",
+            "give the body rate about that axis",
+            SILENT * (across.excess + evidence.turned(axes=others)),
+            2.0 * FREE_PRICE,
+        )
+
+
+def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Explanation]:
+    if evidence.momentum is None or not thrusters:
+        return
+    nothing, still = evidence.as_recorded, evidence.turned()
+    count = len(thrusters)
+    pairs = list(combinations(range(count), 2))
+    # two pairs at once within thrusters that push alike: mirrored corners
+    alike = [
+        (a, b)
+        for a, b in combinations(pairs, 2)
+        if not set(a) & set(b)
+        and all(
+            np.allclose(evidence.nominal.pushes[:, k], evidence.nominal.pushes[:, a[0]])
+            or np.allclose(evidence.nominal.pushes[:, k], -evidence.nominal.pushes[:, a[0]])
+            for k in (*a, *b)
+        )
+    ]
+    for exchanged in [*((pair,) for pair in pairs), *alike]:
+        order = list(range(count))
+        for a, b in exchanged:
+            order[a], order[b] = order[b], order[a]
+        names = " and ".join(f"{thrusters[a]} with {thrusters[b]}" for a, b in exchanged)
+        fit = evidence.balance(nothing.with_thruster(np.eye(count)[order]))
+        assert fit is not None
+        yield Explanation(
+            "thruster-order",
+            f"counters of thrusters exchanged, {names}",
+            "correct the names of the on_time_… and pulses_… columns",
+            fit.excess + still,
+            ORDER_PRICE * (1 + len(exchanged)),
+        )
+
+
+def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
+    turning, nothing = evidence.turning, evidence.as_recorded
+    if turning is None:
+        return
+    fix = "give rate_…_rad_s about the body axes, in rad/s"
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        matrix = np.diag(signs)[:, list(order)]
+        plain = order == (0, 1, 2)
+        if plain and min(signs) > 0.0:
+            continue
+        turned = evidence.turned(matrix)
+        if turned > 0.5 * evidence.turned():  # motion speaks against it: momentum need not be asked
+            continue
+        # column j of the file holds what belongs in row i where matrix[i, j] is set
+        held = "".join(
+            f"{'-' if matrix[:, j].sum() < 0.0 else ''}{AXES[int(np.argmax(np.abs(matrix[:, j])))]}"
+            for j in range(3)
+        )
+        yield Explanation(
+            "rate-sign" if plain else "rate-axes",
+            f"columns of body rates x, y, z that look like {held}",
+            fix,
+            evidence.misfit(nothing.with_rate(matrix)),
+            ORDER_PRICE,
+        )
+    for unit, factor in RATE_UNITS.items():
+        yield Explanation(
+            "rate-unit",
+            f"body rates that look like {unit} (times {factor:.4g})",
+            fix,
+            evidence.misfit(nothing.with_rate(factor * np.eye(3))),
+        )
+    yield from _of_rate_factors(evidence, turning, fix)
+
+
+def _of_rate_factors(evidence: Evidence, turning: Turning, fix: str) -> Iterator[Explanation]:
+    nothing = evidence.as_recorded
+    for axes in ((0, 1, 2), (0,), (1,), (2,)):
+        factor = turning.factor(axes)
+        if not np.isfinite(factor) or abs(factor - 1.0) < 0.5 * LEAST_FACTOR_STEP:
+            continue
+        matrix = np.eye(3)
+        matrix[list(axes), list(axes)] = factor
+        named = "body rates" if len(axes) == 3 else f"body rates about {AXES[axes[0]]}"
+        yield Explanation(
+            "rate-factor",
+            f"{named} that have to be multiplied by {factor:.4g}",
+            fix,
+            evidence.misfit(nothing.with_rate(matrix)),
+            FREE_PRICE,
+        )
+
+
+def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
+    motion, rows = evidence.motion, evidence.rows
+    if motion is None:
+        return
+    mended_rows = {} if rows is None else read_as(rows.attitude)
+    for name, attitude in read_as(motion.attitude).items():
+        other = Evidence(
+            evidence.nominal,
+            replace(motion, attitude=attitude),
+            None if rows is None else replace(rows, attitude=mended_rows[name]),
+        )
+        yield Explanation(
+            "attitude-convention",
+            f"quaternions that look {name}",
+            "give J2000 → body, scalar last, in q1 to q4",
+            other.misfit(),
+            ORDER_PRICE,
+        )
+
+
+def _of_times(evidence: Evidence) -> Iterator[Explanation]:
+    for unit, factor in TIME_UNITS.items():
+        yield Explanation(
+            "time-unit",
+            f"times that look like {unit}",
+            "give time_s in seconds",
+            evidence.misfit(rate=factor * np.eye(3)),
+        )
+    for mistake, what, shifted in _SHIFTS:
+        if evidence.rows is None or (mistake == "counter-time" and not _fires(evidence)):
+            continue
+
+        def left(late_s: float, shifted: Callable[[Motion, float], Motion] = shifted) -> float:
+            rows, motion = evidence.rows, evidence.motion
+            assert rows is not None and motion is not None
+            moved = shifted(rows, late_s)
+            assert isinstance(moved, Rows)
+            return Evidence(evidence.nominal, shifted(motion, late_s), moved).misfit()
+
+        grid = {late: left(late) for late in (*(-s for s in LATE_S), *LATE_S)}
+        best = min(grid, key=lambda late: grid[late])
+        found = minimize_scalar(
+            left,
+            bounds=sorted((0.4 * best, 2.5 * best)),
+            method="bounded",
+            options={"maxiter": 12, "xatol": 0.05},
+        )
+        late, least = (float(found.x), float(found.fun)) if found.fun < grid[best] else (
+            best,
+            grid[best],
+        )
+        yield Explanation(
+            mistake,
+            f"{what} that come {abs(late):.3g} s {'late' if late > 0.0 else 'early'}",
+            "bring all channels to the same clock",
+            least,
+            FREE_PRICE,
+        )
+
+
+def _fires(evidence: Evidence) -> bool:
+    return evidence.nominal.torques.shape[1] > 0
+
+
+def _earlier(time_s: Array, values: Array, late_s: float) -> Array:
+    """Values as they would be had they not come late."""
+    if not values.shape[1]:
+        return values
+    columns = [np.interp(time_s + late_s, time_s, column) for column in values.T]
+    return np.stack(columns, axis=1)
+
+
+def _rates_moved(rows: Motion, late_s: float) -> Motion:
+    return replace(rows, rate_rad_s=_earlier(rows.time_s, rows.rate_rad_s, late_s))
+
+
+def _wheels_moved(rows: Motion, late_s: float) -> Motion:
+    if not isinstance(rows, Rows):
+        return rows
+    return replace(rows, wheel_rpm=_earlier(rows.time_s, rows.wheel_rpm, late_s))
+
+
+def _counters_moved(rows: Motion, late_s: float) -> Motion:
+    if not isinstance(rows, Rows):
+        return rows
+    return replace(
+        rows,
+        on_time_s=_earlier(rows.time_s, rows.on_time_s, late_s),
+        pulses=_earlier(rows.time_s, rows.pulses, late_s),
+    )
+
+
+_SHIFTS: Final[tuple[tuple[str, str, Callable[[Motion, float], Motion]], ...]] = (
+    ("wheel-time", "wheel rates", _wheels_moved),
+    ("rate-time", "body rates", _rates_moved),
+    ("counter-time", "counters", _counters_moved),
+)

@@ -1,0 +1,348 @@
+"""How well the balance of momentum closes, and how well it would with a channel corrected.
+
+The balance holds in the inertial frame for any event (C the inertial-to-body matrix):
+
+    Cᵀ(I ω + T I_w ρ) = constant + Σ_k ∫ Cᵀ q_k F ds_k + ∫ Cᵀ τ dt,
+    s = on-time + pulses (τ_f − τ_r)
+
+Each channel enters linearly, so its columns of every axis stand once in a Gram matrix, and a
+mistake (another order, sign, factor) is another set of weights on them: true = matrix · recorded.
+Nominal values are not the truth, so the balance leans on departures at a price, wide enough for
+everything the catalogue of effects holds and for a torque that nobody catalogued. What is left, in
+units of the rows' noise, and the price together are the misfit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.arrays import Array
+from cassini_bayes.events.plausibility.attitudes import body_to_inertial
+from cassini_bayes.events.plausibility.rows import Rows
+from cassini_bayes.spacecraft import (
+    Spacecraft,
+    inertia_tensor,
+    lever_arms,
+    thruster_directions,
+    wheel_axes,
+    wheel_inertias,
+)
+
+RPM_RAD_S: Final = 2.0 * np.pi / 60.0
+WIDTHS: Final[Mapping[str, float]] = {
+    "inertia": 0.1,  # of the mean moment of inertia, each element
+    "wheel": 0.03,  # of the spin inertia, along and across each spin axis
+    "common": 0.15,  # of the thrust, all thrusters alike
+    "thrust": 0.2,  # of a thruster's torque, each axis
+    "centre": 0.15,  # m, each axis
+    "tail": 0.1,  # s of thrust per pulse, all thrusters alike
+    "own tail": 0.03,  # s of thrust per pulse, each thruster
+    "warm-up": 0.25,  # of the thrust, while a thruster's bed is cold
+    "lag": 1.0,  # s of the counters
+    "torque": 0.006,  # N m, each axis: a leak of a few mN
+    "bias": 2e-5,  # rad/s of every rate
+    "start": 1e4,  # N m s, each axis: not known beforehand
+    "drift": 0.01,  # N m s per √s, each axis: torque that nothing catalogued explains
+}
+"""One standard deviation of what may depart from the nominal values: the catalogue of effects, five
+to ten times the published uncertainties; drift: what the prior of `unknown` there reaches at 2 σ."""
+WARM_UP_S: Final = 5.0
+DRIFT_MODES: Final = 12
+NEARLY_FREE: Final = 1e-3
+"""Price of departures thirty times as wide."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """What momentum is made of at nominal values, for one event's wheels and thrusters."""
+
+    inertia: Array  # (3, 3) kg m²
+    spins: Array  # (3, W) N m s per rad/s of each wheel
+    torques: Array  # (3, K) N m of each thruster
+    pushes: Array  # (3, K) N of each thruster
+    tail_s: float  # of thrust that a pulse delivers beyond its width
+
+    @classmethod
+    def of(
+        cls,
+        spacecraft: Spacecraft,
+        branch: str,
+        wheels: Sequence[int],
+        parameters: Mapping[str, float],
+        *,
+        fires: bool,
+    ) -> Nominal:
+        """From parameters by name; events that do not fire need none of the thrusters'."""
+        places = [[w.number for w in spacecraft.wheels].index(number) for number in wheels]
+        spins = wheel_axes(spacecraft, parameters) * wheel_inertias(spacecraft, parameters)
+        torques = pushes = np.zeros((3, 0))
+        if fires:
+            force = parameters["thrust_common_n"]
+            torques = force * lever_arms(spacecraft, branch, parameters)
+            pushes = force * thruster_directions(spacecraft, branch)
+        tail_s = parameters.get("tau_fall_s", 0.0) - parameters.get("tau_rise_s", 0.0)
+        return cls(inertia_tensor(parameters), spins[:, places], torques, pushes, tail_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What recorded channels have to be multiplied by to be true, and what is free besides.
+
+    ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
+    a constant error; ``factor`` wheels or thrusters whose column has a free factor.
+    """
+
+    rate: Array  # (3, 3)
+    wheel: Array  # (W, W)
+    thruster: Array  # (K, K)
+    offset: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    wheel_factor: tuple[int, ...] = ()
+
+    @classmethod
+    def nothing(cls, wheels: int, thrusters: int) -> Correction:
+        """Everything as recorded."""
+        return cls(np.eye(3), np.eye(wheels), np.eye(thrusters))
+
+    def with_rate(self, rate: Array) -> Correction:
+        """The same with other rates."""
+        return replace(self, rate=rate)
+
+    def with_wheel(self, wheel: Array) -> Correction:
+        """The same with other wheels."""
+        return replace(self, wheel=wheel)
+
+    def with_thruster(self, thruster: Array) -> Correction:
+        """The same with other thrusters."""
+        return replace(self, thruster=thruster)
+
+
+_FREE: Final = 1e3
+"""Standard deviation of a free factor, and of a free offset in N m s: as good as none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
+    """Weights (p, J) on the columns that departures of one kind have, at one standard deviation."""
+
+    weights: Array
+
+
+class Columns:
+    """Which columns of the Gram matrix belong to which channel, three axes each."""
+
+    def __init__(self, wheels: int, thrusters: int) -> None:
+        sizes = {
+            "rate": 3,
+            "wheel": wheels,
+            "rate around": 3,
+            "wheel around": wheels,
+            "fire": thrusters,
+            "pulse": thrusters,
+            "warm up": thrusters,
+            "flow": thrusters,
+            "torque": 1,
+            "fixed": 1,
+            "start": 1,
+            "drift": DRIFT_MODES,
+        }
+        ends = 3 * np.cumsum(list(sizes.values()))
+        starts = [0, *ends[:-1].tolist()]
+        self.of = {
+            name: slice(start, int(end))
+            for name, start, end in zip(sizes, starts, ends, strict=True)
+        }
+        self.size = int(ends[-1])
+
+    def weights(self, **blocks: Array) -> Array:
+        """A weight vector: ``blocks`` by channel, (3, number) each, blanks as underscores."""
+        vector = np.zeros(self.size)
+        for name, block in blocks.items():
+            vector[self.of[name.replace("_", " ")]] = block.ravel()
+        return vector
+
+
+@dataclass(frozen=True, eq=False)
+class Momentum:
+    """Gram matrix (p, p) of an event's columns in N m s and how noisy a row is."""
+
+    columns: Columns
+    gram: Array
+    steps: Array  # (p, p) Gram matrix of second differences over neighbouring rows
+    rows: int
+    per_row: int  # equations that a row brings
+    counts: int  # second differences
+
+    def noise(self, nominal: Nominal, correction: Correction) -> float:
+        """Standard deviation of a row on one axis, N m s: from second differences of the total."""
+        target = target_of(self.columns, nominal, correction)
+        square = float(target @ self.steps @ target) / (6.0 * self.per_row * max(self.counts, 1))
+        return float(np.sqrt(max(square, 0.0)))
+
+    def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
+        """The least misfit over departures."""
+        target = target_of(self.columns, nominal, correction)
+        design = departures_of(self.columns, nominal, correction)
+        variance = max(self.noise(nominal, correction), 1e-6) ** 2
+        inner = design.T @ self.gram @ design / variance
+        pull = -design.T @ (self.gram @ target) / variance
+        least = float(target @ self.gram @ target) / variance
+
+        def solved(price: float) -> tuple[Array, float]:
+            """Departures at a price, and the misfit with it."""
+            solution = np.linalg.solve(inner + price * np.eye(len(pull)), pull)
+            return solution, least - float(pull @ solution)
+
+        solution, misfit = solved(1.0)
+        free_misfit = solved(NEARLY_FREE)[1]
+        rest = max(free_misfit - self.per_row * self.rows, 0.0)
+        vector = target + design @ solution
+        open_nms = np.sqrt(float(vector @ self.gram @ vector) / max(self.rows, 1))
+        free = len(correction.wheel_factor)
+        factors = 1.0 + _FREE * solution[len(solution) - free :] if free else np.zeros(0)
+        return MomentumFit(misfit - free_misfit + rest, float(open_nms), factors)
+
+
+@dataclass(frozen=True, eq=False)
+class MomentumFit:
+    """What closing the balance costs, what stays open (RMS, N m s), factors of free wheels.
+
+    ``excess`` is the misfit with departures at their price less the misfit with all of them
+    nearly free, which is noise; and what even they leave beyond noise.
+    """
+
+    excess: float
+    open_nms: float
+    factors: Array
+
+
+def target_of(columns: Columns, nominal: Nominal, correction: Correction) -> Array:
+    """Weights (p,) of the total momentum less what nominal thrusters brought."""
+    torques = -nominal.torques @ correction.thruster
+    return columns.weights(
+        rate=nominal.inertia @ correction.rate,
+        wheel=nominal.spins @ correction.wheel,
+        fire=torques,
+        pulse=nominal.tail_s * torques,
+    )
+
+
+def departures_of(columns: Columns, nominal: Nominal, correction: Correction) -> Array:
+    """Weights (p, J) of everything that may depart, each at one standard deviation."""
+    each: list[Array] = []
+    size = float(np.trace(nominal.inertia)) / 3.0
+    for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        unit = np.zeros((3, 3))
+        unit[a, b] = unit[b, a] = WIDTHS["inertia"] * size
+        each.append(columns.weights(rate_around=unit @ correction.rate))
+    for spin, recorded in zip(nominal.spins.T, correction.wheel, strict=True):
+        for axis in np.eye(3):
+            moved = WIDTHS["wheel"] * np.linalg.norm(spin) * axis
+            each.append(columns.weights(wheel_around=np.outer(moved, recorded)))
+    each += _thruster_departures(columns, nominal, correction)
+    for axis in np.eye(3):
+        each.append(columns.weights(torque=WIDTHS["torque"] * axis))
+        each.append(columns.weights(fixed=WIDTHS["bias"] * size * axis))
+        each.append(columns.weights(start=WIDTHS["start"] * axis))
+        each += [
+            columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
+            for mode in np.eye(DRIFT_MODES)
+        ]
+    each += [columns.weights(fixed=_FREE * axis) for axis in correction.offset.T]
+    for w in correction.wheel_factor:
+        free = np.outer(nominal.spins[:, w], correction.wheel[w])
+        each.append(columns.weights(wheel_around=_FREE * free))
+    return np.stack(each, axis=1)
+
+
+def _thruster_departures(
+    columns: Columns, nominal: Nominal, correction: Correction
+) -> list[Array]:
+    if not nominal.torques.shape[1]:
+        return []
+    each: list[Array] = []
+    tail, recorded = nominal.tail_s, correction.thruster
+
+    def impulse(torques: Array) -> Array:
+        return columns.weights(fire=torques @ recorded, pulse=tail * torques @ recorded)
+
+    each.append(impulse(WIDTHS["common"] * nominal.torques))
+    each.append(columns.weights(pulse=WIDTHS["tail"] * nominal.torques @ recorded))
+    each.append(columns.weights(flow=WIDTHS["lag"] * nominal.torques @ recorded))
+    for axis in np.eye(3):
+        each.append(impulse(WIDTHS["centre"] * np.cross(axis, nominal.pushes, axisb=0, axisc=0)))
+    for k, torque in enumerate(nominal.torques.T):
+        one = np.eye(nominal.torques.shape[1])[k]
+        own = np.outer(torque, one) @ recorded
+        each.append(columns.weights(pulse=WIDTHS["own tail"] * own))
+        each.append(columns.weights(warm_up=WIDTHS["warm-up"] * own))
+        for axis in np.eye(3):
+            moved = WIDTHS["thrust"] * np.linalg.norm(torque) * axis
+            each.append(impulse(np.outer(moved, one)))
+    return each
+
+
+def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
+    """Columns of an event's rows and their Gram matrices.
+
+    ``along``: a body axis (3,) along which nothing is known, so that rows speak of the plane across
+    it alone: the columns are those of a wheel that says nothing.
+    """
+    turn = body_to_inertial(rows.attitude)
+    count, wheels, thrusters = len(turn), rows.wheel_rpm.shape[1], rows.on_time_s.shape[1]
+    columns = Columns(wheels, thrusters)
+    table = np.zeros((count, 3, columns.size))
+    middle = 0.5 * (turn[1:] + turn[:-1])
+
+    def accumulated(increments: Array) -> Array:
+        """∫ Cᵀ e_a dx_j, as (n, 3, 3 J)."""
+        steps = middle[:, :, :, None] * increments[:, None, None, :]
+        sums = np.cumsum(steps, axis=0)
+        whole = np.concatenate([np.zeros((1, *sums.shape[1:])), sums])
+        return whole.reshape(count, 3, -1)
+
+    def carried(values: Array) -> Array:
+        """Cᵀ e_a x_j, as (n, 3, 3 J)."""
+        return (turn[:, :, :, None] * values[:, None, None, :]).reshape(count, 3, -1)
+
+    time = rows.time_s - rows.time_s[0]
+    span = max(float(time[-1]), 1e-9)
+    warm = np.exp(-(rows.on_time_s - rows.on_time_s[0]) / WARM_UP_S)
+    fired = accumulated(np.diff(rows.on_time_s, axis=0))
+    orders = np.arange(DRIFT_MODES) + 0.5
+    # Karhunen–Loève modes of a Brownian motion over the span
+    modes = np.sin(np.pi * np.outer(time / span, orders)) * np.sqrt(2.0 * span) / (np.pi * orders)
+    of = columns.of
+    table[:, :, of["rate"]] = carried(rows.rate_rad_s)
+    table[:, :, of["wheel"]] = carried(RPM_RAD_S * rows.wheel_rpm)
+    table[:, :, of["rate around"]] = carried(_around(rows.rate_rad_s))
+    table[:, :, of["wheel around"]] = carried(RPM_RAD_S * _around(rows.wheel_rpm))
+    table[:, :, of["fire"]] = fired
+    table[:, :, of["pulse"]] = accumulated(np.diff(rows.pulses, axis=0))
+    table[:, :, of["warm up"]] = accumulated(-WARM_UP_S * np.diff(warm, axis=0))
+    table[:, :, of["flow"]] = np.gradient(fired, time, axis=0) if thrusters else fired
+    table[:, :, of["torque"]] = accumulated(np.diff(time)[:, None])
+    table[:, :, of["fixed"]] = carried(np.ones((count, 1)))
+    table[:, :, of["start"]] = np.eye(3)
+    table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)
+    per_row = 3
+    if along is not None:
+        axis = np.einsum("nij,j->ni", turn, along / np.linalg.norm(along))
+        table -= axis[:, :, None] * np.einsum("ni,nip->np", axis, table)[:, None, :]
+        per_row = 2
+    flat = table.reshape(3 * count, -1)
+    bends = (table[2:] - 2.0 * table[1:-1] + table[:-2]).reshape(3 * (count - 2), -1)
+    return Momentum(columns, flat.T @ flat, bends.T @ bends, count, per_row, count - 2)
+
+
+def _around(values: Array) -> Array:
+    """The mean of the rows before and after each row.
+
+    Departures of inertias act on it in place of the row itself: they must not find that a smaller
+    inertia makes a noisy channel quieter.
+    """
+    ends = (values[[1]], 0.5 * (values[:-2] + values[2:]), values[[-2]])
+    return np.concatenate(ends)

@@ -1,0 +1,145 @@
+"""Which mistake explains a misfit best, what else would, and what is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import nearest
+
+MISTAKES: Final = {
+    "wheel-order": "wheel columns that belong to other wheels",
+    "wheel-sign": "wheel rates of the opposite sign",
+    "wheel-unit": "wheel rates in another unit",
+    "wheel-factor": "a wheel's rate times a factor",
+    "wheel-offset": "a wheel's rate with a constant error",
+    "wheel-silent": "a wheel column that does not tell its wheel's rate: stuck, or a copy",
+    "wheel-time": "wheel rates that are early or late",
+    "start-end": "rates before and after a bias exchanged",
+    "thruster-order": "counters that belong to other thrusters",
+    "counter-time": "counters that are early or late",
+    "pulse-count": "pulses counted more than once",
+    "rate-axes": "body rates about other axes",
+    "rate-sign": "body rates of the opposite sign",
+    "rate-unit": "body rates in another unit",
+    "rate-factor": "body rates times a factor",
+    "rate-silent": "body rates that do not tell the motion",
+    "rate-time": "body rates that are early or late",
+    "attitude-convention": "quaternions in another convention",
+    "time-unit": "times in another unit",
+    "open-balance": "a balance of momentum that nothing closes",
+    "bad-cell": "single cells that do not fit",
+    "same-telemetry": "the same data under another id",
+}
+"""What ``--accept`` takes, and what each means."""
+SUSPECT: Final = 40.0
+"""Misfit beyond noise's below which nothing is asked. Honest events stay below 12
+(docs/results/mistakes.md)."""
+EXPLAINED: Final = 0.25
+"""Of the misfit: a mistake that leaves less explains it."""
+AS_GOOD: Final = 10.0
+"""Difference of misfits (five nats) within which data do not tell two mistakes apart."""
+MOST_NAMED: Final = 3
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What the user has said about mistakes: accepted ones, and whether bad cells are left out."""
+
+    accepted: frozenset[str] = frozenset()
+    leave_out: bool = False
+
+    @classmethod
+    def of(cls, accepted: Sequence[str], *, leave_out: bool = False) -> Policy:
+        """From names.
+
+        Raises
+        ------
+        InputError
+            An unknown mistake.
+        """
+        for name in accepted:
+            if name not in MISTAKES:
+                raise InputError(
+                    "--accept",
+                    f"one of {', '.join(MISTAKES)}",
+                    repr(name),
+                    nearest(name, list(MISTAKES)),
+                )
+        return cls(frozenset(accepted), leave_out)
+
+
+STRICT: Final = Policy()
+"""Nothing accepted, nothing left out."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One mistake, undone: what the data then look like, how to mend it, what misfit is left.
+
+    ``price`` is what its freedom costs: a factor that is free explains more than one that is not.
+    """
+
+    mistake: str
+    what: str
+    fix: str
+    left: float
+    price: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """Misfit left and price: the least is the best."""
+        return self.left + self.price
+
+
+@dataclass
+class Findings:
+    """What was not refused but has to be said, in sentences."""
+
+    sentences: list[str] = field(default_factory=list)
+
+    def refuse(self, policy: Policy, mistake: str, error: InputError) -> None:
+        """Raise, unless the mistake was accepted: then say so."""
+        if mistake not in policy.accepted:
+            name = error.fix
+            fix = f"{name}; or, if it is none, add --accept {mistake}"
+            raise InputError(error.where, error.expected, error.got, fix)
+        self.sentences.append(f"{error.where}: accepted ({mistake}): {error.got}")
+
+
+def best_explanations(
+    misfit: float, explanations: Sequence[Explanation]
+) -> tuple[Explanation, ...]:
+    """The explanation that leaves least, and those as good; empty if none explains the misfit."""
+    ranked = sorted(explanations, key=lambda each: each.score)
+    if not ranked or ranked[0].score > EXPLAINED * misfit:
+        return ()
+    close = [each for each in ranked if each.score <= ranked[0].score + AS_GOOD]
+    return tuple(close[:MOST_NAMED])
+
+
+def refuse_best(
+    where: str,
+    expected: str,
+    misfit: float,
+    best: Sequence[Explanation],
+    policy: Policy,
+    findings: Findings,
+) -> None:
+    """Refuse with the best explanation; what fits as well is said too."""
+    first, *others = best
+    also = ""
+    if others:
+        also = ", and as well " + " or ".join(f"{each.what} ({each.left:.3g})" for each in others)
+    findings.refuse(
+        policy,
+        first.mistake,
+        InputError(
+            where,
+            expected,
+            f"{first.what} (misfit {first.left:.3g} instead of {misfit:.4g}{also})",
+            first.fix,
+        ),
+    )
