@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import combinations, permutations, product
 from typing import Final
@@ -19,9 +19,10 @@ from cassini_bayes.events.plausibility.momentum import (
     Momentum,
     MomentumFit,
     Nominal,
+    exchanged,
     momentum_of,
 )
-from cassini_bayes.events.plausibility.rows import Motion, Rows
+from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
 from cassini_bayes.events.plausibility.turning import Turning, turning_of
 from cassini_bayes.events.plausibility.verdict import Explanation
 
@@ -47,6 +48,8 @@ LATE_S: Final = (2.0, 5.0, 12.0, 30.0, 75.0)
 LEAST_FACTOR_STEP: Final = 0.08
 """A free factor closer to 1 is a departure, no mistake."""
 AXES: Final = "xyz"
+TOO_SHORT: Final = 1e9
+"""Misfit of a shift that leaves too few rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,19 +226,16 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
             for k in (*a, *b)
         )
     ]
-    for exchanged in [*((pair,) for pair in pairs), *alike]:
-        order = list(range(count))
-        for a, b in exchanged:
-            order[a], order[b] = order[b], order[a]
-        names = " and ".join(f"{thrusters[a]} with {thrusters[b]}" for a, b in exchanged)
-        fit = evidence.balance(nothing.with_thruster(np.eye(count)[order]))
+    for both in [*((pair,) for pair in pairs), *alike]:
+        names = " and ".join(f"{thrusters[a]} with {thrusters[b]}" for a, b in both)
+        fit = evidence.balance(nothing.with_thruster(exchanged(np.eye(count), both)))
         assert fit is not None
         yield Explanation(
             "thruster-order",
             f"counters of thrusters exchanged, {names}",
             "correct the names of the on_time_… and pulses_… columns",
             fit.excess + still,
-            ORDER_PRICE * (1 + len(exchanged)),
+            ORDER_PRICE * (1 + len(both)),
         )
 
 
@@ -327,9 +327,12 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
         def left(late_s: float, shifted: Callable[[Motion, float], Motion] = shifted) -> float:
             rows, motion = evidence.rows, evidence.motion
             assert rows is not None and motion is not None
-            moved = shifted(rows, late_s)
+            moved = _within(shifted(rows, late_s), abs(late_s))
+            if len(moved.time_s) < LEAST_ROWS:
+                return TOO_SHORT
             assert isinstance(moved, Rows)
-            return Evidence(evidence.nominal, shifted(motion, late_s), moved).misfit()
+            motion = _within(shifted(motion, late_s), abs(late_s))
+            return Evidence(evidence.nominal, motion, moved).misfit()
 
         grid = {late: left(late) for late in (*(-s for s in LATE_S), *LATE_S)}
         best = min(grid, key=lambda late: grid[late])
@@ -354,6 +357,13 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
 
 def _fires(evidence: Evidence) -> bool:
     return evidence.nominal.torques.shape[1] > 0
+
+
+def _within(rows: Motion, margin_s: float) -> Motion:
+    """Rows away from both ends, where a shift knows nothing."""
+    time = rows.time_s
+    inside = (time >= time[0] + margin_s) & (time <= time[-1] - margin_s)
+    return replace(rows, **{name.name: getattr(rows, name.name)[inside] for name in fields(rows)})
 
 
 def _earlier(time_s: Array, values: Array, late_s: float) -> Array:

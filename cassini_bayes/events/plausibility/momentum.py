@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -45,13 +46,14 @@ WIDTHS: Final[Mapping[str, float]] = {
     "lag": 1.0,  # s of the counters
     "torque": 0.006,  # N m, each axis: a leak of a few mN
     "bias": 2e-5,  # rad/s of every rate
-    "start": 1e4,  # N m s, each axis: not known beforehand
-    "drift": 0.01,  # N m s per √s, each axis: torque that nothing catalogued explains
+    "drift": 0.002,  # N m s per √s, each axis: torque that nothing catalogued explains
 }
 """One standard deviation of what may depart from the nominal values: the catalogue of effects, five
-to ten times the published uncertainties; drift: what the prior of `unknown` there reaches at 2 σ."""
+to ten times the published uncertainties; drift: twice the median of `unknown`
+there, as a mistake that explains more than a torque of nobody's catalogue has to win against it."""
 WARM_UP_S: Final = 5.0
 DRIFT_MODES: Final = 12
+LEAST_NOISE: Final = 1e-5
 NEARLY_FREE: Final = 1e-3
 """Price of departures thirty times as wide."""
 
@@ -120,7 +122,16 @@ class Correction:
         return replace(self, thruster=thruster)
 
 
-_FREE: Final = 1e3
+def exchanged(order: Array, pairs: Sequence[tuple[int, int]]) -> Array:
+    """A matrix of channels with pairs of its rows exchanged."""
+    rows = list(range(len(order)))
+    for a, b in pairs:
+        rows[a], rows[b] = rows[b], rows[a]
+    return np.asarray(order[rows])
+
+
+_NONE: Final = np.zeros(0)
+_FREE: Final = 30.0
 """Standard deviation of a free factor, and of a free offset in N m s: as good as none."""
 
 
@@ -146,7 +157,6 @@ class Columns:
             "flow": thrusters,
             "torque": 1,
             "fixed": 1,
-            "start": 1,
             "drift": DRIFT_MODES,
         }
         ends = 3 * np.cumsum(list(sizes.values()))
@@ -177,33 +187,36 @@ class Momentum:
     counts: int  # second differences
 
     def noise(self, nominal: Nominal, correction: Correction) -> float:
-        """Standard deviation of a row on one axis, N m s: from second differences of the total."""
-        target = target_of(self.columns, nominal, correction)
-        square = float(target @ self.steps @ target) / (6.0 * self.per_row * max(self.counts, 1))
-        return float(np.sqrt(max(square, 0.0)))
+        """Standard deviation of a row on one axis, N m s: from second differences of the total.
+
+        Of all exchanges of two thrusters the least: firings of the wrong thruster are no noise.
+        """
+        each = [correction]
+        for a, b in combinations(range(nominal.torques.shape[1]), 2):
+            each.append(correction.with_thruster(exchanged(correction.thruster, ((a, b),))))
+        targets = np.stack([target_of(self.columns, nominal, other) for other in each])
+        square = np.einsum("hp,pq,hq->h", targets, self.steps, targets, optimize=True).min()
+        return float(np.sqrt(max(square / (6.0 * self.per_row * self.counts), LEAST_NOISE**2)))
 
     def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
-        """The least misfit over departures."""
+        """What it costs to close the balance."""
         target = target_of(self.columns, nominal, correction)
         design = departures_of(self.columns, nominal, correction)
-        variance = max(self.noise(nominal, correction), 1e-6) ** 2
-        inner = design.T @ self.gram @ design / variance
-        pull = -design.T @ (self.gram @ target) / variance
-        least = float(target @ self.gram @ target) / variance
-
-        def solved(price: float) -> tuple[Array, float]:
-            """Departures at a price, and the misfit with it."""
-            solution = np.linalg.solve(inner + price * np.eye(len(pull)), pull)
-            return solution, least - float(pull @ solution)
-
-        solution, misfit = solved(1.0)
-        free_misfit = solved(NEARLY_FREE)[1]
-        rest = max(free_misfit - self.per_row * self.rows, 0.0)
+        variance = self.noise(nominal, correction) ** 2
+        strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
+        strength = np.maximum(strength, 0.0)
+        pull = -axes.T @ (design.T @ (self.gram @ target)) / variance
+        # least misfit at price λ: const − Σ pull²/(strength + λ)
+        gain = pull**2 * (1.0 / (strength + NEARLY_FREE) - 1.0 / (strength + 1.0))
+        by_noise = strength / (strength + NEARLY_FREE) - strength / (strength + 1.0)
+        free = target + design @ (axes @ (pull / (strength + NEARLY_FREE)))
+        rest = float(free @ self.gram @ free) / variance - self.per_row * self.rows
+        solution = axes @ (pull / (strength + 1.0))
         vector = target + design @ solution
-        open_nms = np.sqrt(float(vector @ self.gram @ vector) / max(self.rows, 1))
-        free = len(correction.wheel_factor)
-        factors = 1.0 + _FREE * solution[len(solution) - free :] if free else np.zeros(0)
-        return MomentumFit(misfit - free_misfit + rest, float(open_nms), factors)
+        open_nms = np.sqrt(max(float(vector @ self.gram @ vector), 0.0) / self.rows)
+        factors = 1.0 + _FREE * solution[len(solution) - len(correction.wheel_factor) :]
+        excess = max(float(gain.sum() - by_noise.sum()), 0.0) + max(rest, 0.0)
+        return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +224,7 @@ class MomentumFit:
     """What closing the balance costs, what stays open (RMS, N m s), factors of free wheels.
 
     ``excess`` is the misfit with departures at their price less the misfit with all of them
-    nearly free, which is noise; and what even they leave beyond noise.
+    nearly free, less what noise alone makes of that, and what even then stays beyond noise.
     """
 
     excess: float
@@ -246,7 +259,6 @@ def departures_of(columns: Columns, nominal: Nominal, correction: Correction) ->
     for axis in np.eye(3):
         each.append(columns.weights(torque=WIDTHS["torque"] * axis))
         each.append(columns.weights(fixed=WIDTHS["bias"] * size * axis))
-        each.append(columns.weights(start=WIDTHS["start"] * axis))
         each += [
             columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
             for mode in np.eye(DRIFT_MODES)
@@ -326,14 +338,18 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     table[:, :, of["flow"]] = np.gradient(fired, time, axis=0) if thrusters else fired
     table[:, :, of["torque"]] = accumulated(np.diff(time)[:, None])
     table[:, :, of["fixed"]] = carried(np.ones((count, 1)))
-    table[:, :, of["start"]] = np.eye(3)
     table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)
+    start = np.broadcast_to(np.eye(3), (count, 3, 3))
     per_row = 3
     if along is not None:
         axis = np.einsum("nij,j->ni", turn, along / np.linalg.norm(along))
         table -= axis[:, :, None] * np.einsum("ni,nip->np", axis, table)[:, None, :]
+        start = start - axis[:, :, None] * axis[:, None, :]
         per_row = 2
     flat = table.reshape(3 * count, -1)
+    # the momentum at the start is not known: nothing along it is looked at
+    unknown = np.linalg.qr(start.reshape(3 * count, 3))[0]
+    flat = flat - unknown @ (unknown.T @ flat)
     bends = (table[2:] - 2.0 * table[1:-1] + table[:-2]).reshape(3 * (count - 2), -1)
     return Momentum(columns, flat.T @ flat, bends.T @ bends, count, per_row, count - 2)
 
