@@ -18,6 +18,7 @@ from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
 from cassini_bayes.events.plausibility.verdict import (
     STRICT,
     SUSPECT,
+    UNKNOWN,
     Findings,
     Policy,
     best_explanations,
@@ -160,9 +161,11 @@ class TelemetryCheck:
                 ),
             )
             return
+        if misfit < UNKNOWN:
+            return
         findings.sentences.append(
             f"{where}: something that no catalogued effect and no single mistake of a channel"
-            f" explains (misfit {misfit:.3g}, honest events stay below {SUSPECT:g}; {said}): diagnose it"
+            f" explains (misfit {misfit:.3g}, honest events stay below {UNKNOWN:g}; {said}): diagnose it"
         )
 
 

@@ -23,7 +23,7 @@ from cassini_bayes.events.plausibility.momentum import (
     momentum_of,
 )
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
-from cassini_bayes.events.plausibility.turning import Turning, turning_of
+from cassini_bayes.events.plausibility.turning import INSTRUMENTS, Turning, turning_of
 from cassini_bayes.events.plausibility.verdict import Explanation
 
 ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
@@ -86,7 +86,7 @@ class Evidence:
         if self.turning is None:
             return 0.0
         rate = np.eye(3) if rate is None else rate
-        return max(self.turning.misfit(rate, axes) - 3.0 * len(axes), 0.0)
+        return max(self.turning.misfit(rate, axes) - INSTRUMENTS * len(axes), 0.0)
 
     def misfit(self, correction: Correction | None = None, rate: Array | None = None) -> float:
         """Misfit of motion and momentum; ``rate`` maps rates for the motion alone."""

@@ -38,7 +38,8 @@ WIDTHS: Final[Mapping[str, float]] = {
     "inertia": 0.1,  # of the mean moment of inertia, each element
     "wheel": 0.03,  # of the spin inertia, along and across each spin axis
     "common": 0.15,  # of the thrust, all thrusters alike
-    "thrust": 0.2,  # of a thruster's torque, each axis
+    "thrust": 0.2,  # of a thruster's torque
+    "cant": 0.05,  # of a thruster's torque, each axis
     "centre": 0.15,  # m, each axis
     "tail": 0.1,  # s of thrust per pulse, all thrusters alike
     "own tail": 0.03,  # s of thrust per pulse, each thruster
@@ -135,13 +136,6 @@ _FREE: Final = 30.0
 """Standard deviation of a free factor, and of a free offset in N m s: as good as none."""
 
 
-@dataclass(frozen=True, eq=False)
-class Departure:
-    """Weights (p, J) on the columns that departures of one kind have, at one standard deviation."""
-
-    weights: Array
-
-
 class Columns:
     """Which columns of the Gram matrix belong to which channel, three axes each."""
 
@@ -201,7 +195,7 @@ class Momentum:
     def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
         """What it costs to close the balance."""
         target = target_of(self.columns, nominal, correction)
-        design = departures_of(self.columns, nominal, correction)
+        names, design = departures_of(self.columns, nominal, correction)
         variance = self.noise(nominal, correction) ** 2
         strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
         strength = np.maximum(strength, 0.0)
@@ -216,6 +210,10 @@ class Momentum:
         open_nms = np.sqrt(max(float(vector @ self.gram @ vector), 0.0) / self.rows)
         factors = 1.0 + _FREE * solution[len(solution) - len(correction.wheel_factor) :]
         excess = max(float(gain.sum() - by_noise.sum()), 0.0) + max(rest, 0.0)
+        if "common" in names:
+            kinds = np.array(names)
+            common = float(solution[kinds == "common"][0])
+            excess += vanishing(common, solution[kinds == "thrust"])
         return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
 
 
@@ -243,58 +241,73 @@ def target_of(columns: Columns, nominal: Nominal, correction: Correction) -> Arr
     )
 
 
-def departures_of(columns: Columns, nominal: Nominal, correction: Correction) -> Array:
-    """Weights (p, J) of everything that may depart, each at one standard deviation."""
-    each: list[Array] = []
+def departures_of(
+    columns: Columns, nominal: Nominal, correction: Correction
+) -> tuple[tuple[str, ...], Array]:
+    """Names and weights (p, J) of everything that may depart, each at one standard deviation."""
+    each: list[tuple[str, Array]] = []
     size = float(np.trace(nominal.inertia)) / 3.0
     for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         unit = np.zeros((3, 3))
         unit[a, b] = unit[b, a] = WIDTHS["inertia"] * size
-        each.append(columns.weights(rate_around=unit @ correction.rate))
+        each.append(("inertia", columns.weights(rate_around=unit @ correction.rate)))
     for spin, recorded in zip(nominal.spins.T, correction.wheel, strict=True):
         for axis in np.eye(3):
             moved = WIDTHS["wheel"] * np.linalg.norm(spin) * axis
-            each.append(columns.weights(wheel_around=np.outer(moved, recorded)))
-    each += _thruster_departures(columns, nominal, correction)
+            each.append(("wheel", columns.weights(wheel_around=np.outer(moved, recorded))))
+    if nominal.torques.shape[1]:
+        each += _thruster_departures(columns, nominal, correction)
     for axis in np.eye(3):
-        each.append(columns.weights(torque=WIDTHS["torque"] * axis))
-        each.append(columns.weights(fixed=WIDTHS["bias"] * size * axis))
-        each += [
-            columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
-            for mode in np.eye(DRIFT_MODES)
-        ]
-    each += [columns.weights(fixed=_FREE * axis) for axis in correction.offset.T]
+        each.append(("torque", columns.weights(torque=WIDTHS["torque"] * axis)))
+        each.append(("bias", columns.weights(fixed=WIDTHS["bias"] * size * axis)))
+        for mode in np.eye(DRIFT_MODES):
+            drift = columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
+            each.append(("drift", drift))
+    each += [("offset", columns.weights(fixed=_FREE * axis)) for axis in correction.offset.T]
     for w in correction.wheel_factor:
         free = np.outer(nominal.spins[:, w], correction.wheel[w])
-        each.append(columns.weights(wheel_around=_FREE * free))
-    return np.stack(each, axis=1)
+        each.append(("factor", columns.weights(wheel_around=_FREE * free)))
+    names, vectors = zip(*each, strict=True)
+    return names, np.stack(vectors, axis=1)
 
 
 def _thruster_departures(
     columns: Columns, nominal: Nominal, correction: Correction
-) -> list[Array]:
-    if not nominal.torques.shape[1]:
-        return []
-    each: list[Array] = []
+) -> list[tuple[str, Array]]:
     tail, recorded = nominal.tail_s, correction.thruster
 
     def impulse(torques: Array) -> Array:
         return columns.weights(fire=torques @ recorded, pulse=tail * torques @ recorded)
 
-    each.append(impulse(WIDTHS["common"] * nominal.torques))
-    each.append(columns.weights(pulse=WIDTHS["tail"] * nominal.torques @ recorded))
-    each.append(columns.weights(flow=WIDTHS["lag"] * nominal.torques @ recorded))
+    each = [
+        ("common", impulse(WIDTHS["common"] * nominal.torques)),
+        ("tail", columns.weights(pulse=WIDTHS["tail"] * nominal.torques @ recorded)),
+        ("lag", columns.weights(flow=WIDTHS["lag"] * nominal.torques @ recorded)),
+    ]
     for axis in np.eye(3):
-        each.append(impulse(WIDTHS["centre"] * np.cross(axis, nominal.pushes, axisb=0, axisc=0)))
-    for k, torque in enumerate(nominal.torques.T):
-        one = np.eye(nominal.torques.shape[1])[k]
-        own = np.outer(torque, one) @ recorded
-        each.append(columns.weights(pulse=WIDTHS["own tail"] * own))
-        each.append(columns.weights(warm_up=WIDTHS["warm-up"] * own))
+        moved = WIDTHS["centre"] * np.cross(axis, nominal.pushes, axisb=0, axisc=0)
+        each.append(("centre", impulse(moved)))
+    for one, torque in zip(np.eye(nominal.torques.shape[1]), nominal.torques.T, strict=True):
+        own = np.outer(torque, one)
+        each.append(("own tail", columns.weights(pulse=WIDTHS["own tail"] * own @ recorded)))
+        each.append(("warm-up", columns.weights(warm_up=WIDTHS["warm-up"] * own @ recorded)))
+        each.append(("thrust", impulse(WIDTHS["thrust"] * own)))
         for axis in np.eye(3):
-            moved = WIDTHS["thrust"] * np.linalg.norm(torque) * axis
-            each.append(impulse(np.outer(moved, one)))
+            moved = WIDTHS["cant"] * np.linalg.norm(torque) * axis
+            each.append(("cant", impulse(np.outer(moved, one))))
     return each
+
+
+def vanishing(common: float, own: Array) -> float:
+    """What it costs beyond the normal prior that thrust vanishes, given its departures in σ.
+
+    A normal prior of ± 15 % lets it fall to nothing for the price of seven standard deviations,
+    and with it all momentum that a mistake left open. Its logarithm is what has a width.
+    """
+    level = 1.0 + WIDTHS["common"] * common + WIDTHS["thrust"] * float(own.mean() if len(own) else 0)
+    level = min(max(level, 1e-3), 1.0)
+    width = WIDTHS["common"] ** 2 + WIDTHS["thrust"] ** 2 / max(len(own), 1)
+    return float((np.log(level) ** 2 - (level - 1.0) ** 2) / width)
 
 
 def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:

@@ -2,9 +2,10 @@
 
 Turn over step y = M x + bias, x the mean recorded rate of the step; M is the identity if both are
 right. Rates are a noisy regressor, and plain least squares would find a factor below 1 out of noise
-alone. The rates just before and after the step know the same motion with other noise: as
-instruments z they give Σ (y − M x) zᵀ = 0 on average at the true M, with the covariance
-Σ_u ⊗ Σ z zᵀ of its moments.
+alone. The rates just before and after the step know the same motion with other noise: their mean
+and their difference as instruments z give Σ (y − M x) zᵀ = 0 on average at the true M, with the
+covariance Σ_u ⊗ Σ z zᵀ of its moments. The mean shows factors, axes and signs, the difference
+rates that come early or late.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from cassini_bayes.events.plausibility.rows import Motion
 
 GYRO_SD: Final = 0.01
 """Scale factors and misalignments of a gyro that are physics: the catalogue's rate_scale."""
+LAG_SD_S: Final = 0.5
+"""Delays of a gyro's filter that are physics."""
+INSTRUMENTS: Final = 6
 LONGEST_STEP: Final = 3.0
 """Of the median: over longer gaps the mean of two rates is no mean rate."""
 LEAST_STEPS: Final = 20
@@ -30,26 +34,12 @@ LEAST_STEPS: Final = 20
 class Turning:
     """Moments of turns with rates: what any map of recorded rates to true ones leaves of them."""
 
-    turned: Array  # Σ y zᵀ (3, 3)
-    recorded: Array  # Σ x zᵀ (3, 3)
-    instruments: Array  # Σ z zᵀ (3, 3)
+    turned: Array  # Σ y zᵀ (3, 6)
+    recorded: Array  # Σ x zᵀ (3, 6)
+    quickened: Array  # Σ ẋ zᵀ (3, 6)
+    instruments: Array  # Σ z zᵀ (6, 6)
     variance: Array  # (3,) of one step's residual, by axis of the turn
     steps: int
-
-    @property
-    def map(self) -> Array:
-        """M at its best; NaN where the recorded rates do not vary."""
-        if np.linalg.matrix_rank(self.recorded) < 3:
-            return np.full((3, 3), np.nan)
-        return np.asarray(np.linalg.solve(self.recorded.T, self.turned.T).T)
-
-    def sd_of_map(self) -> Array:
-        """Standard deviations (3, 3) of the map."""
-        if np.linalg.matrix_rank(self.recorded) < 3:
-            return np.full((3, 3), np.inf)
-        inverse = np.linalg.inv(self.recorded)
-        spread = np.diag(inverse.T @ self.instruments @ inverse)
-        return np.sqrt(np.outer(self.variance, spread))
 
     def factor(self, axes: Sequence[int]) -> float:
         """The one factor of recorded rates that brings turns about some axes nearest."""
@@ -63,13 +53,14 @@ class Turning:
     def misfit(self, rate: Array, axes: Sequence[int] = (0, 1, 2)) -> float:
         """χ² of the moments if true rates are ``rate`` (3, 3) times those recorded.
 
-        A gyro's scale factors and misalignments may lean away from it at a price.
+        A gyro's scale factors, misalignments and delays may lean away from it at a price.
         """
-        recorded = rate @ self.recorded
+        recorded, quickened = rate @ self.recorded, LAG_SD_S * (rate @ self.quickened)
         total = 0.0
         for axis in axes:
             gap = self.turned[axis] - recorded[axis]
             lean = GYRO_SD**2 * recorded.T @ recorded
+            lean += np.outer(quickened[axis], quickened[axis])
             total += float(gap @ np.linalg.solve(self.variance[axis] * self.instruments + lean, gap))
         return total
 
@@ -82,17 +73,19 @@ def turning_of(motion: Motion) -> Turning | None:
         return None
     turned = turns_rad(motion.attitude) / step_s[:, None]
     mean = 0.5 * (rates[1:] + rates[:-1])
-    around = np.zeros_like(mean)
-    around[1:-1] = 0.5 * (rates[:-3] + rates[3:])
+    quick = np.diff(rates, axis=0) / step_s[:, None]
+    around = np.zeros((len(mean), INSTRUMENTS))
+    around[1:-1] = np.concatenate([rates[:-3] + rates[3:], rates[3:] - rates[:-3]], axis=1)
     good = step_s <= LONGEST_STEP * np.median(step_s)
     good[[0, -1]] = False
-    y, x, z = (v[good] - v[good].mean(axis=0) for v in (turned, mean, around))
+    y, x, dx, z = (v[good] - v[good].mean(axis=0) for v in (turned, mean, quick, around))
     scale = np.abs(z).max(axis=0)
     z = z / np.where(scale > 0.0, scale, 1.0)
     # a trace of ridge: a rate that never varies is no instrument, and must not divide by zero
-    inner = z.T @ z + 1e-9 * np.eye(3)
-    moments = Turning(y.T @ z, x.T @ z, inner, np.ones(3), len(y))
-    best = moments.map
-    left = y - x @ best.T if np.isfinite(best).all() else y
-    variance = np.maximum(np.mean(left**2, axis=0), 1e-24)
-    return Turning(moments.turned, moments.recorded, inner, variance, len(y))
+    inner = z.T @ z + 1e-9 * np.eye(INSTRUMENTS)
+    recorded = x.T @ z
+    weights = np.linalg.solve(inner, recorded.T)
+    shown = z @ weights  # the part of recorded rates that the instruments know
+    best = np.linalg.lstsq(shown, y, rcond=1e-6)[0]
+    variance = np.maximum(np.mean((y - x @ best) ** 2, axis=0), 1e-24)
+    return Turning(y.T @ z, recorded, dx.T @ z, inner, variance, len(y))

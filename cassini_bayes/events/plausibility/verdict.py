@@ -34,11 +34,15 @@ MISTAKES: Final = {
     "same-telemetry": "the same data under another id",
 }
 """What ``--accept`` takes, and what each means."""
-SUSPECT: Final = 40.0
-"""Misfit beyond noise's below which nothing is asked. Honest events stay below 12
+SUSPECT: Final = 30.0
+"""Misfit beyond noise's below which nothing is asked."""
+UNKNOWN: Final = 100.0
+"""Misfit above which an event is flagged though no mistake explains it: honest events stay below
 (docs/results/mistakes.md)."""
-EXPLAINED: Final = 0.25
+EXPLAINED: Final = 0.35
 """Of the misfit: a mistake that leaves less explains it."""
+LEAST_GAIN: Final = 25.0
+"""Misfit that it has to remove beyond its price: twelve nats."""
 AS_GOOD: Final = 10.0
 """Difference of misfits (five nats) within which data do not tell two mistakes apart."""
 MOST_NAMED: Final = 3
@@ -114,7 +118,7 @@ def best_explanations(
 ) -> tuple[Explanation, ...]:
     """The explanation that leaves least, and those as good; empty if none explains the misfit."""
     ranked = sorted(explanations, key=lambda each: each.score)
-    if not ranked or ranked[0].score > EXPLAINED * misfit:
+    if not ranked or ranked[0].left > EXPLAINED * misfit or misfit - ranked[0].score < LEAST_GAIN:
         return ()
     close = [each for each in ranked if each.score <= ranked[0].score + AS_GOOD]
     return tuple(close[:MOST_NAMED])

@@ -1,0 +1,316 @@
+"""Mistakes in totals rows: three equations per bias, redundant over the biases of a table.
+
+    T I_w (ρ_end − ρ_start) = Σ_k q_k F s_k + τ t,    s = on-time + pulses (τ_f − τ_r)
+
+The body does not turn and comes to rest, so nothing else exchanges momentum. Departures from the
+nominal values are those of telemetry, shared by all rows; a row has its own thrusts and its own
+rates at the ends besides. With y (3 E) what is left at nominal values and K its covariance from
+departures and noise, the misfit is yᵀ K⁻¹ y, 3 E or less for rows that fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations, product
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.arrays import Array
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility.hypotheses import (
+    FREE_PRICE,
+    ORDER_PRICE,
+    WHEEL_UNITS,
+)
+from cassini_bayes.events.plausibility.momentum import RPM_RAD_S, WIDTHS, Nominal, vanishing
+from cassini_bayes.events.plausibility.verdict import (
+    STRICT,
+    SUSPECT,
+    Explanation,
+    Findings,
+    Policy,
+    best_explanations,
+    refuse_best,
+)
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.spacecraft import Spacecraft
+
+HOLD_N_M_S: Final = 0.5
+"""Momentum of the body at the two ends, each axis: rates of 5e-5 rad/s left in the dead-band."""
+JITTER: Final = 0.02
+"""Of a thruster's impulse, from bias to bias."""
+TORQUE_N_M: Final = 1e-4
+"""Steady torque, each axis and row: fifty times what flight has shown (paper 000)."""
+USUAL_PULSE_S: Final = 0.25
+"""Mean width taken where a table has no pulse counts."""
+GROSS: Final = 100.0
+"""Misfit per row above which a table that no mistake explains is refused."""
+
+
+@dataclass(frozen=True, eq=False)
+class TotalsRow:
+    """One row as arrays, and which wheels it has."""
+
+    id: str
+    wheels: tuple[int, ...]
+    start_rpm: Array  # (W,)
+    end_rpm: Array  # (W,)
+    duration_s: float
+    on_time_s: Array  # (K,)
+    pulses: Array  # (K,)
+
+    @classmethod
+    def of(cls, event: TotalsEvent) -> TotalsRow:
+        """From an event."""
+        pulses = event.on_time_s / USUAL_PULSE_S if event.pulses is None else event.pulses
+        return cls(
+            event.id,
+            event.wheels,
+            event.rwa_start_rpm,
+            event.rwa_end_rpm,
+            event.duration_s,
+            event.on_time_s,
+            pulses,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Rows that share a spacecraft: nominal values by set of wheels."""
+
+    nominals: Mapping[tuple[int, ...], Nominal]
+    numbers: tuple[int, ...]  # of all wheels
+    pushes: Array
+
+    def misfit(self, rows: Sequence[TotalsRow], free: Array | None = None) -> float:
+        """yᵀ K⁻¹ y and what vanishing thrusts cost; ``free`` (3 E,) a direction that costs nothing."""
+        left, shared, noise = (
+            np.concatenate(parts) for parts in zip(*map(self._row, rows), strict=True)
+        )
+        covariance = shared @ shared.T
+        for i in range(len(rows)):
+            own = slice(3 * i, 3 * i + 3)
+            covariance[own, own] += noise[own]
+        if free is not None:
+            covariance = covariance + np.outer(free, free)
+        pulled = np.linalg.solve(covariance, left)
+        departures = shared.T @ pulled
+        own = departures[self._thrust : self._thrust + self.pushes.shape[1]]
+        return float(left @ pulled) + vanishing(float(departures[self._common]), own)
+
+    @property
+    def _common(self) -> int:
+        return 3 * len(self.numbers)
+
+    @property
+    def _thrust(self) -> int:
+        return self._common + 1
+
+    def _row(self, row: TotalsRow) -> tuple[Array, Array, Array]:
+        """What is left (3,), shared departures (3, J), covariance of the row's own (3, 3)."""
+        nominal = self.nominals[row.wheels]
+        change = RPM_RAD_S * (row.end_rpm - row.start_rpm)
+        effective = row.on_time_s + nominal.tail_s * row.pulses
+        each = nominal.torques * effective
+        left = nominal.spins @ change - each.sum(axis=1)
+        wheels = np.zeros((3, len(self.numbers), 3))
+        for place, number in enumerate(row.wheels):
+            spin = np.linalg.norm(nominal.spins[:, place]) * change[place]
+            wheels[:, self.numbers.index(number)] = WIDTHS["wheel"] * spin * np.eye(3)
+        sizes = np.linalg.norm(nominal.torques, axis=0)
+        push = (self.pushes * effective).sum(axis=1)
+        shared = [
+            wheels.reshape(3, -1),
+            WIDTHS["common"] * each.sum(axis=1, keepdims=True),
+            WIDTHS["thrust"] * each,
+            WIDTHS["tail"] * (nominal.torques * row.pulses).sum(axis=1, keepdims=True),
+            WIDTHS["own tail"] * nominal.torques * row.pulses,
+            WIDTHS["centre"] * np.cross(np.eye(3), push).T,
+            (WIDTHS["cant"] * sizes * effective)[None, :, None] * np.eye(3)[:, None, :],
+        ]
+        noise = JITTER**2 * each @ each.T
+        noise += (HOLD_N_M_S**2 + (TORQUE_N_M * row.duration_s) ** 2) * np.eye(3)
+        return left, np.concatenate([part.reshape(3, -1) for part in shared], axis=1), noise
+
+
+def check_totals(
+    events: Sequence[TotalsEvent],
+    spacecraft: Spacecraft,
+    parameters: Mapping[str, float],
+    where: str,
+    policy: Policy = STRICT,
+) -> tuple[str, ...]:
+    """Check rows of a table against the balance of momentum, and against each other.
+
+    Parameters
+    ----------
+    events
+        Rows of one branch.
+    spacecraft, parameters
+        As for telemetry.
+    where
+        What the rows came from, for the message.
+    policy
+        Mistakes that the user accepts.
+
+    Returns
+    -------
+    tuple
+        What was not refused but has to be said, in sentences.
+
+    Raises
+    ------
+    InputError
+        One mistake, in all rows or in one, explains what physics does not; or a table that nothing
+        explains.
+    """
+    findings = Findings()
+    rows = [TotalsRow.of(event) for event in events]
+    if not rows:
+        return ()
+    branch = events[0].branch
+    nominals = {
+        wheels: Nominal.of(spacecraft, branch, wheels, parameters, fires=True)
+        for wheels in {row.wheels for row in rows}
+    }
+    numbers = tuple(sorted({number for wheels in nominals for number in wheels}))
+    table = _Table(nominals, numbers, next(iter(nominals.values())).pushes)
+    misfit = table.misfit(rows)
+    if misfit <= SUSPECT + len(rows):
+        return ()
+    best = best_explanations(misfit, list(_explanations(table, rows, events[0].thrusters)))
+    expected = "wheel rates and on-times that exchange the same momentum"
+    if best:
+        refuse_best(where, expected, misfit, best, policy, findings)
+    elif misfit > GROSS * len(rows):
+        findings.refuse(
+            policy,
+            "open-balance",
+            InputError(
+                where,
+                expected,
+                f"a misfit of {misfit:.3g} that no single mistake explains",
+                "check branch, wheels, signs and units, and that the nominal values are this"
+                " spacecraft's",
+            ),
+        )
+    elif misfit > SUSPECT + 10.0 * len(rows):
+        findings.sentences.append(
+            f"{where}: on-times and wheel rates differ by more than physics explains (misfit"
+            f" {misfit:.3g}) and no single mistake explains it: diagnose it"
+        )
+    return tuple(findings.sentences)
+
+
+Change = tuple[str, str, str, float]  # mistake, what, fix, price
+
+
+def _explanations(
+    table: _Table, rows: Sequence[TotalsRow], thrusters: Sequence[str]
+) -> Iterator[Explanation]:
+    """Every mistake in all rows, in one row, in one cell."""
+    for (mistake, what, fix, price), changed in _changes(rows, thrusters):
+        yield Explanation(mistake, f"{what} in every row", fix, table.misfit(changed), price)
+    if len(rows) > 1:
+        for i, row in enumerate(rows):
+            for (mistake, what, fix, price), changed in _changes([row], thrusters):
+                mended = [*rows[:i], *changed, *rows[i + 1 :]]
+                yield Explanation(
+                    mistake,
+                    f"{what} in row {row.id}",
+                    fix,
+                    table.misfit(mended),
+                    price + 2.0 * np.log(len(rows)),
+                )
+    for i, row in enumerate(rows):
+        for column, direction in _cells(table, row, thrusters):
+            free = np.zeros(3 * len(rows))
+            free[3 * i : 3 * i + 3] = direction
+            yield Explanation(
+                "bad-cell",
+                f"a cell {column} of row {row.id} that does not fit",
+                "correct the cell, or leave out the row",
+                table.misfit(rows, free),
+                FREE_PRICE,
+            )
+
+
+def _changes(
+    rows: Sequence[TotalsRow], thrusters: Sequence[str]
+) -> Iterator[tuple[Change, list[TotalsRow]]]:
+    """The rows with each mistake undone."""
+    yield (
+        ("start-end", "rates before and after exchanged", "exchange the columns", ORDER_PRICE),
+        [replace(row, start_rpm=row.end_rpm, end_rpm=row.start_rpm) for row in rows],
+    )
+    for unit, factor in WHEEL_UNITS.items():
+        yield (
+            ("wheel-unit", f"wheel rates that look like {unit}", "give rev/min", ORDER_PRICE),
+            [
+                replace(row, start_rpm=factor * row.start_rpm, end_rpm=factor * row.end_rpm)
+                for row in rows
+            ],
+        )
+    count = min(len(row.wheels) for row in rows)
+    same = len({row.wheels for row in rows}) == 1
+    for order in permutations(range(count)) if same else ():
+        if order == tuple(range(count)):
+            continue
+        back = np.argsort(order)
+        names = [rows[0].wheels[i] for i in order]
+        yield (
+            (
+                "wheel-order",
+                f"columns of wheels {list(rows[0].wheels)} that look like those of wheels {names}",
+                "correct the columns",
+                ORDER_PRICE,
+            ),
+            [
+                replace(row, start_rpm=row.start_rpm[back], end_rpm=row.end_rpm[back])
+                for row in rows
+            ],
+        )
+    for signs in product((1.0, -1.0), repeat=count) if same else ():
+        turned = [w for w, sign in zip(rows[0].wheels, signs, strict=True) if sign < 0.0]
+        if 0 < len(turned) < count:
+            yield (
+                (
+                    "wheel-sign",
+                    f"rates of wheels {turned} of the opposite sign",
+                    "give wheel rates about the wheels' own axes",
+                    ORDER_PRICE,
+                ),
+                [
+                    replace(row, start_rpm=row.start_rpm * signs, end_rpm=row.end_rpm * signs)
+                    for row in rows
+                ],
+            )
+    for a, b in combinations(range(len(thrusters)), 2):
+        order_k = list(range(len(thrusters)))
+        order_k[a], order_k[b] = b, a
+        yield (
+            (
+                "thruster-order",
+                f"totals of thrusters exchanged, {thrusters[a]} with {thrusters[b]}",
+                "correct the columns",
+                2.0 * ORDER_PRICE,
+            ),
+            [
+                replace(row, on_time_s=row.on_time_s[order_k], pulses=row.pulses[order_k])
+                for row in rows
+            ],
+        )
+
+
+def _cells(
+    table: _Table, row: TotalsRow, thrusters: Sequence[str]
+) -> Iterator[tuple[str, Array]]:
+    """Cells of a row, and what an error of a usual size in each brings (3,)."""
+    nominal = table.nominals[row.wheels]
+    for place, number in enumerate(row.wheels):
+        direction = 1000.0 * RPM_RAD_S * nominal.spins[:, place]
+        yield f"rwa{number}_rpm_start or rwa{number}_rpm_end", direction
+    for k, name in enumerate(thrusters):
+        yield f"on_time_{name}_s", 30.0 * nominal.torques[:, k]
