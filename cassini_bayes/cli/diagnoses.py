@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Seed
+from cassini_bayes.cli.options import Accept, ConsoleReporter, Force, Json, Quiet, Seed, Strict
 from cassini_bayes.errors import InputError
 
 DEFAULT_SEED = 1
@@ -32,6 +32,8 @@ def diagnose_command(
         bool, typer.Option("--then-fit", help="Sample the extended model with emcee.")
     ] = False,
     seed: Seed = None,
+    accept: Accept = None,
+    strict: Strict = False,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -42,6 +44,7 @@ def diagnose_command(
     from cassini_bayes.diagnosis.diagnosis import catalogue_of, diagnose
     from cassini_bayes.diagnosis.estimates import is_estimates
     from cassini_bayes.diagnosis.read import read_case, totals_rows
+    from cassini_bayes.events.plausibility import Policy
     from cassini_bayes.report.diagnosis import diagnosis_json, write_diagnosis
 
     if (out / "diagnosis.json").exists() and not force:
@@ -53,7 +56,7 @@ def diagnose_command(
         typer.echo(diagnosis_json(estimated).rstrip() if as_json else str(out / "report.html"))
         return
     cores = len(os.sched_getaffinity(0))
-    case = read_case(events, priors, source, reporter.say)
+    case = read_case(events, priors, source, reporter.say, Policy.of(accept or []))
     catalogue = catalogue_of(case, effects)
     result = diagnose(
         case,
@@ -75,6 +78,9 @@ def diagnose_command(
         typer.echo(diagnosis_json(result.record).rstrip())
     elif not quiet:
         typer.echo(str(out / "report.html"))
+    for sentence in case.findings:
+        typer.echo(f"warning: {sentence}", err=True)
+    raise typer.Exit(1 if strict and case.findings else 0)
 
 
 def _diagnose_estimates(

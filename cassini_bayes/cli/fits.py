@@ -9,7 +9,16 @@ from typing import Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Resume, Seed
+from cassini_bayes.cli.options import (
+    Accept,
+    ConsoleReporter,
+    Force,
+    Json,
+    Quiet,
+    Resume,
+    Seed,
+    Strict,
+)
 from cassini_bayes.pipeline.run import Outcome, execute
 from cassini_bayes.pipeline.run_file import RunFile, check_run, read_run_file
 
@@ -20,6 +29,8 @@ def run_command(
     seed: Seed = None,
     force: Force = False,
     resume: Resume = False,
+    accept: Accept = None,
+    strict: Strict = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -27,6 +38,8 @@ def run_command(
     run = read_run_file(run_file)
     if seed is not None:
         run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
+    if accept:
+        run = run.model_copy(update={"accept": [*run.accept, *accept]})
     folder = out or run_file.parent / (run.output.folder or run_file.stem)
     _finish(
         execute(
@@ -41,6 +54,7 @@ def run_command(
         ),
         as_json=as_json,
         quiet=quiet,
+        strict=strict,
     )
 
 
@@ -58,6 +72,8 @@ def fit_command(
     seed: Seed = None,
     force: Force = False,
     resume: Resume = False,
+    accept: Accept = None,
+    strict: Strict = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -68,6 +84,7 @@ def fit_command(
             "events": list(events),
             "priors": str(priors),
             "source": source,
+            "accept": accept or [],
             "sampler": sampler,
             "output": {"report": False},
         },
@@ -86,11 +103,16 @@ def fit_command(
         ),
         as_json=as_json,
         quiet=quiet,
+        strict=strict,
     )
 
 
-def _finish(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
-    """Say what came of a run: the result on standard output, what is amiss on standard error."""
+def _finish(outcome: Outcome, *, as_json: bool, quiet: bool, strict: bool) -> None:
+    """Say what came of a run: the result on standard output, what is amiss on standard error.
+
+    What contradicts stands last, so that nothing scrolls it away, and even with ``--quiet``.
+    """
+    warnings = outcome.review.warnings
     if as_json:
         columns = ["name", "unit", "mean", "sd", "hdi_90_low", "hdi_90_high"]
         result = {
@@ -99,7 +121,7 @@ def _finish(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
             "seconds": round(outcome.seconds, 1),
             "interval": "90 % highest density",
             "summary": outcome.review.summary[columns].to_dict(orient="records"),
-            "warnings": list(outcome.review.warnings),
+            "warnings": list(warnings),
         }
         typer.echo(json.dumps(result))
     elif not quiet:
@@ -111,4 +133,6 @@ def _finish(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
             "raise max_steps under [sampler] in a run file and run it with --force",
             err=True,
         )
-    raise typer.Exit(0 if outcome.converged else 1)
+    for sentence in warnings:
+        typer.echo(f"warning: {sentence}", err=True)
+    raise typer.Exit(0 if outcome.converged and not (strict and warnings) else 1)

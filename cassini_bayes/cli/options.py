@@ -17,6 +17,18 @@ Seed = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]
+Accept = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--accept",
+        metavar="MISTAKE",
+        help="A mistake that data were refused for and that is none; may be repeated.",
+    ),
+]
+Strict = Annotated[
+    bool,
+    typer.Option("--strict", help="Exit with 1 where data, priors and physics contradict."),
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Json, Quiet
+from cassini_bayes.cli.options import Accept, ConsoleReporter, Json, Quiet
 from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def predict_command(
     ] = None,
     events: Events = None,
     priors: PriorsFile = None,
+    accept: Accept = None,
     seed: Seed = 1,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -66,7 +67,7 @@ def predict_command(
     from cassini_bayes.prediction.sources import learn_from_fit, read_sources
 
     began = time.perf_counter()
-    sources = read_sources(fit, events, priors)
+    sources = read_sources(fit, events, priors, accept=accept or [])
     requests = _requests(sources, bias, epoch, branch, quaternion)
     learned = learn_from_fit(fit, sources, seed)
     _warn(learned)
@@ -104,6 +105,7 @@ def plan_command(
     out: Annotated[Path | None, typer.Option("--out", help="Folder for plan.csv, figure.")] = None,
     events: Events = None,
     priors: PriorsFile = None,
+    accept: Accept = None,
     seed: Seed = 1,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -112,7 +114,7 @@ def plan_command(
     from cassini_bayes.prediction.planning import plan, plan_csv, plan_dictionary, plan_text
     from cassini_bayes.prediction.sources import learn_from_fit, read_sources
 
-    sources = read_sources(fit, events, priors)
+    sources = read_sources(fit, events, priors, accept=accept or [])
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(fit, sources, seed)
     _warn(learned)

@@ -108,6 +108,7 @@ def diagnose(
     record = {
         "format": 1,
         "events": _event_ids(case),
+        "findings": list(case.findings),
         "baseline": _fit_record(verdict.none, base_score, verdict.rows),
         "discrepant": _is_discrepant(verdict),
         "p_value": p,

@@ -86,7 +86,8 @@ class Oscillation:
 class Case:
     """All that is diagnosed together, reduced with the catalogue's columns.
 
-    ``oscillation`` is what the columns of ``flexible_mode`` were made from, if there are any.
+    ``oscillation`` is what the columns of ``flexible_mode`` were made from, if there are any;
+    ``findings`` what has to be said of the data: mistakes accepted, what fits nothing known.
     """
 
     priors: Priors
@@ -95,6 +96,7 @@ class Case:
     totals: tuple[TotalsEvent, ...]
     rates: RateInformation
     oscillation: Oscillation | None = None
+    findings: tuple[str, ...] = ()
 
     @property
     def inputs(self) -> tuple[str, ...]:

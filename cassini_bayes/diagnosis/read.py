@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.diagnosis.extended import Case, TelemetrySource, prepare
-
+from cassini_bayes.events.plausibility import (
+    STRICT,
+    Plausibility,
+    Policy,
+    TelemetryCheck,
+    content_of_totals,
+    refuse_duplicates,
+)
 from cassini_bayes.events.telemetry import read_chunks, read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import (
+    check_rows,
     is_event_folder,
     nominal_values,
     require_branch,
@@ -24,6 +33,7 @@ def read_case(
     priors_path: Path,
     source: str = "flight",
     say: Callable[[str], None] | None = None,
+    policy: Policy = STRICT,
 ) -> Case:
     """Read event folders and totals rows.
 
@@ -37,6 +47,8 @@ def read_case(
         Which rows of a totals CSV.
     say
         Told what was read.
+    policy
+        Mistakes in the data that the user accepts.
 
     Raises
     ------
@@ -45,11 +57,22 @@ def read_case(
     """
     priors = read_priors(priors_path)
     folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
-    sources = [read_source(folder, priors) for folder in folders]
+    findings: list[str] = []
+    contents: list[tuple[str, str]] = []
+    sources = []
+    for folder in folders:
+        telemetry, plausible = read_source(folder, priors, policy)
+        sources.append(telemetry)
+        findings += plausible.findings
+        contents.append((str(folder), plausible.content))
     rows = totals_rows(references, priors, source)
+    tables = [reference for reference in references if not is_event_folder(Path(reference))]
+    findings += check_rows(rows, priors, ", ".join(tables), policy)
+    contents += [(f"totals row {row.id}", content_of_totals(row)) for row in rows]
+    findings += refuse_duplicates(contents, policy)
     if say is not None:
         say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
-    return prepare(sources, priors, rows)
+    return replace(prepare(sources, priors, rows), findings=tuple(findings))
 
 
 def totals_rows(
@@ -60,7 +83,9 @@ def totals_rows(
     return tuple(row for table in tables for row in read_totals(table, priors.spacecraft, source))
 
 
-def read_source(folder: Path, priors: Priors, policy: Policy = STRICT) -> TelemetrySource:
+def read_source(
+    folder: Path, priors: Priors, policy: Policy = STRICT
+) -> tuple[TelemetrySource, Plausibility]:
     """One event folder as rows, checked as for a fit; a diagnosis keeps them in memory."""
     event = read_event(folder, priors.spacecraft)
     require_branch(event, priors)
@@ -69,7 +94,7 @@ def read_source(folder: Path, priors: Priors, policy: Policy = STRICT) -> Teleme
     for chunk in read_chunks(event, priors.spacecraft):
         check.add(chunk)
         samples.append(samples_of(chunk))
-    check.verdict()
-    return TelemetrySource(
+    telemetry = TelemetrySource(
         event.id, event.kind, event.wheels, event.thrusters, Samples.joined(samples)
     )
+    return telemetry, check.verdict()

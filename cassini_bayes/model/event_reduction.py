@@ -33,8 +33,15 @@ from cassini_bayes.balance.statistics import (
 from cassini_bayes.balance.statistics.reduction import BLOCK_ROWS
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility import STRICT, Policy, TelemetryCheck
+from cassini_bayes.events.plausibility import (
+    STRICT,
+    Plausibility,
+    Policy,
+    TelemetryCheck,
+    check_totals,
+)
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
+from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.priors.reader import Priors
@@ -68,6 +75,7 @@ class ReadingRecord:
     pulses: tuple[float, ...]  # (K,)
     mends: tuple[str, ...]
     findings: tuple[str, ...] = ()  # what was accepted, or fits nothing known
+    content: str = ""  # digest of the numbers, whatever the event is called
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,6 +354,7 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
             pulses=tuple(float(value) for value in fields["pulses"]),
             mends=tuple(str(line) for line in fields["mends"]),
             findings=tuple(str(line) for line in fields["findings"]),
+            content=str(fields["content"]),
         )
     except (OSError, ValueError, TypeError, KeyError):
         return None
@@ -405,7 +414,7 @@ class _Reading:
         self._first = counters[:, rows[0]] if self._first is None else self._first
         self._last = counters[:, rows[-1]]
 
-    def record(self, findings: tuple[str, ...]) -> ReadingRecord:
+    def record(self, plausible: Plausibility) -> ReadingRecord:
         """The record, once the last chunk has been taken."""
         gained = np.zeros((2, len(self._event.thrusters)))
         if self._first is not None and self._last is not None:
@@ -417,7 +426,8 @@ class _Reading:
             on_time_s=tuple(float(value) for value in gained[0]),
             pulses=tuple(float(value) for value in gained[1]),
             mends=self._rows.mends.lines(),
-            findings=findings,
+            findings=plausible.findings,
+            content=plausible.content,
         )
 
 
@@ -433,7 +443,18 @@ def _reduced(
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
     reading = _Reading(event, rows, check, sampling.duration_s, say)
     statistics = reduce_chunks(event.id, event.kind, reading.samples(), layout, sampling)
-    return statistics, reading.record(check.verdict().findings)
+    return statistics, reading.record(check.verdict())
+
+
+def check_rows(
+    rows: Sequence[TotalsEvent], priors: Priors, where: str, policy: Policy = STRICT
+) -> tuple[str, ...]:
+    """Check totals rows of the priors' branch against the balance of momentum.
+
+    Rows of another branch are the model's to refuse. See :func:`check_totals`.
+    """
+    own = [row for row in rows if row.branch == priors.branch]
+    return check_totals(own, priors.spacecraft, nominal_values(priors), where, policy)
 
 
 def nominal_values(priors: Priors) -> dict[str, float]:

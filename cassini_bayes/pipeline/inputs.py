@@ -8,9 +8,15 @@ from pathlib import Path
 from typing import Final
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.event_reduction import is_event_folder, reduce_event, store_reduction
+from cassini_bayes.model.event_reduction import (
+    check_rows,
+    is_event_folder,
+    reduce_event,
+    store_reduction,
+)
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -27,6 +33,7 @@ class Inputs:
     priors: Priors
     model: Model
     digests: Mapping[str, str]
+    findings: tuple[str, ...] = ()  # mistakes that were accepted, and what fits nothing known
 
     def store(self, folder: Path) -> None:
         """Keep the reduced telemetry beside the run."""
@@ -58,16 +65,26 @@ def read_inputs(
         digests[priors.earlier.path] = priors.earlier.digest
     given: dict[str, str] = {}
     events: list[Event] = []
+    findings: list[str] = []
+    contents: list[tuple[str, str]] = []
+    policy = Policy.of(run.accept)
     cache = None if folder is None else folder / STATISTICS
     for reference in run.events:
         if is_event_folder(base / reference):
-            reduced = reduce_event(base / reference, priors, run.model.pulse_shape, cache, say)
+            reduced = reduce_event(
+                base / reference, priors, run.model.pulse_shape, cache, say, policy
+            )
             found: tuple[Event, ...] = (reduced,)
             digests[reference] = reduced.digest
+            findings += reduced.reading.findings
+            contents.append((str(base / reference), reduced.reading.content))
         else:
-            found = read_totals(str(base / reference), priors.spacecraft, run.source)
+            rows = read_totals(str(base / reference), priors.spacecraft, run.source)
+            found = rows
             file = _file_of(base, reference)
             digests[file] = digest(base / file)
+            findings += check_rows(rows, priors, str(base / reference), policy)
+            contents += [(f"{base / file}: {row.id}", content_of_totals(row)) for row in rows]
         for name in (event.id for event in found):
             if name in given:
                 raise InputError(
@@ -81,7 +98,8 @@ def read_inputs(
     model = build_model(
         events, priors, pulse_shape=run.model.pulse_shape, delta_v=run.model.delta_v
     )
-    return Inputs(tuple(events), priors, model, digests)
+    findings += refuse_duplicates(contents, policy)
+    return Inputs(tuple(events), priors, model, digests, tuple(findings))
 
 
 def _file_of(base: Path, reference: str) -> str:

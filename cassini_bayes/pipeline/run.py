@@ -183,7 +183,7 @@ def execute(
         z=sampled.flat_z,
         convergence=convergence_table(sampled),
         facts=_facts(run, inputs, sampled, provenance),
-        notes=tuple(sampled.warnings),
+        notes=(*inputs.findings, *sampled.warnings),
         seed=run.sampler.seed,
         what_if=run.output.report,
     )
@@ -248,6 +248,7 @@ def _facts(
         "Pulse shape": run.model.pulse_shape,
         "ΔV": run.model.delta_v,
         "Data rows": _data_rows(run, inputs),
+        **({"Accepted mistakes": ", ".join(run.accept)} if run.accept else {}),
         "Versions": ", ".join(f"{name} {version}" for name, version in provenance.versions.items()),
         "Package": f"cassini_bayes {__version__}",
         "SHA-256 of the inputs": "; ".join(

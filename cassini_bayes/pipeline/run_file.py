@@ -57,6 +57,7 @@ class RunFile(_Table):
     events: list[str] = Field(min_length=1)
     priors: str
     source: str = "flight"
+    accept: list[str] = Field(default_factory=list)  # mistakes that are none
     model: ModelTable = ModelTable()
     sampler: SamplerTable = SamplerTable()
     output: OutputTable = OutputTable()

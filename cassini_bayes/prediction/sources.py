@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.cells import read_text
 from cassini_bayes.files.storage import digest
+from cassini_bayes.model.event_reduction import check_rows
 from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
@@ -33,7 +36,11 @@ class Sources:
 
 
 def read_sources(
-    fit: Path, events: str | None = None, priors: Path | None = None, source: str | None = None
+    fit: Path,
+    events: str | None = None,
+    priors: Path | None = None,
+    source: str | None = None,
+    accept: Sequence[str] = (),
 ) -> Sources:
     """Read what a fit was made of.
 
@@ -66,9 +73,12 @@ def read_sources(
             str(fit), "the events it was made of", "no resolved.toml beside it", "name --events"
         )
     rows = source or str(resolved.get("source", "flight"))
-    found = tuple(
-        event for name in references for event in read_totals(name, read.spacecraft, rows)
-    )
+    policy = Policy.of([*resolved.get("accept", []), *accept])
+    tables = {name: read_totals(name, read.spacecraft, rows) for name in references}
+    found = tuple(event for table in tables.values() for event in table)
+    for name, table in tables.items():
+        check_rows(table, read, name, policy)
+    refuse_duplicates([(event.id, content_of_totals(event)) for event in found], policy)
     model = build_model(
         found,
         read,

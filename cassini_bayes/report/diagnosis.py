@@ -309,6 +309,7 @@ def render_diagnosis(
         name=name,
         sentences=sentences(record),
         symptoms=record["symptoms"],
+        findings=record.get("findings", []),
         pictures=[
             {"name": own.name, "caption": own.caption, "address": _address(own)} for own in pictures
         ],

@@ -7,6 +7,21 @@ from cassini_bayes.events.plausibility.check import (
     TelemetryCheck,
     check_telemetry,
 )
+from cassini_bayes.events.plausibility.duplicates import (
+    content_of_totals,
+    refuse_duplicates,
+)
+from cassini_bayes.events.plausibility.totals import check_totals
 from cassini_bayes.events.plausibility.verdict import MISTAKES, STRICT, Policy
 
-__all__ = ["MISTAKES", "STRICT", "Plausibility", "Policy", "TelemetryCheck", "check_telemetry"]
+__all__ = [
+    "MISTAKES",
+    "STRICT",
+    "Plausibility",
+    "Policy",
+    "TelemetryCheck",
+    "check_telemetry",
+    "check_totals",
+    "content_of_totals",
+    "refuse_duplicates",
+]

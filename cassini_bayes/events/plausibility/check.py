@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -39,11 +40,13 @@ class Plausibility:
     """How well motion and momentum fit each other.
 
     ``misfit`` is in units of noise (0 for an event that fits, NaN for one with too few rows to
-    judge), ``rows`` those with every channel, ``findings`` what was not refused but has to be said.
+    judge), ``rows`` those with every channel, ``content`` a digest of all numbers whatever the event
+    is called, ``findings`` what was not refused but has to be said.
     """
 
     rows: int
     misfit: float
+    content: str
     findings: tuple[str, ...] = ()
 
 
@@ -74,11 +77,20 @@ class TelemetryCheck:
         )
         self._rows = RowCollector()
         self._pulses = PulseSteps()
+        self._content = hashlib.sha256()
 
     def add(self, chunk: Chunk) -> None:
         """Take a chunk."""
         self._rows.add(chunk)
         self._pulses.add(chunk)
+        channels = (
+            chunk.attitude,
+            chunk.rate_rad_s,
+            chunk.wheel_rpm,
+            chunk.on_time_s,
+            chunk.pulses,
+        )
+        self._content.update(np.concatenate([chunk.time_s[:, None], *channels], axis=1).tobytes())
 
     def verdict(self) -> Plausibility:
         """Judge what was collected.
@@ -98,7 +110,8 @@ class TelemetryCheck:
         misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
         if misfit > SUSPECT:
             self._explain(evidence, misfit, findings)
-        return Plausibility(0 if rows is None else len(rows.time_s), misfit, tuple(findings.sentences))
+        count = 0 if rows is None else len(rows.time_s)
+        return Plausibility(count, misfit, self._content.hexdigest(), tuple(findings.sentences))
 
     def _check_pulses(self, findings: Findings) -> None:
         if self._pulses.counted == 1:

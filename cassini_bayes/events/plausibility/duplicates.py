@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.verdict import STRICT, Findings, Policy
 from cassini_bayes.events.totals import TotalsEvent
@@ -18,19 +17,9 @@ def content_of_totals(event: TotalsEvent) -> str:
     arrays = (event.rwa_start_rpm, event.rwa_end_rpm, event.on_time_s)
     optional = (event.pulses, event.delta_v_m_s)
     numbers = [*arrays, *(np.zeros(0) if a is None else a for a in optional)]
-    return _digest([np.array([event.duration_s]), *numbers], str(event.wheels))
-
-
-def content_of_rows(arrays: Iterable[Array], label: str = "") -> str:
-    """Digest of telemetry's numbers."""
-    return _digest(arrays, label)
-
-
-def _digest(arrays: Iterable[Array], label: str) -> str:
-    digest = hashlib.sha256(label.encode())
-    for array in arrays:
-        digest.update(str(array.shape).encode())
-        digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
+    digest = hashlib.sha256(f"{event.branch} {event.wheels} {event.duration_s}".encode())
+    for array in numbers:
+        digest.update(f"{array.shape}".encode() + array.tobytes())
     return digest.hexdigest()
 
 

@@ -326,7 +326,8 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
 
         def left(late_s: float, shifted: Callable[[Motion, float], Motion] = shifted) -> float:
             rows, motion = evidence.rows, evidence.motion
-            assert rows is not None and motion is not None
+            assert rows is not None
+            assert motion is not None
             moved = _within(shifted(rows, late_s), abs(late_s))
             if len(moved.time_s) < LEAST_ROWS:
                 return TOO_SHORT
@@ -342,9 +343,13 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
             method="bounded",
             options={"maxiter": 12, "xatol": 0.05},
         )
-        late, least = (float(found.x), float(found.fun)) if found.fun < grid[best] else (
-            best,
-            grid[best],
+        late, least = (
+            (float(found.x), float(found.fun))
+            if found.fun < grid[best]
+            else (
+                best,
+                grid[best],
+            )
         )
         yield Explanation(
             mistake,
@@ -384,6 +389,11 @@ def _wheels_moved(rows: Motion, late_s: float) -> Motion:
     return replace(rows, wheel_rpm=_earlier(rows.time_s, rows.wheel_rpm, late_s))
 
 
+def _attitudes_moved(rows: Motion, late_s: float) -> Motion:
+    moved = _earlier(rows.time_s, rows.attitude, late_s)
+    return replace(rows, attitude=moved / np.linalg.norm(moved, axis=1, keepdims=True))
+
+
 def _counters_moved(rows: Motion, late_s: float) -> Motion:
     if not isinstance(rows, Rows):
         return rows
@@ -398,4 +408,5 @@ _SHIFTS: Final[tuple[tuple[str, str, Callable[[Motion, float], Motion]], ...]] =
     ("wheel-time", "wheel rates", _wheels_moved),
     ("rate-time", "body rates", _rates_moved),
     ("counter-time", "counters", _counters_moved),
+    ("attitude-time", "attitudes", _attitudes_moved),
 )

@@ -304,7 +304,9 @@ def vanishing(common: float, own: Array) -> float:
     A normal prior of ± 15 % lets it fall to nothing for the price of seven standard deviations,
     and with it all momentum that a mistake left open. Its logarithm is what has a width.
     """
-    level = 1.0 + WIDTHS["common"] * common + WIDTHS["thrust"] * float(own.mean() if len(own) else 0)
+    level = (
+        1.0 + WIDTHS["common"] * common + WIDTHS["thrust"] * float(own.mean() if len(own) else 0)
+    )
     level = min(max(level, 1e-3), 1.0)
     width = WIDTHS["common"] ** 2 + WIDTHS["thrust"] ** 2 / max(len(own), 1)
     return float((np.log(level) ** 2 - (level - 1.0) ** 2) / width)

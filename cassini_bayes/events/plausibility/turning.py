@@ -61,7 +61,9 @@ class Turning:
             gap = self.turned[axis] - recorded[axis]
             lean = GYRO_SD**2 * recorded.T @ recorded
             lean += np.outer(quickened[axis], quickened[axis])
-            total += float(gap @ np.linalg.solve(self.variance[axis] * self.instruments + lean, gap))
+            total += float(
+                gap @ np.linalg.solve(self.variance[axis] * self.instruments + lean, gap)
+            )
         return total
 
 

@@ -28,6 +28,7 @@ MISTAKES: Final = {
     "rate-silent": "body rates that do not tell the motion",
     "rate-time": "body rates that are early or late",
     "attitude-convention": "quaternions in another convention",
+    "attitude-time": "attitudes that are early or late",
     "time-unit": "times in another unit",
     "open-balance": "a balance of momentum that nothing closes",
     "bad-cell": "single cells that do not fit",
@@ -36,7 +37,7 @@ MISTAKES: Final = {
 """What ``--accept`` takes, and what each means."""
 SUSPECT: Final = 30.0
 """Misfit beyond noise's below which nothing is asked."""
-UNKNOWN: Final = 100.0
+UNKNOWN: Final = 150.0
 """Misfit above which an event is flagged though no mistake explains it: honest events stay below
 (docs/results/mistakes.md)."""
 EXPLAINED: Final = 0.35
@@ -114,11 +115,11 @@ class Findings:
 
 
 def best_explanations(
-    misfit: float, explanations: Sequence[Explanation]
+    misfit: float, explanations: Sequence[Explanation], least_gain: float = LEAST_GAIN
 ) -> tuple[Explanation, ...]:
     """The explanation that leaves least, and those as good; empty if none explains the misfit."""
     ranked = sorted(explanations, key=lambda each: each.score)
-    if not ranked or ranked[0].left > EXPLAINED * misfit or misfit - ranked[0].score < LEAST_GAIN:
+    if not ranked or ranked[0].left > EXPLAINED * misfit or misfit - ranked[0].score < least_gain:
         return ()
     close = [each for each in ranked if each.score <= ranked[0].score + AS_GOOD]
     return tuple(close[:MOST_NAMED])
