@@ -38,13 +38,19 @@ class Turning:
     recorded: Array  # Σ x zᵀ (3, 6)
     quickened: Array  # Σ ẋ zᵀ (3, 6)
     instruments: Array  # Σ z zᵀ (6, 6)
-    variance: Array  # (3,) of one step's residual, by axis of the turn
+    squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3)
     steps: int
+
+    def variance(self, rate: Array) -> Array:
+        """Variance (3,) of one step's turn about the rates times ``rate``, by axis."""
+        turned, common, recorded = self.squares
+        left = turned - 2.0 * rate @ common + rate @ recorded @ rate.T
+        return np.maximum(np.diag(left) / self.steps, 1e-24)
 
     def factor(self, axes: Sequence[int]) -> float:
         """The one factor of recorded rates that brings turns about some axes nearest."""
         inverse = np.linalg.inv(self.instruments)
-        weights = 1.0 / self.variance[list(axes)]
+        weights = 1.0 / self.variance(np.eye(3))[list(axes)]
         turned, recorded = self.turned[list(axes)], self.recorded[list(axes)]
         common = float(np.sum(weights[:, None] * (turned @ inverse) * recorded))
         own = float(np.sum(weights[:, None] * (recorded @ inverse) * recorded))
@@ -56,14 +62,12 @@ class Turning:
         A gyro's scale factors, misalignments and delays may lean away from it at a price.
         """
         recorded, quickened = rate @ self.recorded, LAG_SD_S * (rate @ self.quickened)
-        total = 0.0
+        variance, total = self.variance(rate), 0.0
         for axis in axes:
             gap = self.turned[axis] - recorded[axis]
             lean = GYRO_SD**2 * recorded.T @ recorded
             lean += np.outer(quickened[axis], quickened[axis])
-            total += float(
-                gap @ np.linalg.solve(self.variance[axis] * self.instruments + lean, gap)
-            )
+            total += float(gap @ np.linalg.solve(variance[axis] * self.instruments + lean, gap))
         return total
 
 
@@ -85,9 +89,4 @@ def turning_of(motion: Motion) -> Turning | None:
     z = z / np.where(scale > 0.0, scale, 1.0)
     # a trace of ridge: a rate that never varies is no instrument, and must not divide by zero
     inner = z.T @ z + 1e-9 * np.eye(INSTRUMENTS)
-    recorded = x.T @ z
-    weights = np.linalg.solve(inner, recorded.T)
-    shown = z @ weights  # the part of recorded rates that the instruments know
-    best = np.linalg.lstsq(shown, y, rcond=1e-6)[0]
-    variance = np.maximum(np.mean((y - x @ best) ** 2, axis=0), 1e-24)
-    return Turning(y.T @ z, recorded, dx.T @ z, inner, variance, len(y))
+    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, (y.T @ y, x.T @ y, x.T @ x), len(y))
