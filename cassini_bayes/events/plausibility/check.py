@@ -17,6 +17,7 @@ from cassini_bayes.events.plausibility.hypotheses import AXES, Evidence, explana
 from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
 from cassini_bayes.events.plausibility.verdict import (
+    PHYSICS,
     STRICT,
     SUSPECT,
     UNKNOWN,
@@ -152,6 +153,8 @@ class TelemetryCheck:
         where = str(event.telemetry)
         found = list(explanations(evidence, event.wheels, event.thrusters))
         best = best_explanations(misfit, found)
+        if best and best[0].mistake == PHYSICS:
+            return
         if best:
             expected = "attitude, rates, wheels and counters of one motion"
             refuse_best(where, expected, misfit, best, self._policy, findings)

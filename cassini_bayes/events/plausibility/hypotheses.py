@@ -24,7 +24,7 @@ from cassini_bayes.events.plausibility.momentum import (
 )
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
 from cassini_bayes.events.plausibility.turning import INSTRUMENTS, Turning, turning_of
-from cassini_bayes.events.plausibility.verdict import Explanation
+from cassini_bayes.events.plausibility.verdict import PHYSICS, Explanation
 
 ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
 FREE_PRICE: Final = 12.0  # a free size: some six nats of Occam's factor
@@ -47,6 +47,8 @@ TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs":
 LATE_S: Final = (2.0, 5.0, 12.0, 30.0, 75.0)
 LEAST_FACTOR_STEP: Final = 0.08
 """A free factor closer to 1 is a departure, no mistake."""
+PHYSICAL_LAG_S: Final = 2.0
+"""Of counters: the bound of the catalogue's time_offset, which is the diagnosis's to name."""
 AXES: Final = "xyz"
 TOO_SHORT: Final = 1e9
 """Misfit of a shift that leaves too few rows."""
@@ -320,8 +322,8 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
             "give time_s in seconds",
             evidence.misfit(rate=factor * np.eye(3)),
         )
-    for mistake, what, shifted in _SHIFTS:
-        if evidence.rows is None or (mistake == "counter-time" and not _fires(evidence)):
+    for name, what, shifted in _SHIFTS:
+        if evidence.rows is None or (name == "counter-time" and not _fires(evidence)):
             continue
 
         def left(late_s: float, shifted: Callable[[Motion, float], Motion] = shifted) -> float:
@@ -351,8 +353,9 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
                 grid[best],
             )
         )
+        physical = name == "counter-time" and abs(late) <= PHYSICAL_LAG_S
         yield Explanation(
-            mistake,
+            PHYSICS if physical else name,
             f"{what} that come {abs(late):.3g} s {'late' if late > 0.0 else 'early'}",
             "bring all channels to the same clock",
             least,

@@ -55,6 +55,8 @@ there, as a mistake that explains more than a torque of nobody's catalogue has t
 WARM_UP_S: Final = 5.0
 DRIFT_MODES: Final = 12
 LEAST_NOISE: Final = 1e-5
+NOISE_SIGMAS: Final = 3.0
+"""Departures that fit noise are a χ² of their number: what noise may make of it, in its σ."""
 NEARLY_FREE: Final = 1e-3
 """Price of departures thirty times as wide."""
 
@@ -205,11 +207,14 @@ class Momentum:
         by_noise = strength / (strength + NEARLY_FREE) - strength / (strength + 1.0)
         free = target + design @ (axes @ (pull / (strength + NEARLY_FREE)))
         rest = float(free @ self.gram @ free) / variance - self.per_row * self.rows
+        # of the sum, and as much again of the noise that it is measured in
+        rest -= NOISE_SIGMAS * np.sqrt(4.0 * self.per_row * self.rows)
         solution = axes @ (pull / (strength + 1.0))
         vector = target + design @ solution
         open_nms = np.sqrt(max(float(vector @ self.gram @ vector), 0.0) / self.rows)
         factors = 1.0 + _FREE * solution[len(solution) - len(correction.wheel_factor) :]
-        excess = max(float(gain.sum() - by_noise.sum()), 0.0) + max(rest, 0.0)
+        chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
+        excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
         if "common" in names:
             kinds = np.array(names)
             common = float(solution[kinds == "common"][0])
@@ -222,7 +227,7 @@ class MomentumFit:
     """What closing the balance costs, what stays open (RMS, N m s), factors of free wheels.
 
     ``excess`` is the misfit with departures at their price less the misfit with all of them
-    nearly free, less what noise alone makes of that, and what even then stays beyond noise.
+    nearly free, less what noise alone may make of that, and what even then stays beyond noise.
     """
 
     excess: float

@@ -27,7 +27,10 @@ LAG_SD_S: Final = 0.5
 INSTRUMENTS: Final = 6
 LONGEST_STEP: Final = 3.0
 """Of the median: over longer gaps the mean of two rates is no mean rate."""
-LEAST_STEPS: Final = 20
+LEAST_STEPS: Final = 12
+FEW_STEPS: Final = 40
+"""Shorter events join fewer intervals into a step."""
+ROWS_PER_STEP: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +75,33 @@ class Turning:
 
 
 def turning_of(motion: Motion) -> Turning | None:
-    """The moments; None where there are too few steps or nothing varies."""
-    step_s = np.diff(motion.time_s)
-    rates = motion.rate_rad_s
-    if len(step_s) < LEAST_STEPS:
+    """The moments; None where there are too few steps.
+
+    Steps join up to :data:`ROWS_PER_STEP` intervals: booms that swing faster than that are none of
+    the body's turning, and rates sampled at their swing's ends would look too large or too small.
+    """
+    intervals_s, rates = np.diff(motion.time_s), motion.rate_rad_s
+    stride = int(np.clip(len(intervals_s) // FEW_STEPS, 1, ROWS_PER_STEP))
+    count = len(intervals_s) // stride
+    if count < LEAST_STEPS:
         return None
-    turned = turns_rad(motion.attitude) / step_s[:, None]
-    mean = 0.5 * (rates[1:] + rates[:-1])
-    quick = np.diff(rates, axis=0) / step_s[:, None]
-    around = np.zeros((len(mean), INSTRUMENTS))
-    around[1:-1] = np.concatenate([rates[:-3] + rates[3:], rates[3:] - rates[:-3]], axis=1)
-    good = step_s <= LONGEST_STEP * np.median(step_s)
-    good[[0, -1]] = False
-    y, x, dx, z = (v[good] - v[good].mean(axis=0) for v in (turned, mean, quick, around))
+    used = count * stride
+
+    def joined(values: Array) -> Array:
+        """Sums over the intervals of each step."""
+        return np.asarray(values[:used].reshape(count, stride, -1).sum(axis=1))
+
+    step_s = joined(intervals_s)
+    mean = joined(0.5 * (rates[1:] + rates[:-1]) * intervals_s[:, None]) / step_s
+    turned = joined(turns_rad(motion.attitude)) / step_s
+    quick = joined(np.diff(rates, axis=0)) / step_s
+    # rows that no other step than the one before, or the one after, has at its ends
+    before = rates[:used].reshape(count, stride, 3).mean(axis=1)
+    after = rates[1 : used + 1].reshape(count, stride, 3).mean(axis=1)
+    around = np.concatenate([before[:-2] + after[2:], after[2:] - before[:-2]], axis=1)
+    good = (step_s <= LONGEST_STEP * np.median(step_s))[1:-1, 0]
+    inner_steps = (turned[1:-1], mean[1:-1], quick[1:-1], around)
+    y, x, dx, z = (v[good] - v[good].mean(axis=0) for v in inner_steps)
     scale = np.abs(z).max(axis=0)
     z = z / np.where(scale > 0.0, scale, 1.0)
     # a trace of ridge: a rate that never varies is no instrument, and must not divide by zero

@@ -35,6 +35,8 @@ MISTAKES: Final = {
     "same-telemetry": "the same data under another id",
 }
 """What ``--accept`` takes, and what each means."""
+PHYSICS: Final = "physics"
+"""In place of a mistake's name: a cause that the catalogue holds, no reason to refuse anything."""
 SUSPECT: Final = 30.0
 """Misfit beyond noise's below which nothing is asked."""
 UNKNOWN: Final = 150.0
