@@ -30,6 +30,8 @@ ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
 FREE_PRICE: Final = 12.0  # a free size: some six nats of Occam's factor
 SILENT: Final = 1.5
 """Without one axis of three, noise-free misfits are two thirds as large."""
+LEAST_STILL: Final = 0.2
+"""Of the event: how long a channel has to stand still before it is asked whether it is stuck."""
 WHEEL_UNITS: Final = {
     "rad/s": 1.0 / RPM_RAD_S,
     "deg/s": 1.0 / 6.0,
@@ -179,36 +181,52 @@ def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanatio
 
 
 def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
-    """One wheel, or the rate about one axis, that may be anything: the rest still has to fit."""
+    """A wheel, or a rate about one axis, that does not move may be anything: the rest has to fit."""
     rows, nominal = evidence.rows, evidence.nominal
     if rows is None:
         return
     for w, number in enumerate(wheels):
-        column, what = rows.wheel_rpm[:, w], "does not tell its wheel's rate"
-        if np.ptp(column) == 0.0:
-            what = f"stands still at {column[0]:.10g}"
-        for other in range(len(wheels)):
-            if other != w and np.array_equal(column, rows.wheel_rpm[:, other]):
-                what = f"repeats rwa{wheels[other]}_rpm"
-        spin = nominal.spins[:, w]
-        across = momentum_of(rows, spin).fit(nominal, evidence.as_recorded)
+        column = rows.wheel_rpm[:, w]
+        repeated = [
+            other
+            for place, other in enumerate(wheels)
+            if place != w and np.array_equal(column, rows.wheel_rpm[:, place])
+        ]
+        stood_s = _stood_still_s(rows.time_s, column)
+        if repeated:
+            what = f"repeats rwa{repeated[0]}_rpm"
+        elif stood_s > LEAST_STILL * (rows.time_s[-1] - rows.time_s[0]):
+            what = f"stands still for {stood_s:.4g} s"
+        else:
+            continue
+        across = momentum_of(rows, nominal.spins[:, w]).fit(nominal, evidence.as_recorded)
         yield Explanation(
             "wheel-silent",
             f"a column rwa{number}_rpm that {what}",
             f"give the rate of wheel {number}",
             SILENT * across.excess + evidence.turned(),
-            2.0 * FREE_PRICE,
+            ORDER_PRICE,
         )
     for axis in range(3):
+        stood_s = _stood_still_s(rows.time_s, rows.rate_rad_s[:, axis])
+        if stood_s <= LEAST_STILL * (rows.time_s[-1] - rows.time_s[0]):
+            continue
         others = [a for a in range(3) if a != axis]
         across = momentum_of(rows, nominal.inertia[:, axis]).fit(nominal, evidence.as_recorded)
         yield Explanation(
             "rate-silent",
-            f"a column rate_{AXES[axis]}_rad_s that does not tell the motion",
+            f"a column rate_{AXES[axis]}_rad_s that stands still for {stood_s:.4g} s",
             "give the body rate about that axis",
             SILENT * (across.excess + evidence.turned(axes=others)),
-            2.0 * FREE_PRICE,
+            ORDER_PRICE,
         )
+
+
+def _stood_still_s(time_s: Array, values: Array) -> float:
+    """The longest time over which a value never changes."""
+    changes = np.flatnonzero(np.diff(values)) + 1
+    edges = np.concatenate([[0], changes, [len(values) - 1]])
+    return float(np.diff(time_s[edges]).max())
 
 
 def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Explanation]:

@@ -41,11 +41,11 @@ class Turning:
     recorded: Array  # Σ x zᵀ (3, 6)
     quickened: Array  # Σ ẋ zᵀ (3, 6)
     instruments: Array  # Σ z zᵀ (6, 6)
-    squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3)
+    squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3) of their noise
     steps: int
 
     def variance(self, rate: Array) -> Array:
-        """Variance (3,) of one step's turn about the rates times ``rate``, by axis."""
+        """Variance (3,) of the noise of one step's turn less ``rate`` times its rates."""
         turned, common, recorded = self.squares
         left = turned - 2.0 * rate @ common + rate @ recorded @ rate.T
         return np.maximum(np.diag(left) / self.steps, 1e-24)
@@ -106,4 +106,7 @@ def turning_of(motion: Motion) -> Turning | None:
     z = z / np.where(scale > 0.0, scale, 1.0)
     # a trace of ridge: a rate that never varies is no instrument, and must not divide by zero
     inner = z.T @ z + 1e-9 * np.eye(INSTRUMENTS)
-    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, (y.T @ y, x.T @ y, x.T @ x), len(y))
+    # noise by second differences: what a wrong factor leaves is smooth, and is no noise
+    bent_y, bent_x = (np.diff(v, 2, axis=0) / np.sqrt(6.0) for v in (y, x))
+    squares = (bent_y.T @ bent_y, bent_x.T @ bent_y, bent_x.T @ bent_x)
+    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, squares, len(y) - 2)
