@@ -96,3 +96,31 @@ def calibrate_sbc_command(
     )
     typer.echo(str(page))
     raise typer.Exit(0 if passed else 1)
+
+
+@app.command("mistakes")
+def calibrate_mistakes_command(
+    page: Annotated[Path, typer.Option("--page", help="Results page to write (.md).")] = Path(
+        "docs/results/mistakes.md"
+    ),
+    work: Annotated[Path, typer.Option("--work", help="Folder of finished sets.")] = Path(
+        "runs/calibrate-mistakes"
+    ),
+    priors: Annotated[Path, typer.Option("--priors", help="Priors file.")] = Path(
+        "priors/cassini_b_branch_telemetry.toml"
+    ),
+    sets: Annotated[int, typer.Option("--sets", min=1, help="Sets of events.")] = 240,
+    mistaken: Annotated[
+        int, typer.Option("--mistaken", min=0, help="How many of them get every mistake too.")
+    ] = 3,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_261_122,
+    quiet: Quiet = False,
+) -> None:
+    """Hide mistakes in simulated telemetry; count what is named, and what honest events get."""
+    from cassini_bayes.studies.mistakes import Campaign, run_campaign, write_page
+
+    reporter = ConsoleReporter(quiet)
+    for done in run_campaign(Campaign(priors, seed, sets, mistaken), work):
+        reporter.count("sets", done, sets)
+    write_page(work, page, ["cassini-bayes", *sys.argv[1:]])
+    typer.echo(str(page))

@@ -10,7 +10,16 @@ from typing import Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import Accept, ConsoleReporter, Force, Json, Quiet, Seed, Strict
+from cassini_bayes.cli.options import (
+    Accept,
+    ConsoleReporter,
+    Force,
+    Json,
+    LeaveOut,
+    Quiet,
+    Seed,
+    Strict,
+)
 from cassini_bayes.errors import InputError
 
 DEFAULT_SEED = 1
@@ -33,6 +42,7 @@ def diagnose_command(
     ] = False,
     seed: Seed = None,
     accept: Accept = None,
+    leave_out: LeaveOut = False,
     strict: Strict = False,
     force: Force = False,
     as_json: Json = False,
@@ -56,7 +66,8 @@ def diagnose_command(
         typer.echo(diagnosis_json(estimated).rstrip() if as_json else str(out / "report.html"))
         return
     cores = len(os.sched_getaffinity(0))
-    case = read_case(events, priors, source, reporter.say, Policy.of(accept or []))
+    policy = Policy.of(accept or [], leave_out=leave_out)
+    case = read_case(events, priors, source, reporter.say, policy)
     catalogue = catalogue_of(case, effects)
     result = diagnose(
         case,

@@ -14,6 +14,7 @@ from cassini_bayes.cli.options import (
     ConsoleReporter,
     Force,
     Json,
+    LeaveOut,
     Quiet,
     Resume,
     Seed,
@@ -30,6 +31,7 @@ def run_command(
     force: Force = False,
     resume: Resume = False,
     accept: Accept = None,
+    leave_out: LeaveOut = False,
     strict: Strict = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -38,8 +40,9 @@ def run_command(
     run = read_run_file(run_file)
     if seed is not None:
         run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
-    if accept:
-        run = run.model_copy(update={"accept": [*run.accept, *accept]})
+    accepted = [*run.accept, *(accept or [])]
+    left_out = run.leave_out or leave_out
+    run = run.model_copy(update={"accept": accepted, "leave_out": left_out})
     folder = out or run_file.parent / (run.output.folder or run_file.stem)
     _finish(
         execute(
@@ -73,6 +76,7 @@ def fit_command(
     force: Force = False,
     resume: Resume = False,
     accept: Accept = None,
+    leave_out: LeaveOut = False,
     strict: Strict = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -85,6 +89,7 @@ def fit_command(
             "priors": str(priors),
             "source": source,
             "accept": accept or [],
+            "leave_out": leave_out,
             "sampler": sampler,
             "output": {"report": False},
         },

@@ -25,6 +25,9 @@ Accept = Annotated[
         help="A mistake that data were refused for and that is none; may be repeated.",
     ),
 ]
+LeaveOut = Annotated[
+    bool, typer.Option("--leave-out", help="Leave out single cells of telemetry that do not fit.")
+]
 Strict = Annotated[
     bool,
     typer.Option("--strict", help="Exit with 1 where data, priors and physics contradict."),

@@ -90,10 +90,8 @@ def read_source(
     event = read_event(folder, priors.spacecraft)
     require_branch(event, priors)
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
-    samples = []
-    for chunk in read_chunks(event, priors.spacecraft):
-        check.add(chunk)
-        samples.append(samples_of(chunk))
+    chunks = read_chunks(event, priors.spacecraft)
+    samples = [samples_of(check.take(chunk)) for chunk in chunks]
     telemetry = TelemetrySource(
         event.id, event.kind, event.wheels, event.thrusters, Samples.joined(samples)
     )

@@ -35,10 +35,13 @@ from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import (
     STRICT,
+    CellSearch,
+    Nominal,
     Plausibility,
     Policy,
     TelemetryCheck,
     check_totals,
+    without_cells,
 )
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
 from cassini_bayes.events.totals import TotalsEvent
@@ -116,20 +119,24 @@ class EventRows:
     """The telemetry of an event folder: parsed once, and kept if it is not long.
 
     Up to :data:`MOST_KEPT` rows stay in memory for whoever asks next. A longer file is streamed
-    anew each time, in constant memory.
+    anew each time, in constant memory. ``leave_out`` finds bad cells that are to be left out.
     """
 
-    def __init__(self, event: TelemetryEvent, spacecraft: Spacecraft) -> None:
-        self._event, self._spacecraft = event, spacecraft
+    def __init__(
+        self, event: TelemetryEvent, spacecraft: Spacecraft, leave_out: CellSearch | None = None
+    ) -> None:
+        self._event, self._spacecraft, self._leave_out = event, spacecraft, leave_out
         self._kept: tuple[Chunk, ...] | None = None
         self.mends = Mends()
 
     def __reduce__(self) -> tuple[object, ...]:
         # Another process reads the file itself: rows need not travel.
-        return EventRows, (self._event, self._spacecraft)
+        return EventRows, (self._event, self._spacecraft, self._leave_out)
 
     def __iter__(self) -> Iterator[Samples]:
-        return (samples_of(chunk) for chunk in self.chunks())
+        search = self._leave_out
+        for chunk in self.chunks():
+            yield samples_of(chunk if search is None else without_cells(chunk, search.find(chunk)))
 
     def chunks(self) -> Iterator[Chunk]:
         """The rows as they are in the file, checked and mended."""
@@ -259,7 +266,15 @@ def reduce_event(
     """
     event = read_event(folder, priors.spacecraft)
     require_branch(event, priors)
-    rows = EventRows(event, priors.spacecraft)
+    nominal = Nominal.of(
+        priors.spacecraft,
+        event.branch,
+        event.wheels,
+        nominal_values(priors),
+        fires=bool(event.thrusters),
+    )
+    search = CellSearch(nominal, event.wheels) if policy.leave_out else None
+    rows = EventRows(event, priors.spacecraft, search)
     guess = last_time(event.telemetry)
     sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
     key = reduction_key(event, sampling)
@@ -389,8 +404,7 @@ class _Reading:
             self.rows += chunk.rows
             self.end_s = float(chunk.time_s[-1])
             self._count(chunk)
-            self._check.add(chunk)
-            yield samples_of(chunk)
+            yield samples_of(self._check.take(chunk))
             self._tell()
 
     def _tell(self) -> None:

@@ -67,7 +67,7 @@ def read_inputs(
     events: list[Event] = []
     findings: list[str] = []
     contents: list[tuple[str, str]] = []
-    policy = Policy.of(run.accept)
+    policy = Policy.of(run.accept, leave_out=run.leave_out)
     cache = None if folder is None else folder / STATISTICS
     for reference in run.events:
         if is_event_folder(base / reference):

@@ -65,6 +65,8 @@ def provenance_of(
         "spacecraft": spacecraft_digest,
         "source": run.source,
         "events": list(run.events),
+        "accept": sorted(run.accept),
+        "leave_out": run.leave_out,
         "model": run.model.model_dump(),
         "sampler": run.sampler.model_dump(),
         "draws_per_ensemble": run.output.draws_per_ensemble,

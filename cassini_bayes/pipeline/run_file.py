@@ -58,6 +58,7 @@ class RunFile(_Table):
     priors: str
     source: str = "flight"
     accept: list[str] = Field(default_factory=list)  # mistakes that are none
+    leave_out: bool = False  # bad cells
     model: ModelTable = ModelTable()
     sampler: SamplerTable = SamplerTable()
     output: OutputTable = OutputTable()

@@ -277,7 +277,7 @@ class Campaign:
 def judge(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> tuple[str, float]:
     """``passed``, ``flagged`` or the name it was refused under, and the misfit."""
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors))
-    check.add(chunk)
+    check.take(chunk)
     try:
         found = check.verdict()
     except InputError as error:
@@ -318,18 +318,19 @@ def run_campaign(campaign: Campaign, work: Path) -> Iterator[int]:
         yield number + 1
 
 
-def write_page(campaign: Campaign, work: Path, page: Path, command: Sequence[str]) -> None:
+def write_page(work: Path, page: Path, command: Sequence[str]) -> None:
     """Rates as a page: honest events by kind, and every mistake by kind of event."""
     rows = [row for path in sorted(work.glob("*.json")) for row in json.loads(path.read_text())]
     honest = [row for row in rows if row["mistake"] is None]
     lines = [
         "# Mistakes in telemetry",
         "",
-        "What the checks of `cassini_bayes.events.plausibility` say of simulated events: honest ones",
-        "under varied conditions, every second set with a clear effect of the catalogue, and events",
-        "with one mistake each. Derivation: [Reading telemetry](../telemetry.md).",
+        "What the checks of `cassini_bayes.events.plausibility` say of simulated events: honest",
+        "ones under varied conditions, every second set with a clear effect of the catalogue, and",
+        "events with one mistake each. Derivation: [Mistakes in data](../plausibility.md).",
         "",
-        f"`{' '.join(command)}`, {datetime.now(UTC):%Y-%m-%d}; {len({r['set'] for r in rows})} sets.",
+        f"`{' '.join(command)}`, {datetime.now(UTC):%Y-%m-%d};"
+        f" {len({row['set'] for row in rows})} sets.",
         "",
         "## Honest events",
         "",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cassini_bayes.events.plausibility.cells import CellSearch, without_cells
 from cassini_bayes.events.plausibility.check import (
     Plausibility,
     TelemetryCheck,
@@ -11,12 +12,15 @@ from cassini_bayes.events.plausibility.duplicates import (
     content_of_totals,
     refuse_duplicates,
 )
+from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.totals import check_totals
 from cassini_bayes.events.plausibility.verdict import MISTAKES, STRICT, Policy
 
 __all__ = [
     "MISTAKES",
     "STRICT",
+    "CellSearch",
+    "Nominal",
     "Plausibility",
     "Policy",
     "TelemetryCheck",
@@ -24,4 +28,5 @@ __all__ = [
     "check_totals",
     "content_of_totals",
     "refuse_duplicates",
+    "without_cells",
 ]

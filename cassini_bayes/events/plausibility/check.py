@@ -12,6 +12,7 @@ import numpy as np
 from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.attitudes import turns_rad
+from cassini_bayes.events.plausibility.cells import BadCell, CellSearch, without_cells
 from cassini_bayes.events.plausibility.counts import PulseSteps
 from cassini_bayes.events.plausibility.hypotheses import AXES, Evidence, explanations
 from cassini_bayes.events.plausibility.momentum import Nominal
@@ -31,6 +32,7 @@ from cassini_bayes.spacecraft import Spacecraft
 
 OPEN: Final = 0.3
 """Of the momentum exchanged: what may stay open without a name before an event is refused."""
+MOST_CELLS_NAMED: Final = 3
 SILENT_SIGMAS: Final = 8.0
 LEAST_TURN_RAD: Final = 2e-4
 """A wobble of the attitude that a rate which never changes cannot have made."""
@@ -41,8 +43,8 @@ class Plausibility:
     """How well motion and momentum fit each other.
 
     ``misfit`` is in units of noise (0 for an event that fits, NaN for one with too few rows to
-    judge), ``rows`` those with every channel, ``content`` a digest of all numbers whatever the event
-    is called, ``findings`` what was not refused but has to be said.
+    judge), ``rows`` those with every channel, ``content`` a digest of all numbers whatever the
+    event is called, ``findings`` what was not refused but has to be said.
     """
 
     rows: int
@@ -52,7 +54,7 @@ class Plausibility:
 
 
 class TelemetryCheck:
-    """Feed it an event's chunks while they are read for something else; then ask for its verdict.
+    """Give it an event's chunks while they are read for something else; then ask for its verdict.
 
     Parameters
     ----------
@@ -78,12 +80,18 @@ class TelemetryCheck:
         )
         self._rows = RowCollector()
         self._pulses = PulseSteps()
+        self._search = CellSearch(self._nominal, event.wheels)
+        self._cells: list[BadCell] = []
         self._content = hashlib.sha256()
 
-    def add(self, chunk: Chunk) -> None:
-        """Take a chunk."""
-        self._rows.add(chunk)
-        self._pulses.add(chunk)
+    def take(self, chunk: Chunk) -> Chunk:
+        """Take a chunk; without its bad cells if they are to be left out."""
+        cells = self._search.find(chunk)
+        self._cells += cells
+        # other mistakes are judged without these cells, whatever becomes of them
+        mended = without_cells(chunk, cells)
+        self._rows.add(mended)
+        self._pulses.add(mended)
         channels = (
             chunk.attitude,
             chunk.rate_rad_s,
@@ -92,6 +100,7 @@ class TelemetryCheck:
             chunk.pulses,
         )
         self._content.update(np.concatenate([chunk.time_s[:, None], *channels], axis=1).tobytes())
+        return mended if self._policy.leave_out else chunk
 
     def verdict(self) -> Plausibility:
         """Judge what was collected.
@@ -111,8 +120,32 @@ class TelemetryCheck:
         misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
         if misfit > SUSPECT:
             self._explain(evidence, misfit, findings)
+        self._check_cells(findings)
         count = 0 if rows is None else len(rows.time_s)
         return Plausibility(count, misfit, self._content.hexdigest(), tuple(findings.sentences))
+
+    def _check_cells(self, findings: Findings) -> None:
+        """Refuse cells that do not fit, or say that they were left out."""
+        if not self._cells:
+            return
+        count = len(self._cells)
+        worst = sorted(self._cells, key=lambda cell: -abs(cell.sigmas))[:MOST_CELLS_NAMED]
+        said = f"{count} cell{'s' if count > 1 else ''} that do not fit: " + "; ".join(
+            map(str, worst)
+        )
+        if self._policy.leave_out:
+            findings.sentences.append(f"{self._event.telemetry}: left out {said}")
+            return
+        findings.refuse(
+            self._policy,
+            "bad-cell",
+            InputError(
+                str(self._event.telemetry),
+                "cells that fit those before and after them",
+                said,
+                "empty the row's cells of that channel, or leave them out with --leave-out",
+            ),
+        )
 
     def _check_pulses(self, findings: Findings) -> None:
         if self._pulses.counted == 1:
@@ -181,7 +214,8 @@ class TelemetryCheck:
             return
         findings.sentences.append(
             f"{where}: something that no catalogued effect and no single mistake of a channel"
-            f" explains (misfit {misfit:.3g}, honest events stay below {UNKNOWN:g}; {said}): diagnose it"
+            f" explains (misfit {misfit:.3g}, honest events stay below {UNKNOWN:g}; {said}):"
+            " diagnose it"
         )
 
 
@@ -195,7 +229,7 @@ def check_telemetry(
     """Collect and judge at once; see :class:`TelemetryCheck`."""
     check = TelemetryCheck(event, spacecraft, parameters, policy)
     for chunk in chunks:
-        check.add(chunk)
+        check.take(chunk)
     return check.verdict()
 
 

@@ -181,7 +181,7 @@ def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanatio
 
 
 def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
-    """A wheel, or a rate about one axis, that does not move may be anything: the rest has to fit."""
+    """A wheel or a body rate that stands still may be anything: the rest has to fit."""
     rows, nominal = evidence.rows, evidence.nominal
     if rows is None:
         return
@@ -382,7 +382,7 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _fires(evidence: Evidence) -> bool:
-    return evidence.nominal.torques.shape[1] > 0
+    return bool(evidence.nominal.torques.shape[1])
 
 
 def _within(rows: Motion, margin_s: float) -> Motion:

@@ -1,0 +1,156 @@
+"""Single cells that do not fit: found by their neighbours, confirmed by the balance of momentum.
+
+A cell is compared with the mean of the middle two of its four neighbours, which one more bad cell
+among them does not move, in units of the robust spread of all such differences. A real jerk of a
+wheel or of the body is answered by another carrier of momentum; a bad cell is not: it shows in the
+total, by its own column's weight. What was found is set to what its neighbours say and the search
+goes on, so that large bad cells do not mask small ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.arrays import Array
+from cassini_bayes.events.plausibility.attitudes import body_to_inertial
+from cassini_bayes.events.plausibility.momentum import RPM_RAD_S, Nominal
+from cassini_bayes.events.telemetry import Chunk
+
+LEAST_ROWS: Final = 20
+CELL_SIGMAS: Final = 10.0
+CONFIRMED: Final = 0.3
+"""Of the square of the total's jump: what the cell leaves of it, if it is the cause."""
+TAIL_S: Final = 0.15
+"""Of thrust that may be counted and not yet delivered when a row is taken: no bad cell."""
+MOST_PASSES: Final = 20
+
+
+@dataclass(frozen=True)
+class BadCell:
+    """One cell: its row by time, its column, its value, what neighbours say, how far off in σ."""
+
+    time_s: float
+    column: str
+    value: float
+    expected: float
+    sigmas: float
+
+    def __str__(self) -> str:
+        return (
+            f"time_s = {self.time_s:.10g}, column {self.column} = {self.value:.6g} (its neighbours"
+            f" say {self.expected:.6g}: {self.sigmas:+.3g} σ)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CellSearch:
+    """What the search knows of an event."""
+
+    nominal: Nominal
+    wheels: tuple[int, ...]
+
+    def find(self, chunk: Chunk) -> list[BadCell]:
+        """Bad cells of a chunk's wheel and body rates."""
+        fires = chunk.on_time_s.shape[1] > 0
+        needed = (chunk.attitude, chunk.rate_rad_s, chunk.wheel_rpm)
+        if not chunk.rate_rad_s.shape[1] or not chunk.wheel_rpm.shape[1]:
+            return []
+        whole = ~np.isnan(np.concatenate(needed, axis=1)).any(axis=1)
+        rows = np.flatnonzero(whole)
+        if len(rows) < LEAST_ROWS:
+            return []
+        cells = np.concatenate([chunk.rate_rad_s[rows], chunk.wheel_rpm[rows]], axis=1)
+        spins = self.nominal.spins * RPM_RAD_S
+        weights = np.concatenate([self.nominal.inertia, spins], axis=1)  # (3, 3 + W)
+        turn = body_to_inertial(chunk.attitude[rows])
+        slack = np.zeros(len(rows))
+        impulse = np.zeros((len(rows), 3))
+        if fires:
+            on_time, steps = _between(chunk, rows)
+            middle = 0.5 * (turn[1:] + turn[:-1])
+            gained = np.einsum("nij,jk,nk->ni", middle, self.nominal.torques, on_time)
+            impulse[1:] = np.cumsum(gained, axis=0)
+            largest = np.linalg.norm(self.nominal.torques, axis=0)
+            padded = np.concatenate([np.zeros((1, steps.shape[1])), steps])
+            near = np.max([np.roll(padded, shift, axis=0) for shift in (-2, -1, 0, 1)], axis=0)
+            slack = (TAIL_S * (near > 0.0) + near) @ largest
+        total = np.einsum("nij,jc,nc->ni", turn, weights, cells) - impulse
+        return self._search(chunk.time_s[rows], cells, total, turn, weights, slack)
+
+    def _search(
+        self, time_s: Array, cells: Array, total: Array, turn: Array, weights: Array, slack: Array
+    ) -> list[BadCell]:
+        cells, found = cells.copy(), {}
+        recorded = cells.copy()
+        names = [f"rate_{axis}_rad_s" for axis in "xyz"]
+        names += [f"rwa{number}_rpm" for number in self.wheels]
+        for _ in range(MOST_PASSES):
+            jumps, spread = _jumps(cells)
+            totals, total_spread = _jumps(total)
+            size = np.linalg.norm(totals, axis=1)
+            level = CELL_SIGMAS * float(np.linalg.norm(total_spread)) + slack
+            columns = np.einsum("nij,jc->nic", turn, weights)
+            explained = columns * jumps[:, None, :]
+            left = np.sum((totals[:, :, None] - explained) ** 2, axis=1)
+            bad = (np.abs(jumps) > CELL_SIGMAS * spread) & (size > level)[:, None]
+            bad &= left < CONFIRMED * (size**2)[:, None]
+            # of neighbouring rows only the worst: it makes the others look bad
+            worst = np.maximum.reduce([np.roll(size, shift) for shift in (-2, -1, 0, 1, 2)])
+            bad &= (size >= worst)[:, None]
+            bad &= left == left.min(axis=1, keepdims=True)
+            new = np.argwhere(bad)
+            if not len(new):
+                break
+            for i, c in new.tolist():
+                expected = float(cells[i, c] - jumps[i, c])
+                sigmas = float((recorded[i, c] - expected) / spread[c])
+                found[i, c] = BadCell(
+                    float(time_s[i]), names[c], float(recorded[i, c]), expected, sigmas
+                )
+                total[i] -= columns[i, :, c] * (cells[i, c] - expected)
+                cells[i, c] = expected
+        return [found[key] for key in sorted(found)]
+
+
+def _between(chunk: Chunk, rows: NDArray[np.int64]) -> tuple[Array, Array]:
+    """On-time gained from row to row (n − 1, K), and in the whole bracket that a step lies in.
+
+    Counters sampled more seldom than the rest are taken to grow evenly between two samples.
+    """
+    sampled = np.flatnonzero(~np.isnan(chunk.on_time_s).any(axis=1))
+    time, known = chunk.time_s[rows], chunk.time_s[sampled]
+    if len(sampled) < 2:
+        nothing = np.zeros((len(rows) - 1, chunk.on_time_s.shape[1]))
+        return nothing, nothing
+    counts = chunk.on_time_s[sampled]
+    even = np.stack([np.interp(time, known, column) for column in counts.T], axis=1)
+    bracket = np.clip(np.searchsorted(known, time[1:]) - 1, 0, len(known) - 2)
+    return np.diff(even, axis=0), np.diff(counts, axis=0)[bracket]
+
+
+def _jumps(values: Array) -> tuple[Array, Array]:
+    """Each row less the mean of the middle two of its four neighbours, and its robust spread."""
+    around = np.stack([values[:-4], values[1:-3], values[3:-1], values[4:]])
+    jumps = np.zeros_like(values)
+    jumps[2:-2] = values[2:-2] - np.sort(around, axis=0)[1:3].mean(axis=0)
+    inner = jumps[2:-2]
+    spread = 1.4826 * np.median(np.abs(inner - np.median(inner, axis=0)), axis=0)
+    steps = np.abs(np.diff(values, axis=0))
+    smallest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
+    return jumps, np.maximum(spread, np.where(np.isfinite(smallest), 0.3 * smallest, 1e-300))
+
+
+def without_cells(chunk: Chunk, cells: Sequence[BadCell]) -> Chunk:
+    """The chunk with channels that hold a bad cell taken as not sampled in its row."""
+    if not cells:
+        return chunk
+    rate, wheel = chunk.rate_rad_s.copy(), chunk.wheel_rpm.copy()
+    for cell in cells:
+        row = int(np.searchsorted(chunk.time_s, cell.time_s))
+        (rate if cell.column.startswith("rate") else wheel)[row] = np.nan
+    return replace(chunk, rate_rad_s=rate, wheel_rpm=wheel)
