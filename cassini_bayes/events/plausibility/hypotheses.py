@@ -24,7 +24,7 @@ from cassini_bayes.events.plausibility.momentum import (
 )
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
 from cassini_bayes.events.plausibility.turning import INSTRUMENTS, Turning, turning_of
-from cassini_bayes.events.plausibility.verdict import PHYSICS, Explanation
+from cassini_bayes.events.plausibility.verdict import AS_GOOD, PHYSICS, Explanation
 
 ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
 FREE_PRICE: Final = 12.0  # a free size: some six nats of Occam's factor
@@ -104,12 +104,18 @@ def explanations(
     evidence: Evidence, wheels: Sequence[int], thrusters: Sequence[str]
 ) -> Iterator[Explanation]:
     """Every mistake, undone at its best."""
-    yield from _of_wheels(evidence, wheels)
-    yield from _of_silent_channels(evidence, wheels)
-    yield from _of_thrusters(evidence, thrusters)
-    yield from _of_rates(evidence)
-    yield from _of_attitudes(evidence)
-    yield from _of_times(evidence)
+    found = [
+        *_of_wheels(evidence, wheels),
+        *_of_silent_channels(evidence, wheels),
+        *_of_thrusters(evidence, thrusters),
+        *_of_rates(evidence),
+        *_of_attitudes(evidence),
+        *_of_units_of_time(evidence),
+    ]
+    yield from found
+    # the search for a shift takes longest, and its price may rule it out beforehand
+    if min((each.score for each in found), default=np.inf) + AS_GOOD >= FREE_PRICE:
+        yield from _of_shifts(evidence)
 
 
 def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
@@ -332,7 +338,7 @@ def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
         )
 
 
-def _of_times(evidence: Evidence) -> Iterator[Explanation]:
+def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
     for unit, factor in TIME_UNITS.items():
         yield Explanation(
             "time-unit",
@@ -340,6 +346,9 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
             "give time_s in seconds",
             evidence.misfit(rate=factor * np.eye(3)),
         )
+
+
+def _of_shifts(evidence: Evidence) -> Iterator[Explanation]:
     for name, what, shifted in _SHIFTS:
         if evidence.rows is None or (name == "counter-time" and not _fires(evidence)):
             continue
@@ -361,7 +370,7 @@ def _of_times(evidence: Evidence) -> Iterator[Explanation]:
             left,
             bounds=sorted((0.4 * best, 2.5 * best)),
             method="bounded",
-            options={"maxiter": 12, "xatol": 0.05},
+            options={"maxiter": 10, "xatol": 0.05},
         )
         late, least = (
             (float(found.x), float(found.fun))

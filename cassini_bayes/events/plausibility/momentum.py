@@ -210,7 +210,8 @@ class Momentum:
         # of the sum, and as much again of the noise that it is measured in
         rest -= NOISE_SIGMAS * np.sqrt(4.0 * self.per_row * self.rows)
         solution = axes @ (pull / (strength + 1.0))
-        vector = target + design @ solution
+        known = np.array(names) != "drift"  # torque of nobody's catalogue explains nothing
+        vector = target + design @ (solution * known)
         open_nms = np.sqrt(max(float(vector @ self.gram @ vector), 0.0) / self.rows)
         factors = 1.0 + _FREE * solution[len(solution) - len(correction.wheel_factor) :]
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
