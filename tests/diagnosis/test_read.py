@@ -56,7 +56,7 @@ def changed(folder: Path, event: str, change: Change) -> Path:
         ("slews", degrees, "deg/s"),
         ("bias", radians, "rad/s"),
         ("slews", scalar_first, "scalar-first"),
-        ("slews", inverse, "turn of the attitude"),
+        ("slews", inverse, "body → J2000"),
     ],
 )
 def test_a_mistake_is_named_before_any_cause(

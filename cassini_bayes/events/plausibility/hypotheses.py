@@ -9,7 +9,6 @@ from itertools import combinations, permutations, product
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from cassini_bayes.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import read_as
@@ -49,9 +48,14 @@ TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs":
 LATE_S: Final = (2.0, 5.0, 12.0, 30.0, 75.0)
 LEAST_FACTOR_STEP: Final = 0.08
 """A free factor closer to 1 is a departure, no mistake."""
-PHYSICAL_LAG_S: Final = 2.0
+CHANCE_SIGMAS: Final = 4.0
+"""Of the χ² of turns, whose noise is itself measured on some forty steps."""
+PHYSICAL_LAG_S: Final = 2.5
 """Of counters: the bound of the catalogue's time_offset, which is the diagnosis's to name."""
 AXES: Final = "xyz"
+LEAST_TURNED: Final = 10.0
+"""Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
+MOST_SHIFTS: Final = 16
 TOO_SHORT: Final = 1e9
 """Misfit of a shift that leaves too few rows."""
 
@@ -86,11 +90,13 @@ class Evidence:
         return self.momentum.fit(self.nominal, correction or self.as_recorded)
 
     def turned(self, rate: Array | None = None, axes: Sequence[int] = (0, 1, 2)) -> float:
-        """χ² of turns and rates beyond its degrees of freedom."""
+        """χ² of turns and rates beyond what chance makes of it."""
         if self.turning is None:
             return 0.0
         rate = np.eye(3) if rate is None else rate
-        return max(self.turning.misfit(rate, axes) - INSTRUMENTS * len(axes), 0.0)
+        moments = INSTRUMENTS * len(axes)
+        chance = moments + CHANCE_SIGMAS * np.sqrt(2.0 * moments)
+        return max(self.turning.misfit(rate, axes) - float(chance), 0.0)
 
     def misfit(self, correction: Correction | None = None, rate: Array | None = None) -> float:
         """Misfit of motion and momentum; ``rate`` maps rates for the motion alone."""
@@ -267,7 +273,8 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
 
 def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
     turning, nothing = evidence.turning, evidence.as_recorded
-    if turning is None:
+    # momentum alone does not speak of rates: another factor changes their noise with them
+    if turning is None or evidence.turned() < LEAST_TURNED:
         return
     fix = "give rate_…_rad_s about the body axes, in rad/s"
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
@@ -339,6 +346,8 @@ def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
+    if evidence.turned() < LEAST_TURNED:
+        return
     for unit, factor in TIME_UNITS.items():
         yield Explanation(
             "time-unit",
@@ -365,27 +374,20 @@ def _of_shifts(evidence: Evidence) -> Iterator[Explanation]:
             return Evidence(evidence.nominal, motion, moved).misfit()
 
         grid = {late: left(late) for late in (*(-s for s in LATE_S), *LATE_S)}
-        best = min(grid, key=lambda late: grid[late])
-        found = minimize_scalar(
-            left,
-            bounds=sorted((0.4 * best, 2.5 * best)),
-            method="bounded",
-            options={"maxiter": 10, "xatol": 0.05},
-        )
-        late, least = (
-            (float(found.x), float(found.fun))
-            if found.fun < grid[best]
-            else (
-                best,
-                grid[best],
-            )
-        )
-        physical = name == "counter-time" and abs(late) <= PHYSICAL_LAG_S
+        near = min(grid, key=lambda late: grid[late])
+        step_s = float(np.median(np.diff(evidence.rows.time_s)))
+        step_s = max(step_s, 2.0 * abs(near) / MOST_SHIFTS)
+        for late in np.arange(0.4, 2.5, step_s / abs(near)) * near:
+            whole = float(np.round(late / step_s) * step_s)
+            grid[whole] = grid.get(whole) or left(whole)
+        late = min(grid, key=lambda late: grid[late])
+        if abs(late) <= PHYSICAL_LAG_S and name != "counter-time":
+            continue  # a boom's oscillation, too, looks like that
         yield Explanation(
-            PHYSICS if physical else name,
+            PHYSICS if abs(late) <= PHYSICAL_LAG_S else name,
             f"{what} that come {abs(late):.3g} s {'late' if late > 0.0 else 'early'}",
             "bring all channels to the same clock",
-            least,
+            grid[late],
             FREE_PRICE,
         )
 

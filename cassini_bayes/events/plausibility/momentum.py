@@ -55,6 +55,7 @@ there, as a mistake that explains more than a torque of nobody's catalogue has t
 WARM_UP_S: Final = 5.0
 DRIFT_MODES: Final = 12
 LEAST_NOISE: Final = 1e-5
+MOST_SIGMAS: Final = 5.0
 NOISE_SIGMAS: Final = 3.0
 """Departures that fit noise are a χ² of their number: what noise may make of it, in its σ."""
 NEARLY_FREE: Final = 1e-3
@@ -210,8 +211,8 @@ class Momentum:
         # of the sum, and as much again of the noise that it is measured in
         rest -= NOISE_SIGMAS * np.sqrt(4.0 * self.per_row * self.rows)
         solution = axes @ (pull / (strength + 1.0))
-        known = np.array(names) != "drift"  # torque of nobody's catalogue explains nothing
-        vector = target + design @ (solution * known)
+        # what nobody believes explains nothing
+        vector = target + design @ np.clip(solution, -MOST_SIGMAS, MOST_SIGMAS)
         open_nms = np.sqrt(max(float(vector @ self.gram @ vector), 0.0) / self.rows)
         factors = 1.0 + _FREE * solution[len(solution) - len(correction.wheel_factor) :]
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))

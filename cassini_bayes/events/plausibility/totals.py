@@ -96,7 +96,7 @@ class _Table:
     pushes: Array
 
     def misfit(self, rows: Sequence[TotalsRow], free: Array | None = None) -> float:
-        """yᵀ K⁻¹ y and the price of vanishing thrust; ``free`` (3 E,) is a direction for nothing."""
+        """yᵀ K⁻¹ y and the price of vanishing thrust; a direction ``free`` (3 E,) has none."""
         left, shared, noise = (
             np.concatenate(parts) for parts in zip(*map(self._row, rows), strict=True)
         )
