@@ -187,7 +187,7 @@ class TelemetryCheck:
         found = list(explanations(evidence, event.wheels, event.thrusters))
         best = best_explanations(misfit, found)
         if best and best[0].mistake == PHYSICS:
-            return
+            misfit, best = best[0].left, ()
         if best:
             expected = "attitude, rates, wheels and counters of one motion"
             refuse_best(where, expected, misfit, best, self._policy, findings)
