@@ -11,7 +11,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -78,7 +78,7 @@ class ReadingRecord:
     pulses: tuple[float, ...]  # (K,)
     mends: tuple[str, ...]
     findings: tuple[str, ...] = ()  # what was accepted, or fits nothing known
-    content: str = ""  # digest of the numbers, whatever the event is called
+    content: str = field(default="", compare=False)  # digest of the numbers, not of their names
 
 
 @dataclass(frozen=True, eq=False)
