@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.stats import norm
 
-from cassini_bayes.diagnosis.innovations import EventRows, Linear
+from cassini_bayes.balance.linearised import EventRows, Linear
 
 Array = NDArray[np.float64]
 AXES: Final = "xyz"
@@ -73,7 +73,7 @@ class Whiteness:
 
 
 @dataclass(frozen=True)
-class Shown:
+class InnovationTests:
     """Tests of one model's innovations, with the half-widths of their bands.
 
     ``family_z`` holds the largest |z| of all drivers, axes and events with probability 95 %,
@@ -87,7 +87,9 @@ class Shown:
     family_lag_z: float
 
 
-def show(linear: Linear, rows: Sequence[EventRows], rng: np.random.Generator) -> Shown:
+def innovation_tests(
+    linear: Linear, rows: Sequence[EventRows], rng: np.random.Generator
+) -> InnovationTests:
     """Test innovations against all drivers, for whiteness, and at the end.
 
     Parameters
@@ -101,7 +103,7 @@ def show(linear: Linear, rows: Sequence[EventRows], rng: np.random.Generator) ->
     tested, white = _tests(linear, rows, factor, [drivers(own) for own in rows])
     closure, _ = _tests(linear, rows, factor, [_ends(own) for own in rows])
     whiteness = _whiteness(linear, rows, factor[0])
-    return Shown(
+    return InnovationTests(
         tuple(tested),
         tuple(whiteness),
         tuple(closure),

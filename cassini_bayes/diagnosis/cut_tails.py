@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.telemetry_terms import cut_probability, lost_per_cut_s
-from cassini_bayes.diagnosis.extended import Case, Hypothesis
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.model.joint import full_parameters, joint_physics
 
 Array = NDArray[np.float64]
@@ -94,7 +95,7 @@ def _within(ends: Array, pairs: Array, time_s: Array, duration_s: float) -> Arra
 
 
 def single_cuts(
-    case: Case, hypothesis: Hypothesis, z: Array, place: int, time_s: Array
+    events: Events, hypothesis: Hypothesis, z: Array, place: int
 ) -> tuple[Array, Array, Array]:
     """What single cut tails change in the momentum of an event's rows, by the model at z (d,).
 
@@ -103,9 +104,7 @@ def single_cuts(
     Parameters
     ----------
     place
-        Number of the event in the case.
-    time_s
-        (n,) times of its rows.
+        Number of the event among those with telemetry.
 
     Returns
     -------
@@ -113,12 +112,12 @@ def single_cuts(
     mean (n, 3) that the likelihood lacks.
     """
     model, terms = hypothesis.model, hypothesis.model.telemetry[place]
-    layout = terms.statistics.layout
+    layout, time_s = terms.statistics.layout, events.telemetry_rows[place].time_s
     mean = np.zeros((len(time_s), 3))
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = joint_physics(model, full_parameters(model, z[None]))
     interval, duration = terms.statistics.counter_interval_s, terms.sampling.duration_s
-    samples = case.sources[place].samples
+    samples = events.sources[place].samples
     for members in layout.couples if layout.thrusters else ():
         found = losses(samples, members, time_s, duration, interval)
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]

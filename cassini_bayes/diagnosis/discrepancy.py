@@ -26,10 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
+from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.statistics.columns import direction_cosines
-from cassini_bayes.diagnosis.extended import none_hypothesis
-from cassini_bayes.diagnosis.innovations import EventRows, Linear, innovations
-from cassini_bayes.diagnosis.naming import Verdict
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
+from cassini_bayes.diagnosis.innovations import innovations
+from cassini_bayes.diagnosis.verdict import Verdict
 from cassini_bayes.priors.distributions import Distribution
 
 Array = NDArray[np.float64]
@@ -57,20 +59,23 @@ class Curve:
     high: Array
 
 
-def verdict_curves(verdict: Verdict, rng: np.random.Generator) -> tuple[Curve, ...]:
+def curves_of(
+    case: BalanceCase, verdict: Verdict[Hypothesis], rng: np.random.Generator
+) -> tuple[Curve, ...]:
     """The curves of a verdict's events, about the mode of ``unknown``.
 
     There nuisances are not bent to explain what is missing, as they are at the baseline's mode.
     """
-    if verdict.linear is None:
+    events = case.events
+    if not events.sources:
         return ()
-    full = none_hypothesis(verdict.case, verdict.catalogue)
-    unknown = verdict.unknown
+    full, unknown = none_hypothesis(events), verdict.unknown
     names = unknown.hypothesis.model.space.names
     at = dict(zip(names, unknown.mode.point, strict=True))
     point = np.array([at[name] for name in full.model.space.names])
-    linear, rows = innovations(verdict.case, full, point)
-    return discrepancy_curves(linear, rows, point, verdict.catalogue.unknown.torque_noise, rng)
+    left = innovations(events, full, point)
+    prior = events.catalogue.unknown.torque_noise
+    return discrepancy_curves(left.linear, left.rows, point, prior, rng)
 
 
 def discrepancy_curves(

@@ -65,7 +65,7 @@ def fit(y: Array, model: Model, start: Array | None = None) -> Fit:
     for _ in range(MOST_STEPS):
         mean, slope = _linearise(model.forward, z)
         noise = model.noise(z)
-        covariance, gain = _posterior(slope, noise)
+        _, gain = _posterior(slope, noise)
         step = gain @ (y - mean + slope @ z).ravel() - z
         trial = np.vstack([z, z + SHORTER[:, None] * step])
         losses = _losses(y, model.forward(trial), noise, trial)
@@ -73,6 +73,11 @@ def fit(y: Array, model: Model, start: Array | None = None) -> Fit:
         z = trial[best]
         if best == 0 or np.abs(SHORTER[best - 1] * step).max() < SETTLED:
             break
+    return linearised(y, model, z)
+
+
+def linearised(y: Array, model: Model, z: Array) -> Fit:
+    """The model linearised at z (d,), with the evidence of its linear form."""
     mean, slope = _linearise(model.forward, z)
     noise = model.noise(z)
     covariance, _ = _posterior(slope, noise)

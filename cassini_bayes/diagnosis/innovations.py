@@ -9,14 +9,13 @@ prior precision, the innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.balance.statistics.columns import Carry, Layout, Rows, settle
+from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away
+from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.balance.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryTerms,
@@ -24,70 +23,16 @@ from cassini_bayes.balance.telemetry_terms import (
     cut_tail_sd,
     noise_covariance,
 )
-from cassini_bayes.diagnosis.extended import Case, Hypothesis
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.unresolved import unresolved
+from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.model.joint import full_parameters, joint_physics
 
 Array = NDArray[np.float64]
 SMOOTHED_ROWS: Final = 31
 _STEP: Final = 1e-3
 _WIDE: Final = 1e-12
-
-
-@dataclass(frozen=True)
-class EventRows:
-    """One event's innovations at the mode of a hypothesis.
-
-    ``residual_n_m_s`` (n, 3) is momentum about body axes, ``white`` (n, 3) the same whitened:
-    ``residual_n_m_s = white @ noise_factor.T`` with the lower factor (3, 3) of a row's noise.
-    """
-
-    event: str
-    time_s: Array
-    white: Array
-    residual_n_m_s: Array
-    rate_rad_s: Array
-    wheel_rad_s: Array
-    on_time_s: Array  # (n, K)
-    wheels: tuple[int, ...]  # numbers of the columns of wheel_rad_s
-    thrusters: tuple[str, ...]
-    noise_factor: Array
-    attitude: Array  # (n, 4) Euler parameters, scalar last
-
-
-@dataclass(frozen=True)
-class Linear:
-    """Whitened linear model of all events: target (m,), columns (m, p), prior precision (p,)."""
-
-    target: Array
-    columns: Array
-    precision: Array
-    rows: tuple[int, ...]  # of every event, three values each
-
-    @property
-    def parts(self) -> tuple[slice, ...]:
-        """Where every event's values are in ``target``."""
-        ends = 3 * np.cumsum([0, *self.rows])
-        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
-
-    def gram(self) -> Array:
-        """XᵀX + P (p, p), summed over events on the columns that each of them has."""
-        total = np.diag(self.precision)
-        for part in self.parts:
-            own = self.columns[part]
-            kept = np.flatnonzero(np.any(own, axis=0))
-            own = own[:, kept]
-            total[np.ix_(kept, kept)] += own.T @ own
-        return total
-
-
-def event_rows(case: Case, place: int) -> Rows:
-    """Columns of one event's usable rows."""
-    source = case.sources[place]
-    statistics, sampling = case.statistics[place]
-    carry = Carry.start(statistics.layout)
-    rows, _ = settle(source.samples, carry, statistics.layout, sampling, final=True)
-    return rows
 
 
 def _columns(terms: TelemetryTerms, rows: Rows, weights: Array) -> Array:
@@ -128,17 +73,11 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
 
 
 def linearise(
-    case: Case,
-    hypothesis: Hypothesis,
-    z: Array,
-    *,
-    smooth_channels: bool = True,
-    known: Sequence[Rows] | None = None,
-) -> tuple[Linear, list[Rows], list[Array]]:
-    """The whitened linear model at z (d,), the rows of every event and its noise factors.
+    events: Events, hypothesis: Hypothesis, z: Array, *, smooth_channels: bool = True
+) -> tuple[Linear, list[Array]]:
+    """The whitened linear model at z (d,), and the lower factor (3, 3) of every event's noise.
 
     ``smooth_channels``: slopes see running means of the channels; not for channels without noise.
-    ``known`` are the rows of the case where they are at hand (:func:`event_rows`).
     """
     model = hypothesis.model
     d = len(z)
@@ -147,9 +86,8 @@ def linearise(
     physics = joint_physics(model, parameters)
     thrust = model.linear.common_mean_n
     levels = model.linear.shared
-    targets, blocks, own_precision, factors, all_rows = [], [], [], [], []
-    for place, terms in enumerate(model.telemetry):
-        rows = event_rows(case, place) if known is None else known[place]
+    targets, blocks, own_precision, factors = [], [], [], []
+    for terms, rows in zip(model.telemetry, events.telemetry_rows, strict=True):
         weights = balance_weights(terms, physics, thrust)
         noise = noise_covariance(terms, physics, parameters)[0]
         factor = np.linalg.cholesky(noise)
@@ -169,9 +107,8 @@ def linearise(
         own_precision.append(np.concatenate([np.ones(apart.shape[2]), sd**-2]))
         targets.append(target)
         factors.append(factor)
-        all_rows.append(rows)
     shared_width = d + (levels.shape[1] if levels.size else 0)
-    return _stacked(targets, blocks, own_precision, factors, shared_width), all_rows, factors
+    return _stacked(targets, blocks, own_precision, factors, shared_width), factors
 
 
 def _slopes(terms: TelemetryTerms, rows: Rows, differences: Array, at: Array) -> Array:
@@ -227,12 +164,6 @@ def _stacked(
     return Linear(target, columns, precision, tuple(size // 3 for size in sizes))
 
 
-def fitted_away(linear: Linear, target: Array) -> Array:
-    """Innovations (m, …) of one or more targets (m, …): what the prior and fit leave."""
-    answer = np.linalg.solve(linear.gram(), linear.columns.T @ target)
-    return np.asarray(target - linear.columns @ answer)
-
-
 def with_unknowns(
     linear: Linear,
     opened: Sequence[tuple[Array, Array, Array]],
@@ -268,33 +199,42 @@ def with_unknowns(
     )
 
 
-def innovations(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, list[EventRows]]:
-    """Innovations of every telemetry event at the mode z, what counters leave open fitted away."""
-    linear, rows, factors = linearise(case, hypothesis, z)
-    opened = [unresolved(case, hypothesis, z, place, own.time_s) for place, own in enumerate(rows)]
+def innovations(events: Events, hypothesis: Hypothesis, z: Array) -> Remainder:
+    """What a hypothesis leaves of telemetry at its mode z (d,), what counters leave open as well.
+
+    Its linear model has a column for everything that counters leave open (:mod:`.unresolved`).
+    """
+    linear, factors = linearise(events, hypothesis, z)
+    opened = [unresolved(events, hypothesis, z, place) for place in range(len(events.sources))]
     linear = with_unknowns(linear, opened, factors)
     left = fitted_away(linear, linear.target)
-    result = []
-    place = 0
-    for source, own, factor in zip(case.sources, rows, factors, strict=True):
-        n = len(own.time_s)
-        white = left[place : place + 3 * n].reshape(n, 3)
-        place += 3 * n
+    rows = []
+    for source, usable, part, factor in zip(
+        events.sources, events.telemetry_rows, linear.parts, factors, strict=True
+    ):
+        white = left[part].reshape(-1, 3)
         samples = source.samples
-        at = np.searchsorted(samples.time_s, own.time_s)
-        result.append(
+        at = np.searchsorted(samples.time_s, usable.time_s)
+        fires = samples.on_time_s.shape[1] > 0
+        rows.append(
             EventRows(
                 source.id,
-                own.time_s,
+                usable.time_s,
                 white,
                 white @ factor.T,
                 samples.rate_rad_s[at],
                 samples.wheel_rad_s[at],
-                samples.on_time_s[at] if samples.on_time_s.shape[1] else np.zeros((n, 0)),
+                samples.on_time_s[at] if fires else np.zeros((len(at), 0)),
                 source.wheels,
                 source.thrusters,
                 factor,
                 samples.attitude[at],
             )
         )
-    return linear, result
+    parameters = hypothesis.model.space.to_parameters(z[None])
+    return Remainder(
+        tuple(source.samples for source in events.sources),
+        tuple(rows),
+        linear,
+        {name: float(np.ravel(value)[0]) for name, value in parameters.items()},
+    )

@@ -25,13 +25,13 @@ CURVATURE_STEP: Final = 0.2
 LEAST_CURVATURE: Final = 0.05
 FIRST_AXES: Final = 0.05  # prior standard deviations
 FIRST_STEPS: Final = 15
-LOOKS: Final = 6
+MOST_CURVATURES: Final = 6
 WHITE: Final = (0.8, 1.25)  # curvature along axes that follow a ridge
-SEEN_RIGHT: Final = (0.4, 2.5)  # curvature along axes whose differences tell it right
-SETTLED_LEFT: Final = 0.01  # nats
+NEARLY_WHITE: Final = (0.4, 2.5)  # curvature along axes whose differences tell it right
+SLOPE_LEFT: Final = 0.01  # nats
 NEWTON_STEPS: Final = 8
 GAIN_LEFT: Final = 1e-3  # nats
-LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
+LEAST_SHARE: Final = 0.2  # of the gain that a Newton step predicts
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Mode:
         return self.value - prior
 
 
-def look(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Array]:
+def value_and_gradient(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Array]:
     """Value and gradient (k,) in the coordinates u of z = point (d,) + axes (d, k) u, one-sided.
 
     Along white axes the curvature is one: g_j = (f(h e_j) − f(0)) / h + h / 2. Where it is not, the
@@ -65,26 +65,26 @@ def look(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Arr
     return float(values[0]), (values[1:] - values[0]) / STEP + 0.5 * STEP
 
 
-def climb(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -> Array:
+def maximise(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -> Array:
     """Maximum (d,) from ``point`` (d,) in the coordinates that ``axes`` (d, k) make white.
 
     Where the axes are white a gradient is a Newton step; L-BFGS goes on where that does not gain
-    what it foretells.
+    what it predicts.
     """
-    value, slope = look(log_density, point, axes)
+    value, gradient = value_and_gradient(log_density, point, axes)
     for _ in range(NEWTON_STEPS):
-        foretold = 0.5 * float(slope @ slope)
-        if foretold < GAIN_LEFT:
+        predicted = 0.5 * float(gradient @ gradient)
+        if predicted < GAIN_LEFT:
             return point
-        ahead = point + axes @ slope
-        higher, following = look(log_density, ahead, axes)
-        if not higher - value > LEAST_SHARE * foretold:
+        ahead = point + axes @ gradient
+        next_value, next_gradient = value_and_gradient(log_density, ahead, axes)
+        if not next_value - value > LEAST_SHARE * predicted:
             break
-        point, value, slope = ahead, higher, following
+        point, value, gradient = ahead, next_value, next_gradient
 
     def objective(u: Array) -> tuple[float, Array]:
-        value, slope = look(log_density, point + axes @ u, axes)
-        return -value, -slope
+        value, gradient = value_and_gradient(log_density, point + axes @ u, axes)
+        return -value, -gradient
 
     options = {"maxiter": steps, "ftol": 1e-8}
     start = np.zeros(axes.shape[1])
@@ -92,28 +92,28 @@ def climb(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -
     return np.asarray(point + axes @ found.x)
 
 
-def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
+def mode_near(log_density: LogDensity, point: Array, axes: Array) -> Mode:
     """Mode with its whole curvature, from a point (d,) and rough axes (d, d).
 
-    Looks at the curvature and climbs along the axes that it whitens, until a look finds its own
-    axes nearly white: along the ridge on which all masses and thrusts scale together one look from
+    Takes the curvature and maximises along the axes that it whitens, until a curvature finds its
+    own axes nearly white: along the ridge on which all masses and thrusts scale together one from
     the wrong axes is short by a factor of several.
     """
-    for left in reversed(range(LOOKS)):
-        slope, bend = hessian(log_density, point, axes, CURVATURE_STEP)
+    for left in reversed(range(MOST_CURVATURES)):
+        gradient, bend = hessian(log_density, point, axes, CURVATURE_STEP)
         values, vectors = np.linalg.eigh(-bend)
         turned = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
-        is_right = SEEN_RIGHT[0] < values[0] and values[-1] < SEEN_RIGHT[1]
+        is_right = NEARLY_WHITE[0] < values[0] and values[-1] < NEARLY_WHITE[1]
         axes = no_wider_than_prior(axes @ turned)
-        has_ended = is_right and 0.5 * float(((slope @ turned) ** 2).sum()) < SETTLED_LEFT
+        has_ended = is_right and 0.5 * float(((gradient @ turned) ** 2).sum()) < SLOPE_LEFT
         if left == 0 or has_ended:
             break
-        point = climb(log_density, point, axes)
+        point = maximise(log_density, point, axes)
     return replace(mode_at(log_density, point, axes), is_whole=has_ended)
 
 
-def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
-    """Mode and Laplace factor from the centre of the prior or a start (d,).
+def find_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
+    """Mode with its whole curvature from the centre of the prior or a start (d,).
 
     Raises
     ------
@@ -124,7 +124,7 @@ def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -
     if not np.isfinite(log_density(first[None])).all():
         raise CassiniBayesError("the posterior is not finite at the centre of the prior")
     axes = FIRST_AXES * np.eye(d)
-    return settled(log_density, climb(log_density, first, axes, FIRST_STEPS), axes)
+    return mode_near(log_density, maximise(log_density, first, axes, FIRST_STEPS), axes)
 
 
 def mode_at(log_density: LogDensity, point: Array, factor: Array) -> Mode:

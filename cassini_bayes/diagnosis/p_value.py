@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from cassini_bayes.diagnosis.innovations import Linear, fitted_away
+from cassini_bayes.balance.linearised import Linear, fitted_away
 
 Array = NDArray[np.float64]
 MODES: Final = 16

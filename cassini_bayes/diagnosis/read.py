@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.diagnosis.extended import Case, TelemetrySource, prepare
+from cassini_bayes.diagnosis.case import Say, silent
+from cassini_bayes.diagnosis.estimate_case import EstimateCase, estimate_case
+from cassini_bayes.diagnosis.estimates import estimates_of, is_estimates, read_estimates
+from cassini_bayes.diagnosis.events import Events, TelemetrySource, prepare
+from cassini_bayes.effects.registry import Kinds
+from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import check_momentum, momentum_rows
 from cassini_bayes.events.telemetry import read_chunks, read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
@@ -18,16 +23,16 @@ from cassini_bayes.model.event_reduction import (
     require_branch,
     samples_of,
 )
-from cassini_bayes.model.totals import build_model
 from cassini_bayes.priors.reader import Priors, read_priors
 
 
-def read_case(
+def read_events(
     references: Sequence[str],
     priors_path: Path,
     source: str = "flight",
-    say: Callable[[str], None] | None = None,
-) -> Case:
+    say: Say = silent,
+    kinds: Kinds | None = None,
+) -> Events:
     """Read event folders and totals rows.
 
     Parameters
@@ -40,6 +45,8 @@ def read_case(
         Which rows of a totals CSV.
     say
         Told what was read.
+    kinds
+        The effects that there are; those of the package by default.
 
     Raises
     ------
@@ -50,16 +57,33 @@ def read_case(
     folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
     sources = [read_source(folder, priors) for folder in folders]
     rows = totals_rows(references, priors, source)
-    totals = build_model(rows, priors) if rows else None
-    if say is not None:
-        say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
-    return prepare(sources, priors, totals)
+    say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
+    return prepare(sources, priors, rows, kinds)
+
+
+def read_estimate_case(
+    references: Sequence[str], priors_path: Path, kinds: Kinds | None = None
+) -> EstimateCase:
+    """Read CSV files of printed thrusts, which are diagnosed on their own.
+
+    Raises
+    ------
+    InputError
+        Another input among them, or bad data or priors.
+    """
+    other = [reference for reference in references if not is_estimates(Path(reference))]
+    if other:
+        raise InputError(other[0], "estimates alone", "another input", "diagnose it on its own")
+    priors = read_priors(priors_path)
+    thrusters = priors.spacecraft.thruster_names(priors.branch)
+    rows = [row for reference in references for row in read_estimates(Path(reference), thrusters)]
+    return estimate_case(estimates_of(rows, priors), priors, kinds)
 
 
 def totals_rows(
     references: Sequence[str], priors: Priors, source: str = "flight"
 ) -> tuple[TotalsEvent, ...]:
-    """Totals rows among the references, in order, as :func:`read_case` has them."""
+    """Totals rows among the references, in order, as :func:`read_events` has them."""
     tables = [reference for reference in references if not is_event_folder(Path(reference))]
     return tuple(row for table in tables for row in read_totals(table, priors.spacecraft, source))
 

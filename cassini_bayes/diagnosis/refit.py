@@ -12,11 +12,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes import __version__
+from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
-from cassini_bayes.diagnosis.evidence import DOF, Weighed
-from cassini_bayes.diagnosis.extended import Hypothesis
+from cassini_bayes.diagnosis.evidence import DOF
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
-from cassini_bayes.effects.catalogue import Effect, EffectParameter
+from cassini_bayes.effects.effect import Effect, EffectParameter
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.joint import JointModel
@@ -52,10 +53,10 @@ def _kind(parameter: EffectParameter) -> str:
     return ", departure from the baseline's" if parameter.is_departure else ""
 
 
-def _renamed(fit: Fit, weighed: Weighed, z: Array) -> Fit:
+def _renamed(fit: Fit, weighed: Weighed[Hypothesis], z: Array) -> Fit:
     """Effect parameters under their own names; departures keep theirs beside the value."""
     names, values = {}, {}
-    found = effect_values(weighed, z.reshape(-1, z.shape[2]))
+    found = effect_values(weighed.hypothesis, z.reshape(-1, z.shape[2]))
     for effect in weighed.hypothesis.effects:
         for p in effect.parameters:
             name = effect_variable(effect, p)
@@ -71,7 +72,7 @@ def _renamed(fit: Fit, weighed: Weighed, z: Array) -> Fit:
 
 
 def fit_extended(
-    diagnosis: Diagnosis,
+    diagnosis: Diagnosis[Hypothesis],
     events: Sequence[ReducedEvent],
     folder: Path,
     seed: int,
@@ -129,7 +130,7 @@ def fit_extended(
         for name in weighed.hypothesis.model.space.names
         if name not in own
     }
-    values |= effect_values(weighed, flat)
+    values |= effect_values(weighed.hypothesis, flat)
     equal = np.full(len(flat), 1.0 / len(flat))
     rows = []
     for name, draws in values.items():

@@ -9,16 +9,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.diagnosis.correlations import (
     AXES,
     WINDOW_ROWS,
-    Shown,
+    InnovationTests,
     Tested,
     Whiteness,
     filled,
     running_mean,
 )
-from cassini_bayes.diagnosis.innovations import EventRows
 
 Array = NDArray[np.float64]
 DRIFT_Z: Final = 6.0  # the largest of many windows
@@ -38,25 +38,25 @@ class Symptom:
     z: float
 
 
-def find_symptoms(rows: Sequence[EventRows], shown: Shown) -> tuple[Symptom, ...]:
+def find_symptoms(rows: Sequence[EventRows], tests: InnovationTests) -> tuple[Symptom, ...]:
     """All symptoms of all events, the strongest first.
 
     Parameters
     ----------
     rows
         Innovations of every event.
-    shown
-        Their tests (:func:`correlations.show`).
+    tests
+        Their tests (:func:`correlations.innovation_tests`).
     """
     found = [symptom for own in rows for axis in range(3) for symptom in _drift(own, axis)]
     for own in rows:
         for axis in AXES:
             found += _correlation(
-                [t for t in shown.drivers if (t.event, t.axis) == (own.event, axis)],
-                shown.family_z,
+                [t for t in tests.drivers if (t.event, t.axis) == (own.event, axis)],
+                tests.family_z,
             )
-    found += [symptom for white in shown.whiteness for symptom in _whiteness(white)]
-    found += [symptom for tested in shown.closure for symptom in _closure(tested)]
+    found += [symptom for white in tests.whiteness for symptom in _whiteness(white)]
+    found += [symptom for tested in tests.closure for symptom in _closure(tested)]
     return tuple(sorted(found, key=lambda symptom: -abs(symptom.z))[:MOST])
 
 

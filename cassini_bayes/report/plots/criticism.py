@@ -13,15 +13,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, ScalarFormatter
 
+from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.diagnosis.correlations import (
     POINTWISE,
     WINDOW_ROWS,
-    Shown,
+    InnovationTests,
     Tested,
     running_mean,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve
-from cassini_bayes.diagnosis.innovations import EventRows
 from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
 
 MOST_CAUSES: Final = 12
@@ -80,7 +80,9 @@ def innovation_figure(
     return figure
 
 
-def correlation_figure(event: str, before: Shown, after: Shown | None) -> Figure:
+def correlation_figure(
+    event: str, before: InnovationTests, after: InnovationTests | None
+) -> Figure:
     """Correlation of one event's innovations with every driver, per body axis, with bands.
 
     In standard deviations if the model is true; linear within ten, logarithmic beyond. Dark band:
@@ -121,12 +123,14 @@ def _untested(tested: Tested, event: str, axis: str) -> bool:
     return (tested.event, tested.axis) == (event, axis) and not np.isfinite(tested.z)
 
 
-def _largest(shown: Sequence[Shown | None], event: str) -> list[float]:
+def _largest(shown: Sequence[InnovationTests | None], event: str) -> list[float]:
     tests = [t for own in shown if own is not None for t in own.drivers if t.event == event]
     return [abs(t.z) for t in tests if np.isfinite(t.z)]
 
 
-def _band_legend(figure: Figure, family: float, after: Shown | None, what: str, unit: str) -> None:
+def _band_legend(
+    figure: Figure, family: float, after: InnovationTests | None, what: str, unit: str
+) -> None:
     lines = [Line2D([], [], **BEFORE)] + ([] if after is None else [Line2D([], [], **AFTER)])
     patches = [
         Patch(color=SINGLE_BAND, label=f"95 % of one alone (±{POINTWISE:.2f} {unit})"),
@@ -135,7 +139,7 @@ def _band_legend(figure: Figure, family: float, after: Shown | None, what: str, 
     figure.legend(handles=[*lines, *patches], loc="outside lower center", ncols=4)
 
 
-def whiteness_figure(before: Shown, after: Shown | None) -> Figure | None:
+def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> Figure | None:
     """Autocorrelation of every event's innovations against lag in rows, with bands."""
     events = list(dict.fromkeys(white.event for white in before.whiteness))
     if not events:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.diagnosis.extended import Case, TelemetrySource, prepare
+from cassini_bayes.diagnosis.events import Events, TelemetrySource, prepare
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.simulation import ScenarioFile, SimulatedEvent, Truth, scenario_of
 from cassini_bayes.studies.scenario import (
@@ -69,11 +69,11 @@ class Scene:
         """All parameters and thrusts without any effect."""
         return draw_truth(self.file(()), self.seed, self.priors)
 
-    def fly(self, hidden: Sequence[Hidden]) -> Case:
+    def fly(self, hidden: Sequence[Hidden]) -> Events:
         """The flight with effects, reduced; the same seed, so the same noise and truth."""
         return reduced(simulate_file(self.file(hidden), self.seed, priors=self.priors), self.priors)
 
-    def fly_quietly(self, hidden: Sequence[Hidden]) -> Case:
+    def fly_quietly(self, hidden: Sequence[Hidden]) -> Events:
         """The same flight with channels that have no noise; counters keep their resolution."""
         truth = self.truth()
         quiet = {**truth.parameters, **dict.fromkeys(CHANNEL_NOISE, 0.0)}
@@ -90,6 +90,6 @@ def source_of(event: SimulatedEvent) -> TelemetrySource:
     return TelemetrySource(event.plan.event.id, kind, numbers, thrusters, samples)
 
 
-def reduced(flight: Simulation, priors: Priors) -> Case:
+def reduced(flight: Simulation, priors: Priors) -> Events:
     """All events of a flight, ready for a diagnosis."""
     return prepare([source_of(event) for event in flight.events], priors)

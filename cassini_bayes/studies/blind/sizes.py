@@ -14,14 +14,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.diagnosis.extended import Case, Hypothesis, Oscillation, none_hypothesis
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
 from cassini_bayes.diagnosis.modes import Mode
-from cassini_bayes.diagnosis.oscillation import flexible_case
-from cassini_bayes.effects.catalogue import Catalogue, Effect
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import Hidden, Scene
-from cassini_bayes.studies.blind.shift import Seen, changed_size, held, modelled_size, seen_at_truth
+from cassini_bayes.studies.blind.shift import View, at_truth, changed_size, held, modelled_size
 
 Array = NDArray[np.float64]
 LARGEST_IN_PRIOR_SCALES: Final = 4.0
@@ -39,8 +40,6 @@ _ONE_SIDED: Final[Mapping[str, float]] = {
     "thrust_warmup": 1.0,
     "thruster_degraded": -1.0,
 }
-CURVED: Final = ("rate_bias", "rate_scale")
-"""Kinds whose size is the curvature's: attitude against rates speaks too, and nothing answers."""
 
 
 @dataclass(frozen=True)
@@ -48,23 +47,20 @@ class Stage:
     """A trial before anything is hidden: its flight, baseline and truth, and the quiet flight."""
 
     scene: Scene
-    case: Case
-    catalogue: Catalogue
+    events: Events
     base: Mode
     truth: Truth
-    plain: Seen
+    plain: View
 
-    def seen(self, hidden: Hidden) -> Seen:
+    def view(self, hidden: Hidden) -> View:
         """The flight without noise that has this effect."""
-        case = self.scene.fly_quietly((hidden,))
-        return seen_at_truth(case, self.catalogue, self.truth)
+        return at_truth(self.scene.fly_quietly((hidden,)), self.truth)
 
 
-def stage(scene: Scene, case: Case, catalogue: Catalogue, base: Mode) -> Stage:
+def stage(scene: Scene, events: Events, base: Mode) -> Stage:
     """Fly without noise and without any effect."""
     truth = scene.truth()
-    plain = seen_at_truth(scene.fly_quietly(()), catalogue, truth)
-    return Stage(scene, case, catalogue, base, truth, plain)
+    return Stage(scene, events, base, truth, at_truth(scene.fly_quietly(()), truth))
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ def draw_path(effect: Effect, rng: np.random.Generator) -> Growth:
             constant[parameter.key] = float(parameter.distribution.sample(rng, 1)[0])
             continue
         scale = float(parameter.distribution.keywords["scale"])
-        sign = _ONE_SIDED.get(effect.kind) or float(rng.choice([-1.0, 1.0]))
+        sign = _ONE_SIDED.get(effect.kind.name) or float(rng.choice([-1.0, 1.0]))
         share = abs(float(rng.standard_normal())) if several else 1.0
         direction[parameter.key] = sign * scale * share
     return Growth(effect, direction, constant)
@@ -110,17 +106,17 @@ def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
     return Growth(effect, direction, constant)
 
 
-def sensitivity(case: Case, catalogue: Catalogue, base: Mode, path: Growth) -> float:
+def sensitivity(events: Events, base: Mode, path: Growth) -> float:
     """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
-    none = none_hypothesis(case, catalogue)
-    values = [_marginal(case, none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
+    none = none_hypothesis(events)
+    values = [_marginal(events, none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
     bend = float((2.0 * values[1] - values[0] - values[2]) / SHIFT**2)
     return float(np.sqrt(bend)) if bend > 0 else 0.0
 
 
-def _marginal(case: Case, none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
+def _marginal(events: Events, none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
     """Log marginal density at a fixed effect, the nuisances integrated out about the mode."""
-    hypothesis = held(none, path.effect, path.values(s), case)
+    hypothesis = held(none, path.effect, path.values(s), events)
     moves = STEP * base.factor.T
     offsets = np.vstack([0.0 * moves[:1], moves, -moves])
     point, d = base.point, len(base.point)
@@ -160,24 +156,24 @@ def measured(stage: Stage, path: Growth, s: float) -> Hidden | None:
     if hidden is None:
         return None
     try:
-        seen = stage.seen(hidden)
+        view = stage.view(hidden)
     except InputError:
         return None  # not a spacecraft, or not a motion, that the simulation accepts
-    if path.effect.kind == "time_offset":
-        sigma = changed_size(seen, stage.plain)
+    if path.effect.kind.name == "time_offset":
+        sigma = changed_size(view, stage.plain)
     else:
-        sigma = modelled_size(seen, path.effect, path.values(s))
+        sigma = modelled_size(view, path.effect, path.values(s))
     return Hidden(hidden.name, hidden.parameters, sigma)
 
 
 def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> Hidden | None:
     """An effect with its size from the catalogue's prior; None if no draw can be flown."""
-    if effect.kind == "flexible_mode":
+    if effect.kind.search is not None:
         return _flexible(stage, effect, None, rng)
     for _ in range(MOST_DRAWS):
         path = draw_from_prior(effect, rng)
-        if effect.kind in CURVED:
-            rate = sensitivity(stage.case, stage.catalogue, stage.base, path)
+        if effect.kind.rate_errors is not None:
+            rate = sensitivity(stage.events, stage.base, path)
             found = hide(path, 1.0, stage.truth.parameters, rate)
         else:
             found = measured(stage, path, 1.0)
@@ -191,14 +187,14 @@ def sized_between(
 ) -> Hidden | None:
     """An effect of low to high σ; None where no size that is believable and flies is that large."""
     sigma = float(rng.uniform(low, high))
-    if effect.kind == "flexible_mode":
+    if effect.kind.search is not None:
         return _flexible(stage, effect, (sigma, (low, high)), rng)
     path = draw_path(effect, rng)
-    rate = sensitivity(stage.case, stage.catalogue, stage.base, path)
+    rate = sensitivity(stage.events, stage.base, path)
     if rate <= 0.0:
         return None
     start = min(sigma / rate, LARGEST_IN_PRIOR_SCALES)
-    if effect.kind in CURVED:
+    if effect.kind.rate_errors is not None:
         # believable sizes only, and none that is cut off
         return hide(path, start, stage.truth.parameters, sigma) if start * rate >= sigma else None
     return search_size(lambda s: measured(stage, path, s), start, sigma, (low, high))
@@ -292,13 +288,14 @@ def _flexible(
         }
         hidden = Hidden(effect.name, parameters, float("nan"))
         try:
-            seen = stage.seen(hidden)
+            view = stage.view(hidden)
         except InputError:
             return None  # not a motion that the simulation accepts
         line, values = hidden_oscillation(parameters)
-        case = flexible_case(seen.case, line)
-        none = none_hypothesis(case, stage.catalogue)
-        sigma = modelled_size(replace(seen, case=case, none=none), effect, values)
+        settled = replace(effect, found=line)
+        events = view.events.with_columns_of([settled])
+        own = replace(view, events=events, none=none_hypothesis(events))
+        sigma = modelled_size(own, settled, values)
         return replace(hidden, sigma=sigma)
 
     if wanted is None:

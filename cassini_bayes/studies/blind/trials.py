@@ -16,14 +16,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.diagnosis.evidence import Weighed
-from cassini_bayes.diagnosis.extended import compact, none_hypothesis
-from cassini_bayes.diagnosis.modes import baseline_mode
-from cassini_bayes.diagnosis.naming import Verdict, name_causes
-from cassini_bayes.diagnosis.oscillation import flexible_case
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
+from cassini_bayes.diagnosis.modes import find_mode
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
-from cassini_bayes.effects.catalogue import Catalogue, Effect, read_catalogue
+from cassini_bayes.diagnosis.verdict import Verdict, weigh
+from cassini_bayes.effects.catalogue import Catalogue
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -82,10 +84,10 @@ def choose_hidden(stratum: str, set_up: Stage, rng: np.random.Generator) -> tupl
     NothingToHideError
         After many draws none could be flown at such a size.
     """
-    catalogue = set_up.catalogue
+    catalogue = set_up.events.catalogue
     if stratum == "prior":
-        total = catalogue.none_probability + sum(e.prior_probability for e in catalogue.effects)
-        if rng.uniform() < catalogue.none_probability / total:
+        total = catalogue.odds.none + sum(e.prior_probability for e in catalogue.effects)
+        if rng.uniform() < catalogue.odds.none / total:
             return ()
     wanted = 2 if stratum == "two" else 1
     found: list[Hidden] = []
@@ -103,8 +105,8 @@ def _drawn(
 ) -> Hidden | None:
     if stratum == "uncatalogued":
         return draw_uncatalogued(set_up, rng)
-    effect = draw_effect(set_up.catalogue, rng)
-    if effect.kind in taken:
+    effect = draw_effect(set_up.events.catalogue, rng)
+    if effect.kind.name in taken:
         return None
     if stratum == "prior":
         return sized_from_prior(set_up, effect, rng)
@@ -118,17 +120,16 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
     stratum = stratum_of(index)
     scene = Scene(campaign, campaign.document(rng), int(rng.integers(2**62)), own)
     began, worked = time.monotonic(), time.process_time()
-    case = scene.fly(())
-    catalogue = read_catalogue(own, case.wheels, case.inputs)
+    events = scene.fly(())
     hidden: tuple[Hidden, ...] = ()
     if stratum != "null":
-        none = compact(none_hypothesis(case, catalogue))
-        base = baseline_mode(none.log_density, none.dimension)
-        hidden = choose_hidden(stratum, stage(scene, case, catalogue, base), rng)
+        none = compact(none_hypothesis(events))
+        base = find_mode(none.log_density, none.dimension)
+        hidden = choose_hidden(stratum, stage(scene, events, base), rng)
     if hidden:
-        case = scene.fly(hidden)
+        events = scene.fly(hidden)
     prepared = time.process_time()
-    verdict = name_causes(case, catalogue, rng, pairs=stratum == "two")
+    verdict = weigh(BalanceCase(events), rng, pairs=stratum == "two")
     diagnosed = time.process_time()
     truth = scene.truth().parameters
     return {
@@ -137,8 +138,8 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
         "events": list(campaign.events),
         "code": trial_code(),
         "stratum": stratum,
-        **_record(verdict, hidden, rng),
-        **_oracle(verdict, hidden, truth, rng),
+        **_record(events, verdict, hidden, rng),
+        **_oracle(events, verdict, hidden, truth, rng),
         "cpu_prepare_s": prepared - worked,
         "cpu_diagnose_s": diagnosed - prepared,
         "wall_s": time.monotonic() - began,
@@ -146,7 +147,8 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
 
 
 def _oracle(
-    verdict: Verdict,
+    events: Events,
+    verdict: Verdict[Hypothesis],
     hidden: Sequence[Hidden],
     truth: Mapping[str, float],
     rng: np.random.Generator,
@@ -156,34 +158,40 @@ def _oracle(
     Its oscillation is the hidden one, or else the one that the diagnosis looked at.
     """
     nothing = {"oracle_rank": None, "oracle_expected": None}
-    if len(hidden) != 1 or hidden[0].name not in verdict.catalogue.names:
+    if len(hidden) != 1 or hidden[0].name not in events.catalogue.names:
         return nothing
-    effect, values = verdict.catalogue.effect(hidden[0].name), hidden[0].parameters
-    line = verdict.oscillation
-    if effect.kind == "flexible_mode":
+    effect, values = events.catalogue.effect(hidden[0].name), hidden[0].parameters
+    effects = [own for weighed in verdict.weighed for own in weighed.hypothesis.effects]
+    line = next((own.found for own in effects if isinstance(own.found, Oscillation)), None)
+    if effect.kind.search is not None:
         line = hidden_oscillation(values)[0]
-    flexible = None if line is None else flexible_case(verdict.case, line)
-    found = classifier(verdict.case, verdict.catalogue, verdict.none.mode, values, flexible)
+    found = classifier(events, verdict.none.mode, values, line)
     return {
         "oracle_rank": found.own_rank(effect.name),
         "oracle_expected": found.expected(effect.name, sizes_of(effect, values, truth), rng),
     }
 
 
-def _record(verdict: Verdict, hidden: Sequence[Hidden], rng: np.random.Generator) -> dict[str, Any]:
-    probabilities = verdict.probabilities
-    none = verdict.none.log_evidence
+def _record(
+    events: Events,
+    verdict: Verdict[Hypothesis],
+    hidden: Sequence[Hidden],
+    rng: np.random.Generator,
+) -> dict[str, Any]:
+    probabilities, first = verdict.probabilities, verdict.best_cause
+    assert first is not None  # the catalogue has causes
     causes = [
         {
             "name": w.name,
             "probability": probabilities[w.name],
-            "log_bayes_factor": float(w.net_evidence - none),
+            "log_bayes_factor": verdict.log_bayes_factor(w),
         }
         for w in verdict.weighed[:KEPT_CAUSES]
     ]
     p = float("nan")
-    if verdict.linear is not None:
-        p = p_value(verdict.linear, [own.time_s for own in verdict.rows], rng)
+    left = verdict.none.remainder
+    if left is not None:
+        p = p_value(left.linear, [own.time_s for own in left.rows], rng)
     return {
         "hidden": [
             {"name": h.name, "parameters": dict(h.parameters), "sigma": h.sigma} for h in hidden
@@ -195,31 +203,31 @@ def _record(verdict: Verdict, hidden: Sequence[Hidden], rng: np.random.Generator
         "probability_of_truth": [probabilities.get(h.name, 0.0) for h in hidden]
         or [probabilities["none"]],
         "rank_of_truth": [_rank(verdict, h.name) for h in hidden],
-        "sizes": [s for h in hidden for s in _sizes(verdict, h, rng)],
+        "sizes": [s for h in hidden for s in _sizes(events, verdict, h, rng)],
         "pair": None if verdict.pair is None else verdict.pair.name,
         "pair_gain": None
         if verdict.pair is None
-        else float(verdict.pair.net_evidence - verdict.best_cause.net_evidence),
-        "pair_first_like": list(verdict.confounded_with(verdict.best_cause.name)),
+        else float(verdict.pair.net_evidence - first.net_evidence),
+        "pair_first_like": list(verdict.confounded_with(first.name)),
         "pair_second_like": list(verdict.pair_alike),
         "p_value": p,
     }
 
 
-def _rank(verdict: Verdict, name: str) -> int | None:
+def _rank(verdict: Verdict[Hypothesis], name: str) -> int | None:
     """Place of a name among the real causes, from 0; None outside the catalogue."""
-    real = [w.name for w in verdict.weighed if w.hypothesis.effects]
+    real = [w.name for w in verdict.weighed if w.is_cause]
     return real.index(name) if name in real else None
 
 
 def _sizes(
-    verdict: Verdict, hidden: Hidden, rng: np.random.Generator
+    events: Events, verdict: Verdict[Hypothesis], hidden: Hidden, rng: np.random.Generator
 ) -> list[dict[str, float | str | bool]]:
     """Whether the 90 % interval of the true cause's parameters holds what was hidden."""
-    found: Weighed | None = next((w for w in verdict.weighed if w.name == hidden.name), None)
+    found = next((w for w in verdict.weighed if w.name == hidden.name), None)
     if found is None:
         return []
-    draws, weights = size_draws(verdict.case, found, rng)
+    draws, weights = size_draws(events, found, rng)
     result: list[dict[str, float | str | bool]] = []
     for key, values in draws.items():
         if key not in hidden.parameters:

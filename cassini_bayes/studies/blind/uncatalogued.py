@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.diagnosis.extended import Case
+from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.errors import InputError
 from cassini_bayes.studies.blind.flights import Hidden
 from cassini_bayes.studies.blind.shift import changed_size
@@ -32,11 +32,11 @@ class Strange:
         return Hidden(self.name, {**grown, **self.constant}, float("nan"))
 
 
-def draw_strange(case: Case, rng: np.random.Generator) -> Strange:
+def draw_strange(events: Events, rng: np.random.Generator) -> Strange:
     """An atmospheric torque, a pressure surge, a tachometer scale or plume impingement."""
     kinds = ("atmospheric_torque", "pressure_surge", "tachometer_scale", "plume_impingement")
     kind = str(rng.choice(kinds))
-    event = next(source for source in case.sources if source.thrusters)
+    event = next(source for source in events.sources if source.thrusters)
     if kind == "atmospheric_torque":
         peak = rng.standard_normal(3)
         direction = {f"peak_{a}_n_m": float(v) for a, v in zip("xyz", peak, strict=True)}
@@ -63,7 +63,7 @@ def draw_uncatalogued(stage: Stage, rng: np.random.Generator) -> Hidden | None:
 
     None where even the largest of its kind is smaller on this flight.
     """
-    strange = draw_strange(stage.case, rng)
+    strange = draw_strange(stage.events, rng)
     low, high = strange.span
     top = _measured(stage, strange.hidden(10.0**high))
     if top is None or top.sigma < LEAST_SIGMA:
@@ -78,6 +78,6 @@ def draw_uncatalogued(stage: Stage, rng: np.random.Generator) -> Hidden | None:
 
 def _measured(stage: Stage, hidden: Hidden) -> Hidden | None:
     try:
-        return replace(hidden, sigma=changed_size(stage.seen(hidden), stage.plain))
+        return replace(hidden, sigma=changed_size(stage.view(hidden), stage.plain))
     except InputError:
         return None  # the simulation refuses it

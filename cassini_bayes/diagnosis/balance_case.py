@@ -1,0 +1,323 @@
+"""The momentum balance of telemetry and totals as a case to diagnose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.computing.arviz_import import arviz
+from cassini_bayes.computing.processes import in_processes
+from cassini_bayes.diagnosis.case import Case, Ranking, Say, Shown, Size, Weighed, Work, silent
+from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.evidence import (
+    FEW_DRAWS,
+    MARGIN_NATS,
+    by_laplace,
+    importance_sampled,
+    weigh_extensions,
+    with_draws,
+)
+from cassini_bayes.diagnosis.gain import held_out
+from cassini_bayes.diagnosis.hypotheses import (
+    Hypothesis,
+    compact,
+    extend,
+    none_hypothesis,
+    unknown_hypothesis,
+)
+from cassini_bayes.diagnosis.innovations import innovations
+from cassini_bayes.diagnosis.modes import Mode, find_mode
+from cassini_bayes.diagnosis.p_value import p_value
+from cassini_bayes.diagnosis.score import HeldOut
+from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
+from cassini_bayes.diagnosis.separation import separating_measurement
+from cassini_bayes.diagnosis.sizes import size_draws, summarised
+from cassini_bayes.diagnosis.symptoms import find_symptoms
+from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
+from cassini_bayes.diagnosis.widths import change_of_evidence
+from cassini_bayes.effects.effect import Effect, Found, Remainder
+
+Array = NDArray[np.float64]
+Candidate = Weighed[Hypothesis]
+NEAR_NATS: Final = 10.0
+MOST_DRAWN: Final = 3
+DRAWS: Final = 2_000
+BENT: Final = 5.0  # prior standard deviations of the baseline's parameters
+TOGETHER: Final = 4
+GAINED_ALIKE: Final = 0.1  # of what the best has gained
+HOPED_NATS: Final = 10.0  # by which what a search found may be short of its evidence
+UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
+
+
+@dataclass(frozen=True)
+class BalanceCase(Case[Hypothesis]):
+    """Events and the hypotheses on their balance (:mod:`cassini_bayes.diagnosis.hypotheses`)."""
+
+    events: Events
+    unit = "nms"
+
+    @property
+    def event_ids(self) -> tuple[str, ...]:
+        """All events, totals rows first."""
+        return self.events.ids
+
+    def weigh(self, rng: np.random.Generator, say: Say, workers: int) -> list[Candidate]:
+        """Evidence by searches from the baseline's mode, by draws near the best."""
+        events = self.events
+        full = none_hypothesis(events)
+        none = compact(full)
+        base = find_mode(none.log_density, none.dimension)
+        say(f"none: log evidence {base.log_evidence:.1f}")
+        unknown = compact(unknown_hypothesis(events))
+        start = _unknown_start(none, unknown, base)
+        remainder = innovations(events, full, base.point) if events.sources else None
+        direct = [effect for effect in events.catalogue.effects if not effect.needs_search]
+        hypotheses = [compact(extend(full, [effect], events)) for effect in direct]
+        to_find = [] if remainder is None else _to_find(events, remainder)
+        first = [partial(find_mode, unknown.log_density, unknown.dimension, start)]
+        (unknown_mode, *found), near = _side_by_side(
+            [*first, *(work for _, work in to_find)], hypotheses, base, say, workers
+        )
+        say(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
+        weighed = [
+            replace(by_laplace(none, base), remainder=remainder),
+            by_laplace(unknown, unknown_mode),
+        ]
+        floor = unknown_mode.log_evidence - MARGIN_NATS
+        causes = weigh_extensions(hypotheses, near, base, say, workers, floor)
+        if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
+            say(
+                "no cause mends a baseline that bent: searched from the centre of the prior, "
+                "best first"
+            )
+            causes = _from_centre(causes, base, unknown_mode, workers)
+        weighed += causes
+        for (effect, _), settled in zip(to_find, found, strict=True):
+            if settled is not None:
+                best = max(own.log_evidence for own in weighed)
+                weighed.append(self._settled(replace(effect, found=settled), (), base, best))
+        return _sampled_near_best(weighed, rng, workers)
+
+    def _settled(
+        self, effect: Effect, beside: Sequence[Effect], base: Mode, best: float
+    ) -> Candidate:
+        """An effect as its search has settled it, beside other effects or alone."""
+        effects = [*beside, effect]
+        own = self.events.with_columns_of(effects)
+        hypothesis = compact(extend(none_hypothesis(own), effects, own))
+        near = [newton_search(hypothesis, base)]
+        (weighed,) = weigh_extensions([hypothesis], near, base, silent, floor=best - MARGIN_NATS)
+        return weighed
+
+    def scores_at(
+        self, width: float, verdict: Ranking[Hypothesis], _: np.random.Generator
+    ) -> Mapping[str, float]:
+        """By the draws that there are (:mod:`cassini_bayes.diagnosis.widths`)."""
+        return {
+            own.name: score + change_of_evidence(self.events, own, float(np.exp(score)), width)
+            for own, score in zip(verdict.weighed, verdict.log_probabilities, strict=True)
+        }
+
+    def pairs(
+        self, first: Candidate, least: float, rng: np.random.Generator, workers: int
+    ) -> list[Candidate]:
+        """By searches from the first cause's mode, by draws for what could be the best pair."""
+        (effect,) = first.hypothesis.effects
+        events = self.events.with_columns_of([effect])
+        full = extend(none_hypothesis(events), [effect], events)
+        base = first.mode
+        if not base.is_whole:
+            base = with_whole_curvature(first.hypothesis, base)
+        others = [own for own in events.catalogue.effects if own.name != effect.name]
+        pairs = [compact(extend(full, [own], events)) for own in others if not own.needs_search]
+        to_find = []
+        if events.sources and any(own.needs_search for own in others):
+            remainder = innovations(events, first.hypothesis, base.point)
+            to_find = [(own, work) for own, work in _to_find(events, remainder) if own in others]
+        found, near = _side_by_side(
+            [work for _, work in to_find], pairs, base, silent, workers, SECOND_CAUSE_NATS
+        )
+        tried = weigh_extensions(pairs, near, base, silent, workers, least)
+        for (own, _), settled in zip(to_find, found, strict=True):
+            if settled is not None and _could_gain(settled, SECOND_CAUSE_NATS):
+                second = replace(own, found=settled)
+                tried.append(self._settled(second, [effect], base, base.log_evidence))
+        reach = [own.net_evidence + own.unsure + CONFOUNDED_NATS for own in tried]
+        bar = max([least, *(own.net_evidence for own in tried)])
+        which = [i for i, own in enumerate(reach) if own > bar]
+        return with_draws(tried, which, FEW_DRAWS, rng, workers)
+
+    def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
+        """With as many draws as the best causes have."""
+        return importance_sampled(pair, rng, DRAWS)
+
+    def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
+        """From draws with what counters leave open (:mod:`cassini_bayes.diagnosis.sizes`)."""
+        return summarised(*size_draws(self.events, weighed, rng))
+
+    def held_out(
+        self, weighed: Candidate, rng: np.random.Generator, say: Say = silent
+    ) -> HeldOut | None:
+        """Telemetry events or totals rows (:mod:`cassini_bayes.diagnosis.gain`)."""
+        return held_out(self.events, weighed, rng, say)
+
+    def examined(self, weighed: Candidate) -> Candidate:
+        """With what a cause leaves of telemetry."""
+        if not self.events.sources or weighed.remainder is not None or not weighed.is_cause:
+            return weighed
+        events = self.events.with_columns_of(weighed.hypothesis.effects)
+        left = innovations(events, weighed.hypothesis, weighed.mode.point)
+        return replace(weighed, remainder=left)
+
+    def rmse(self, weighed: Candidate) -> float | None:
+        """RMS innovation, N m s; None for totals alone."""
+        if weighed.remainder is None:
+            return None
+        values = np.concatenate([own.residual_n_m_s.ravel() for own in weighed.remainder.rows])
+        return float(np.sqrt((values**2).mean()))
+
+    def p_value(self, weighed: Candidate, rng: np.random.Generator) -> float | None:
+        """Of the innovations; None for totals alone."""
+        left = weighed.remainder
+        if left is None:
+            return None
+        return p_value(left.linear, [event.time_s for event in left.rows], rng)
+
+    def show(self, baseline: Candidate, extended: Candidate, rng: np.random.Generator) -> Shown:
+        """Symptoms, closure at the end and tests of the innovations; nothing for totals alone."""
+        before = baseline.remainder
+        if before is None:
+            return Shown()
+        after = extended.remainder or before
+        tests = extended_tests = innovation_tests(before.linear, before.rows, rng)
+        if after is not before:
+            extended_tests = innovation_tests(after.linear, after.rows, rng)
+        symptoms = [asdict(symptom) for symptom in find_symptoms(before.rows, tests)]
+        return Shown(symptoms, _closure(tests, extended_tests), (tests, extended_tests))
+
+    def separation(self, one: str, other: str) -> str:
+        """What the kinds say, or events that fire other thrusters."""
+        kinds, priors = self.events.catalogue.kinds, self.events.priors
+        return separating_measurement(kinds, priors, one, other)
+
+
+def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
+    """The baseline's mode in the coordinates of ``unknown``, its own new ones where best."""
+    at = dict(zip(none.model.space.names, base.point, strict=True))
+    is_new = np.array([name not in at for name in unknown.model.space.names])
+    point = np.array([at.get(name, 0.0) for name in unknown.model.space.names])
+    tried = np.where(is_new, np.array(UNKNOWN_STARTS)[:, None], point)
+    return np.asarray(tried[int(np.nanargmax(unknown.log_density(tried)))])
+
+
+def _to_find(events: Events, remainder: Remainder) -> list[tuple[Effect, Work]]:
+    """Effects that need a search before the fit, and that search in what a hypothesis leaves."""
+    found: list[tuple[Effect, Work]] = []
+    for effect in events.catalogue.effects:
+        if effect.kind.search is not None:
+            priors = {p.key: p.distribution for p in effect.parameters}
+            found.append((effect, partial(effect.kind.search, remainder, priors)))
+    return found
+
+
+def _could_gain(found: Found, nats: float) -> bool:
+    return found.log_gain + HOPED_NATS > found.log_looks + nats
+
+
+def _side_by_side(
+    first: Sequence[Work],
+    hypotheses: Sequence[Hypothesis],
+    base: Mode,
+    say: Say,
+    workers: int,
+    worth: float = -np.inf,
+) -> tuple[list[Any], list[ModeSearch]]:
+    """Results of some work, and of the causes' searches beside the baseline, shared out together.
+
+    The work comes first, as it takes as long as many searches. Causes that do not gain ``worth``
+    (nats) do not matter.
+    """
+
+    def progress(count: int) -> None:
+        if count > len(first) and (count - len(first)) % 10 == 0:
+            say(f"{count - len(first)} of {len(hypotheses)} causes weighed")
+
+    near = [partial(newton_search, own, base, worth) for own in hypotheses]
+    work: list[Work] = [*first, *near]
+    # importance draws need ArviZ, whose import takes most of a second
+    found: list[Any] = in_processes(lambda part: part(), work, workers, progress, arviz)
+    return found[: len(first)], found[len(first) :]
+
+
+def _is_bent(mode: Mode) -> bool:
+    return bool(np.abs(mode.point).max() > BENT)
+
+
+def _is_mended(causes: Sequence[Candidate], unknown: Mode) -> bool:
+    """Whether the best cause beats ``unknown`` with parameters that are not far out themselves."""
+    best = max(causes, key=lambda own: own.log_evidence)
+    return best.log_evidence > unknown.log_evidence and not _is_bent(best.mode)
+
+
+def _from_centre(
+    causes: Sequence[Candidate], base: Mode, unknown: Mode, workers: int
+) -> list[Candidate]:
+    """Causes searched from the centre of the prior, the best first, until one mends the baseline.
+
+    They go in parts of at most :data:`TOGETHER` that have gained nearly alike, so that what the
+    data cannot tell apart is searched alike.
+    """
+    found = list(causes)
+    order = sorted(range(len(found)), key=lambda i: -found[i].log_evidence)
+    while order:
+        best = causes[order[0]].log_evidence
+        least = best - GAINED_ALIKE * max(best - base.log_evidence, 0.0)
+        part = [i for i in order[:TOGETHER] if causes[i].log_evidence >= least]
+        order = order[len(part) :]
+        modes = in_processes(lambda i: _higher_from_centre(causes[i]), part, workers)
+        for i, mode in zip(part, modes, strict=True):
+            if mode is not None:
+                found[i] = by_laplace(causes[i].hypothesis, mode)
+        if _is_mended(found, unknown):
+            break
+    return found
+
+
+def _higher_from_centre(weighed: Candidate) -> Mode | None:
+    """The mode of a search that does not begin where the baseline was bent to, if it is higher."""
+    hypothesis = weighed.hypothesis
+    found = find_mode(hypothesis.log_density, hypothesis.dimension)
+    return found if found.log_evidence > weighed.log_evidence else None
+
+
+def _sampled_near_best(
+    weighed: Sequence[Candidate], rng: np.random.Generator, workers: int
+) -> list[Candidate]:
+    """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
+    found = list(weighed)
+    least = max(own.score for own in found) - NEAR_NATS
+    near = [i for i, own in enumerate(found) if own.score + own.unsure > least]
+    found = with_draws(found, near, FEW_DRAWS, rng, workers)
+    best = sorted(near, key=lambda i: -found[i].score)[:MOST_DRAWN]
+    return with_draws(found, best, DRAWS, rng, workers)
+
+
+def _closure(before: InnovationTests, after: InnovationTests) -> list[dict[str, Any]]:
+    """Momentum at the end against the start, N m s, with 1 σ if the model is true."""
+    return [
+        {
+            "event": old.event,
+            "axis": old.axis,
+            "baseline_n_m_s": old.value,
+            "baseline_sd_n_m_s": old.sd,
+            "extended_n_m_s": new.value,
+            "extended_sd_n_m_s": new.sd,
+        }
+        for old, new in zip(before.closure, after.closure, strict=True)
+    ]

@@ -1,0 +1,160 @@
+"""Hypotheses on the momentum balance: the baseline, with effects, and with a discrepancy.
+
+``none`` is the baseline without torque noise, a cause is ``none`` with an effect more, ``unknown``
+is the baseline with torque noise (and totals' hold rates) at a wide prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.kinematics import RateInformation, rate_log_likelihood
+from cassini_bayes.model.joint import (
+    JointModel,
+    build_joint_model,
+    joint_log_posterior,
+    with_equal_bands_merged,
+    without_idle,
+)
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.parameter_space import ParameterSpace
+
+Array = NDArray[np.float64]
+TORQUE_NOISE: Final = "torque_noise_n_m_s05"
+HOLD_RATE: Final = "hold_rate_rad_s"
+FARTHEST: Final = 8.0
+UNKNOWN_FARTHEST: Final = 6.0
+WALL: Final = 1e3
+LEAST: Final = -1e12
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A model to weigh: its name, log posterior density in z, and prior probability.
+
+    ``effects`` are those it has beyond the baseline; their walked coordinates are the last ones of
+    the model's space. ``rates`` is what attitudes say of the gyros, where an effect is one of them.
+    """
+
+    name: str
+    model: JointModel
+    effects: tuple[Effect, ...]
+    prior_probability: float
+    rates: RateInformation | None = None
+    farthest: float = FARTHEST
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(effect.name for effect in self.effects)
+
+    @property
+    def log_penalty(self) -> float:
+        """What searches before the fit cost (nats)."""
+        return sum(effect.found.log_looks for effect in self.effects if effect.found is not None)
+
+    @property
+    def dimension(self) -> int:
+        """Number of walked coordinates."""
+        return len(self.model.space.names)
+
+    def log_density(self, z: Array) -> Array:
+        """Log likelihood plus log prior (n,) at z (n, d).
+
+        Beyond ``farthest`` prior standard deviations a steep wall stands in, and points where the
+        likelihood has no value get the least there is: searches may step there.
+        """
+        inside = np.clip(z, -self.farthest, self.farthest)
+        wall = WALL * ((z - inside) ** 2).sum(-1)
+        try:
+            return np.asarray(self._inside(inside) - wall)
+        except np.linalg.LinAlgError:
+            found = np.concatenate([self._one(point[None]) for point in inside])
+            return np.asarray(found - wall)
+
+    def _one(self, z: Array) -> Array:
+        try:
+            return self._inside(z)
+        except np.linalg.LinAlgError:
+            return np.array([LEAST])
+
+    def _inside(self, z: Array) -> Array:
+        value = np.nan_to_num(joint_log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
+        if self.rates is None:
+            return value
+        parameters = self.model.space.to_parameters(z)
+        bias, scale = np.zeros((len(z), 3)), np.zeros((len(z), 3))
+        for effect in self.effects:
+            if effect.kind.rate_errors is not None:
+                setting = effect.setting(self.model.spacecraft, self.model.branch)
+                errors = effect.kind.rate_errors(effect.values(parameters), setting)
+                bias, scale = bias + errors[0], scale + errors[1]
+        return value + rate_log_likelihood(self.rates, bias, scale)
+
+
+def none_hypothesis(events: Events) -> Hypothesis:
+    """The baseline without torque noise."""
+    priors = events.priors
+    if events.sources:
+        priors = priors.with_fixed(TORQUE_NOISE, 0.0)
+    model = build_joint_model(events.statistics, priors, events.totals, keep_idle=True)
+    return Hypothesis(NONE, model, (), events.catalogue.odds.none)
+
+
+def unknown_hypothesis(events: Events) -> Hypothesis:
+    """The baseline with a discrepancy: torque noise and totals' hold rates at wide priors."""
+    priors, totals, unknown = events.priors, events.totals, events.catalogue.unknown
+    if events.sources:
+        priors = priors.with_distribution(TORQUE_NOISE, unknown.torque_noise)
+    if totals is not None:
+        prior = priors.parameters[HOLD_RATE]
+        middle = prior.fixed if prior.distribution is None else prior.distribution.mean()
+        assert middle is not None  # the reader guarantees dist or fixed
+        wider = {"s": unknown.hold_rate_log_sd, "scale": unknown.hold_rate_factor * middle}
+        priors = priors.with_distribution(HOLD_RATE, Distribution("lognorm", wider))
+        totals = replace(totals, space=priors.space([*totals.space.names, *totals.space.fixed]))
+    model = build_joint_model(events.statistics, priors, totals, keep_idle=True)
+    return Hypothesis(UNKNOWN, model, (), events.catalogue.odds.unknown, farthest=UNKNOWN_FARTHEST)
+
+
+def extend(base: Hypothesis, effects: Sequence[Effect], events: Events) -> Hypothesis:
+    """A hypothesis with more effects; its walked coordinates come after those there are."""
+    old = base.model
+    parameters = [parameter for effect in effects for parameter in effect.parameters]
+    space = ParameterSpace(
+        (*old.space.names, *(p.name for p in parameters)),
+        old.space.fixed,
+        (*old.space.distributions, *(p.distribution for p in parameters)),
+        (*old.space.blocks, *("effect" for _ in parameters)),
+    )
+    added = tuple(effect.modifier(old.spacecraft, old.branch) for effect in effects)
+    in_rows = tuple(effect.modifier(old.spacecraft, old.branch, rows=True) for effect in effects)
+    totals = old.totals
+    if totals is not None:
+        totals = replace(totals, modifiers=(*totals.modifiers, *added))
+    model = replace(old, space=space, totals=totals, modifiers=(*old.modifiers, *in_rows))
+    together = (*base.effects, *effects)
+    probability = base.prior_probability if base.effects else 1.0
+    for effect in effects:
+        probability *= effect.prior_probability
+    has_rate_errors = any(effect.kind.rate_errors is not None for effect in together)
+    return Hypothesis(
+        "+".join(effect.name for effect in together),
+        model,
+        together,
+        probability,
+        events.rates if has_rate_errors else None,
+    )
+
+
+def compact(hypothesis: Hypothesis) -> Hypothesis:
+    """The same hypothesis without columns that have no weight and bands that are alike: faster."""
+    return replace(hypothesis, model=with_equal_bands_merged(without_idle(hypothesis.model)))
