@@ -15,7 +15,7 @@ from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Say, Shown, Size, Wei
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
 
-WIDTHS: Final = (0.5, 2.0)
+WIDTHS: Final = (0.5, 2.0)  # of the effects' priors, which are good to a factor of two
 LEAST_PROBABILITY: Final = 1e-6
 """Of a cause, below which its size and its probability at other widths are not written: nobody
 reads them, and sizes of fifty causes take as long as their searches."""

@@ -36,12 +36,13 @@ from cassini_bayes.priors.distributions import Distribution
 
 Array = NDArray[np.float64]
 MODES: Final = 32
-DRAWS: Final = 2_000
-TIMES: Final = 200
+"""Cosines of an event: judgement, a curve down to a thirtieth of it; each costs three columns."""
+DRAWS: Final = 2_000  # behind a band: its ends scatter by a twentieth of a standard deviation
+TIMES: Final = 200  # points of a curve
 POWERS: Final = (1, 2)  # of 1/m: random walk, slow drift
 PROBABILITY: Final = 0.90
-_NODES: Final = 121
-FARTHEST: Final = 5.0  # prior standard deviations
+_NODES: Final = 121  # of the amplitude, twelve to a standard deviation of its prior
+FARTHEST: Final = 5.0  # prior standard deviations of these
 
 
 @dataclass(frozen=True)

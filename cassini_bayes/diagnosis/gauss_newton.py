@@ -23,10 +23,12 @@ Forward = Callable[[Array], Array]  # z (n, d) → predicted (n, E, U)
 Noise = Callable[[Array], Array]  # z (d,) → covariance (E, U, U)
 
 STEP: Final = 0.02
-MOST_STEPS: Final = 40
-SETTLED: Final = 1e-4
-SHORTER: Final = 0.5 ** np.arange(8)
-DEGREES: Final = 8.0
+"""Standard normals, for slopes: judgement, long enough to see over the kinks where another thruster
+needs least."""
+MOST_STEPS: Final = 40  # judgement: a few are enough but on kinks
+SETTLED: Final = 1e-4  # standard normals that a last step moves
+SHORTER: Final = 0.5 ** np.arange(8)  # shares of a step that are tried
+DEGREES: Final = 8.0  # of the Student-t proposal, as in evidence
 LOG_2PI: Final = float(np.log(2.0 * np.pi))
 
 

@@ -31,9 +31,14 @@ Array = NDArray[np.float64]
 TORQUE_NOISE: Final = "torque_noise_n_m_s05"
 HOLD_RATE: Final = "hold_rate_rad_s"
 FARTHEST: Final = 8.0
+"""Prior standard deviations at which a wall stands: what lies further has a prior of 1e-15, and
+quantiles lose their digits (judgement)."""
 UNKNOWN_FARTHEST: Final = 6.0
-WALL: Final = 1e3
-LEAST: Final = -1e12
+"""With a discrepancy nothing needs a nuisance that far out, and where inertias and a torque noise
+of many standard deviations trade with each other the likelihood is not one of anything that flies:
+it won by 1,900 nats in a blind trial (docs/criticism.md §6, "what campaigns found")."""
+WALL: Final = 1e3  # nats per squared standard deviation: steeper than any likelihood bends back
+LEAST: Final = -1e12  # log density where the likelihood has no value: below all that have one
 
 
 @dataclass(frozen=True)

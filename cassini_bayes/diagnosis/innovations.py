@@ -31,8 +31,10 @@ from cassini_bayes.model.joint import full_parameters, joint_physics
 
 Array = NDArray[np.float64]
 SMOOTHED_ROWS: Final = 31
-_STEP: Final = 1e-3
-_WIDE: Final = 1e-12
+"""Of running means of channels behind slopes: judgement, noise a fifth or less, and half a minute
+is short beside a slew."""
+_STEP: Final = 1e-3  # standard normals, for slopes: central differences good to 1e-6
+_WIDE: Final = 1e-12  # N m, the least width of a torque's prior: one that is fixed has none
 
 
 def _columns(terms: TelemetryTerms, rows: Rows, weights: Array) -> Array:

@@ -20,18 +20,35 @@ from cassini_bayes.sampling.warmstart import hessian, no_wider_than_prior
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 LOG_2_PI: Final = float(np.log(2.0 * np.pi))
-STEP: Final = 0.02  # standard deviations, for slopes
+STEP: Final = 0.02
+"""Of one-sided slopes, in standard deviations. Judgement: a mode is off by half of it, 5e-5 nats,
+and rounding of 1e-6 nats (``search.ROUNDING``) is a slope of 5e-5."""
 CURVATURE_STEP: Final = 0.2
+"""In standard deviations. Judgement: rounding of 1e-6 nats is 2.5e-5 of a curvature; third
+derivatives cancel in central differences."""
 LEAST_CURVATURE: Final = 0.05
-FIRST_AXES: Final = 0.05  # prior standard deviations
+"""Of a direction in white coordinates: no look makes one more than 4.5 times as wide (judgement;
+what is a saddle or noise would run away, and the next look widens again)."""
+FIRST_AXES: Final = 0.05
+"""Prior standard deviations, before any curvature is known: judgement, between what telemetry tells
+well (a thousandth) and what it does not."""
 FIRST_STEPS: Final = 15
+"""Of L-BFGS before the first curvature: judgement, a rough point is enough for that."""
 MOST_CURVATURES: Final = 6
-WHITE: Final = (0.8, 1.25)  # curvature along axes that follow a ridge
-NEARLY_WHITE: Final = (0.4, 2.5)  # curvature along axes whose differences tell it right
-SLOPE_LEFT: Final = 0.01  # nats
-NEWTON_STEPS: Final = 8
-GAIN_LEFT: Final = 1e-3  # nats
-LEAST_SHARE: Final = 0.2  # of the gain that a Newton step predicts
+"""Curvatures taken until axes are white (docs/criticism.md §1). Judgement: each takes d² points;
+what has not ended by then goes on by importance draws."""
+WHITE: Final = (0.8, 1.25)
+"""Curvature along axes that follow a ridge: Laplace's evidence is then good to 0.1 nats."""
+NEARLY_WHITE: Final = (0.4, 2.5)
+"""Curvature along axes whose differences tell it right (docs/criticism.md §1): the step is then
+0.13 to 0.32 of the standard deviation there."""
+SLOPE_LEFT: Final = 0.01
+"""Nats that a last Newton step may still predict (docs/criticism.md §1)."""
+NEWTON_STEPS: Final = 8  # before L-BFGS: in white axes three or four are enough (judgement)
+GAIN_LEFT: Final = 1e-3  # nats: a tenth of SLOPE_LEFT
+LEAST_SHARE: Final = 0.2
+"""Of the gain that a Newton step predicts; less, and the density is not quadratic there (judgement,
+the sufficient decrease of line searches)."""
 
 
 @dataclass(frozen=True)

@@ -51,10 +51,14 @@ from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 Array = NDArray[np.float64]
 
 COMMON: Final = "thrust_common_n"
-TAIL_STEP: Final = 0.5  # of the wheels' loop time
+TAIL_STEP: Final = 0.5
+"""Of the wheels' loop time, for pieces of the profile after a ramp: on-times agree with those of 1
+s pieces to 10 ms (tests/diagnosis/test_on_time_case.py)."""
 THRUSTS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
 CHANCE: Final = ("minor_quantum_s", "event_spread", "shared_shape")
-LEAST_FACTOR: Final = 1e-2  # a thruster that pushes less is none
+LEAST_FACTOR: Final = 1e-2
+"""Effective per commanded second: a thruster that pushes less is none, and a search may step
+there."""
 
 
 @dataclass(frozen=True)

@@ -29,29 +29,49 @@ from cassini_bayes.diagnosis.modes import (
 from cassini_bayes.sampling.warmstart import lower_factor
 
 Array = NDArray[np.float64]
-LEAST_SHARE: Final = 0.2  # of the gain that a Newton step predicts
-RIDGE_ROUNDS: Final = 2
-NEAR_ROUNDS: Final = 9
-NEAR_TURNS: Final = 3
-NEAR_LEFT: Final = 0.02  # nats that a last step predicts
-SLOPE_LEFT: Final = 0.1
-NEAR_GAIN: Final = 5.0  # nats
-NEAR_FAR: Final = 20.0  # nats that a step predicts
-ROUNDING: Final = 1e-6  # nats by which the same point may differ between batches
-SHORTER: Final = 0.3
-FEW_STEPS: Final = 6
-LACKING_NATS: Final = 30.0
-NEAR_LACKING: Final = 3.0  # of the gain so far, and of what a step predicts
-LACKING_SHARE: Final = 1.0  # of the gain so far
-UNSURE_NATS: Final = 3.0  # of the volume of a peak whose ridge is not straight
-LEAST_CROSS: Final = 0.1
-FLATTEST: Final = 1e-4  # of the steepest curvature, in one round
-LEAST_RIDGE: Final = 1e-6
-BENT: Final = 0.03  # of the steepest curvature
-FAR_MOVED: Final = 3.0  # baseline standard deviations along an axis
-EFFECT_STEPS: Final = (0.3, 0.03, 0.003, 0.0003)  # prior standard deviations
-STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)
+ROUNDING: Final = 1e-6
+"""Nats by which the same point may differ between batches: a log density of 1e5 has 1e-11 of its
+own, sums over a batch more. A Newton step of no gain is then no failure."""
+
+# How long the first search goes on. Judgement, kept where verdicts on two flights were the same
+# with and without the bounds: with a leak of 0.1 mN 4 of 49 causes go on to the second, where it
+# had been 44 (docs/criticism.md §1).
+NEAR_ROUNDS: Final = 9  # Newton steps: most causes need one or two
+NEAR_TURNS: Final = 3  # rounds in a row that only turn the axes along a ridge
+NEAR_LEFT: Final = 0.02  # nats that a last step predicts: below what Laplace's evidence is good to
+NEAR_GAIN: Final = 5.0  # nats of a cause that is searched further: there may be another mode
+NEAR_FAR: Final = 20.0  # nats that a step predicts: too far for the curvature here
+SHORTER: Final = 0.3  # of a step that did not gain what it predicted
+RIDGE_ROUNDS: Final = 2  # of axes turned along a ridge: the difference h − cᵀc is good after these
+FEW_STEPS: Final = 6  # of L-BFGS in the second search: the third looks at the whole curvature
+SLOPE_LEFT: Final = 0.1  # nats that its last slope predicts, a tenth of what matters to a rank
+
+# What a search that has not ended may still lack (docs/criticism.md §1). Judgement: a bound too low
+# loses a cause, one too high costs a second for each.
+LACKING_NATS: Final = 30.0  # of one that gained more than NEAR_GAIN
+NEAR_LACKING: Final = 3.0  # of the gain after the first search, and of what its steps predict
+LACKING_SHARE: Final = 1.0  # of the gain after the second
+UNSURE_NATS: Final = 3.0
+"""Of the volume of a peak whose ridge is not straight: what a banana in the tests is short of stays
+within it (tests/diagnosis/test_evidence.py). Importance draws tell."""
+
+LEAST_SHARE: Final = 0.2  # of the gain that a Newton step predicts, as in modes
+LEAST_CROSS: Final = 0.1  # sum of squared off-diagonals of white axes: 0.05 nats of the evidence
+FLATTEST: Final = 1e-4  # of the steepest curvature in one round: axes grow a hundredfold at most
+LEAST_RIDGE: Final = 1e-6  # curvature; a thousand baseline standard deviations wide
+BENT: Final = 0.03
+"""Of the steepest curvature: what comes out more negative is bent within the step and no rounding
+(judgement; its direction is used, its length is not)."""
+FAR_MOVED: Final = 3.0
+"""Baseline standard deviations along an axis, beyond which its curvature need not be the
+baseline's: near a bound of its prior a parameter hardly moves (judgement)."""
+EFFECT_STEPS: Final = (0.3, 0.03, 0.003, 0.0003)
+"""Prior standard deviations, for the first curvature of an effect: telemetry tells some sizes to a
+thousandth of their prior, totals hardly any."""
+STARTS: Final = (-2.0, -0.7, 0.0, 0.7, 2.0)  # of the second search, along every axis of an effect
 NEAR_STARTS: Final = (-3.5, -2.5, -1.8, -1.2, -0.7, -0.3, 0.0, 0.4, 1.0, 2.0)
+"""Of the first search, in standard normals. More of them below zero: half-normal sizes (leaks,
+deficits) have their small values there."""
 
 
 @dataclass(frozen=True)

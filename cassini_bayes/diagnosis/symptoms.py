@@ -21,10 +21,14 @@ from cassini_bayes.diagnosis.correlations import (
 )
 
 Array = NDArray[np.float64]
-DRIFT_Z: Final = 6.0  # the largest of many windows
-LEAST_Z: Final = 4.0
-IN_STEP: Final = 0.9
-MOST: Final = 24
+DRIFT_Z: Final = 6.0
+"""Of the largest of many windows of a random path: judgement, so that a flight with nothing hidden
+names none."""
+LEAST_Z: Final = 4.0  # of a single test among some fifty: a false one in 300 records
+IN_STEP: Final = 0.9  # correlation of a drift with a thruster's on-time: judgement, 80 % of it
+MOST: Final = 24  # symptoms in a record: more are not read
+MEDIAN_STEP: Final = 0.954
+"""Median of |x − y| of two independent standard normals: √2 × 0.6745."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ def _drift(own: EventRows, axis: int) -> list[Symptom]:
     low, high = int(smooth.argmin()), int(smooth.argmax())
     first, last = min(low, high), max(low, high)
     change = float(smooth[last] - smooth[first])
-    sigma = float(np.median(np.abs(np.diff(own.residual_n_m_s[:, axis]))) / 0.954)
+    sigma = float(np.median(np.abs(np.diff(own.residual_n_m_s[:, axis]))) / MEDIAN_STEP)
     z = change / (sigma * np.sqrt(2.0 / WINDOW_ROWS) + 1e-30)
     if abs(z) < DRIFT_Z:
         return []

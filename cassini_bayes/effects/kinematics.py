@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +24,11 @@ from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
 
 Array = NDArray[np.float64]
-BLOCKS = 200
-_LEAST_BLOCKS = 8
-_NORMAL_MEDIAN = 0.6745  # of |x|, in standard deviations
+BLOCKS: Final = 200
+"""Of an event, summed over: judgement, both noises are told apart, and sine transforms are
+short."""
+_LEAST_BLOCKS: Final = 8  # for two noises and two unknowns
+_NORMAL_MEDIAN: Final = 0.6745  # of |x|, in standard deviations
 
 
 @dataclass(frozen=True)
