@@ -132,6 +132,7 @@ def _checked(where: str, name: str, result: Any, given: tuple[Any, ...]) -> Any:
         _check_type(where, result, Physics)
         _check_physics(where, result, given[0], len(next(iter(given[2].values()))))
     elif name == "columns":
+        _check_type(where, result, tuple)
         return tuple(_checked_column(where, column) for column in result)
     elif name == "rate_errors":
         points = len(next(iter(given[0].values())))
@@ -140,6 +141,8 @@ def _checked(where: str, name: str, result: Any, given: tuple[Any, ...]) -> Any:
     elif name == "left_open":
         columns, variances = _pair(where, result)
         _check_shape(f"{where}: columns", columns, (len(given[1].time_s), 3, len(variances)))
+    elif name == "simulate":
+        _check_type(where, result, type(given[0]))
     elif name == "fire":
         _check_type(where, result, Fired)
     elif name in ("report", "doubt"):

@@ -96,6 +96,8 @@ def read_table(document: Mapping[str, Any], where: str) -> Table:
     for name in inputs:
         _check_one_of(f"{where}.inputs", name, INPUTS)
     parameters = _table(document["parameters"], f"{where}.parameters")
+    if not parameters:
+        raise InputError(f"{where}.parameters", "at least one parameter", "none", "add its size")
     return Table(
         where,
         document["targets"],
