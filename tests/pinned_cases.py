@@ -287,7 +287,7 @@ def causes_of(events: Events, names: Sequence[str]) -> dict[str, Hypothesis]:
     for name in names:
         effect = events.catalogue.effect(name)
         if effect.needs_search:
-            effect = replace(effect, found=LINE)
+            effect = replace(effect, search_result=LINE)
         own = events.with_columns_of([effect])
         found[name] = compact(extend(none_hypothesis(own), [effect], own))
     return found
@@ -568,7 +568,7 @@ def of_event(name: str) -> EventStatistics:
 def of_diagnosis() -> EventStatistics:
     """The bias reduced with all columns that effects need."""
     events = telemetry_case()
-    line = replace(events.catalogue.effect("flexible_mode"), found=LINE)
+    line = replace(events.catalogue.effect("flexible_mode"), search_result=LINE)
     return events.with_columns_of([line]).statistics[0][0]
 
 

@@ -58,7 +58,7 @@ def diagnose_command(
     else:
         case = BalanceCase(read_events(events, priors, source, reporter.say, kinds))
     rng = np.random.default_rng(number)
-    result: Diagnosis[Any] = diagnose(case, rng, measure_gain=gain, say=reporter.say, workers=cores)
+    result: Diagnosis[Any] = diagnose(case, rng, measure_gain=gain, log=reporter.say, workers=cores)
     result.record["seed"] = number
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
     result.record["effects"] = dict(kinds.files)
@@ -129,5 +129,5 @@ def diagnose_published_command(
     reporter = ConsoleReporter(quiet)
     number = DEFAULT_SEED if seed is None else seed
     command = ["cassini-bayes", *sys.argv[1:]]
-    found = write_published_diagnosis(page, totals, priors, number, command, reporter.say)
-    typer.echo(json.dumps(found))
+    sections = write_published_diagnosis(page, totals, priors, number, command, reporter.say)
+    typer.echo(json.dumps(sections))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.processes import in_processes
-from cassini_bayes.diagnosis.case import Case, Ranking, Say, Shown, Size, Weighed, Work, silent
+from cassini_bayes.diagnosis.case import Case, Log, Ranking, Shown, Size, Weighed, Work, silent
 from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.evidence import (
@@ -41,7 +41,7 @@ from cassini_bayes.diagnosis.sizes import size_draws, summarised
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
 from cassini_bayes.diagnosis.widths import change_of_evidence
-from cassini_bayes.effects.effect import Effect, Found, Remainder
+from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
 
 Array = NDArray[np.float64]
 Candidate = Weighed[Hypothesis]
@@ -78,13 +78,13 @@ class BalanceCase(Case[Hypothesis]):
         """All events, totals rows first."""
         return self.events.ids
 
-    def weigh(self, rng: np.random.Generator, say: Say, workers: int) -> list[Candidate]:
+    def weigh(self, rng: np.random.Generator, log: Log, workers: int) -> list[Candidate]:
         """Evidence by searches from the baseline's mode, by draws near the best."""
         events = self.events
         full = none_hypothesis(events)
         none = compact(full)
         base = find_mode(none.log_density, none.dimension)
-        say(f"none: log evidence {base.log_evidence:.1f}")
+        log(f"none: log evidence {base.log_evidence:.1f}")
         unknown = compact(unknown_hypothesis(events))
         start = _unknown_start(none, unknown, base)
         remainder = innovations(events, full, base.point) if events.sources else None
@@ -92,27 +92,29 @@ class BalanceCase(Case[Hypothesis]):
         hypotheses = [compact(extend(full, [effect], events)) for effect in direct]
         to_find = [] if remainder is None else _to_find(events, remainder)
         first = [partial(find_mode, unknown.log_density, unknown.dimension, start)]
-        (unknown_mode, *found), near = _side_by_side(
-            [*first, *(work for _, work in to_find)], hypotheses, base, say, workers
+        (unknown_mode, *settled_by), near = _side_by_side(
+            [*first, *(work for _, work in to_find)], hypotheses, base, log, workers
         )
-        say(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
+        log(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
         weighed = [
             replace(by_laplace(none, base), remainder=remainder),
             by_laplace(unknown, unknown_mode),
         ]
         floor = unknown_mode.log_evidence - MARGIN_NATS
-        causes = weigh_extensions(hypotheses, near, base, say, workers, floor)
+        causes = weigh_extensions(hypotheses, near, base, log, workers, floor)
         if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
-            say(
+            log(
                 "no cause mends a baseline that bent: searched from the centre of the prior, "
                 "best first"
             )
             causes = _from_centre(causes, base, unknown_mode, workers)
         weighed += causes
-        for (effect, _), settled in zip(to_find, found, strict=True):
+        for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:
-                best = max(own.log_evidence for own in weighed)
-                weighed.append(self._settled(replace(effect, found=settled), (), base, best))
+                best = max(w.log_evidence for w in weighed)
+                weighed.append(
+                    self._settled(replace(effect, search_result=settled), (), base, best)
+                )
         return _sampled_near_best(weighed, rng, workers)
 
     def _settled(
@@ -120,8 +122,8 @@ class BalanceCase(Case[Hypothesis]):
     ) -> Candidate:
         """An effect as its search has settled it, beside other effects or alone."""
         effects = [*beside, effect]
-        own = self.events.with_columns_of(effects)
-        hypothesis = compact(extend(none_hypothesis(own), effects, own))
+        events = self.events.with_columns_of(effects)
+        hypothesis = compact(extend(none_hypothesis(events), effects, events))
         near = [newton_search(hypothesis, base)]
         (weighed,) = weigh_extensions([hypothesis], near, base, silent, floor=best - MARGIN_NATS)
         return weighed
@@ -131,8 +133,8 @@ class BalanceCase(Case[Hypothesis]):
     ) -> Mapping[str, float]:
         """By the draws that there are (:mod:`cassini_bayes.diagnosis.widths`)."""
         return {
-            own.name: score + change_of_evidence(self.events, own, float(np.exp(score)), width)
-            for own, score in zip(verdict.weighed, verdict.log_probabilities, strict=True)
+            w.name: score + change_of_evidence(self.events, w, float(np.exp(score)), width)
+            for w, score in zip(verdict.weighed, verdict.log_probabilities, strict=True)
         }
 
     def pairs(
@@ -145,24 +147,24 @@ class BalanceCase(Case[Hypothesis]):
         base = first.mode
         if not base.is_whole:
             base = with_whole_curvature(first.hypothesis, base)
-        others = [own for own in events.catalogue.effects if own.name != effect.name]
-        pairs = [compact(extend(full, [own], events)) for own in others if not own.needs_search]
+        others = [e for e in events.catalogue.effects if e.name != effect.name]
+        pairs = [compact(extend(full, [e], events)) for e in others if not e.needs_search]
         to_find = []
-        if events.sources and any(own.needs_search for own in others):
+        if events.sources and any(e.needs_search for e in others):
             remainder = innovations(events, first.hypothesis, base.point)
-            to_find = [(own, work) for own, work in _to_find(events, remainder) if own in others]
-        found, near = _side_by_side(
+            to_find = [(e, work) for e, work in _to_find(events, remainder) if e in others]
+        settled_by, near = _side_by_side(
             [work for _, work in to_find], pairs, base, silent, workers, SECOND_CAUSE_NATS
         )
-        tried = weigh_extensions(pairs, near, base, silent, workers, least)
-        for (own, _), settled in zip(to_find, found, strict=True):
+        weighed = weigh_extensions(pairs, near, base, silent, workers, least)
+        for (e, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None and _could_gain(settled, SECOND_CAUSE_NATS):
-                second = replace(own, found=settled)
-                tried.append(self._settled(second, [effect], base, base.log_evidence))
-        reach = [own.net_evidence + own.unsure + CONFOUNDED_NATS for own in tried]
-        bar = max([least, *(own.net_evidence for own in tried)])
-        which = [i for i, own in enumerate(reach) if own > bar]
-        return with_draws(tried, which, FEW_DRAWS, rng, workers)
+                second = replace(e, search_result=settled)
+                weighed.append(self._settled(second, [effect], base, base.log_evidence))
+        reach = [e.net_evidence + e.unsure + CONFOUNDED_NATS for e in weighed]
+        bar = max([least, *(e.net_evidence for e in weighed)])
+        which = [i for i, e in enumerate(reach) if e > bar]
+        return with_draws(weighed, which, FEW_DRAWS, rng, workers)
 
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
         """With as many draws as the best causes have."""
@@ -173,10 +175,10 @@ class BalanceCase(Case[Hypothesis]):
         return summarised(*size_draws(self.events, weighed, rng))
 
     def held_out(
-        self, weighed: Candidate, rng: np.random.Generator, say: Say = silent
+        self, weighed: Candidate, rng: np.random.Generator, log: Log = silent
     ) -> HeldOut | None:
         """Telemetry events or totals rows (:mod:`cassini_bayes.diagnosis.gain`)."""
-        return held_out(self.events, weighed, rng, say)
+        return held_out(self.events, weighed, rng, log)
 
     def examined(self, weighed: Candidate) -> Candidate:
         """With what a cause leaves of telemetry."""
@@ -190,7 +192,7 @@ class BalanceCase(Case[Hypothesis]):
         """RMS innovation, N m s; None for totals alone."""
         if weighed.remainder is None:
             return None
-        values = np.concatenate([own.residual_n_m_s.ravel() for own in weighed.remainder.rows])
+        values = np.concatenate([event.residual_n_m_s.ravel() for event in weighed.remainder.rows])
         return float(np.sqrt((values**2).mean()))
 
     def p_value(self, weighed: Candidate, rng: np.random.Generator) -> float | None:
@@ -223,29 +225,29 @@ def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
     at = dict(zip(none.model.space.names, base.point, strict=True))
     is_new = np.array([name not in at for name in unknown.model.space.names])
     point = np.array([at.get(name, 0.0) for name in unknown.model.space.names])
-    tried = np.where(is_new, np.array(UNKNOWN_STARTS)[:, None], point)
-    return np.asarray(tried[int(np.nanargmax(unknown.log_density(tried)))])
+    starts = np.where(is_new, np.array(UNKNOWN_STARTS)[:, None], point)
+    return np.asarray(starts[int(np.nanargmax(unknown.log_density(starts)))])
 
 
 def _to_find(events: Events, remainder: Remainder) -> list[tuple[Effect, Work]]:
     """Effects that need a search before the fit, and that search in what a hypothesis leaves."""
-    found: list[tuple[Effect, Work]] = []
+    to_find: list[tuple[Effect, Work]] = []
     for effect in events.catalogue.effects:
         if effect.kind.search is not None:
             priors = {p.key: p.distribution for p in effect.parameters}
-            found.append((effect, partial(effect.kind.search, remainder, priors)))
-    return found
+            to_find.append((effect, partial(effect.kind.search, remainder, priors)))
+    return to_find
 
 
-def _could_gain(found: Found, nats: float) -> bool:
-    return found.log_gain + HOPED_NATS > found.log_looks + nats
+def _could_gain(result: SearchResult, nats: float) -> bool:
+    return result.log_gain + HOPED_NATS > result.log_looks + nats
 
 
 def _side_by_side(
     first: Sequence[Work],
     hypotheses: Sequence[Hypothesis],
     base: Mode,
-    say: Say,
+    log: Log,
     workers: int,
     worth: float = -np.inf,
 ) -> tuple[list[Any], list[ModeSearch]]:
@@ -257,13 +259,13 @@ def _side_by_side(
 
     def progress(count: int) -> None:
         if count > len(first) and (count - len(first)) % 10 == 0:
-            say(f"{count - len(first)} of {len(hypotheses)} causes weighed")
+            log(f"{count - len(first)} of {len(hypotheses)} causes weighed")
 
-    near = [partial(newton_search, own, base, worth) for own in hypotheses]
+    near = [partial(newton_search, hypothesis, base, worth) for hypothesis in hypotheses]
     work: list[Work] = [*first, *near]
     # importance draws need ArviZ, whose import takes most of a second
-    found: list[Any] = in_processes(lambda part: part(), work, workers, progress, arviz)
-    return found[: len(first)], found[len(first) :]
+    results: list[Any] = in_processes(lambda part: part(), work, workers, progress, arviz)
+    return results[: len(first)], results[len(first) :]
 
 
 def _is_bent(mode: Mode) -> bool:
@@ -272,7 +274,7 @@ def _is_bent(mode: Mode) -> bool:
 
 def _is_mended(causes: Sequence[Candidate], unknown: Mode) -> bool:
     """Whether the best cause beats ``unknown`` with parameters that are not far out themselves."""
-    best = max(causes, key=lambda own: own.log_evidence)
+    best = max(causes, key=lambda cause: cause.log_evidence)
     return best.log_evidence > unknown.log_evidence and not _is_bent(best.mode)
 
 
@@ -284,8 +286,8 @@ def _from_centre(
     They go in parts of at most :data:`TOGETHER` that have gained nearly alike, so that what the
     data cannot tell apart is searched alike.
     """
-    found = list(causes)
-    order = sorted(range(len(found)), key=lambda i: -found[i].log_evidence)
+    candidates = list(causes)
+    order = sorted(range(len(candidates)), key=lambda i: -candidates[i].log_evidence)
     while order:
         best = causes[order[0]].log_evidence
         least = best - GAINED_ALIKE * max(best - base.log_evidence, 0.0)
@@ -294,29 +296,29 @@ def _from_centre(
         modes = in_processes(lambda i: _higher_from_centre(causes[i]), part, workers)
         for i, mode in zip(part, modes, strict=True):
             if mode is not None:
-                found[i] = by_laplace(causes[i].hypothesis, mode)
-        if _is_mended(found, unknown):
+                candidates[i] = by_laplace(causes[i].hypothesis, mode)
+        if _is_mended(candidates, unknown):
             break
-    return found
+    return candidates
 
 
 def _higher_from_centre(weighed: Candidate) -> Mode | None:
     """The mode of a search that does not begin where the baseline was bent to, if it is higher."""
     hypothesis = weighed.hypothesis
-    found = find_mode(hypothesis.log_density, hypothesis.dimension)
-    return found if found.log_evidence > weighed.log_evidence else None
+    mode = find_mode(hypothesis.log_density, hypothesis.dimension)
+    return mode if mode.log_evidence > weighed.log_evidence else None
 
 
 def _sampled_near_best(
     weighed: Sequence[Candidate], rng: np.random.Generator, workers: int
 ) -> list[Candidate]:
     """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
-    found = list(weighed)
-    least = max(own.score for own in found) - NEAR_NATS
-    near = [i for i, own in enumerate(found) if own.score + own.unsure > least]
-    found = with_draws(found, near, FEW_DRAWS, rng, workers)
-    best = sorted(near, key=lambda i: -found[i].score)[:MOST_DRAWN]
-    return with_draws(found, best, DRAWS, rng, workers)
+    candidates = list(weighed)
+    least = max(w.score for w in candidates) - NEAR_NATS
+    near = [i for i, w in enumerate(candidates) if w.score + w.unsure > least]
+    candidates = with_draws(candidates, near, FEW_DRAWS, rng, workers)
+    best = sorted(near, key=lambda i: -candidates[i].score)[:MOST_DRAWN]
+    return with_draws(candidates, best, DRAWS, rng, workers)
 
 
 def _closure(before: InnovationTests, after: InnovationTests) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.sampling.warmstart import Proposal
 
 Array = NDArray[np.float64]
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 Work = Callable[[], Any]
 NONE: Final = "none"
 UNKNOWN: Final = "unknown"
@@ -160,7 +160,7 @@ class Case(ABC, Generic[H]):
         """Names of what was observed."""
 
     @abstractmethod
-    def weigh(self, rng: np.random.Generator, say: Say, workers: int) -> list[Weighed[H]]:
+    def weigh(self, rng: np.random.Generator, log: Log, workers: int) -> list[Weighed[H]]:
         """Evidence of ``none``, ``unknown`` and every cause."""
 
     @abstractmethod
@@ -175,7 +175,7 @@ class Case(ABC, Generic[H]):
 
     @abstractmethod
     def held_out(
-        self, weighed: Weighed[H], rng: np.random.Generator, say: Say = silent
+        self, weighed: Weighed[H], rng: np.random.Generator, log: Log = silent
     ) -> HeldOut | None:
         """Scores of everything left out in turn; None where there is too little."""
 

@@ -83,15 +83,15 @@ def _within(ends: Array, pairs: Array, time_s: Array, duration_s: float) -> Arra
     the likelihood has the first part. √n for n pairs in one interval.
     """
     part = np.minimum((CUT_PARTS * ends / duration_s).astype(int), CUT_PARTS - 1)
-    found = [np.zeros((len(time_s), 0))]
+    profiles = [np.zeros((len(time_s), 0))]
     for quarter in range(CUT_PARTS):
-        own = np.flatnonzero((part == quarter) & (pairs > 0))
-        if len(own) < 2:
+        intervals = np.flatnonzero((part == quarter) & (pairs > 0))
+        if len(intervals) < 2:
             continue
-        step = (time_s[:, None] >= ends[own]).astype(np.float64)
-        mean = step @ pairs[own] / pairs[own].sum()
-        found.append((step - mean[:, None]) * np.sqrt(pairs[own]))
-    return np.concatenate(found, axis=1)
+        step = (time_s[:, None] >= ends[intervals]).astype(np.float64)
+        mean = step @ pairs[intervals] / pairs[intervals].sum()
+        profiles.append((step - mean[:, None]) * np.sqrt(pairs[intervals]))
+    return np.concatenate(profiles, axis=1)
 
 
 def single_cuts(
@@ -119,11 +119,11 @@ def single_cuts(
     interval, duration = terms.statistics.counter_interval_s, terms.sampling.duration_s
     samples = events.sources[place].samples
     for members in layout.couples if layout.thrusters else ():
-        found = losses(samples, members, time_s, duration, interval)
+        possible = losses(samples, members, time_s, duration, interval)
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
         lost = float(lost_per_cut_s(physics)[0]) * arms[:, list(members)].sum(1)
         taken = -model.linear.common_mean_n * lost
-        columns.append(found.profile[:, None] * taken[:, None])
-        variances.append(found.variance)
-        mean += found.mean[:, None] * taken
+        columns.append(possible.profile[:, None] * taken[:, None])
+        variances.append(possible.variance)
+        mean += possible.mean[:, None] * taken
     return np.concatenate(columns, axis=2), np.concatenate(variances), mean

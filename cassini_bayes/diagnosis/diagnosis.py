@@ -11,7 +11,7 @@ from typing import Any, Final, Generic
 import numpy as np
 
 from cassini_bayes.computing.processes import in_processes
-from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Say, Shown, Size, Weighed, Work, silent
+from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Log, Shown, Size, Weighed, Work, silent
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
 
@@ -45,7 +45,7 @@ def diagnose(
     *,
     measure_gain: bool = True,
     pairs: bool = True,
-    say: Say = silent,
+    log: Log = silent,
     workers: int = 1,
 ) -> Diagnosis[H]:
     """Show, name, extend and measure; returns everything for JSON and report.
@@ -60,13 +60,13 @@ def diagnose(
         Whether to hold events out (takes as many more fits as there are events, twice).
     pairs
         Whether to look for a second cause.
-    say
+    log
         Told how far it got.
     workers
         Processes among which causes and measures are shared out; the result does not depend on it.
     """
     at_start = deepcopy(rng)
-    verdict = weigh(case, rng, pairs=pairs, say=say, workers=workers)
+    verdict = weigh(case, rng, pairs=pairs, log=log, workers=workers)
     none, extended = verdict.none, case.examined(verdict.extended)
     runner_up = verdict.best_cause if verdict.best.name == UNKNOWN else None
     # a generator for each: what is drawn does not depend on how the work is shared out
@@ -78,9 +78,9 @@ def diagnose(
         for part in range(PARTS)
     }
     if measure_gain:
-        work["baseline score"] = partial(case.held_out, none, of_baseline, say)
+        work["baseline score"] = partial(case.held_out, none, of_baseline, log)
         if extended is not none:
-            work["score"] = partial(case.held_out, extended, of_extended, say)
+            work["score"] = partial(case.held_out, extended, of_extended, log)
     for width in WIDTHS:
         work[f"width {width:g}"] = partial(case.scores_at, width, verdict, deepcopy(at_start))
     if extended.is_cause:
@@ -90,10 +90,10 @@ def diagnose(
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
     results = in_processes(lambda part: part(), work.values(), workers)
-    found = dict(zip(work, results, strict=True))
-    widths = {width: normalised(found[f"width {width:g}"]) for width in WIDTHS}
-    record = _record(case, verdict, extended, widths, found)
-    return Diagnosis(case, verdict, extended, widths, found["shown"], record)
+    measured = dict(zip(work, results, strict=True))
+    widths = {width: normalised(measured[f"width {width:g}"]) for width in WIDTHS}
+    record = _record(case, verdict, extended, widths, measured)
+    return Diagnosis(case, verdict, extended, widths, measured["shown"], record)
 
 
 def _record(
@@ -101,29 +101,29 @@ def _record(
     verdict: Verdict[H],
     extended: Weighed[H],
     widths: Mapping[float, Mapping[str, float]],
-    found: Mapping[str, Any],
+    measured: Mapping[str, Any],
 ) -> dict[str, Any]:
     """``diagnosis.json``."""
-    base_score: HeldOut | None = found.get("baseline score")
-    own_score: HeldOut | None = found.get("score", base_score)
+    base_score: HeldOut | None = measured.get("baseline score")
+    own_score: HeldOut | None = measured.get("score", base_score)
     none, best, pair = verdict.none, verdict.best, verdict.pair
-    shown: Shown = found["shown"]
+    shown: Shown = measured["shown"]
     left_by = extended if extended.is_cause else none
     return {
         "format": 1,
         "events": list(case.event_ids),
         "baseline": _fit_record(case.unit, none, base_score, case.rmse(none)),
         "discrepant": verdict.is_discrepant,
-        "p_value": found["p"],
+        "p_value": measured["p"],
         "symptoms": list(shown.symptoms) if verdict.is_discrepant else [],
         "closure": list(shown.closure),
-        "causes": [cause for part in range(PARTS) for cause in found[f"causes {part}"]],
-        "runner_up": found.get("runner-up"),
+        "causes": [cause for part in range(PARTS) for cause in measured[f"causes {part}"]],
+        "runner_up": measured.get("runner-up"),
         "extended": {
             "causes": list(extended.hypothesis.causes or [extended.name] * (extended is not none)),
             **_fit_record(case.unit, extended, own_score, case.rmse(left_by)),
         },
-        "gain": _gain(base_score, own_score, found.get("extended p", found["p"])),
+        "gain": _gain(base_score, own_score, measured.get("extended p", measured["p"])),
         "sensitivity": {
             f"{width:g}": {name: p for name, p in shares.items() if p > LEAST_PROBABILITY}
             for width, shares in widths.items()
@@ -156,8 +156,8 @@ def _fit_record(
     }
 
 
-def _gain(base: HeldOut | None, own: HeldOut | None, p: float | None) -> dict[str, Any]:
-    gain = None if base is None or own is None else own.gain_over(base)
+def _gain(base: HeldOut | None, extended: HeldOut | None, p: float | None) -> dict[str, Any]:
+    gain = None if base is None or extended is None else extended.gain_over(base)
     return {
         "elpd_diff": None if gain is None else gain.nats,
         "elpd_diff_se": None if gain is None else gain.standard_error,
@@ -173,24 +173,24 @@ def _cause_records(
 ) -> list[dict[str, Any]]:
     """One part of the records of all causes, each with a generator of its own."""
 
-    def record(own: Weighed[H], log_probability: float, rng: np.random.Generator) -> dict[str, Any]:
-        is_runner_up = own is verdict.best_cause and verdict.best is verdict.unknown
-        is_shown = own.z is not None or log_probability > np.log(LEAST_PROBABILITY) or is_runner_up
-        sizes = case.sizes(own, rng) if is_shown and own.is_cause else {}
+    def record(w: Weighed[H], log_probability: float, rng: np.random.Generator) -> dict[str, Any]:
+        is_runner_up = w is verdict.best_cause and verdict.best is verdict.unknown
+        is_shown = w.z is not None or log_probability > np.log(LEAST_PROBABILITY) or is_runner_up
+        sizes = case.sizes(w, rng) if is_shown and w.is_cause else {}
         return {
-            "name": own.name,
+            "name": w.name,
             "probability": float(np.exp(log_probability)),
-            "log_bayes_factor": verdict.log_bayes_factor(own),
+            "log_bayes_factor": verdict.log_bayes_factor(w),
             "parameters": {key: _size_record(size) for key, size in sizes.items()},
-            "confounded_with": list(verdict.confounded_with(own.name)) if is_shown else [],
-            "log_evidence_se": own.log_evidence_se,
-            "effective_draws": own.effective_draws,
-            "pareto_k": own.pareto_k,
+            "confounded_with": list(verdict.confounded_with(w.name)) if is_shown else [],
+            "log_evidence_se": w.log_evidence_se,
+            "effective_draws": w.effective_draws,
+            "pareto_k": w.pareto_k,
         }
 
     each = list(zip(verdict.weighed, verdict.log_probabilities.tolist(), generators, strict=True))
     edges = np.linspace(0, len(each), PARTS + 1).astype(int)
-    return [record(*own) for own in each[edges[part] : edges[part + 1]]]
+    return [record(*cause) for cause in each[edges[part] : edges[part + 1]]]
 
 
 def _size_record(size: Size) -> dict[str, Any]:

@@ -101,18 +101,21 @@ def discrepancy_curves(
     """
     if not rows:
         return ()
-    matrix, seen = _information(linear, rows, point)
-    kinds = [_Kind.of(matrix, seen, rows, power) for power in POWERS]
+    matrix, projection = _information(linear, rows, point)
+    kinds = [_Kind.of(matrix, projection, rows, power) for power in POWERS]
     nodes, chosen = _amplitudes(kinds, torque_noise, rng)
-    weights = np.empty((DRAWS, len(seen)))
+    weights = np.empty((DRAWS, len(projection)))
     for i, kind in enumerate(kinds):
-        own = np.flatnonzero(chosen // _NODES == i)
-        square = nodes[chosen[own] % _NODES, None] ** 2
+        of_kind = np.flatnonzero(chosen // _NODES == i)
+        square = nodes[chosen[of_kind] % _NODES, None] ** 2
         spread = square / (1.0 + square * kind.kappa)
-        eta = spread * kind.seen + np.sqrt(spread) * rng.standard_normal((len(own), len(seen)))
-        weights[own] = (eta @ kind.vectors.T) * kind.root
+        eta = spread * kind.projection + np.sqrt(spread) * rng.standard_normal(
+            (len(of_kind), len(projection))
+        )
+        weights[of_kind] = (eta @ kind.vectors.T) * kind.root
     return tuple(
-        _curve(own, weights[:, 3 * MODES * e : 3 * MODES * (e + 1)]) for e, own in enumerate(rows)
+        _curve(of_kind, weights[:, 3 * MODES * e : 3 * MODES * (e + 1)])
+        for e, of_kind in enumerate(rows)
     )
 
 
@@ -123,39 +126,39 @@ class _Kind:
     root: Array
     kappa: Array
     vectors: Array
-    seen: Array
+    projection: Array
 
     @classmethod
-    def of(cls, matrix: Array, seen: Array, rows: Sequence[EventRows], power: int) -> _Kind:
-        root = np.concatenate([np.repeat(_mode_sd(own, power), 3) for own in rows])
+    def of(cls, matrix: Array, projection: Array, rows: Sequence[EventRows], power: int) -> _Kind:
+        root = np.concatenate([np.repeat(_mode_sd(event, power), 3) for event in rows])
         kappa, vectors = np.linalg.eigh(root[:, None] * matrix * root)
-        return cls(root, np.maximum(kappa, 0.0), vectors, vectors.T @ (root * seen))
+        return cls(root, np.maximum(kappa, 0.0), vectors, vectors.T @ (root * projection))
 
     def log_evidence(self, amplitude: Array) -> Array:
         """log p(y | a) (n,) up to a constant."""
         square = amplitude[:, None] ** 2
         grown = 1.0 + square * self.kappa
-        return np.asarray(0.5 * (square * self.seen**2 / grown - np.log(grown)).sum(-1))
+        return np.asarray(0.5 * (square * self.projection**2 / grown - np.log(grown)).sum(-1))
 
 
-def _waves(own: EventRows, time_s: Array) -> Array:
+def _waves(event: EventRows, time_s: Array) -> Array:
     """cos(m π t/T) − 1 (n, M): nothing at the start, where the initial momentum is free."""
-    span = own.time_s[-1] - own.time_s[0]
+    span = event.time_s[-1] - event.time_s[0]
     order = np.arange(1.0, MODES + 1.0)
-    return np.asarray(np.cos(np.pi * np.outer((time_s - own.time_s[0]) / span, order)) - 1.0)
+    return np.asarray(np.cos(np.pi * np.outer((time_s - event.time_s[0]) / span, order)) - 1.0)
 
 
-def _gained(own: EventRows) -> Array:
+def _gained(event: EventRows) -> Array:
     """P(t) ∫ Pᵀ e_c d(wave) (n, 3, M, 3): what a torque about body axis c leaves in the balance."""
-    turn = direction_cosines(own.attitude)
-    steps = np.diff(_waves(own, own.time_s), axis=0)
+    turn = direction_cosines(event.attitude)
+    steps = np.diff(_waves(event, event.time_s), axis=0)
     back = 0.5 * (turn[1:] + turn[:-1])
     inertial = np.zeros((len(turn), 3, MODES, 3))
     inertial[1:] = np.cumsum(np.einsum("nm,nci->nimc", steps, back), axis=0)
     return np.asarray(np.einsum("nai,nimc->namc", turn, inertial, optimize=True))
 
 
-def _mode_sd(own: EventRows, power: int) -> Array:
+def _mode_sd(event: EventRows, power: int) -> Array:
     """Standard deviations (M,) of the cosines' weights at a = 1, s^½: that of the end is T^½.
 
     g(T) − g(0) is minus twice the sum of the odd weights.
@@ -163,7 +166,7 @@ def _mode_sd(own: EventRows, power: int) -> Array:
     order = np.arange(1.0, MODES + 1.0)
     shape = order**-power
     end = 2.0 * np.sqrt((shape[::2] ** 2).sum())
-    return np.asarray(np.sqrt(own.time_s[-1] - own.time_s[0]) / end * shape)
+    return np.asarray(np.sqrt(event.time_s[-1] - event.time_s[0]) / end * shape)
 
 
 def _information(linear: Linear, rows: Sequence[EventRows], point: Array) -> tuple[Array, Array]:
@@ -171,19 +174,19 @@ def _information(linear: Linear, rows: Sequence[EventRows], point: Array) -> tup
     mean = np.zeros(len(linear.precision))
     mean[: len(point)] = -point
     target = linear.target - linear.columns @ mean
-    own_gram, mixed, own_seen = [], [], []
-    for own, part in zip(rows, linear.parts, strict=True):
-        n = len(own.time_s)
-        inverse = np.linalg.inv(own.noise_factor)
-        columns = np.einsum("ba,namc->nbmc", inverse, _gained(own)).reshape(3 * n, -1)
+    own_gram, mixed, own_projection = [], [], []
+    for event, part in zip(rows, linear.parts, strict=True):
+        n = len(event.time_s)
+        inverse = np.linalg.inv(event.noise_factor)
+        columns = np.einsum("ba,namc->nbmc", inverse, _gained(event)).reshape(3 * n, -1)
         own_gram.append(columns.T @ columns)
         mixed.append(linear.columns[part].T @ columns)
-        own_seen.append(columns.T @ target[part])
+        own_projection.append(columns.T @ target[part])
     across = np.concatenate(mixed, axis=1)
     factor = cho_factor(linear.gram(), lower=True)
     fitted = cho_solve(factor, np.column_stack([across, linear.columns.T @ target]))
     matrix = block_diag(*own_gram) - across.T @ fitted[:, :-1]
-    return matrix, np.concatenate(own_seen) - across.T @ fitted[:, -1]
+    return matrix, np.concatenate(own_projection) - across.T @ fitted[:, -1]
 
 
 def _amplitudes(
@@ -197,10 +200,10 @@ def _amplitudes(
     return nodes, rng.choice(len(weight), size=DRAWS, p=weight / weight.sum())
 
 
-def _curve(own: EventRows, weights: Array) -> Curve:
-    time = np.linspace(own.time_s[0], own.time_s[-1], TIMES)
-    wave = _waves(own, time)
+def _curve(event: EventRows, weights: Array) -> Curve:
+    time = np.linspace(event.time_s[0], event.time_s[-1], TIMES)
+    wave = _waves(event, time)
     draws = np.einsum("tm,dmc->dtc", wave, weights.reshape(len(weights), MODES, 3), optimize=True)
     tail = 0.5 * (1.0 - PROBABILITY)
     low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
-    return Curve(own.event, time, draws.mean(axis=0), low, high)
+    return Curve(event.event, time, draws.mean(axis=0), low, high)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cassini_bayes.diagnosis.case import TRUSTED_K, Case, Ranking, Say, Size, Weighed, silent
+from cassini_bayes.diagnosis.case import TRUSTED_K, Case, Log, Ranking, Size, Weighed, silent
 from cassini_bayes.diagnosis.estimates import EstimateHypothesis, Estimates, Prediction
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import LEAST_PIECES, HeldOut
@@ -63,12 +63,12 @@ class EstimateCase(Case[EstimateHypothesis]):
         """Names of the estimates."""
         return self.names
 
-    def weigh(self, rng: np.random.Generator, say: Say, _: int = 1) -> list[Candidate]:
+    def weigh(self, rng: np.random.Generator, log: Log, _: int = 1) -> list[Candidate]:
         """Evidence by draws from prior and posterior together."""
-        found = self.weighed(self.hypotheses(1.0), rng)
-        say(f"{len(found)} hypotheses weighed")
-        _warn_of(found)
-        return found
+        weighed = self.weighed(self.hypotheses(1.0), rng)
+        log(f"{len(weighed)} hypotheses weighed")
+        _warn_of(weighed)
+        return weighed
 
     def weighed(
         self,
@@ -83,16 +83,18 @@ class EstimateCase(Case[EstimateHypothesis]):
         CassiniBayesError
             A hypothesis whose likelihood is not finite at the centre of its prior.
         """
-        return [self._one(own, rng, draws) for own in hypotheses]
+        return [self._one(hypothesis, rng, draws) for hypothesis in hypotheses]
 
-    def _one(self, own: EstimateHypothesis, rng: np.random.Generator, draws: int) -> Candidate:
+    def _one(
+        self, hypothesis: EstimateHypothesis, rng: np.random.Generator, draws: int
+    ) -> Candidate:
         kept = np.ones(len(self.estimate_n), dtype=bool)
-        mode, z, log_ratio = self._draws(own, kept, rng, draws)
+        mode, z, log_ratio = self._draws(hypothesis, kept, rng, draws)
         total = float(logsumexp(log_ratio))
         log_weights = log_ratio - total
         effective = 1.0 / float((np.exp(log_weights) ** 2).sum())
         return Weighed(
-            own,
+            hypothesis,
             mode,
             total - float(np.log(draws)),
             float(np.sqrt(max(1.0 / effective - 1.0 / draws, 0.0))),
@@ -103,7 +105,7 @@ class EstimateCase(Case[EstimateHypothesis]):
 
     def _draws(
         self,
-        own: EstimateHypothesis,
+        hypothesis: EstimateHypothesis,
         kept: NDArray[np.bool_],
         rng: np.random.Generator,
         draws: int,
@@ -112,15 +114,15 @@ class EstimateCase(Case[EstimateHypothesis]):
         estimate, sd = self.estimate_n[kept], self.sd_n[kept]
 
         def density(z: Array) -> Array:
-            return _log_prior(z) + _log_likelihood(estimate, sd, own.predict(z), kept)
+            return _log_prior(z) + _log_likelihood(estimate, sd, hypothesis.predict(z), kept)
 
-        mode = find_mode(density, own.dimension)
+        mode = find_mode(density, hypothesis.dimension)
         about = Proposal(mode.point, mode.factor, DOF)
         for _ in range(PILOTS):
             about = refined(about, importance(density, about, rng, PILOT_DRAWS))
         about = replace(about, factor=WIDER * about.factor)
         near = about.sample(rng, draws // 2)
-        z = np.vstack([near, rng.standard_normal((draws - len(near), own.dimension))])
+        z = np.vstack([near, rng.standard_normal((draws - len(near), hypothesis.dimension))])
         share = len(near) / draws
         both = np.logaddexp(np.log(share) + about.log_density(z), np.log1p(-share) + _log_prior(z))
         return mode, z, density(z) - both
@@ -129,9 +131,9 @@ class EstimateCase(Case[EstimateHypothesis]):
         self, width: float, _: Ranking[EstimateHypothesis], rng: np.random.Generator
     ) -> Mapping[str, float]:
         """All hypotheses weighed anew."""
-        found = self.weighed(self.hypotheses(width), rng)
-        _warn_of(found)
-        return {own.name: own.score for own in found}
+        weighed = self.weighed(self.hypotheses(width), rng)
+        _warn_of(weighed)
+        return {w.name: w.score for w in weighed}
 
     def pairs(
         self, first: Candidate, _: float, rng: np.random.Generator, __: int
@@ -144,8 +146,8 @@ class EstimateCase(Case[EstimateHypothesis]):
         assert weighed.z is not None
         assert weighed.log_weights is not None
         values = weighed.hypothesis.predict(weighed.z).parameters
-        found = summarised(values, np.exp(weighed.log_weights))
-        return {key: size for key, size in found.items() if size.sd > 0.0}
+        posterior = summarised(values, np.exp(weighed.log_weights))
+        return {key: size for key, size in posterior.items() if size.sd > 0.0}
 
     def residual_n(self, weighed: Candidate) -> Array:
         """Estimates less the posterior mean prediction (E,)."""
@@ -158,22 +160,22 @@ class EstimateCase(Case[EstimateHypothesis]):
         self,
         weighed: Candidate,
         rng: np.random.Generator,
-        say: Say = silent,
+        log: Log = silent,
         draws: int = LEFT_OUT_DRAWS,
     ) -> HeldOut | None:
         """Every estimate left out in turn: log Z(all) − log Z(others), and what it misses by."""
-        own = weighed.hypothesis
+        hypothesis = weighed.hypothesis
         if len(self.estimate_n) < LEAST_PIECES:
             return None
-        whole = self._one(own, rng, draws).log_evidence
+        whole = self._one(hypothesis, rng, draws).log_evidence
         scores, residuals = [], []
         for place, name in enumerate(self.event_ids):
-            say(f"{weighed.name}: {name} held out")
+            log(f"{weighed.name}: {name} held out")
             kept = np.arange(len(self.estimate_n)) != place
-            _, z, log_ratio = self._draws(own, kept, rng, draws)
+            _, z, log_ratio = self._draws(hypothesis, kept, rng, draws)
             total = float(logsumexp(log_ratio))
             scores.append(whole - total + float(np.log(draws)))
-            predicted = own.predict(z).estimate_n[:, place]
+            predicted = hypothesis.predict(z).estimate_n[:, place]
             residuals.append(self.estimate_n[place] - np.exp(log_ratio - total) @ predicted)
         residual = np.array(residuals)
         return HeldOut(np.array(scores), float(np.sqrt((residual**2).mean())), None, residual)

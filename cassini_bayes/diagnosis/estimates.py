@@ -241,29 +241,32 @@ class Estimates:
 
     def predict(self, z: Array) -> Prediction:
         """What would have been estimated at standard normals (n, d)."""
-        at, own = dict(zip(self.coordinates, z.T, strict=True)), self.printed
-        thrust, scale = 1.0 + own.thrust_sd * at["thrust"], 1.0 + own.scale_sd * at["scale"]
-        weak = {name: 1.0 - deficit(at[f"deficit:{name}"], own.deficit_sd) for name in own.degraded}
+        at, errors = dict(zip(self.coordinates, z.T, strict=True)), self.printed
+        thrust, scale = 1.0 + errors.thrust_sd * at["thrust"], 1.0 + errors.scale_sd * at["scale"]
+        weak = {
+            name: 1.0 - deficit(at[f"deficit:{name}"], errors.deficit_sd)
+            for name in errors.degraded
+        }
         parameters = {"thrust_common_n": self.thrust_n * thrust}
         if not weak:
             parameters["thrust_factor"] = thrust
-        if own.is_pulsed:
-            parameters["tau_fall_s"] = positive_normal(at["fall"], self.fall_s, own.fall_sd_s)
-            parameters["impulse_time_offset_s"] = own.offset_sd_s * at["offset"]
+        if errors.is_pulsed:
+            parameters["tau_fall_s"] = positive_normal(at["fall"], self.fall_s, errors.fall_sd_s)
+            parameters["impulse_time_offset_s"] = errors.offset_sd_s * at["offset"]
         parameters["scale"] = scale
         for name, factor in weak.items():
             parameters["thrust_factor" if len(weak) == 1 else f"thrust_factor[{name}]"] = factor
         columns, ratios = [], {}
         for row in self.rows:
             level = self.thrust_n * thrust
-            if row.thruster in own.thrusters:
+            if row.thruster in errors.thrusters:
                 level = level + self.individual_sd_n * at[row.thruster]
             level = level * weak.get(row.thruster, 1.0)
             pulses = () if row.corrected else (row.widths_s, row.pulses)
             if pulses not in ratios:
                 ratios[pulses] = self._ratio(row, parameters)
             columns.append(level * scale * ratios[pulses])
-        if own.is_pulsed and len(ratios) == 1:
+        if errors.is_pulsed and len(ratios) == 1:
             (parameters["ratio"],) = ratios.values()
         estimate = np.stack(columns, axis=1)
         return Prediction(estimate, self.event_sd * estimate, parameters)
@@ -282,17 +285,17 @@ class Estimates:
 
     def doubted(self, kinds: Kinds, width: float) -> dict[str, Estimates]:
         """One thing doubted at a time, by name of the cause, at a width of the effects' priors."""
-        found = {
+        doubted = {
             name: replace(self, printed=printed)
             for kind, table in kinds.kinds
             if kind.doubt is not None and "estimates" in table.inputs
             for name, printed in kind.doubt(self.printed, width).items()
         }
         scale_sd = FACTOR * width * self.printed.scale_sd
-        found[GEOMETRY] = replace(self, printed=replace(self.printed, scale_sd=scale_sd))
+        doubted[GEOMETRY] = replace(self, printed=replace(self.printed, scale_sd=scale_sd))
         if self.printed.is_pulsed and self.shape != "first_order":
-            found[CLOSED_FORM] = replace(self, shape="first_order")
-        return found
+            doubted[CLOSED_FORM] = replace(self, shape="first_order")
+        return doubted
 
     def hypotheses(self, kinds: Kinds, width: float = 1.0) -> list[EstimateHypothesis]:
         """``none``, ``unknown`` and what may be wrong with such estimates."""
@@ -305,11 +308,11 @@ class Estimates:
 
     def pairs(self, kinds: Kinds, first: str) -> list[EstimateHypothesis]:
         """The first cause doubted together with every other, each with its prior probability."""
-        alone = {own.name: own.prior_probability for own in self.hypotheses(kinds)}
+        alone = {h.name: h.prior_probability for h in self.hypotheses(kinds)}
         both = self.doubted(kinds, 1.0)[first].doubted(kinds, 1.0)
         return [
-            own.hypothesis(f"{first}+{second}", alone[first] * alone[second])
-            for second, own in both.items()
+            h.hypothesis(f"{first}+{second}", alone[first] * alone[second])
+            for second, h in both.items()
             if second in alone and second != first
         ]
 
@@ -321,8 +324,8 @@ class Estimates:
         kinds = [name.partition(":")[0] for name in causes]
         share = probability / len(set(kinds))
         return [
-            own.hypothesis(name, share / kinds.count(kind))
-            for kind, (name, own) in zip(kinds, causes.items(), strict=True)
+            estimates.hypothesis(name, share / kinds.count(kind))
+            for kind, (name, estimates) in zip(kinds, causes.items(), strict=True)
         ]
 
 
@@ -342,8 +345,8 @@ def estimates_of(rows: Sequence[Estimate], priors: Priors) -> Estimates:
             )
         prior = priors.parameters[name]
         fixed = 0.0 if prior.fixed is None else float(prior.fixed)
-        own = prior.distribution
-        values[name] = (fixed, 0.0) if own is None else (own.mean(), own.sd())
+        known = prior.distribution
+        values[name] = (fixed, 0.0) if known is None else (known.mean(), known.sd())
     thrust, sd = values["thrust_common_n"]
     fall, fall_sd = values["tau_fall_s"]
     return Estimates(

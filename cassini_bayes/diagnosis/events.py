@@ -66,8 +66,10 @@ class Events:
     def telemetry_rows(self) -> tuple[Rows, ...]:
         """Columns of every telemetry event's usable rows."""
         return tuple(
-            settle(source.samples, Carry.start(own.layout), own.layout, sampling, final=True)[0]
-            for source, (own, sampling) in zip(self.sources, self.statistics, strict=True)
+            settle(
+                source.samples, Carry.start(reduced.layout), reduced.layout, sampling, final=True
+            )[0]
+            for source, (reduced, sampling) in zip(self.sources, self.statistics, strict=True)
         )
 
     def without(self, event: str) -> Events:
@@ -85,8 +87,8 @@ class Events:
 
     def with_columns_of(self, effects: Sequence[Effect]) -> Events:
         """The events with the columns that go with what searches settled for some effects."""
-        found = [effect.found for effect in effects if effect.found is not None]
-        if not found:
+        settled = [effect.search_result for effect in effects if effect.search_result is not None]
+        if not settled:
             return self
         statistics = tuple(
             reduce_source(
@@ -94,7 +96,7 @@ class Events:
                 self.priors,
                 (
                     *self.catalogue.kinds.columns(source.thrusters),
-                    *(column for own in found for column in own.columns(source.samples)),
+                    *(column for result in settled for column in result.columns(source.samples)),
                 ),
                 sampling.pulse_shape.name,
             )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.computing.processes import in_processes
-from cassini_bayes.diagnosis.case import TRUSTED_K, Say, Weighed
+from cassini_bayes.diagnosis.case import TRUSTED_K, Log, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.search import (
@@ -52,7 +52,7 @@ def weigh_extensions(
     hypotheses: Sequence[Hypothesis],
     searches: Sequence[ModeSearch],
     base: Mode,
-    say: Say,
+    log: Log,
     workers: int = 1,
     floor: float = -np.inf,
 ) -> list[Candidate]:
@@ -65,29 +65,29 @@ def weigh_extensions(
     """
     if not hypotheses:
         return []
-    found = list(searches)
+    ended = list(searches)
     longer: tuple[tuple[str, Callable[[int], ModeSearch]], ...] = (
         (
             "searched further",
-            lambda i: higher_of(search_from_starts(hypotheses[i], base), found[i], base),
+            lambda i: higher_of(search_from_starts(hypotheses[i], base), ended[i], base),
         ),
         (
             "searched along all axes",
-            lambda i: ModeSearch(with_whole_curvature(hypotheses[i], found[i].mode)),
+            lambda i: ModeSearch(with_whole_curvature(hypotheses[i], ended[i].mode)),
         ),
     )
     for what, search in longer:
-        due = worth_continuing(found, floor)
+        due = worth_continuing(ended, floor)
         if due:
-            say(f"{len(due)} causes {what}")
+            log(f"{len(due)} causes {what}")
         for part in (due[:FIRST], due[FIRST:]):
-            still = [i for i in worth_continuing(found, floor) if i in part]
+            still = [i for i in worth_continuing(ended, floor) if i in part]
             for i, result in zip(still, in_processes(search, still, workers), strict=True):
-                found[i] = result
-    weighed = [by_laplace(own, at.mode) for own, at in zip(hypotheses, found, strict=True)]
+                ended[i] = result
+    weighed = [by_laplace(h, at.mode) for h, at in zip(hypotheses, ended, strict=True)]
     return [
         replace(w, unsure=MOVED_NATS if has_moved(w.mode, base) else min(at.lacking, UNSURE_NATS))
-        for w, at in zip(weighed, found, strict=True)
+        for w, at in zip(weighed, ended, strict=True)
     ]
 
 
@@ -96,9 +96,9 @@ def worth_continuing(searches: Sequence[ModeSearch], floor: float) -> list[int]:
 
     Of use is what comes to ``floor`` and within thirty nats of the best.
     """
-    least = max(floor, *(own.mode.log_evidence - MARGIN_NATS for own in searches))
-    reached = [own.mode.log_evidence + own.lacking for own in searches]
-    due = [i for i, own in enumerate(searches) if own.lacking > UNSURE_NATS and reached[i] > least]
+    least = max(floor, *(s.mode.log_evidence - MARGIN_NATS for s in searches))
+    reached = [s.mode.log_evidence + s.lacking for s in searches]
+    due = [i for i, s in enumerate(searches) if s.lacking > UNSURE_NATS and reached[i] > least]
     return sorted(due, key=lambda i: -searches[i].mode.log_evidence)
 
 
@@ -120,17 +120,17 @@ def _draw(
     if weighed.proposal is not None:
         return mode, weighed.proposal, importance(density, weighed.proposal, rng, draws)
     proposal = Proposal(mode.point, mode.factor, DOF)
-    found = importance(density, proposal, rng, draws)
-    if _is_poor(found) and not mode.is_whole:
+    sampled = importance(density, proposal, rng, draws)
+    if _is_poor(sampled) and not mode.is_whole:
         mode = with_whole_curvature(weighed.hypothesis, mode)
         proposal = Proposal(mode.point, mode.factor, DOF)
-        found = importance(density, proposal, rng, draws)
-    if _is_poor(found):
-        turned = refined(proposal, found)
+        sampled = importance(density, proposal, rng, draws)
+    if _is_poor(sampled):
+        turned = refined(proposal, sampled)
         again = importance(density, turned, rng, 2 * draws)
-        if again.efficiency > found.efficiency:
-            proposal, found = turned, again
-    return mode, proposal, found
+        if again.efficiency > sampled.efficiency:
+            proposal, sampled = turned, again
+    return mode, proposal, sampled
 
 
 def _is_poor(draws: ImportanceDraws) -> bool:
@@ -165,6 +165,6 @@ def with_draws(
     generators = dict(zip(which, rng.spawn(len(which)), strict=True))
     # what is unsure may take long: it goes first, so that the work is shared out evenly
     order = sorted(which, key=lambda i: -weighed[i].unsure)
-    found = in_processes(lambda i: _draw(weighed[i], generators[i], draws), order, workers)
-    results = dict(zip(order, found, strict=True))
+    sampled = in_processes(lambda i: _draw(weighed[i], generators[i], draws), order, workers)
+    results = dict(zip(order, sampled, strict=True))
     return [_with_draws(w, *results[i]) if i in results else w for i, w in enumerate(weighed)]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.linearised import Linear
-from cassini_bayes.diagnosis.case import UNKNOWN, Say, Weighed, silent
+from cassini_bayes.diagnosis.case import UNKNOWN, Log, Weighed, silent
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import (
     Hypothesis,
@@ -39,16 +39,16 @@ DRAWS: Final = 400  # that predict a totals row: their mean is good to a twentie
 
 
 def held_out(
-    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator, say: Say = silent
+    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator, log: Log = silent
 ) -> HeldOut | None:
     """Telemetry events or totals rows held out in turn; None for few of them and for a mix.
 
     ``rng`` is for the posterior draws that predict totals rows.
     """
     if not events.rows and len(events.sources) >= LEAST_PIECES:
-        return held_out_telemetry(events, weighed, say)
+        return held_out_telemetry(events, weighed, log)
     if not events.sources and len(events.rows) >= LEAST_PIECES:
-        return held_out_totals(events, weighed, rng, say)
+        return held_out_totals(events, weighed, rng, log)
     return None
 
 
@@ -75,7 +75,7 @@ def carried_over(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
     return Mode(point, factor, float("nan"))
 
 
-def held_out_telemetry(events: Events, weighed: Weighed[Hypothesis], say: Say = silent) -> HeldOut:
+def held_out_telemetry(events: Events, weighed: Weighed[Hypothesis], log: Log = silent) -> HeldOut:
     """Every telemetry event held out in turn."""
     whole = weighed.mode
     if not whole.is_whole:
@@ -83,12 +83,12 @@ def held_out_telemetry(events: Events, weighed: Weighed[Hypothesis], say: Say = 
 
     def score(event: str) -> float:
         _, mode = fitted_to(events.without(event), weighed)
-        say(f"{weighed.name}: {event} held out")
+        log(f"{weighed.name}: {event} held out")
         return whole.log_evidence - mode.log_evidence
 
     scores = np.array([score(source.id) for source in events.sources])
-    own = events.with_columns_of(weighed.hypothesis.effects)
-    linear, factors = linearise(own, weighed.hypothesis, weighed.mode.point)
+    with_columns = events.with_columns_of(weighed.hypothesis.effects)
+    linear, factors = linearise(with_columns, weighed.hypothesis, weighed.mode.point)
     residuals, inside = [], []
     for place, factor in enumerate(factors):
         white, spread = predicted_rows(linear, place, -weighed.mode.point)
@@ -105,9 +105,9 @@ def predicted_rows(linear: Linear, place: int, centre: Array) -> tuple[Array, Ar
     ``centre`` is the prior mean of the walked parameters as a departure from the point about which
     the model is linear.
     """
-    own = linear.parts[place]
+    rows = linear.parts[place]
     first = max(3, int(FIRST_SHARE * linear.rows[place])) * 3
-    hidden = slice(own.start + first, own.stop)
+    hidden = slice(rows.start + first, rows.stop)
     used = np.ones(len(linear.target), dtype=bool)
     used[hidden] = False
     columns, target = linear.columns[used], linear.target[used]
@@ -122,16 +122,16 @@ def predicted_rows(linear: Linear, place: int, centre: Array) -> tuple[Array, Ar
 
 
 def held_out_totals(
-    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator, say: Say = silent
+    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator, log: Log = silent
 ) -> HeldOut:
     """Every totals row held out in turn."""
     whole, mode = fitted_to(events, weighed)
     scores, residuals, inside = [], [], []
     for place, row in enumerate(events.rows):
-        say(f"{weighed.name}: {row.id} held out")
-        hypothesis, own = fitted_to(events.without(row.id), weighed)
-        scores.append(mode.log_evidence - own.log_evidence)
-        residual, sd = predicted_balance(whole, place, hypothesis, own, rng)
+        log(f"{weighed.name}: {row.id} held out")
+        hypothesis, mode_without = fitted_to(events.without(row.id), weighed)
+        scores.append(mode.log_evidence - mode_without.log_evidence)
+        residual, sd = predicted_balance(whole, place, hypothesis, mode_without, rng)
         residuals.append(residual)
         inside.append(np.abs(residual) < WITHIN * sd)
     return HeldOut(
@@ -159,6 +159,6 @@ def predicted_balance(
     design = system.design[:, place, :3]
     residual = system.target[:, place, :3] - (design @ level[..., None])[..., 0]
     noise = system.covariance[:, place, :3, :3] + system.torque_covariance[place, :3, :3]
-    own = design @ linear.own
-    spread = np.einsum("nii->ni", noise) + (own**2).sum(-1)
+    thrusts = design @ linear.own
+    spread = np.einsum("nii->ni", noise) + (thrusts**2).sum(-1)
     return residual.mean(0), np.sqrt(residual.var(0) + spread.mean(0))

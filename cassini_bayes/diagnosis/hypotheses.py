@@ -64,7 +64,11 @@ class Hypothesis:
     @property
     def log_penalty(self) -> float:
         """What searches before the fit cost (nats)."""
-        return sum(effect.found.log_looks for effect in self.effects if effect.found is not None)
+        return sum(
+            effect.search_result.log_looks
+            for effect in self.effects
+            if effect.search_result is not None
+        )
 
     @property
     def dimension(self) -> int:
@@ -82,8 +86,8 @@ class Hypothesis:
         try:
             return np.asarray(self._inside(inside) - wall)
         except np.linalg.LinAlgError:
-            found = np.concatenate([self._one(point[None]) for point in inside])
-            return np.asarray(found - wall)
+            values = np.concatenate([self._one(point[None]) for point in inside])
+            return np.asarray(values - wall)
 
     def _one(self, z: Array) -> Array:
         try:

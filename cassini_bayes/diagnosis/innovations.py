@@ -101,12 +101,12 @@ def linearise(
         at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
         target = centre[:, :, -1] - unknown @ at
         slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
-        own = unknown[:, :, k:]
+        rest = unknown[:, :, k:]
         shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
-        apart = unknown[:, :, :k] @ model.linear.own if k else unknown[:, :, :0]
+        individual = unknown[:, :, :k] @ model.linear.own if k else unknown[:, :, :0]
         sd = _own_sd(terms, model.torque_sd_n_m)
-        blocks.append((shared, np.concatenate([apart, own], axis=2)))
-        own_precision.append(np.concatenate([np.ones(apart.shape[2]), sd**-2]))
+        blocks.append((shared, np.concatenate([individual, rest], axis=2)))
+        own_precision.append(np.concatenate([np.ones(individual.shape[2]), sd**-2]))
         targets.append(target)
         factors.append(factor)
     shared_width = d + (levels.shape[1] if levels.size else 0)
@@ -150,17 +150,17 @@ def _stacked(
     columns = np.zeros((sum(sizes), shared + sum(widths)))
     target = np.zeros(sum(sizes))
     row, column = 0, shared
-    for own_target, (common, own), factor, size, width in zip(
+    for of_rows, (common, of_event), factor, size, width in zip(
         targets, blocks, factors, sizes, widths, strict=True
     ):
         inverse = np.linalg.inv(factor)
         stop = row + size
-        target[row:stop] = (own_target @ inverse.T).reshape(-1)
+        target[row:stop] = (of_rows @ inverse.T).reshape(-1)
         white = np.einsum("ab,nbp->nap", inverse, common)
         columns[row:stop, : white.shape[2]] = white.reshape(size, -1)
-        columns[row:stop, column : column + width] = np.einsum("ab,nbp->nap", inverse, own).reshape(
-            size, -1
-        )
+        columns[row:stop, column : column + width] = np.einsum(
+            "ab,nbp->nap", inverse, of_event
+        ).reshape(size, -1)
         row, column = stop, column + width
     precision = np.concatenate([np.ones(shared), *own_precision])
     return Linear(target, columns, precision, tuple(size // 3 for size in sizes))

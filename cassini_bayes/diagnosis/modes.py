@@ -105,8 +105,8 @@ def maximise(log_density: LogDensity, point: Array, axes: Array, steps: int = 60
 
     options = {"maxiter": steps, "ftol": 1e-8}
     start = np.zeros(axes.shape[1])
-    found = minimize(objective, start, jac=True, method="L-BFGS-B", options=options)
-    return np.asarray(point + axes @ found.x)
+    result = minimize(objective, start, jac=True, method="L-BFGS-B", options=options)
+    return np.asarray(point + axes @ result.x)
 
 
 def mode_near(log_density: LogDensity, point: Array, axes: Array) -> Mode:

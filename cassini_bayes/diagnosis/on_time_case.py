@@ -22,8 +22,8 @@ from cassini_bayes.diagnosis.case import (
     TRUSTED_K,
     UNKNOWN,
     Case,
+    Log,
     Ranking,
-    Say,
     Size,
     Weighed,
     silent,
@@ -78,39 +78,39 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         """All events."""
         return self.data.event_ids
 
-    def weigh(self, rng: np.random.Generator, say: Say, _: int) -> list[Candidate]:
+    def weigh(self, rng: np.random.Generator, log: Log, _: int) -> list[Candidate]:
         """Evidence by linearisation, by importance draws near the best."""
         effects = self.catalogue.effects
         none = self._fitted(())
-        found = [none]
+        weighed = [none]
         for i, effect in enumerate(effects):
-            found.append(self._fitted((effect,), none.mode.point))
+            weighed.append(self._fitted((effect,), none.mode.point))
             if i % 10 == 0:
-                say(f"on-times: cause {i + 1} of {len(effects)}")
+                log(f"on-times: cause {i + 1} of {len(effects)}")
         unknown = self._unknown(none)
-        best = max(own.log_evidence for own in (*found, unknown))
-        near = [i for i, own in enumerate(found) if own.log_evidence > best - NEAR_NATS]
-        for i in sorted(near, key=lambda i: -found[i].log_evidence)[:MOST_NEAR]:
-            found[i] = self._sampled(found[i], rng)
-        return [*found, unknown]
+        best = max(w.log_evidence for w in (*weighed, unknown))
+        near = [i for i, w in enumerate(weighed) if w.log_evidence > best - NEAR_NATS]
+        for i in sorted(near, key=lambda i: -weighed[i].log_evidence)[:MOST_NEAR]:
+            weighed[i] = self._sampled(weighed[i], rng)
+        return [*weighed, unknown]
 
     def _fitted(self, effects: tuple[Effect, ...], start: Array | None = None) -> Candidate:
         """A hypothesis fitted from ``start``, the place of another that lacks its last effects."""
         prior = self.catalogue.odds.none
         if effects:
             prior = float(np.prod([effect.prior_probability for effect in effects]))
-        own = hypothesis(self.data, effects, prior)
-        if start is not None and len(start) < own.model.dimension:
-            extra = np.zeros(own.model.dimension - len(start))
+        with_effects = hypothesis(self.data, effects, prior)
+        if start is not None and len(start) < with_effects.model.dimension:
+            extra = np.zeros(with_effects.model.dimension - len(start))
             place = len(start) - self.data.thrusters  # individual thrusts stand last
             start = np.concatenate([start[:place], extra, start[place:]])
-        return _weighed(own, fit(self.data.printed_s, own.model, start))
+        return _weighed(with_effects, fit(self.data.printed_s, with_effects.model, start))
 
     def _sampled(self, weighed: Candidate, rng: np.random.Generator) -> Candidate:
         """With evidence and draws by importance sampling, where these can be relied upon."""
         y, model = self.data.printed_s, weighed.hypothesis.model
-        found = linearised(y, model, weighed.mode.point)
-        draws = importance_draws(y, model, found, rng, DRAWS)
+        fitted = linearised(y, model, weighed.mode.point)
+        draws = importance_draws(y, model, fitted, rng, DRAWS)
         if not draws.pareto_k < TRUSTED_K:
             return weighed
         return replace(
@@ -130,30 +130,30 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         base, point = none.hypothesis.model, none.mode.point
         size = float(prior.quantile_of_standard(0.0))
         for _ in range(NOISE_FITS):
-            found = fit(y, noisier(base, size), point)
-            plain = replace(found, noise=found.noise - size**2 * np.eye(y.shape[1]))
+            fitted = fit(y, noisier(base, size), point)
+            plain = replace(fitted, noise=fitted.noise - size**2 * np.eye(y.shape[1]))
             scores = weights + evidence_with_noise(y, plain, sizes)
-            size, point = float(sizes[int(np.argmax(scores))]), found.mode
-        own = replace(
+            size, point = float(sizes[int(np.argmax(scores))]), fitted.mode
+        noisy = replace(
             none.hypothesis,
             name=UNKNOWN,
             prior_probability=self.catalogue.odds.unknown,
             model=noisier(base, size),
         )
-        return replace(_weighed(own, found), log_evidence=float(logsumexp(scores)))
+        return replace(_weighed(noisy, fitted), log_evidence=float(logsumexp(scores)))
 
     def scores_at(
         self, width: float, verdict: Ranking[OnTimeHypothesis], _: np.random.Generator
     ) -> Mapping[str, float]:
         """Fits anew of causes near the best; what sampling added to their evidence is kept."""
-        best = max(own.log_evidence for own in verdict.weighed)
+        best = max(cause.log_evidence for cause in verdict.weighed)
         scores = {NONE: verdict.named(NONE).score}
         for effect in self.catalogue.effects:
-            own = verdict.named(effect.name)
-            if own.log_evidence > best - FAR_NATS:
-                other = self._fitted((effect.scaled(width),), own.mode.point)
-                own = replace(own, log_evidence=_corrected(other, own))
-            scores[effect.name] = own.score
+            cause = verdict.named(effect.name)
+            if cause.log_evidence > best - FAR_NATS:
+                other = self._fitted((effect.scaled(width),), cause.mode.point)
+                cause = replace(cause, log_evidence=_corrected(other, cause))
+            scores[effect.name] = cause.score
         return scores | {UNKNOWN: verdict.named(UNKNOWN).score}
 
     def pairs(
@@ -161,9 +161,9 @@ class OnTimeCase(Case[OnTimeHypothesis]):
     ) -> list[Candidate]:
         """By linearisation."""
         (effect,) = first.hypothesis.effects
-        others = [own for own in self.catalogue.effects if own.name != effect.name]
-        found = [self._fitted((effect, own), first.mode.point) for own in others]
-        return [replace(own, log_evidence=_corrected(own, first)) for own in found]
+        others = [other for other in self.catalogue.effects if other.name != effect.name]
+        fitted = [self._fitted((effect, other), first.mode.point) for other in others]
+        return [replace(other, log_evidence=_corrected(other, first)) for other in fitted]
 
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
         """With importance draws."""
@@ -191,7 +191,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         return values, weights
 
     def held_out(
-        self, weighed: Candidate, _: np.random.Generator, say: Say = silent
+        self, weighed: Candidate, _: np.random.Generator, log: Log = silent
     ) -> HeldOut | None:
         """Every event predicted from the others."""
         y, model = self.data.printed_s, weighed.hypothesis.model
@@ -199,7 +199,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
             return None
         scores, residuals, sds = [], [], []
         for event, name in enumerate(self.event_ids):
-            say(f"{weighed.name}: {name} held out")
+            log(f"{weighed.name}: {name} held out")
             mean, covariance = predict_left_out(y, model, event, weighed.mode.point)
             scores.append(normal_log_density(y[event], mean, covariance)[0])
             residuals.append(y[event] - mean)
@@ -217,29 +217,29 @@ class OnTimeCase(Case[OnTimeHypothesis]):
     def p_value(self, weighed: Candidate, _: np.random.Generator) -> float:
         """Of χ² under the linearised prior prediction."""
         y = self.data.printed_s
-        found = linearised(y, weighed.hypothesis.model, weighed.mode.point)
-        return float(chi2.sf(found.chi_square, y.size))
+        fitted = linearised(y, weighed.hypothesis.model, weighed.mode.point)
+        return float(chi2.sf(fitted.chi_square, y.size))
 
     def separation(self, one: str, other: str) -> str:
         """What the kinds say, or events that fire other thrusters."""
         return separating_measurement(self.catalogue.kinds, self.data.priors, one, other)
 
 
-def _weighed(own: OnTimeHypothesis, found: Fit) -> Candidate:
-    factor = np.asarray(np.linalg.cholesky(found.covariance), dtype=np.float64)
-    return Weighed(own, Mode(found.mode, factor, found.log_evidence), found.log_evidence)
+def _weighed(hypothesis: OnTimeHypothesis, fitted: Fit) -> Candidate:
+    factor = np.asarray(np.linalg.cholesky(fitted.covariance), dtype=np.float64)
+    return Weighed(hypothesis, Mode(fitted.mode, factor, fitted.log_evidence), fitted.log_evidence)
 
 
-def _corrected(found: Candidate, sampled: Candidate) -> float:
+def _corrected(candidate: Candidate, sampled: Candidate) -> float:
     """Log evidence by linearisation, with what importance sampling added to that of another."""
-    return found.log_evidence + sampled.log_evidence - sampled.mode.log_evidence
+    return candidate.log_evidence + sampled.log_evidence - sampled.mode.log_evidence
 
 
 def noisier(model: Model, size_s: float) -> Model:
     """A model with independent noise of a size, s, on every on-time."""
 
     def noise(z: Array) -> Array:
-        own = model.noise(z)
-        return np.asarray(own + size_s**2 * np.eye(own.shape[-1]))
+        covariance = model.noise(z)
+        return np.asarray(covariance + size_s**2 * np.eye(covariance.shape[-1]))
 
     return Model(model.forward, noise, model.dimension)

@@ -253,8 +253,8 @@ class IdealController:
             np.ones((n * e, self.torque_n_m.shape[-1])),
             self.data.layout.pairs,
         )
-        found = solver.on_times(steps.reshape(n * e, -1, 3)).sum(1)
-        return np.asarray(found.reshape(n, e, 6))
+        fired = solver.on_times(steps.reshape(n * e, -1, 3)).sum(1)
+        return np.asarray(fired.reshape(n, e, 6))
 
 
 @dataclass(frozen=True)
@@ -311,8 +311,8 @@ def _fly(
     modifiers = tuple(effect.modifier(spacecraft, branch) for effect in effects)
     physics = physics_of(spacecraft, branch, parameters, modifiers)
     level = parameters[COMMON] - data.thrust_centre_n
-    own = level[:, None] + data.thrust_sd_n["thrust_individual_n"] * z[:, space.dimension :]
-    thrust = data.thrust_n[:, None] + own[:, None, :] + nudge.force_n
+    departures = level[:, None] + data.thrust_sd_n["thrust_individual_n"] * z[:, space.dimension :]
+    thrust = data.thrust_n[:, None] + departures[:, None, :] + nudge.force_n
     torque = physics.arms_m[:, None] * (thrust * _per_second(data, physics))[:, :, None, :]
     steps = np.einsum("esw,naw->nesa", data.steps_rad_s, physics.wheel_weights)
     between = np.asarray(nudge.momentum_n_m_s - _steady(data, physics))
@@ -380,18 +380,18 @@ def _chance(data: OnTimes, flown: Callable[[Array, Nudge], Flown], z: Array) -> 
     events = len(data.event_ids)
     nudge = np.zeros((3, events, 2))
     nudge[1, :, 0] = nudge[2, :, 1] = CYCLE_S
-    found = flown(np.tile(z, (3, 1)), Nudge(opposing_s=nudge))
-    if found.fired is None:
+    nudged = flown(np.tile(z, (3, 1)), Nudge(opposing_s=nudge))
+    if nudged.fired is None:
         return []
     middle = {name: data.beliefs.distributions[name].mean() for name in CHANCE}
-    minor = found.fired.opposing_s[0]
+    minor = nudged.fired.opposing_s[0]
     quantum, spread = middle["minor_quantum_s"], middle["event_spread"]
     sd = np.sqrt(quantum * minor + (spread * minor) ** 2)
-    slopes = (found.on_time_s[1:] - found.on_time_s[0]) / CYCLE_S
-    cycles = found.fired.common_s[0] / CYCLE_S
+    slopes = (nudged.on_time_s[1:] - nudged.on_time_s[0]) / CYCLE_S
+    cycles = nudged.fired.common_s[0] / CYCLE_S
     alone = CYCLE_S * np.sqrt(cycles + cycles**2 / middle["shared_shape"])
     return [
         slopes[0] * sd[:, :1],
         slopes[1] * sd[:, 1:],
-        _units(data, found.fired.alone)[0] * alone[:, None],
+        _units(data, nudged.fired.alone)[0] * alone[:, None],
     ]

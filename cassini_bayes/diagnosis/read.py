@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.diagnosis.case import Say, silent
+from cassini_bayes.diagnosis.case import Log, silent
 from cassini_bayes.diagnosis.estimate_case import EstimateCase, estimate_case
 from cassini_bayes.diagnosis.estimates import estimates_of, is_estimates, read_estimates
 from cassini_bayes.diagnosis.events import Events, TelemetrySource, prepare
@@ -30,7 +30,7 @@ def read_events(
     references: Sequence[str],
     priors_path: Path,
     source: str = "flight",
-    say: Say = silent,
+    log: Log = silent,
     kinds: Kinds | None = None,
 ) -> Events:
     """Read event folders and totals rows.
@@ -43,7 +43,7 @@ def read_events(
         The priors file.
     source
         Which rows of a totals CSV.
-    say
+    log
         Told what was read.
     kinds
         The effects that there are; those of the package by default.
@@ -57,7 +57,7 @@ def read_events(
     folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
     sources = [read_source(folder, priors) for folder in folders]
     rows = totals_rows(references, priors, source)
-    say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
+    log(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
     return prepare(sources, priors, rows, kinds)
 
 

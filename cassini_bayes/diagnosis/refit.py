@@ -56,14 +56,14 @@ def _kind(parameter: EffectParameter) -> str:
 def _renamed(fit: Fit, weighed: Weighed[Hypothesis], z: Array) -> Fit:
     """Effect parameters under their own names; departures keep theirs beside the value."""
     names, values = {}, {}
-    found = effect_values(weighed.hypothesis, z.reshape(-1, z.shape[2]))
+    by_key = effect_values(weighed.hypothesis, z.reshape(-1, z.shape[2]))
     for effect in weighed.hypothesis.effects:
         for p in effect.parameters:
             name = effect_variable(effect, p)
             names[p.name] = f"{name}_departure" if p.is_departure else name
             if p.is_departure:
                 meta = {"units": p.unit, "long_name": f"{effect.name}: {p.key}"}
-                values[name] = (("chain", "draw"), found[p.key].reshape(z.shape[:2]), meta)
+                values[name] = (("chain", "draw"), by_key[p.key].reshape(z.shape[:2]), meta)
     groups = dict(fit.groups)
     for group in ("posterior", "prior"):
         groups[group] = groups[group].rename(names)
@@ -76,7 +76,7 @@ def fit_extended(
     events: Sequence[ReducedEvent],
     folder: Path,
     seed: int,
-    say: Callable[[str], None],
+    log: Callable[[str], None],
     target_ess: int = 1_000,
 ) -> pd.DataFrame:
     """Sample the extended model; write ``fit.nc`` and ``summary.csv``.
@@ -107,7 +107,7 @@ def fit_extended(
     for _ in range(PILOT_ROUNDS):
         proposal = refined(proposal, importance(density_of, proposal, pilot, PILOT_DRAWS))
     settings = SamplerSettings(target_ess=target_ess, seed=seed)
-    say(f"sampling {weighed.name}, {weighed.hypothesis.dimension} dimensions")
+    log(f"sampling {weighed.name}, {weighed.hypothesis.dimension} dimensions")
     chains = sample(density_of, proposal, settings)
     z, density = chains.thinned(DRAWS)
     attributes: dict[str, str | float | int] = {
@@ -124,11 +124,11 @@ def fit_extended(
     save_fit(_renamed(fit, weighed, z), folder / "fit.nc")
     flat = z.reshape(-1, weighed.hypothesis.dimension)
     parameters = weighed.hypothesis.model.space.to_parameters(flat)
-    own = {p.name for e in weighed.hypothesis.effects for p in e.parameters}
+    effect_names = {p.name for e in weighed.hypothesis.effects for p in e.parameters}
     values = {
         name: np.asarray(parameters[name])
         for name in weighed.hypothesis.model.space.names
-        if name not in own
+        if name not in effect_names
     }
     values |= effect_values(weighed.hypothesis, flat)
     equal = np.full(len(flat), 1.0 / len(flat))

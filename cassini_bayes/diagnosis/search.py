@@ -111,10 +111,10 @@ def newton_search(hypothesis: Hypothesis, base: Mode, worth: float = -np.inf) ->
     """
     density = hypothesis.log_density
     d, extra = len(base.point), hypothesis.dimension - len(base.point)
-    tried = starts(extra, NEAR_STARTS)
-    tried = np.concatenate([np.tile(base.point, (len(tried), 1)), tried], axis=1)
-    values = density(tried)
-    point, value = tried[int(np.nanargmax(values))], float(np.nanmax(values))
+    points = starts(extra, NEAR_STARTS)
+    points = np.concatenate([np.tile(base.point, (len(points), 1)), points], axis=1)
+    values = density(points)
+    point, value = points[int(np.nanargmax(values))], float(np.nanmax(values))
     axes = _whitening_axes(density, point, base, extra)
     step, predicted, turns, most = np.zeros(d + extra), 0.0, 0, 0.0
     for _ in range(NEAR_ROUNDS):
@@ -223,10 +223,10 @@ def _ridge(axes: Array, inner: Array, d: int) -> tuple[Array, bool]:
     white and c, h the effect's rows of the curvature, the ridge is (−c, 1) and its curvature
     h − cᵀc. That difference of large numbers is good after a few rounds.
     """
-    cross, own = inner[:d, d:], inner[d:, d:]
-    values, vectors = np.linalg.eigh(own - cross.T @ cross)
+    cross, along = inner[:d, d:], inner[d:, d:]
+    values, vectors = np.linalg.eigh(along - cross.T @ cross)
     is_white = (cross**2).sum() < LEAST_CROSS and WHITE[0] < values[0] and values[-1] < WHITE[1]
-    most = float(np.abs(np.diagonal(own)).max())
+    most = float(np.abs(np.diagonal(along)).max())
     least = max(FLATTEST * most, LEAST_RIDGE)
     # where it comes out negative the ridge is bent: its direction is used, its length is not
     length = np.where(values > -BENT * most, np.maximum(values, least), most)
@@ -248,25 +248,25 @@ def _along_ridges(
     return axes, rows, is_white
 
 
-def _best_start(density: LogDensity, base: Mode, tried: Array) -> Array:
+def _best_start(density: LogDensity, base: Mode, starting: Array) -> Array:
     d = len(base.point)
     offsets = np.vstack([np.zeros((1, d)), STEP * base.factor.T])
     batch = np.concatenate(
         [
-            np.broadcast_to(base.point + offsets, (len(tried), d + 1, d)),
-            np.broadcast_to(tried[:, None], (len(tried), d + 1, tried.shape[1])),
+            np.broadcast_to(base.point + offsets, (len(starting), d + 1, d)),
+            np.broadcast_to(starting[:, None], (len(starting), d + 1, starting.shape[1])),
         ],
         axis=2,
     )
-    values = density(batch.reshape(-1, d + tried.shape[1])).reshape(len(tried), -1)
+    values = density(batch.reshape(-1, d + starting.shape[1])).reshape(len(starting), -1)
     gradient = (values[:, 1:] - values[:, :1]) / STEP + 0.5 * STEP
-    candidates = [np.concatenate([np.tile(base.point, (len(tried), 1)), tried], axis=1)]
+    candidates = [np.concatenate([np.tile(base.point, (len(starting), 1)), starting], axis=1)]
     for share in (1.0, 0.3):
         stepped = base.point + share * gradient @ base.factor.T
-        candidates.append(np.concatenate([stepped, tried], axis=1))
+        candidates.append(np.concatenate([stepped, starting], axis=1))
     everything = np.concatenate(candidates)
-    found = density(everything)
-    return np.asarray(everything[int(np.nanargmax(found))])
+    values = density(everything)
+    return np.asarray(everything[int(np.nanargmax(values))])
 
 
 def _whitening_axes(density: LogDensity, point: Array, base: Mode, extra: int) -> Array:

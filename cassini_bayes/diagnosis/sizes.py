@@ -30,8 +30,8 @@ def size_draws(
     """
     hypothesis = weighed.hypothesis
     z, weights = effect_draws(weighed, rng)
-    own = events.with_columns_of(hypothesis.effects)
-    z = with_unresolved(own, hypothesis, weighed.mode.point, z, rng)
+    with_columns = events.with_columns_of(hypothesis.effects)
+    z = with_unresolved(with_columns, hypothesis, weighed.mode.point, z, rng)
     values = effect_values(hypothesis, z)
     for effect in hypothesis.effects:
         for key, step in effect.kind.known_to.items():

@@ -42,12 +42,12 @@ def unresolved(events: Events, hypothesis: Hypothesis, z: Array, place: int) -> 
     physics = joint_physics(model, parameters)
     arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
     rows = FittedRows(events.telemetry_rows[place].time_s, samples, physics)
-    found = [(columns, variance)]
+    parts = [(columns, variance)]
     for members in layout.couples:
         fired = firings(samples, members, model.linear.common_mean_n * arms)
         for effect in timed:
             setting = effect.setting(model.spacecraft, model.branch)
             assert effect.kind.left_open is not None  # it is timed
-            found.append(effect.kind.left_open(fired, rows, effect.values(parameters), setting))
-    together, variances = zip(*found, strict=True)
+            parts.append(effect.kind.left_open(fired, rows, effect.values(parameters), setting))
+    together, variances = zip(*parts, strict=True)
     return np.concatenate(together, axis=2), np.concatenate(variances), mean

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, H, Ranking, Say, Weighed, silent
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, H, Log, Ranking, Weighed, silent
 
 Array = NDArray[np.float64]
 SECOND_CAUSE_NATS: Final = 4.0
@@ -72,9 +72,9 @@ class Verdict(Ranking[H]):
 
     def confounded_with(self, name: str) -> tuple[str, ...]:
         """Real causes that these data cannot tell from a named one (:func:`is_alike`)."""
-        own = self.named(name)
+        cause = self.named(name)
         others = (w for w in self.weighed if w.is_cause and w.name != name)
-        return tuple(w.name for w in others if own.is_cause and is_alike(w, own))
+        return tuple(w.name for w in others if cause.is_cause and is_alike(w, cause))
 
 
 def is_alike(one: Weighed[H], other: Weighed[H]) -> bool:
@@ -91,7 +91,7 @@ def is_alike(one: Weighed[H], other: Weighed[H]) -> bool:
 
 def ranked(weighed: Sequence[Weighed[H]]) -> Verdict[H]:
     """Hypotheses by their probabilities, most probable first."""
-    scores = np.array([own.score for own in weighed])
+    scores = np.array([w.score for w in weighed])
     order = np.argsort(-scores, kind="stable")
     total = float(logsumexp(scores))
     return Verdict(tuple(weighed[i] for i in order), scores[order] - total)
@@ -109,7 +109,7 @@ def weigh(
     rng: np.random.Generator,
     *,
     pairs: bool = True,
-    say: Say = silent,
+    log: Log = silent,
     workers: int = 1,
 ) -> Verdict[H]:
     """Weigh ``none``, ``unknown`` and every cause of a case.
@@ -122,16 +122,16 @@ def weigh(
         For the importance draws.
     pairs
         Whether to look for a second cause.
-    say
+    log
         Told how far it got.
     workers
         Processes among which causes are shared out; the verdict does not depend on it.
     """
-    verdict = ranked(case.weigh(rng, say, workers))
+    verdict = ranked(case.weigh(rng, log, workers))
     first = verdict.best_cause
     if not pairs or first is None or verdict.best is verdict.none:
         return verdict
-    say(f"looking for a second cause beside {first.name}")
+    log(f"looking for a second cause beside {first.name}")
     return with_second_cause(case, verdict, first, rng, workers)
 
 
@@ -149,11 +149,11 @@ def with_second_cause(
     """
     least = first.net_evidence + SECOND_CAUSE_NATS
     verdict = replace(verdict, pairs=tuple(case.pairs(first, least, rng, workers)))
-    best = max(verdict.pairs, key=lambda own: own.net_evidence, default=None)
+    best = max(verdict.pairs, key=lambda w: w.net_evidence, default=None)
     if best is None or best.net_evidence < least:
         return verdict
     pair = case.confirmed(best, rng)
     if not verdict.best.is_cause and pair.score < verdict.best.score:
         return verdict
-    alike = [own for own in verdict.pairs if own is not best and is_alike(own, best)]
+    alike = [w for w in verdict.pairs if w is not best and is_alike(w, best)]
     return replace(verdict, pair=pair, pair_alike=tuple(w.hypothesis.causes[-1] for w in alike))

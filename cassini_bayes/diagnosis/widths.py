@@ -40,8 +40,8 @@ def change_of_evidence(
     if is_minor or pareto_k(log_weights) < max(TRUSTED_K, weighed.pareto_k):
         return float(logsumexp(log_weights))
     effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
-    own = events.with_columns_of(effects)
-    hypothesis = compact(extend(none_hypothesis(own), effects, own))
+    with_columns = events.with_columns_of(effects)
+    hypothesis = compact(extend(none_hypothesis(with_columns), effects, with_columns))
     point = weighed.hypothesis.model.space.to_parameters(weighed.mode.point[None])
     start = hypothesis.model.space.to_standard(point)[0]
     other = mode_near(hypothesis.log_density, start, weighed.mode.factor)
@@ -58,9 +58,9 @@ def reweighted(weighed: Weighed[Hypothesis], width: float) -> Array:
     parameters = weighed.hypothesis.model.space.to_parameters(weighed.z)
     weights = np.array(weighed.log_weights)
     for effect in weighed.hypothesis.effects:
-        for own, wider in zip(effect.parameters, effect.scaled(width).parameters, strict=True):
-            value = parameters[own.name]
+        for old, wider in zip(effect.parameters, effect.scaled(width).parameters, strict=True):
+            value = parameters[old.name]
             with np.errstate(divide="ignore"):
                 weights += wider.distribution.log_density(value)
-                weights -= own.distribution.log_density(value)
+                weights -= old.distribution.log_density(value)
     return weights

@@ -92,8 +92,8 @@ def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
     All samples count, those during pulses as well. Where some are missing the line goes to the
     next one, whose noise is then in it.
     """
-    seen = np.isfinite(rate_rad_s).all(1)
-    time_s, rate_rad_s = time_s[seen], rate_rad_s[seen]
+    measured = np.isfinite(rate_rad_s).all(1)
+    time_s, rate_rad_s = time_s[measured], rate_rad_s[measured]
     step = float(np.median(np.diff(time_s)))
     grid = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
     shown = np.stack([np.interp(grid, time_s, rate) for rate in rate_rad_s.T], axis=1)

@@ -79,12 +79,12 @@ def read_catalogue(
         A table that does not fit its effect: file and dotted key are named.
     """
     known = standard() if kinds is None else kinds
-    found: dict[str, list[Effect]] = {}
+    by_kind: dict[str, list[Effect]] = {}
     for kind, table in known.kinds:
         if set(table.inputs) & set(inputs):
-            each = [_effect(kind, table, own, priors) for own in _targets(table, priors, wheels)]
-            found[kind.name] = [effect for effect in each if effect is not None]
-    shown = [effects for effects in found.values() if effects]
+            each = [_effect(kind, table, t, priors) for t in _targets(table, priors, wheels)]
+            by_kind[kind.name] = [effect for effect in each if effect is not None]
+    shown = [effects for effects in by_kind.values() if effects]
     effects = (
         replace(effect, prior_probability=known.odds.catalogued / len(shown) / len(same_kind))
         for same_kind in shown
@@ -111,8 +111,8 @@ def _targets(table: Table, priors: Priors, wheels: Sequence[int]) -> tuple[str, 
 def _effect(kind: Kind, table: Table, target: str, priors: Priors) -> Effect | None:
     """The effect on one target; None where its parameter is fixed and gives no scale."""
     parameters = []
-    for own in table.parameters:
-        parameter = _parameter(own, kind, target, priors)
+    for row in table.parameters:
+        parameter = _parameter(row, kind, target, priors)
         if parameter is None:
             return None
         parameters.append(parameter)
@@ -125,27 +125,27 @@ def _effect(kind: Kind, table: Table, target: str, priors: Priors) -> Effect | N
 
 
 def _parameter(
-    own: ParameterTable, kind: Kind, target: str, priors: Priors
+    row: ParameterTable, kind: Kind, target: str, priors: Priors
 ) -> EffectParameter | None:
-    key = own.key.replace("{target}", target)
+    key = row.key.replace("{target}", target)
     prior = priors.parameters.get(key)
-    keywords = dict(own.keywords)
-    if own.times_prior is not None:
+    keywords = dict(row.keywords)
+    if row.times_prior is not None:
         if prior is None or prior.distribution is None:
             return None
-        keywords |= {"loc": 0.0, "scale": own.times_prior * prior.distribution.sd()}
-    if own.is_departure and prior is not None and own.unit != prior.spec.unit:
+        keywords |= {"loc": 0.0, "scale": row.times_prior * prior.distribution.sd()}
+    if row.is_departure and prior is not None and row.unit != prior.spec.unit:
         raise InputError(
-            f"{own.where}.unit", f"{prior.spec.unit}, that of {key}", repr(own.unit),
+            f"{row.where}.unit", f"{prior.spec.unit}, that of {key}", repr(row.unit),
             "convert the values, then write that unit",
         )  # fmt: skip
-    role = "departure" if own.is_departure else "effect"
+    role = "departure" if row.is_departure else "effect"
     return EffectParameter(
         f"{role}:{kind.name}:{target}:{key}",
         key,
-        own.unit,
-        Distribution(own.dist, keywords, own.low, own.high, where=own.where),
-        own.is_departure,
+        row.unit,
+        Distribution(row.dist, keywords, row.low, row.high, where=row.where),
+        row.is_departure,
     )
 
 

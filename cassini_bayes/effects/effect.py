@@ -29,7 +29,7 @@ Values = Mapping[str, Array]
 """An effect's own parameters by key, each (n,): one value for every point."""
 
 
-class Found(Protocol):
+class SearchResult(Protocol):
     """What a search before the fit has settled, such as a frequency."""
 
     @property
@@ -51,7 +51,7 @@ class Setting:
     spacecraft: Spacecraft
     branch: str
     target: str
-    found: Found | None = None
+    search_result: SearchResult | None = None
 
     @property
     def thrusters(self) -> tuple[str, ...]:
@@ -136,7 +136,7 @@ class Kind:
     change: Change
     change_in_rows: Change | None = None
     columns: Callable[[Sequence[str]], tuple[ExtraColumn, ...]] | None = None
-    search: Callable[[Remainder, Mapping[str, Distribution]], Found | None] | None = None
+    search: Callable[[Remainder, Mapping[str, Distribution]], SearchResult | None] | None = None
     rate_errors: Callable[[Values, Setting], tuple[Array, Array]] | None = None
     reported: tuple[str, ...] = ()
     report: Callable[[Values, Setting], Values] | None = None
@@ -176,7 +176,7 @@ class Effect:
     parameters: tuple[EffectParameter, ...]
     prior_probability: float
     form_error: tuple[tuple[str, float], ...] = ()
-    found: Found | None = None
+    search_result: SearchResult | None = None
 
     @property
     def name(self) -> str:
@@ -186,7 +186,7 @@ class Effect:
     @property
     def needs_search(self) -> bool:
         """Whether a search has to settle something before this can be fitted."""
-        return self.kind.search is not None and self.found is None
+        return self.kind.search is not None and self.search_result is None
 
     def scaled(self, width: float) -> Effect:
         """The same effect with all priors of its size wider by a factor."""
@@ -197,7 +197,7 @@ class Effect:
 
     def setting(self, spacecraft: Spacecraft, branch: str) -> Setting:
         """Where it acts."""
-        return Setting(spacecraft, branch, self.target, self.found)
+        return Setting(spacecraft, branch, self.target, self.search_result)
 
     def values(self, parameters: Parameters) -> dict[str, Array]:
         """Its own parameters by key, out of all parameters of a model."""

@@ -79,8 +79,8 @@ class Oscillation:
 
         def series(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
             line = self.frequency_hz + by_line * unit_hz, self.damping + by_damping * unit_damping
-            found = oscillation_series(context.time_s, motion, *line)[place]
-            return np.asarray(found if place < len(SERIES) - 1 else found[:, self.axis])
+            motion_of = oscillation_series(context.time_s, motion, *line)[place]
+            return np.asarray(motion_of if place < len(SERIES) - 1 else motion_of[:, self.axis])
 
         def slope(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
             ahead = series(place, by_line, by_damping, context)
@@ -103,8 +103,8 @@ def slope_names(name: str) -> tuple[str, str]:
 
 
 def _line(setting: Setting) -> Oscillation:
-    assert isinstance(setting.found, Oscillation)  # the search comes before the fit
-    return setting.found
+    assert isinstance(setting.search_result, Oscillation)  # the search comes before the fit
+    return setting.search_result
 
 
 def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
@@ -185,7 +185,7 @@ def left_open(
 
 def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillation | None:
     """The line of most evidence in what a model leaves, by the priors of its size."""
-    motions = [known_motion(own.time_s, own.rate_rad_s) for own in remainder.samples]
+    motions = [known_motion(samples.time_s, samples.rate_rad_s) for samples in remainder.samples]
     inertia = [remainder.parameters[f"inertia_{axis}{axis}_kg_m2"] for axis in AXES]
     amplitude, share = (
         float(priors[key].keywords["scale"]) for key in ("cosine_rad_s", "inertia_fraction")
@@ -232,17 +232,17 @@ def find_oscillation(
         gram, projection = _fine(rows, motions, views[line[2]], factor, line)
         return float(_log_evidence(gram, projection, size[line[2]]))
 
-    tried = [
+    fits = [
         (float(frequencies[f] + shift / span), damping, axis)
         for f, axis in _peaks(scores)
         for shift in FINER
         for damping in COARSE_DAMPINGS
     ]
     best = list(
-        dict.fromkeys((frequency, axis) for frequency, _, axis in sorted(tried, key=score)[::-1])
+        dict.fromkeys((frequency, axis) for frequency, _, axis in sorted(fits, key=score)[::-1])
     )[:PEAKS]
-    tried = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
-    frequency, damping, axis = max(tried, key=score)
+    fits = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
+    frequency, damping, axis = max(fits, key=score)
 
     def loss(x: Array) -> float:
         return -score((frequency + float(x[0]) / span, float(x[1]) ** 2, axis))
@@ -251,12 +251,12 @@ def find_oscillation(
     corners = np.array([[0.0, root], [0.1, root], [0.0, root + 0.01]])
     options = {"initial_simplex": corners, "maxfev": MOST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-3}
     bounds = ((-2.0, 2.0), (0.0, LARGEST_ROOT))
-    found = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
+    result = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
     looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
-    frequency += float(found.x[0]) / span
+    frequency += float(result.x[0]) / span
     step = float(np.median([motion.step_s for motion in motions]))
-    damping = float(found.x[1] ** 2)
-    return Oscillation(frequency, damping, axis, looks, -float(found.fun), span, step)
+    damping = float(result.x[1] ** 2)
+    return Oscillation(frequency, damping, axis, looks, -float(result.fun), span, step)
 
 
 def _log_evidence(gram: Array, projection: Array, size: Array) -> Array:
@@ -294,14 +294,14 @@ def _coarse(
 
 def _peaks(scores: Array) -> list[tuple[int, int]]:
     """Places (frequency, axis) of the highest scores, no two of them neighbours."""
-    found: list[tuple[int, int]] = []
+    peaks: list[tuple[int, int]] = []
     for flat in np.argsort(-scores, axis=None):
         f, axis = (int(i) for i in np.unravel_index(int(flat), scores.shape))
-        if all(axis != a or abs(f - g) > 1 for g, a in found):
-            found.append((f, axis))
-        if len(found) == PEAKS:
+        if all(axis != a or abs(f - g) > 1 for g, a in peaks):
+            peaks.append((f, axis))
+        if len(peaks) == PEAKS:
             break
-    return found
+    return peaks
 
 
 class _View(NamedTuple):
@@ -318,13 +318,13 @@ class _View(NamedTuple):
 
 def _views(rows: Sequence[EventRows], linear: Linear, axis: int) -> list[_View]:
     """Every event's view of an axis."""
-    found = []
+    views = []
     for event, part in zip(rows, linear.parts, strict=True):
         direction = np.linalg.inv(event.noise_factor)[:, axis]
         columns = linear.columns[part].reshape(len(event.white), 3, -1)
         along = np.tensordot(columns, direction, (1, 0))
-        found.append(_View(float(direction @ direction), event.white @ direction, along))
-    return found
+        views.append(_View(float(direction @ direction), event.white @ direction, along))
+    return views
 
 
 def _fine(

@@ -118,8 +118,8 @@ def _block_variance(missed: Array, columns: Array, kept: Array, walked: float) -
             + 0.5 * np.linalg.slogdet(gram * scale)[1]
         )
 
-    found = minimize(cost, np.array([-1.0, -3.0]), method="Nelder-Mead")
-    return np.asarray(scale * (np.exp(found.x[0]) * kept + np.exp(found.x[1])) + walked)
+    result = minimize(cost, np.array([-1.0, -3.0]), method="Nelder-Mead")
+    return np.asarray(scale * (np.exp(result.x[0]) * kept + np.exp(result.x[1])) + walked)
 
 
 def combined(parts: Sequence[RateInformation]) -> RateInformation:

@@ -189,13 +189,13 @@ def _check_physics(where: str, result: Physics, given: Physics, points: int) -> 
 
 def _check_shape(where: str, value: Any, wanted: Shape) -> None:
     """A shape that broadcasts to the one wanted."""
-    found = np.shape(value)
+    shape = np.shape(value)
     try:
-        fits = np.broadcast_shapes(found, wanted) == wanted
+        fits = np.broadcast_shapes(shape, wanted) == wanted
     except ValueError:
         fits = False
     if not fits:
-        raise InputError(where, f"an array {wanted}", f"one of shape {found}", "mend its shape")
+        raise InputError(where, f"an array {wanted}", f"one of shape {shape}", "mend its shape")
 
 
 def _checked_column(where: str, column: object) -> ExtraColumn:
@@ -206,12 +206,12 @@ def _checked_column(where: str, column: object) -> ExtraColumn:
 
     def values(context: RowContext) -> Array:
         try:
-            found = np.asarray(column.values(context), dtype=np.float64)
+            array = np.asarray(column.values(context), dtype=np.float64)
         except Exception as error:  # noqa: BLE001 - a user's file may do anything
             raise _fault(path, f"values of column {column.name}", error) from None
-        _check_shape(f"{where}: {column.name}", found, (len(context.time_s),))
-        if not np.isfinite(found).all():
+        _check_shape(f"{where}: {column.name}", array, (len(context.time_s),))
+        if not np.isfinite(array).all():
             raise InputError(f"{where}: {column.name}", "finite values", "NaN", "mend the column")
-        return found
+        return array
 
     return replace(column, values=values)

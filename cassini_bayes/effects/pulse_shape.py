@@ -20,8 +20,8 @@ def change(physics: Physics, _: Parameters, values: Values, __: Setting) -> Phys
     """The same on-time added to every pulse of every thruster."""
     offset = values["impulse_time_offset_s"]
     size = physics.arms_m.shape[-1]
-    own = np.broadcast_to(offset[..., None], (*offset.shape, size))
-    return replace(physics, impulse_offset_s=np.asarray(physics.impulse_offset_s) + own)
+    shift = np.broadcast_to(offset[..., None], (*offset.shape, size))
+    return replace(physics, impulse_offset_s=np.asarray(physics.impulse_offset_s) + shift)
 
 
 def change_in_rows(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:

@@ -104,13 +104,13 @@ class Kinds:
         """
         places = {name: place for place, name in enumerate(thrusters)}
         columns = [
-            column
+            c
             for kind, table in self.kinds
             if kind.columns is not None and "telemetry" in table.inputs
-            for column in kind.columns(thrusters)
+            for c in kind.columns(thrusters)
         ]
         return tuple(
-            sorted(columns, key=lambda own: places.get(own.name.partition("@")[2], len(places)))
+            sorted(columns, key=lambda c: places.get(c.name.partition("@")[2], len(places)))
         )
 
     def separation(self, one: str, other: str) -> str | None:
@@ -157,18 +157,18 @@ def read_kinds(files: Sequence[Path]) -> Kinds:
                 check_keys(changed[key], beliefs[key], f"{path}: {key}")
                 beliefs[key] = {**beliefs[key], **changed[key]}
             check_keys(changed.get("effects", {}), kinds, f"{path}: effects")
-            for name, own in changed.get("effects", {}).items():
+            for name, table in changed.get("effects", {}).items():
                 known = tables[name][0]["parameters"]
-                check_keys(own.get("parameters", {}), known, f"{path}: effects.{name}.parameters")
-                tables[name] = (merged(tables[name][0], own), f"{path}: effects.{name}")
+                check_keys(table.get("parameters", {}), known, f"{path}: effects.{name}.parameters")
+                tables[name] = (merged(tables[name][0], table), f"{path}: effects.{name}")
     return Kinds(
         tuple((kind, read_table(*tables[name])) for name, kind in kinds.items()),
         _odds(beliefs["causes"]),
         _unknown(beliefs["unknown"]),
         {
             str(path): digest(path)
-            for own in files
-            for path in dict.fromkeys((own, own.with_suffix(".toml")))
+            for table in files
+            for path in dict.fromkeys((table, table.with_suffix(".toml")))
         },
     )
 
@@ -192,15 +192,15 @@ def _odds(causes: Mapping[str, Any]) -> Odds:
 
 
 def _unknown(unknown: Mapping[str, Any]) -> Unknown:
-    own = {k: finite_number(f"unknown.{k}", v) for k, v in unknown.items() if k != "source"}
+    values = {k: finite_number(f"unknown.{k}", v) for k, v in unknown.items() if k != "source"}
 
     def about(median: str, log_sd: str) -> Distribution:
-        return Distribution("lognorm", {"s": own[log_sd], "scale": own[median]})
+        return Distribution("lognorm", {"s": values[log_sd], "scale": values[median]})
 
     return Unknown(
         about("torque_noise_median_n_m_s05", "torque_noise_log_sd"),
-        own["hold_rate_factor"],
-        own["hold_rate_log_sd"],
-        own["estimate_sd"],
+        values["hold_rate_factor"],
+        values["hold_rate_log_sd"],
+        values["estimate_sd"],
         about("on_time_noise_median_s", "on_time_noise_log_sd"),
     )

@@ -102,28 +102,28 @@ def read_table(document: Mapping[str, Any], where: str) -> Table:
         where,
         document["targets"],
         tuple(inputs),
-        tuple(_parameter(own, key, f"{where}.parameters.{key}") for key, own in parameters.items()),
+        tuple(_parameter(row, key, f"{where}.parameters.{key}") for key, row in parameters.items()),
         _table(document.get("form_error", {}), f"{where}.form_error"),
     )
 
 
 def _parameter(table: Any, key: str, where: str) -> ParameterTable:
-    own = _table(table, where)
-    _check_one_of(f"{where}.role", own.get("role"), ROLES)
+    row = _table(table, where)
+    _check_one_of(f"{where}.role", row.get("role"), ROLES)
     for needed in ("dist", "unit"):
-        if not isinstance(own.get(needed), str):
-            raise InputError(f"{where}.{needed}", "a text", repr(own.get(needed)), "add it")
-    check_unit(f"{where}.unit", own["unit"])
+        if not isinstance(row.get(needed), str):
+            raise InputError(f"{where}.{needed}", "a text", repr(row.get(needed)), "add it")
+    check_unit(f"{where}.unit", row["unit"])
     return ParameterTable(
         where,
         key,
-        own["role"] == "departure",
-        own["dist"],
-        {k: v for k, v in own.items() if k not in PARAMETER_KEYS},
-        own.get("times_prior"),
-        own.get("low"),
-        own.get("high"),
-        own["unit"],
+        row["role"] == "departure",
+        row["dist"],
+        {k: v for k, v in row.items() if k not in PARAMETER_KEYS},
+        row.get("times_prior"),
+        row.get("low"),
+        row.get("high"),
+        row["unit"],
     )
 
 

@@ -74,23 +74,25 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     return with_columns(physics, weights)
 
 
-def late_firings(fired: Firings, time_s: Array, offset_s: float) -> tuple[Array, Array]:
+def late_firings(firings: Firings, time_s: Array, offset_s: float) -> tuple[Array, Array]:
     """Columns (n, 3, s), N m s, and variances (s,) of firings of which a late record shows a part.
 
     A row at t shows what had been fired by t + offset, which lies within a counter interval: the
     share f of its time has gone by, but a pulse has been fired or not, with variance f (1 − f). One
     unknown for every firing, √(f (1 − f)) of its momentum at the rows at ``time_s`` (n,).
     """
-    length = fired.end_s - fired.start_s
-    share = np.clip((time_s[:, None] + offset_s - fired.start_s) / length, 0.0, 1.0)
+    length = firings.end_s - firings.start_s
+    share = np.clip((time_s[:, None] + offset_s - firings.start_s) / length, 0.0, 1.0)
     spread = np.sqrt(share * (1.0 - share))
-    seen = np.flatnonzero(spread.any(0))
-    return spread[:, None, seen] * fired.momentum_n_m_s[seen].T, fired.scatter[seen]
+    partly = np.flatnonzero(spread.any(0))
+    return spread[:, None, partly] * firings.momentum_n_m_s[partly].T, firings.scatter[partly]
 
 
-def left_open(fired: Firings, rows: FittedRows, values: Values, _: Setting) -> tuple[Array, Array]:
+def left_open(
+    firings: Firings, rows: FittedRows, values: Values, _: Setting
+) -> tuple[Array, Array]:
     """Firings that late records show in part."""
-    return late_firings(fired, rows.time_s, float(values["time_offset_s"][0]))
+    return late_firings(firings, rows.time_s, float(values["time_offset_s"][0]))
 
 
 # Pulses start with control cycles, and rows with a pulse under way do not enter the balance: those

@@ -103,8 +103,8 @@ def cause_picture(record: Mapping[str, Any]) -> Picture:
 def drawn(pictures: Sequence[Picture], processes: int = 1) -> list[Drawn]:
     """Pictures that show something made, laid out and drawn, shared out among processes."""
     # the last ones take longest: they go first, so that the work is shared out evenly
-    found = in_processes(_drawn, pictures[::-1], processes)[::-1]
-    return [own for own in found if own is not None]
+    results = in_processes(_drawn, pictures[::-1], processes)[::-1]
+    return [image for image in results if image is not None]
 
 
 def _drawn(picture: Picture) -> Drawn | None:
@@ -136,9 +136,9 @@ def write_diagnosis(diagnosis: Diagnosis[Any], folder: Path, name: str, processe
     pictures = [cause_picture(record), *innovation_pictures(diagnosis, curves)]
     images = drawn(pictures, processes)
     write_text(folder / "diagnosis.json", diagnosis_json(record))
-    for own in images:
-        write_bytes(folder / "figures" / f"{own.name}.png", own.png)
-        write_bytes(folder / "figures" / f"{own.name}.svg", own.svg)
+    for image in images:
+        write_bytes(folder / "figures" / f"{image.name}.png", image.png)
+        write_bytes(folder / "figures" / f"{image.name}.svg", image.svg)
     write_text(folder / "report.html", render_diagnosis(record, images, name, curves))
 
 
@@ -226,7 +226,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
 def _runner_up_sentence(record: Mapping[str, Any]) -> str:
     """The best cause that there is, its size, and what it leaves."""
     left = record["runner_up"]
-    cause = next(own for own in record["causes"] if own["name"] == left["name"])
+    cause = next(item for item in record["causes"] if item["name"] == left["name"])
     sizes = "; ".join(_size(key, size) for key, size in cause["parameters"].items())
     remains = [
         f"RMS {value:.3g} {unit} where the baseline leaves {record['baseline'][key]:.3g} {unit}"
@@ -287,13 +287,13 @@ def _closure_rows(record: Mapping[str, Any], curves: Sequence[Curve]) -> list[di
         for c, axis in enumerate("xyz")
     }
     rows = []
-    for own in record["closure"]:
-        cells = {"event": own["event"], "axis": own["axis"].upper(), "missing": "–"}
+    for row in record["closure"]:
+        cells = {"event": row["event"], "axis": row["axis"].upper(), "missing": "–"}
         for model in ("baseline", "extended"):
-            value, sd = own[f"{model}_n_m_s"], own[f"{model}_sd_n_m_s"]
+            value, sd = row[f"{model}_n_m_s"], row[f"{model}_sd_n_m_s"]
             cells[model] = f"{value:+.4f} ± {sd:.4f} ({value / sd:+.1f} σ)"
-        if (own["event"], own["axis"]) in missing:
-            mean, low, high = missing[own["event"], own["axis"]]
+        if (row["event"], row["axis"]) in missing:
+            mean, low, high = missing[row["event"], row["axis"]]
             cells["missing"] = f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]"
         rows.append(cells)
     return rows
@@ -327,7 +327,8 @@ def render_diagnosis(
         sentences=sentences(record),
         symptoms=record["symptoms"],
         pictures=[
-            {"name": own.name, "caption": own.caption, "address": _address(own)} for own in pictures
+            {"name": image.name, "caption": image.caption, "address": _address(image)}
+            for image in pictures
         ],
         closure=_closure_rows(record, curves),
         causes=[_cause_row(cause, record) for cause in record["causes"][:MOST_CAUSES]],

@@ -61,12 +61,12 @@ def fsds() -> EstimateCase:
     What is left to err is the closed form, geometry and the printed figure.
     """
     constants = published_constants()
-    own = partial(constants.value, "paper_000_fsds")
-    pulses = {ms / 1e3: own(f"pulses_{ms}_ms") for ms in (125, 250, 500, 750)}
+    value = partial(constants.value, "paper_000_fsds")
+    pulses = {ms / 1e3: value(f"pulses_{ms}_ms") for ms in (125, 250, 500, 750)}
     return estimate_case(
         Estimates(
-            rows=(_estimate("test bed", own("estimated_thrust_n"), pulses),),
-            thrust_n=own("thrust_n"),
+            rows=(_estimate("test bed", value("estimated_thrust_n"), pulses),),
+            thrust_n=value("thrust_n"),
             event_sd=0.002,
             rise_s=constants.value("paper_000_pulse", "tau_rise_ms") / 1e3,
             fall_s=constants.value("paper_000_pulse", "tau_fall_ms") / 1e3,
@@ -103,12 +103,12 @@ class Branch:
         common = self.common_n + self.common_sd_n * z[:, 0]
         factor = np.ones((len(z), len(self.names)))
         parameters: dict[str, Array] = {"common_n": common}
-        for name, own in zip(self.degraded, z.T[3:], strict=True):
-            kept = 1.0 - deficit(own, self.deficit_sd)
+        for name, sd in zip(self.degraded, z.T[3:], strict=True):
+            kept = 1.0 - deficit(sd, self.deficit_sd)
             factor[:, self.names.index(name)] *= kept
             parameters[f"thrust_factor[{name}]"] = kept
-        for axis, arms, own in zip("xy", self.arms_m, z.T[1:3], strict=True):
-            shift = self.cm_sd_m[axis] * own
+        for axis, arms, sd in zip("xy", self.arms_m, z.T[1:3], strict=True):
+            shift = self.cm_sd_m[axis] * sd
             parameters[f"cm_{axis} shift (m)"] = shift
             factor *= 1.0 - shift[:, None] / arms
         estimate = common[:, None] * factor
@@ -137,8 +137,8 @@ class Branch:
         return [
             self.hypothesis(NONE, kinds.odds.none),
             unknown.hypothesis(UNKNOWN, kinds.odds.unknown),
-            *(own.hypothesis(name, share / len(weak)) for name, own in weak.items()),
-            *(own.hypothesis(name, share / len(moved)) for name, own in moved.items()),
+            *(branch.hypothesis(name, share / len(weak)) for name, branch in weak.items()),
+            *(branch.hypothesis(name, share / len(moved)) for name, branch in moved.items()),
         ]
 
     def pairs(self, width: float = 1.0) -> list[EstimateHypothesis]:

@@ -18,7 +18,7 @@ import pandas as pd
 
 from cassini_bayes import __version__
 from cassini_bayes.diagnosis.balance_case import BalanceCase
-from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, Say, Size, silent
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, Log, Size, silent
 from cassini_bayes.diagnosis.diagnosis import diagnose
 from cassini_bayes.diagnosis.estimate_case import Candidate, EstimateCase, untrusted
 from cassini_bayes.diagnosis.read import read_events
@@ -42,23 +42,23 @@ UNSHOWN: Final = "thrust_common_n"  # the factor beside it says as much
 
 def estimate_section(key: str, case: EstimateCase, seed: int, more: str = "") -> Section:
     """Causes of printed thrusts at every width, each with the same draws."""
-    found = {
+    verdicts = {
         width: ranked(case.weighed(case.hypotheses(width), np.random.default_rng(seed)))
         for width in WIDTHS
     }
-    verdict = found[1.0]
+    verdict = verdicts[1.0]
     left = case.residual_n(verdict.best)
     share, rms = float(np.abs(left / case.estimate_n).max()), float(np.sqrt((left**2).mean()))
     details = [
         estimate_gain(case, verdict, seed),
-        _draws([own for verdict in found.values() for own in verdict.weighed]),
+        _draws([w for verdict in verdicts.values() for w in verdict.weighed]),
         *([more] if more else []),
     ]
     return Section(
         key,
         verdict,
-        by_width(verdict, {width: own.probabilities for width, own in found.items()}),
-        {own.name: _sizes(case, own) for own in verdict.weighed},
+        by_width(verdict, {width: w.probabilities for width, w in verdicts.items()}),
+        {w.name: _sizes(case, w) for w in verdict.weighed},
         f"After `{verdict.best.name}`: {_newtons(case, verdict.best)} N remain (estimate less "
         f"posterior mean prediction; RMS {rms:.3f} N, at most {100 * share:.1f} % of an estimate).",
         "\n\n".join(details),
@@ -76,8 +76,8 @@ def _newtons(case: EstimateCase, weighed: Candidate) -> str:
 
 def _draws(weighed: Sequence[Candidate]) -> str:
     """How well the draws cover the posteriors of all hypotheses."""
-    fewest = min(own.effective_draws for own in weighed)
-    worst = max(own.pareto_k for own in weighed)
+    fewest = min(w.effective_draws for w in weighed)
+    worst = max(w.pareto_k for w in weighed)
     text = (
         f"Draws of every hypothesis: at least {fewest:.0f} effective, Pareto k̂ {worst:.2f} or less."
     )
@@ -88,13 +88,13 @@ def _draws(weighed: Sequence[Candidate]) -> str:
 def _scores(case: Case[Any], verdict: Verdict[Any], seed: int) -> dict[str, HeldOut] | None:
     """Of ``none``, the best cause and ``unknown``, each with the same draws."""
     assert verdict.best_cause is not None
-    found: dict[str, HeldOut] = {}
+    scores: dict[str, HeldOut] = {}
     for name in (NONE, verdict.best_cause.name, UNKNOWN):
         score = case.held_out(verdict.named(name), np.random.default_rng(seed))
         if score is None:
             return None
-        found[name] = score
-    return found
+        scores[name] = score
+    return scores
 
 
 def estimate_gain(case: EstimateCase, verdict: Verdict[Any], seed: int) -> str:
@@ -106,10 +106,10 @@ def estimate_gain(case: EstimateCase, verdict: Verdict[Any], seed: int) -> str:
     texts = [
         gain_text(
             name,
-            own.gain_over(base),
-            f"RMS residual {own.rmse:.3f} N against {base.rmse:.3f} N",
+            extended.gain_over(base),
+            f"RMS residual {extended.rmse:.3f} N against {base.rmse:.3f} N",
         )
-        for name, own in scores.items()
+        for name, extended in scores.items()
     ]
     return f"Held out, each of {len(case.estimate_n)} estimates in turn: {'; '.join(texts)}."
 
@@ -122,7 +122,7 @@ def pair_table(branch: Branch, case: EstimateCase, seed: int) -> str:
         pairs = case.weighed(branch.pairs(width), rng)
         none, unknown = case.weighed(branch.hypotheses(width)[:2], rng)
         weighed += pairs
-        best = max(pairs, key=lambda own: own.score)
+        best = max(pairs, key=lambda pair: pair.score)
         rows.append(
             f"| {width:g} | `{best.name}` | {best.log_evidence - none.log_evidence:+.1f} | "
             f"{best.log_evidence - unknown.log_evidence:+.1f} | {best.score - unknown.score:+.1f} "
@@ -140,11 +140,11 @@ prediction):
 {_draws(weighed)}"""
 
 
-def flight_section(totals: Path, priors: Path, seed: int, say: Say = silent) -> Section:
+def flight_section(totals: Path, priors: Path, seed: int, log: Log = silent) -> Section:
     """Causes of the flight biases at every width, by the machinery of ``diagnose``."""
-    case = BalanceCase(read_events([str(totals)], priors, "flight", say))
-    found = diagnose(case, np.random.default_rng(seed), measure_gain=False, say=say)
-    verdict = found.verdict
+    case = BalanceCase(read_events([str(totals)], priors, "flight", log))
+    diagnosis = diagnose(case, np.random.default_rng(seed), measure_gain=False, log=log)
+    verdict = diagnosis.verdict
     best = verdict.best
     remains = (
         "The baseline leaves nothing that a cause of the catalogue explains better."
@@ -155,9 +155,9 @@ def flight_section(totals: Path, priors: Path, seed: int, say: Say = silent) -> 
         cause["name"]: in_words(
             {key: Size(p["mean"], p["sd"], p["hdi_90"]) for key, p in cause["parameters"].items()}
         )
-        for cause in found.record["causes"]
+        for cause in diagnosis.record["causes"]
     }
-    table, gain = by_width(verdict, found.widths), flight_gain(case, verdict, seed)
+    table, gain = by_width(verdict, diagnosis.widths), flight_gain(case, verdict, seed)
     return Section("a", verdict, table, sizes, remains, gain)
 
 
@@ -170,10 +170,10 @@ def flight_gain(case: BalanceCase, verdict: Verdict[Any], seed: int) -> str:
     texts = [
         gain_text(
             name,
-            own.gain_over(base),
-            f"RMS residual momentum {own.rmse:.3f} N m s against {base.rmse:.3f} N m s",
+            extended.gain_over(base),
+            f"RMS residual momentum {extended.rmse:.3f} N m s against {base.rmse:.3f} N m s",
         )
-        for name, own in scores.items()
+        for name, extended in scores.items()
     ]
     assert base.coverage_90 is not None
     return (
@@ -188,16 +188,16 @@ def write_published_diagnosis(
     priors: Path,
     seed: int,
     command: Sequence[str],
-    say: Say = silent,
+    log: Log = silent,
 ) -> dict[str, str]:
     """Weigh all cases, write page, table and figures; returns the first cause of every case."""
     branch, thrusts = a_branch()
     sections = [
-        flight_section(totals, priors, seed, say),
+        flight_section(totals, priors, seed, log),
         estimate_section("b", flight_2004(), seed),
         estimate_section("c", fsds(), seed),
         estimate_section("d", thrusts, seed, pair_table(branch, thrusts, seed)),
-        on_time_section(totals, priors, seed, say),
+        on_time_section(totals, priors, seed, log),
     ]
     frame = pd.concat([section.table() for section in sections])
     write_text(folder / f"{NAME}.csv", frame.to_csv(index=False))

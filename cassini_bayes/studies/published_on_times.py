@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Say, silent
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Log, silent
 from cassini_bayes.diagnosis.diagnosis import Diagnosis, diagnose
 from cassini_bayes.diagnosis.on_time_case import OnTimeCase
 from cassini_bayes.diagnosis.on_times import COMMON, OnTimeHypothesis, read_on_times
@@ -33,25 +33,25 @@ SCALES: Final = ("tail_off", "pulse_shape", "thrust_scale")  # what scales all o
 FIRING: Final = "firing_logic"
 
 
-def on_time_section(totals: Path, priors: Path, seed: int, say: Say = silent) -> Section:
+def on_time_section(totals: Path, priors: Path, seed: int, log: Log = silent) -> Section:
     """Weigh the flight's on-times of a totals file, and its ideal column as a control."""
     read = read_priors(priors)
     flight, ideal, calibrated = (
         _case(totals, read, source) for source in ("flight", "gsw_ideal", "gsw")
     )
     rng = np.random.default_rng(seed)
-    found = diagnose(flight, rng, measure_gain=False, say=say)
+    diagnosis = diagnose(flight, rng, measure_gain=False, log=log)
     printed = {
-        name: float(np.abs(own.data.printed_s - flight.data.printed_s).mean())
-        for name, own in (("ideal", ideal), ("calibrated", calibrated))
+        name: float(np.abs(case.data.printed_s - flight.data.printed_s).mean())
+        for name, case in (("ideal", ideal), ("calibrated", calibrated))
     }
-    control = weigh(ideal, np.random.default_rng(seed), pairs=False, say=say)
-    return section_of(flight, found, printed, control, np.random.default_rng(seed))
+    control = weigh(ideal, np.random.default_rng(seed), pairs=False, log=log)
+    return section_of(flight, diagnosis, printed, control, np.random.default_rng(seed))
 
 
 def section_of(
     case: OnTimeCase,
-    found: Diagnosis[OnTimeHypothesis],
+    diagnosis: Diagnosis[OnTimeHypothesis],
     printed_s: Mapping[str, float],
     control: Verdict[OnTimeHypothesis],
     rng: np.random.Generator,
@@ -60,7 +60,7 @@ def section_of(
 
     ``printed_s``: mean absolute differences to flight of the ideal and the calibrated column, s.
     """
-    verdict, first = found.verdict, found.verdict.best
+    verdict, first = diagnosis.verdict, diagnosis.verdict.best
     names = (NONE, *case.catalogue.names, UNKNOWN)
     sizes = {name: case.sizes(verdict.named(name), rng) for name in names}
     before, loose, after = (held_out(case, verdict, name) for name in (NONE, UNKNOWN, first.name))
@@ -70,14 +70,14 @@ def section_of(
         _by_unit(case, before, after),
         _control(control),
     ]
-    probability, points = by_width(verdict, found.widths), points_of(case, before, after)
-    factors = {own.name: verdict.log_bayes_factor(own) for own in verdict.weighed}
+    probability, points = by_width(verdict, diagnosis.widths), points_of(case, before, after)
+    factors = {w.name: verdict.log_bayes_factor(w) for w in verdict.weighed}
     return Section(
         "e",
         verdict,
         probability,
-        {name: in_words(own, ".3g") for name, own in sizes.items()},
-        _remains(case, found),
+        {name: in_words(w, ".3g") for name, w in sizes.items()},
+        _remains(case, diagnosis),
         "\n\n".join(details),
         on_time_figure(probability, factors, points),
     )
@@ -85,9 +85,9 @@ def section_of(
 
 def held_out(case: OnTimeCase, verdict: Verdict[OnTimeHypothesis], name: str) -> HeldOut:
     """A hypothesis's predictions of every event from the others."""
-    found = case.held_out(verdict.named(name), np.random.default_rng(0))
-    assert found is not None  # there are events enough
-    return found
+    score = case.held_out(verdict.named(name), np.random.default_rng(0))
+    assert score is not None  # there are events enough
+    return score
 
 
 def points_of(case: OnTimeCase, before: HeldOut, after: HeldOut) -> pd.DataFrame:
@@ -102,11 +102,11 @@ def points_of(case: OnTimeCase, before: HeldOut, after: HeldOut) -> pd.DataFrame
         "on_time": units * len(case.event_ids),
         "flight_s": flight.ravel(),
     }
-    for prefix, own in (("none", before), ("first", after)):
-        assert own.residual is not None
-        assert own.half_width is not None
-        columns[f"{prefix}_s"] = (flight - own.residual).ravel()
-        columns[f"{prefix}_half_s"] = own.half_width.ravel()
+    for prefix, score in (("none", before), ("first", after)):
+        assert score.residual is not None
+        assert score.half_width is not None
+        columns[f"{prefix}_s"] = (flight - score.residual).ravel()
+        columns[f"{prefix}_half_s"] = score.half_width.ravel()
     return pd.DataFrame(columns)
 
 
@@ -121,10 +121,10 @@ def _case(totals: Path, priors: Priors, source: str) -> OnTimeCase:
     return OnTimeCase(read_on_times(events, priors, read_beliefs()), catalogue)
 
 
-def _remains(case: OnTimeCase, found: Diagnosis[OnTimeHypothesis]) -> str:
+def _remains(case: OnTimeCase, diagnosis: Diagnosis[OnTimeHypothesis]) -> str:
     """p-value of the baseline, the group of the first cause, what is left after it."""
-    verdict, first = found.verdict, found.verdict.best
-    p_value = found.record["p_value"]
+    verdict, first = diagnosis.verdict, diagnosis.verdict.best
+    p_value = diagnosis.record["p_value"]
     p = "below 0.001" if p_value < 1e-3 else f"{p_value:.2g}"
     count = case.data.printed_s.size
     text = f"p-value of the baseline: {p} (χ² of its prior prediction, {count} on-times)."
@@ -136,18 +136,18 @@ def _remains(case: OnTimeCase, found: Diagnosis[OnTimeHypothesis]) -> str:
             else f" No other cause is within {CONFOUNDED_NATS:g} nats of it."
         )
         draws, _ = case.size_draws(first, np.random.default_rng(0))
-        ends = {key: np.quantile(own, [0.05, 0.95]) for key, own in draws.items()}
+        ends = {key: np.quantile(values, [0.05, 0.95]) for key, values in draws.items()}
         intervals = "; ".join(f"{k} [{low:.2g}, {high:.2g}]" for k, (low, high) in ends.items())
         text += f" Central 90 % credible intervals: {intervals}."
-    none, own = case.rmse(verdict.none), case.rmse(first)
-    return f"{text} At their modes `none` leaves {none:.2f} s RMS, `{first.name}` {own:.2f} s."
+    none, values = case.rmse(verdict.none), case.rmse(first)
+    return f"{text} At their modes `none` leaves {none:.2f} s RMS, `{first.name}` {values:.2f} s."
 
 
 def _second(case: OnTimeCase, verdict: Verdict[OnTimeHypothesis]) -> str:
     first = verdict.best
     gains = {
-        own.hypothesis.causes[1]: own.mode.log_evidence - first.mode.log_evidence
-        for own in verdict.pairs
+        pair.hypothesis.causes[1]: pair.mode.log_evidence - first.mode.log_evidence
+        for pair in verdict.pairs
     }
     if not gains:
         return "No second cause was looked for."
@@ -176,14 +176,14 @@ def _gain(
     first: str, before: HeldOut, loose: HeldOut, after: HeldOut, printed_s: Mapping[str, float]
 ) -> str:
     """Gain against ``none`` and, as that has far too small errors, against ``unknown``."""
-    gain, own = after.gain_over(before), after.gain_over(loose)
-    least = min((gain, own), key=lambda g: g.nats - 2.0 * g.standard_error)
-    ratio = max(gain.rmse_ratio, own.rmse_ratio)
+    gain, noisy = after.gain_over(before), after.gain_over(loose)
+    least = min((gain, noisy), key=lambda g: g.nats - 2.0 * g.standard_error)
+    ratio = max(gain.rmse_ratio, noisy.rmse_ratio)
     verdict = replace(least, rmse_ratio=ratio).verdict
     miss = [float(np.abs(h.residual).mean()) for h in (before, after) if h.residual is not None]
     return (
-        f"Held out, each of {len(before.log_scores)} events in turn: `{first}` {own.nats:+.1f} ± "
-        f"{own.standard_error:.1f} nats against `unknown` (with its noise as all events have it) "
+        f"Held out, each of {len(before.log_scores)} events in turn: `{first}` {noisy.nats:+.1f} ± "
+        f"{noisy.standard_error:.1f} nats against `unknown` (with its noise as all events have it) "
         f"and {gain.nats:+.0f} ± {gain.standard_error:.0f} nats against `none`, whose errors are "
         f"far too small (sums of log scores, one standard error over events); RMS residual "
         f"{after.rmse:.2f} s, `unknown` {loose.rmse:.2f} s, `none` {before.rmse:.2f} s; mean "
@@ -195,18 +195,18 @@ def _gain(
     )
 
 
-def _percent(own: HeldOut) -> str:
-    assert own.coverage_90 is not None
-    return f"{100 * own.coverage_90:.0f}"
+def _percent(score: HeldOut) -> str:
+    assert score.coverage_90 is not None
+    return f"{100 * score.coverage_90:.0f}"
 
 
 def _by_unit(case: OnTimeCase, before: HeldOut, after: HeldOut) -> str:
     """Held-out residuals of every printed on-time: mean and RMS over events, s."""
     columns = [
         figure
-        for own in (before.residual, after.residual)
-        if own is not None
-        for figure in (own.mean(0), np.sqrt((own**2).mean(0)))
+        for residual in (before.residual, after.residual)
+        if residual is not None
+        for figure in (residual.mean(0), np.sqrt((residual**2).mean(0)))
     ]
     rows = "\n".join(
         f"| {name} | {mean:+.2f} | {rms:.2f} | {own_mean:+.2f} | {own_rms:.2f} |"
@@ -220,9 +220,9 @@ def _by_unit(case: OnTimeCase, before: HeldOut, after: HeldOut) -> str:
 
 
 def _control(verdict: Verdict[OnTimeHypothesis]) -> str:
-    own = verdict.probabilities
+    share = verdict.probabilities
     return (
         f"Negative control: the printed ideal column in place of flight gives "
-        f"`{verdict.best.name}` ({own[verdict.best.name]:.2f}), `{FIRING}` {own[FIRING]:.2g} (log "
-        f"Bayes factor {verdict.log_bayes_factor(verdict.named(FIRING)):+.1f} nats)."
+        f"`{verdict.best.name}` ({share[verdict.best.name]:.2f}), `{FIRING}` {share[FIRING]:.2g} "
+        f"(log Bayes factor {verdict.log_bayes_factor(verdict.named(FIRING)):+.1f} nats)."
     )

@@ -110,7 +110,7 @@ def by_width(verdict: Verdict[Any], widths: Mapping[float, Mapping[str, float]])
     """Probabilities by cause (rows, most probable first) and width of the effects' priors."""
     shares = {**widths, 1.0: verdict.probabilities}
     table = pd.DataFrame({width: dict(shares[width]) for width in WIDTHS})
-    evidence = {own.name: own.log_evidence for own in verdict.weighed}
+    evidence = {w.name: w.log_evidence for w in verdict.weighed}
     order = sorted(table.index, key=lambda name: (-table.loc[name, 1.0], -evidence[str(name)]))
     return table.loc[order]
 

@@ -148,7 +148,7 @@ def test_events_of_a_few_rows_have_no_oscillation() -> None:
 
 def left_by(view: View, values: dict[str, float], line: Oscillation) -> float:
     """σ of what the true parameters leave with the oscillation in the model at these values."""
-    effect = replace(view.events.catalogue.effect("flexible_mode"), found=line)
+    effect = replace(view.events.catalogue.effect("flexible_mode"), search_result=line)
     events = view.events.with_columns_of([effect])
     changed = held(none_hypothesis(events), effect, values, events)
     other, _ = linearise(events, changed, view.point, smooth_channels=False)

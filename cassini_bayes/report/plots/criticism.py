@@ -52,15 +52,15 @@ def innovation_figure(
     with matplotlib.rc_context(dict(STYLE)):
         figure = Figure(figsize=(10.0, 1.9 * len(baseline) + 0.6), layout="constrained")
         axes = figure.subplots(len(baseline), 3, squeeze=False, sharex="row")
-        for row, own in enumerate(baseline):
-            step = max(1, len(own.time_s) // _POINTS)
+        for row, event in enumerate(baseline):
+            step = max(1, len(event.time_s) // _POINTS)
             for c, axis in enumerate("XYZ"):
                 panel = axes[row, c]
-                residual = own.residual_n_m_s[:, c]
+                residual = event.residual_n_m_s[:, c]
                 style = {"ms": 1.2, "color": "#c4c4c4", "rasterized": True}
-                panel.plot(own.time_s[::step], residual[::step], ".", **style)
+                panel.plot(event.time_s[::step], residual[::step], ".", **style)
                 mean = running_mean(residual, WINDOW_ROWS)
-                panel.plot(own.time_s, mean, lw=1.4, color=POSTERIOR, label="baseline")
+                panel.plot(event.time_s, mean, lw=1.4, color=POSTERIOR, label="baseline")
                 if len(extended):
                     after = running_mean(extended[row].residual_n_m_s[:, c], WINDOW_ROWS)
                     panel.plot(
@@ -69,7 +69,7 @@ def innovation_figure(
                 panel.axhline(0.0, lw=0.6, color=INK)
                 limit = 1.15 * float(np.quantile(np.abs(residual), 0.997))
                 panel.set_ylim(-limit, limit)
-                panel.set_title(f"{own.event}, {axis}", loc="left")
+                panel.set_title(f"{event.event}, {axis}", loc="left")
                 if row == len(baseline) - 1:
                     panel.set_xlabel("time since first row (s)")
                 if c == 0:
@@ -99,8 +99,8 @@ def correlation_figure(
             panel.axvline(0.0, lw=0.6, color=INK)
             for shown, style in ((before, BEFORE), (after, AFTER)):
                 tests = () if shown is None else shown.drivers
-                own = [t for t in tests if (t.event, t.axis) == (event, axis)]
-                panel.plot([t.z for t in own], [places[t.driver] for t in own], **style)
+                tests_of = [t for t in tests if (t.event, t.axis) == (event, axis)]
+                panel.plot([t.z for t in tests_of], [places[t.driver] for t in tests_of], **style)
             for t in before.drivers:
                 if _untested(t, event, axis):
                     panel.text(
@@ -124,7 +124,13 @@ def _untested(tested: Tested, event: str, axis: str) -> bool:
 
 
 def _largest(shown: Sequence[InnovationTests | None], event: str) -> list[float]:
-    tests = [t for own in shown if own is not None for t in own.drivers if t.event == event]
+    tests = [
+        t
+        for tests_of in shown
+        if tests_of is not None
+        for t in tests_of.drivers
+        if t.event == event
+    ]
     return [abs(t.z) for t in tests if np.isfinite(t.z)]
 
 
@@ -150,17 +156,17 @@ def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> 
         for row, event in enumerate(events):
             for panel, axis in zip(panels[row], "xyz", strict=True):
                 for shown, style in ((before, BEFORE), (after, AFTER)):
-                    found = () if shown is None else shown.whiteness
-                    for own in (w for w in found if (w.event, w.axis) == (event, axis)):
-                        lags = np.arange(1, len(own.value) + 1)
+                    curves = () if shown is None else shown.whiteness
+                    for curve in (w for w in curves if (w.event, w.axis) == (event, axis)):
+                        lags = np.arange(1, len(curve.value) + 1)
                         if shown is before:
-                            unit = own.rows**-0.5
+                            unit = curve.rows**-0.5
                             for z, colour in (
                                 (before.family_lag_z, FAMILY_BAND),
                                 (POINTWISE, SINGLE_BAND),
                             ):
                                 panel.axhspan(-z * unit, z * unit, color=colour, lw=0)
-                        panel.plot(lags, own.value, **style)
+                        panel.plot(lags, curve.value, **style)
                 panel.axhline(0.0, lw=0.6, color=INK)
                 panel.set_title(f"{event}, {axis.upper()}", loc="left")
             panels[row, 0].set_ylabel("autocorrelation (1)")

@@ -78,9 +78,9 @@ class Classifier:
 
     def ranks(self, scores: Array, name: str) -> NDArray[np.int64]:
         """Place (n,) of a cause among all of them, from 0."""
-        found = self.log_scores(scores)
-        own = found[:, [self.names.index(name)]]
-        return np.asarray((found > own).sum(1), dtype=np.int64)
+        scores = self.log_scores(scores)
+        true = scores[:, [self.names.index(name)]]
+        return np.asarray((scores > true).sum(1), dtype=np.int64)
 
     def own_rank(self, name: str) -> int:
         """Place of a cause by the flight's own data."""
@@ -96,8 +96,8 @@ class Classifier:
         return float((self.ranks(draws, name) < BEST).mean())
 
     def _side_of(self, name: str, size: Array) -> Side:
-        own = [side for side in self.sides if side.name == name]
-        return next((s for s in own if s.low <= size[0] <= s.high), own[0])
+        named = [side for side in self.sides if side.name == name]
+        return next((s for s in named if s.low <= size[0] <= s.high), named[0])
 
 
 def log_evidence(gram: Array, scores: Array, side: Side) -> Array:
@@ -144,15 +144,15 @@ def classifier(
     sides: list[Side] = []
     columns: list[Array] = []
     for effect in events.catalogue.effects:
-        own, own_events, own_none = effect, events, none
+        settled, with_columns, baseline = effect, events, none
         if effect.needs_search:
             if line is None:
                 continue
-            own = replace(effect, found=line)
-            own_events = events.with_columns_of([own])
-            own_none = none_hypothesis(own_events)
+            settled = replace(effect, search_result=line)
+            with_columns = events.with_columns_of([settled])
+            baseline = none_hypothesis(with_columns)
         for sign in (1.0, -1.0) if effect.kind.name in KINKED else (0.0,):
-            columns.append(_columns(own_events, own_none, base, own, sign, hidden))
+            columns.append(_columns(with_columns, baseline, base, settled, sign, hidden))
             first = sum(part.shape[1] for part in columns[:-1])
             sides.append(_side(effect, sign, first))
     every = np.concatenate(columns, axis=1)

@@ -68,13 +68,13 @@ def _known(none: Hypothesis, events: Events, truth: Truth, width: int) -> Array:
     shared += model.linear.shared.shape[1] if model.linear.shared.size else 0
     known, place = np.zeros(width), shared
     for source, terms in zip(events.sources, model.telemetry, strict=True):
-        own = model.linear.own if terms.pattern.thrusters else np.zeros((0, 0))
-        if own.size:
+        individual = model.linear.own if terms.pattern.thrusters else np.zeros((0, 0))
+        if individual.size:
             thrusts = truth.thrust_n(source.id, source.thrusters)
             departure = np.array([thrusts[k] for k in source.thrusters])
             departure = departure - model.linear.common_mean_n
-            known[place : place + own.shape[1]] = np.linalg.solve(own, departure)
-        place += own.shape[1]
+            known[place : place + individual.shape[1]] = np.linalg.solve(individual, departure)
+        place += individual.shape[1]
         values = truth.of(source.id)
         torque = np.array([values[f"external_torque_{axis}_n_m"] for axis in "xyz"])
         known[place + 3 : place + 6] = torque - model.torque_mean_n_m
@@ -132,8 +132,8 @@ def _paired(shown: View, plain: View) -> float:
     ours, theirs = [], []
     first, second = 0, 0
     counts = []
-    for own, other in zip(shown.events.telemetry_rows, plain.events.telemetry_rows, strict=True):
-        a, b = own.time_s, other.time_s
+    for rows, other in zip(shown.events.telemetry_rows, plain.events.telemetry_rows, strict=True):
+        a, b = rows.time_s, other.time_s
         _, i, j = np.intersect1d(np.round(a / _SAME_S), np.round(b / _SAME_S), return_indices=True)
         ours.append((first + 3 * i[:, None] + np.arange(3)).reshape(-1))
         theirs.append((second + 3 * j[:, None] + np.arange(3)).reshape(-1))

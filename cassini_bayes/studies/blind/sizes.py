@@ -121,12 +121,12 @@ def _marginal(events: Events, none: Hypothesis, base: Mode, path: Growth, s: flo
     offsets = np.vstack([0.0 * moves[:1], moves, -moves])
     point, d = base.point, len(base.point)
     for _ in range(NEWTON_STEPS):
-        found = hypothesis.log_density(point + offsets)
-        gradient = (found[1 : d + 1] - found[d + 1 :]) / (2.0 * STEP)
+        values = hypothesis.log_density(point + offsets)
+        gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP)
         point = point + base.factor @ gradient
-    found = hypothesis.log_density(point + offsets)
-    gradient = (found[1 : d + 1] - found[d + 1 :]) / (2.0 * STEP)
-    return float(found[0] + 0.5 * gradient @ gradient)
+    values = hypothesis.log_density(point + offsets)
+    gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP)
+    return float(values[0] + 0.5 * gradient @ gradient)
 
 
 def hide(path: Growth, s: float, truth: Mapping[str, float], sigma: float) -> Hidden | None:
@@ -174,11 +174,11 @@ def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> 
         path = draw_from_prior(effect, rng)
         if effect.kind.rate_errors is not None:
             rate = sensitivity(stage.events, stage.base, path)
-            found = hide(path, 1.0, stage.truth.parameters, rate)
+            hidden = hide(path, 1.0, stage.truth.parameters, rate)
         else:
-            found = measured(stage, path, 1.0)
-        if found is not None:
-            return found
+            hidden = measured(stage, path, 1.0)
+        if hidden is not None:
+            return hidden
     return None
 
 
@@ -208,35 +208,35 @@ def search_size(
     Secant steps in log s, a factor of four at most: σ of a time offset rises in steps.
     """
     s, best = start, None
-    tried: list[tuple[float, float]] = []
+    pairs: list[tuple[float, float]] = []
     for _ in range(MOST_FLIGHTS):
-        found = at(s)
-        if found is None:
+        hidden = at(s)
+        if hidden is None:
             return best
-        value = max(found.sigma, 1e-3)
-        if span[0] <= value <= span[1] and (
-            best is None or abs(value - sigma) < abs(best.sigma - sigma)
+        reached = max(hidden.sigma, 1e-3)
+        if span[0] <= reached <= span[1] and (
+            best is None or abs(reached - sigma) < abs(best.sigma - sigma)
         ):
-            best = found
-        if abs(value - sigma) < SAME_SIZE * sigma:
+            best = hidden
+        if abs(reached - sigma) < SAME_SIZE * sigma:
             break
-        tried.append((s, value))
-        following = _next(tried, sigma)
+        pairs.append((s, reached))
+        following = _next(pairs, sigma)
         if following is None:
             break
         s = following
     return best
 
 
-def _next(tried: list[tuple[float, float]], sigma: float) -> float | None:
+def _next(pairs: list[tuple[float, float]], sigma: float) -> float | None:
     """Next s: between the nearest below and above, else by proportion; None beyond belief."""
-    below = [pair for pair in tried if pair[1] < sigma]
-    above = [pair for pair in tried if pair[1] > sigma]
+    below = [pair for pair in pairs if pair[1] < sigma]
+    above = [pair for pair in pairs if pair[1] > sigma]
     if below and above:
         (a, fa), (b, fb) = max(below), min(above)
         share = np.log(sigma / fa) / np.log(fb / fa)
         return float(np.exp(np.log(a) + np.clip(share, 0.15, 0.85) * np.log(b / a)))
-    s, value = tried[-1]
+    s, value = pairs[-1]
     if s >= LARGEST_IN_PRIOR_SCALES and value < sigma:
         return None
     return min(s * float(np.clip(sigma / value, 0.25, 4.0)), LARGEST_IN_PRIOR_SCALES)
@@ -251,14 +251,14 @@ def hidden_oscillation(values: Mapping[str, float]) -> tuple[Oscillation, dict[s
     line = Oscillation(
         values["frequency_hz"] * clamped, values["damping"] * clamped, int(values["axis"])
     )
-    found = {
+    result = {
         "cosine_rad_s": -values["amplitude_rad_s"],
         "sine_rad_s": 0.0,
         "inertia_fraction": values["inertia_fraction"],
         "frequency_shift": 0.0,
         "damping_shift": 0.0,
     }
-    return line, found
+    return line, result
 
 
 def _flexible(
@@ -292,10 +292,10 @@ def _flexible(
         except InputError:
             return None  # not a motion that the simulation accepts
         line, values = hidden_oscillation(parameters)
-        settled = replace(effect, found=line)
+        settled = replace(effect, search_result=line)
         events = view.events.with_columns_of([settled])
-        own = replace(view, events=events, none=none_hypothesis(events))
-        sigma = modelled_size(own, settled, values)
+        with_line = replace(view, events=events, none=none_hypothesis(events))
+        sigma = modelled_size(with_line, settled, values)
         return replace(hidden, sigma=sigma)
 
     if wanted is None:

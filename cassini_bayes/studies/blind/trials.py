@@ -90,13 +90,13 @@ def choose_hidden(stratum: str, set_up: Stage, rng: np.random.Generator) -> tupl
         if rng.uniform() < catalogue.odds.none / total:
             return ()
     wanted = 2 if stratum == "two" else 1
-    found: list[Hidden] = []
+    hidden_effects: list[Hidden] = []
     for _ in range(MOST_DRAWS):
-        made = _drawn(stratum, set_up, [h.name.partition(":")[0] for h in found], rng)
+        made = _drawn(stratum, set_up, [h.name.partition(":")[0] for h in hidden_effects], rng)
         if made is not None:
-            found.append(made)
-        if len(found) == wanted:
-            return tuple(found)
+            hidden_effects.append(made)
+        if len(hidden_effects) == wanted:
+            return tuple(hidden_effects)
     raise NothingToHideError(f"nothing to hide in {MOST_DRAWS} draws for {stratum}")
 
 
@@ -115,10 +115,10 @@ def _drawn(
 
 def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str, Any]:
     """One trial, as the record that is kept."""
-    own = read_priors(campaign.priors) if priors is None else priors
+    prior_table = read_priors(campaign.priors) if priors is None else priors
     rng = np.random.default_rng(np.random.SeedSequence((campaign.seed, index)))
     stratum = stratum_of(index)
-    scene = Scene(campaign, campaign.document(rng), int(rng.integers(2**62)), own)
+    scene = Scene(campaign, campaign.document(rng), int(rng.integers(2**62)), prior_table)
     began, worked = time.monotonic(), time.process_time()
     events = scene.fly(())
     hidden: tuple[Hidden, ...] = ()
@@ -161,14 +161,21 @@ def _oracle(
     if len(hidden) != 1 or hidden[0].name not in events.catalogue.names:
         return nothing
     effect, values = events.catalogue.effect(hidden[0].name), hidden[0].parameters
-    effects = [own for weighed in verdict.weighed for own in weighed.hypothesis.effects]
-    line = next((own.found for own in effects if isinstance(own.found, Oscillation)), None)
+    effects = [effect for weighed in verdict.weighed for effect in weighed.hypothesis.effects]
+    line = next(
+        (
+            effect.search_result
+            for effect in effects
+            if isinstance(effect.search_result, Oscillation)
+        ),
+        None,
+    )
     if effect.kind.search is not None:
         line = hidden_oscillation(values)[0]
-    found = classifier(events, verdict.none.mode, values, line)
+    settled = classifier(events, verdict.none.mode, values, line)
     return {
-        "oracle_rank": found.own_rank(effect.name),
-        "oracle_expected": found.expected(effect.name, sizes_of(effect, values, truth), rng),
+        "oracle_rank": settled.own_rank(effect.name),
+        "oracle_expected": settled.expected(effect.name, sizes_of(effect, values, truth), rng),
     }
 
 
@@ -191,7 +198,7 @@ def _record(
     p = float("nan")
     left = verdict.none.remainder
     if left is not None:
-        p = p_value(left.linear, [own.time_s for own in left.rows], rng)
+        p = p_value(left.linear, [event.time_s for event in left.rows], rng)
     return {
         "hidden": [
             {"name": h.name, "parameters": dict(h.parameters), "sigma": h.sigma} for h in hidden
@@ -224,10 +231,10 @@ def _sizes(
     events: Events, verdict: Verdict[Hypothesis], hidden: Hidden, rng: np.random.Generator
 ) -> list[dict[str, float | str | bool]]:
     """Whether the 90 % interval of the true cause's parameters holds what was hidden."""
-    found = next((w for w in verdict.weighed if w.name == hidden.name), None)
-    if found is None:
+    cause = next((w for w in verdict.weighed if w.name == hidden.name), None)
+    if cause is None:
         return []
-    draws, weights = size_draws(events, found, rng)
+    draws, weights = size_draws(events, cause, rng)
     result: list[dict[str, float | str | bool]] = []
     for key, values in draws.items():
         if key not in hidden.parameters:
@@ -260,11 +267,11 @@ def is_done(campaign: Blind, index: int, folder: Path, code: str) -> bool:
     """Whether the trial's record is there, whole, and was made by this campaign and code."""
     path = trial_file(folder, index)
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
     wanted = {"seed": campaign.seed, "code": code, "events": list(campaign.events)}
-    return all(found.get(key) == value for key, value in wanted.items())
+    return all(record.get(key) == value for key, value in wanted.items())
 
 
 def failed_trial(campaign: Blind, index: int, error: Exception) -> dict[str, Any]:

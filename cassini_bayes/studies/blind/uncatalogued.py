@@ -70,9 +70,9 @@ def draw_uncatalogued(stage: Stage, rng: np.random.Generator) -> Hidden | None:
         return None
     low = max(low, high - float(np.log10(top.sigma / LEAST_SIGMA)))
     for _ in range(MOST_FLIGHTS):
-        found = _measured(stage, strange.hidden(10.0 ** float(rng.uniform(low, high))))
-        if found is not None and found.sigma >= LEAST_SIGMA:
-            return found
+        measured = _measured(stage, strange.hidden(10.0 ** float(rng.uniform(low, high))))
+        if measured is not None and measured.sigma >= LEAST_SIGMA:
+            return measured
     return top
 
 
