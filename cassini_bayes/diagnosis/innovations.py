@@ -9,6 +9,7 @@ prior precision, the innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -71,7 +72,7 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
     ):
         column = scalar[:, place - vectors]
         scalar[:, place - vectors] = np.convolve(column, np.ones(width), mode="same") / counts
-    return Rows(rows.time_s, rows.vector, scalar)
+    return replace(rows, scalar=scalar)
 
 
 def linearise(

@@ -167,17 +167,13 @@ def _rows(
     """The columns at evenly thinned rows of the balance, streamed in constant memory."""
     statistics = terms.statistics
     every = max(1, -(-statistics.rows // most_rows))
-    times, vectors, scalars = [], [], []
+    parts = []
     carry, seen = Carry.start(statistics.layout), 0
     for samples, final in _with_end(samples_of(c) for c in read_chunks(event.event, spacecraft)):
         rows, carry = settle(samples, carry, statistics.layout, terms.sampling, final)
-        kept = slice((-seen) % every, None, every)
+        parts.append(rows.part(slice((-seen) % every, None, every)))
         seen += len(rows.time_s)
-        times.append(rows.time_s[kept])
-        vectors.append(rows.vector[kept])
-        scalars.append(rows.scalar[kept])
-    joined = Rows(np.concatenate(times), np.concatenate(vectors), np.concatenate(scalars))
-    return joined, every
+    return Rows.joined(parts), every
 
 
 def _with_end(samples: Iterator[Samples]) -> Iterator[tuple[Samples, bool]]:

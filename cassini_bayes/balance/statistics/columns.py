@@ -13,8 +13,8 @@ derivatives with respect to τ_r and τ_f there (exact in τ_f for ``first_order
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -209,6 +209,21 @@ class Rows:
     time_s: Array  # (n,)
     vector: Array  # (n, 3, V) component, column
     scalar: Array  # (n, S)
+    cosines: Array  # (n, 3, 3) inertial to body
+
+    def part(self, places: slice) -> Rows:
+        """Some of the rows."""
+        return Rows(*(getattr(self, field.name)[places] for field in fields(self)))
+
+    @staticmethod
+    def joined(parts: Sequence[Rows]) -> Rows:
+        """Several stretches of rows, one after the other."""
+        return Rows(
+            *(
+                np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(Rows)
+            )
+        )
 
 
 def direction_cosines(attitude: Array) -> Array:
@@ -249,7 +264,7 @@ def settle(
 
 def _no_rows(layout: Layout) -> Rows:
     scalars = np.empty((0, len(layout.scalar)))
-    return Rows(np.empty(0), np.empty((0, 3, len(layout.vector))), scalars)
+    return Rows(np.empty(0), np.empty((0, 3, len(layout.vector))), scalars, np.empty((0, 3, 3)))
 
 
 def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> tuple[Rows, Carry]:
@@ -302,7 +317,7 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
         last_attitude=attitude[-1],
         torque=torque[-1],
     )
-    return Rows(time[keep], vector, scalar), after
+    return Rows(time[keep], vector, scalar, body), after
 
 
 class _Counted:
