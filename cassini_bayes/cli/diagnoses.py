@@ -64,11 +64,9 @@ def diagnose_command(
     result.record["effects"] = dict(kinds.files)
     write_diagnosis(result, out, out.name, cores)
     if then_fit and isinstance(case, BalanceCase):
-        from cassini_bayes.diagnosis.read import reduced_events
         from cassini_bayes.diagnosis.refit import fit_extended
 
-        reduced = reduced_events(events, case.events.priors)
-        fit_extended(result, reduced, out / "extended", number, reporter.say)
+        fit_extended(result, out / "extended", number, reporter.say)
     if as_json:
         typer.echo(diagnosis_json(result.record).rstrip())
     elif not quiet:

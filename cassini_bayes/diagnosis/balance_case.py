@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import Case, Log, Ranking, Shown, Size, Weighed, Work, silent
@@ -43,7 +43,6 @@ from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
 from cassini_bayes.diagnosis.widths import change_of_evidence
 from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
 
-Array = NDArray[np.float64]
 Candidate = Weighed[Hypothesis]
 NEAR_NATS: Final = 10.0
 """Behind the best, up to which importance draws decide: less is a probability below 5e-5, and
@@ -87,7 +86,7 @@ class BalanceCase(Case[Hypothesis]):
         log(f"none: log evidence {base.log_evidence:.1f}")
         unknown = compact(unknown_hypothesis(events))
         start = _unknown_start(none, unknown, base)
-        remainder = innovations(events, full, base.point) if events.sources else None
+        remainder = innovations(events, full, base.point) if events.telemetry else None
         direct = [effect for effect in events.catalogue.effects if not effect.needs_search]
         hypotheses = [compact(extend(full, [effect], events)) for effect in direct]
         to_find = [] if remainder is None else _to_find(events, remainder)
@@ -150,7 +149,7 @@ class BalanceCase(Case[Hypothesis]):
         others = [e for e in events.catalogue.effects if e.name != effect.name]
         pairs = [compact(extend(full, [e], events)) for e in others if not e.needs_search]
         to_find = []
-        if events.sources and any(e.needs_search for e in others):
+        if events.telemetry and any(e.needs_search for e in others):
             remainder = innovations(events, first.hypothesis, base.point)
             to_find = [(e, work) for e, work in _to_find(events, remainder) if e in others]
         settled_by, near = _side_by_side(
@@ -182,7 +181,7 @@ class BalanceCase(Case[Hypothesis]):
 
     def examined(self, weighed: Candidate) -> Candidate:
         """With what a cause leaves of telemetry."""
-        if not self.events.sources or weighed.remainder is not None or not weighed.is_cause:
+        if not self.events.telemetry or weighed.remainder is not None or not weighed.is_cause:
             return weighed
         events = self.events.with_columns_of(weighed.hypothesis.effects)
         left = innovations(events, weighed.hypothesis, weighed.mode.point)

@@ -13,14 +13,13 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.sampling.warmstart import Proposal
 
-Array = NDArray[np.float64]
 Log = Callable[[str], None]
 Work = Callable[[], Any]
 NONE: Final = "none"

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.stats import norm
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear
 
-Array = NDArray[np.float64]
 AXES: Final = "xyz"
 WINDOW_ROWS: Final = 61
 """Of running means: judgement, a minute at 1 Hz lowers noise eightfold and keeps what thrusters do

@@ -18,16 +18,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.telemetry_terms import cut_probability, lost_per_cut_s
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.model.joint import full_parameters, joint_physics
 
-Array = NDArray[np.float64]
 ACROSS_S: Final = 0.035
 """Chance times counter interval: 0.036, 0.024 and 0.030 s in 23 simulated biases read every 1, 4
 and 10 s."""
@@ -111,18 +109,19 @@ def single_cuts(
     Columns (n, 3, s) in N m s, the variances (s,) of their unknowns, whose means are 0, and the
     mean (n, 3) that the likelihood lacks.
     """
-    model, terms = hypothesis.model, hypothesis.model.telemetry[place]
-    layout, time_s = terms.statistics.layout, events.telemetry_rows[place].time_s
+    model, term = hypothesis.model, hypothesis.model.telemetry[place]
+    statistics = term.event.statistics
+    layout, time_s = statistics.layout, events.telemetry_rows[place].time_s
     mean = np.zeros((len(time_s), 3))
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
-    physics = joint_physics(model, full_parameters(model, z[None]))
-    interval, duration = terms.statistics.counter_interval_s, terms.sampling.duration_s
-    samples = events.sources[place].samples
+    physics = term.physics(model.points(z[None]))
+    interval, duration = statistics.counter_interval_s, term.event.sampling.duration_s
+    samples = events.telemetry[place].samples
     for members in layout.couples if layout.thrusters else ():
         possible = losses(samples, members, time_s, duration, interval)
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
         lost = float(lost_per_cut_s(physics)[0]) * arms[:, list(members)].sum(1)
-        taken = -model.linear.common_mean_n * lost
+        taken = -model.thrust_prior.common_mean_n * lost
         columns.append(possible.profile[:, None] * taken[:, None])
         variances.append(possible.variance)
         mean += possible.mean[:, None] * taken

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
+from cassini_bayes.arrays import Array, Places
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.diagnosis.balance_case import BalanceCase
@@ -34,7 +34,6 @@ from cassini_bayes.diagnosis.innovations import innovations
 from cassini_bayes.diagnosis.verdict import Verdict
 from cassini_bayes.priors.distributions import Distribution
 
-Array = NDArray[np.float64]
 MODES: Final = 32
 """Cosines of an event: judgement, a curve down to a thirtieth of it; each costs three columns."""
 DRAWS: Final = 2_000  # behind a band: its ends scatter by a twentieth of a standard deviation
@@ -68,7 +67,7 @@ def curves_of(
     There nuisances are not bent to explain what is missing, as they are at the baseline's mode.
     """
     events = case.events
-    if not events.sources:
+    if not events.telemetry:
         return ()
     full, unknown = none_hypothesis(events), verdict.unknown
     names = unknown.hypothesis.model.space.names
@@ -191,7 +190,7 @@ def _information(linear: Linear, rows: Sequence[EventRows], point: Array) -> tup
 
 def _amplitudes(
     kinds: Sequence[_Kind], prior: Distribution, rng: np.random.Generator
-) -> tuple[Array, NDArray[np.int64]]:
+) -> tuple[Array, Places]:
     """Nodes of a, even in the prior's standard normal, and draws (DRAWS,) of kind and node."""
     standard = np.linspace(-FARTHEST, FARTHEST, _NODES)
     nodes = prior.quantile_of_standard(standard)

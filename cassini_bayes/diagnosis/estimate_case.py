@@ -15,9 +15,9 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.diagnosis.case import TRUSTED_K, Case, Log, Ranking, Size, Weighed, silent
 from cassini_bayes.diagnosis.estimates import EstimateHypothesis, Estimates, Prediction
 from cassini_bayes.diagnosis.modes import Mode, find_mode
@@ -28,7 +28,6 @@ from cassini_bayes.effects.registry import Kinds, standard
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import Proposal, importance, pareto_k, refined
 
-Array = NDArray[np.float64]
 Candidate = Weighed[EstimateHypothesis]
 DRAWS: Final = 100_000
 """Evidence good to 0.02 nats or better (docs/results/diagnosis-published.csv)."""
@@ -106,7 +105,7 @@ class EstimateCase(Case[EstimateHypothesis]):
     def _draws(
         self,
         hypothesis: EstimateHypothesis,
-        kept: NDArray[np.bool_],
+        kept: Flags,
         rng: np.random.Generator,
         draws: int,
     ) -> tuple[Mode, Array, Array]:
@@ -233,9 +232,7 @@ def _log_prior(z: Array) -> Array:
     return np.asarray(-0.5 * (z**2).sum(-1) - 0.5 * z.shape[1] * np.log(2.0 * np.pi))
 
 
-def _log_likelihood(
-    estimate_n: Array, sd_n: Array, prediction: Prediction, kept: NDArray[np.bool_]
-) -> Array:
+def _log_likelihood(estimate_n: Array, sd_n: Array, prediction: Prediction, kept: Flags) -> Array:
     variance = sd_n**2 + prediction.own_sd_n[:, kept] ** 2
     misfit = (estimate_n - prediction.estimate_n[:, kept]) ** 2 / variance
     return np.asarray(-0.5 * (misfit + np.log(2.0 * np.pi * variance)).sum(-1))

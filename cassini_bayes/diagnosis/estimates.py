@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.effects.printed import FACTOR, Printed
 from cassini_bayes.effects.registry import Kinds
@@ -25,7 +25,6 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES, PulseShape
 
-Array = NDArray[np.float64]
 Predict = Callable[[Array], "Prediction"]
 COLUMNS: Final = (
     "id", "thruster", "thrust_n", "thrust_sd_n", "shared_sd", "pulses", "on_time_per_pulse_s",

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import TRUSTED_K, Log, Weighed
@@ -23,7 +22,6 @@ from cassini_bayes.diagnosis.search import (
 )
 from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, importance, refined
 
-Array = NDArray[np.float64]
 Candidate = Weighed[Hypothesis]
 LEAST_EFFICIENCY: Final = 0.1
 """Of importance draws, below which the curvature is taken anew: 20 effective draws of 200 leave the

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.diagnosis.case import UNKNOWN, Log, Weighed, silent
 from cassini_bayes.diagnosis.events import Events
@@ -27,12 +27,10 @@ from cassini_bayes.diagnosis.hypotheses import (
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode, maximise, mode_near
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
-from cassini_bayes.model.joint import collapse_joint
-from cassini_bayes.model.posterior import draw_thrusts
-from cassini_bayes.model.totals import linear_system
+from cassini_bayes.model.posterior import collapse
+from cassini_bayes.model.thrusts import draw_thrusts
 from cassini_bayes.sampling.warmstart import lower_factor
 
-Array = NDArray[np.float64]
 FIRST_SHARE: Final = 0.1
 """Of an event's rows, which give its initial momentum: judgement, enough to average its noise."""
 DRAWS: Final = 400  # that predict a totals row: their mean is good to a twentieth of their spread
@@ -45,9 +43,9 @@ def held_out(
 
     ``rng`` is for the posterior draws that predict totals rows.
     """
-    if not events.rows and len(events.sources) >= LEAST_PIECES:
+    if not events.rows and len(events.telemetry) >= LEAST_PIECES:
         return held_out_telemetry(events, weighed, log)
-    if not events.sources and len(events.rows) >= LEAST_PIECES:
+    if not events.telemetry and len(events.rows) >= LEAST_PIECES:
         return held_out_totals(events, weighed, rng, log)
     return None
 
@@ -86,7 +84,7 @@ def held_out_telemetry(events: Events, weighed: Weighed[Hypothesis], log: Log = 
         log(f"{weighed.name}: {event} held out")
         return whole.log_evidence - mode.log_evidence
 
-    scores = np.array([score(source.id) for source in events.sources])
+    scores = np.array([score(event.id) for event in events.telemetry])
     with_columns = events.with_columns_of(weighed.hypothesis.effects)
     linear, factors = linearise(with_columns, weighed.hypothesis, weighed.mode.point)
     residuals, inside = [], []
@@ -150,15 +148,12 @@ def predicted_balance(
     the row's own thrust departures, torque and noise.
     """
     z = mode.point + rng.standard_normal((DRAWS, len(mode.point))) @ mode.factor.T
-    collapsed = collapse_joint(others.model, z)
-    assert collapsed.thrusts is not None  # totals fire
-    linear = others.model.linear
-    level = draw_thrusts(linear, collapsed.thrusts, collapsed.common_n, rng).level_n
-    assert whole.model.totals is not None  # it has the row
-    system = linear_system(whole.model.totals, whole.model.space.to_parameters(z))
+    prior = others.model.thrust_prior
+    level = draw_thrusts(prior, collapse(others.model, z).thrusts, rng).level_n
+    system = whole.model.totals_rows.at(whole.model.points(z)).system
     design = system.design[:, place, :3]
     residual = system.target[:, place, :3] - (design @ level[..., None])[..., 0]
     noise = system.covariance[:, place, :3, :3] + system.torque_covariance[place, :3, :3]
-    thrusts = design @ linear.own
+    thrusts = design @ prior.own
     spread = np.einsum("nii->ni", noise) + (thrusts**2).sum(-1)
     return residual.mean(0), np.sqrt(residual.var(0) + spread.mean(0))

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, solve_triangular
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, importance
 
-Array = NDArray[np.float64]
 Forward = Callable[[Array], Array]  # z (n, d) → predicted (n, E, U)
 Noise = Callable[[Array], Array]  # z (d,) → covariance (E, U, U)
 

@@ -11,24 +11,23 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.rate_information import RateInformation, rate_log_likelihood
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.effects.kinematics import RateInformation, rate_log_likelihood
-from cassini_bayes.model.joint import (
-    JointModel,
-    build_joint_model,
-    joint_log_posterior,
+from cassini_bayes.model.posterior import (
+    Model,
+    build_model,
+    log_posterior,
     with_equal_bands_merged,
     without_idle,
 )
+from cassini_bayes.model.telemetry import TORQUE_NOISE
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
 
-Array = NDArray[np.float64]
-TORQUE_NOISE: Final = "torque_noise_n_m_s05"
 HOLD_RATE: Final = "hold_rate_rad_s"
 FARTHEST: Final = 8.0
 """Prior standard deviations at which a wall stands: what lies further has a prior of 1e-15, and
@@ -50,7 +49,7 @@ class Hypothesis:
     """
 
     name: str
-    model: JointModel
+    model: Model
     effects: tuple[Effect, ...]
     prior_probability: float
     rates: RateInformation | None = None
@@ -96,7 +95,7 @@ class Hypothesis:
             return np.array([LEAST])
 
     def _inside(self, z: Array) -> Array:
-        value = np.nan_to_num(joint_log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
+        value = np.nan_to_num(log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
         if self.rates is None:
             return value
         parameters = self.model.space.to_parameters(z)
@@ -112,25 +111,22 @@ class Hypothesis:
 def none_hypothesis(events: Events) -> Hypothesis:
     """The baseline without torque noise."""
     priors = events.priors
-    if events.sources:
+    if events.telemetry:
         priors = priors.with_fixed(TORQUE_NOISE, 0.0)
-    model = build_joint_model(events.statistics, priors, events.totals, keep_idle=True)
+    model = build_model(events.all, priors, keep_idle=True)
     return Hypothesis(NONE, model, (), events.catalogue.odds.none)
 
 
 def unknown_hypothesis(events: Events) -> Hypothesis:
     """The baseline with a discrepancy: torque noise and totals' hold rates at wide priors."""
-    priors, totals, unknown = events.priors, events.totals, events.catalogue.unknown
-    if events.sources:
+    priors, unknown = events.priors, events.catalogue.unknown
+    if events.telemetry:
         priors = priors.with_distribution(TORQUE_NOISE, unknown.torque_noise)
-    if totals is not None:
-        prior = priors.parameters[HOLD_RATE]
-        middle = prior.fixed if prior.distribution is None else prior.distribution.mean()
-        assert middle is not None  # the reader guarantees dist or fixed
+    if events.rows:
+        middle = priors.parameters[HOLD_RATE].mean
         wider = {"s": unknown.hold_rate_log_sd, "scale": unknown.hold_rate_factor * middle}
         priors = priors.with_distribution(HOLD_RATE, Distribution("lognorm", wider))
-        totals = replace(totals, space=priors.space([*totals.space.names, *totals.space.fixed]))
-    model = build_joint_model(events.statistics, priors, totals, keep_idle=True)
+    model = build_model(events.all, priors, keep_idle=True)
     return Hypothesis(UNKNOWN, model, (), events.catalogue.odds.unknown, farthest=UNKNOWN_FARTHEST)
 
 
@@ -146,10 +142,12 @@ def extend(base: Hypothesis, effects: Sequence[Effect], events: Events) -> Hypot
     )
     added = tuple(effect.modifier(old.spacecraft, old.branch) for effect in effects)
     in_rows = tuple(effect.modifier(old.spacecraft, old.branch, rows=True) for effect in effects)
-    totals = old.totals
-    if totals is not None:
-        totals = replace(totals, modifiers=(*totals.modifiers, *added))
-    model = replace(old, space=space, totals=totals, modifiers=(*old.modifiers, *in_rows))
+    model = replace(
+        old,
+        space=space,
+        totals=tuple(replace(t, modifiers=(*t.modifiers, *added)) for t in old.totals),
+        telemetry=tuple(replace(t, modifiers=(*t.modifiers, *in_rows)) for t in old.telemetry),
+    )
     together = (*base.effects, *effects)
     probability = base.prior_probability if base.effects else 1.0
     for effect in effects:

@@ -13,13 +13,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away
 from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.balance.telemetry_terms import (
     INITIAL_SD_N_M_S,
-    TelemetryTerms,
+    TelemetryBalance,
     balance_weights,
     cut_tail_sd,
     noise_covariance,
@@ -28,9 +28,7 @@ from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Remainder
-from cassini_bayes.model.joint import full_parameters, joint_physics
 
-Array = NDArray[np.float64]
 SMOOTHED_ROWS: Final = 31
 """Of running means of channels behind slopes: judgement, noise a fifth or less, and half a minute
 is short beside a slew."""
@@ -38,7 +36,7 @@ _STEP: Final = 1e-3  # standard normals, for slopes: central differences good to
 _WIDE: Final = 1e-12  # N m, the least width of a torque's prior: one that is fixed has none
 
 
-def _columns(terms: TelemetryTerms, rows: Rows, weights: Array) -> Array:
+def _columns(terms: TelemetryBalance, rows: Rows, weights: Array) -> Array:
     """Unknowns' columns and the measured momentum (n, 3, P) from one point's weights (B, 3)."""
     pattern = terms.pattern
     vectors = rows.vector.shape[2]
@@ -85,14 +83,14 @@ def linearise(
     model = hypothesis.model
     d = len(z)
     points = np.vstack([z, z + _STEP * np.eye(d), z - _STEP * np.eye(d)])
-    parameters = full_parameters(model, points)
-    physics = joint_physics(model, parameters)
-    thrust = model.linear.common_mean_n
-    levels = model.linear.shared
+    located = model.points(points)
+    thrust = model.thrust_prior.common_mean_n
+    levels = model.thrust_prior.shared
     targets, blocks, own_precision, factors = [], [], [], []
-    for terms, rows in zip(model.telemetry, events.telemetry_rows, strict=True):
+    for term, rows in zip(model.telemetry, events.telemetry_rows, strict=True):
+        terms, physics = term.balance, term.physics(located)
         weights = balance_weights(terms, physics, thrust)
-        noise = noise_covariance(terms, physics, parameters)[0]
+        noise = noise_covariance(terms, physics, located.parameters)[0]
         factor = np.linalg.cholesky(noise)
         smooth = smoothed(rows, terms.statistics.layout) if smooth_channels else rows
         centre = _columns(terms, rows, weights[0])
@@ -104,7 +102,7 @@ def linearise(
         slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
         rest = unknown[:, :, k:]
         shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
-        individual = unknown[:, :, :k] @ model.linear.own if k else unknown[:, :, :0]
+        individual = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
         sd = _own_sd(terms, model.torque_sd_n_m)
         blocks.append((shared, np.concatenate([individual, rest], axis=2)))
         own_precision.append(np.concatenate([np.ones(individual.shape[2]), sd**-2]))
@@ -114,7 +112,7 @@ def linearise(
     return _stacked(targets, blocks, own_precision, factors, shared_width), factors
 
 
-def _slopes(terms: TelemetryTerms, rows: Rows, differences: Array, at: Array) -> Array:
+def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) -> Array:
     """Changes (n, 3, d) of what the unknowns predict less the measured momentum.
 
     ``differences`` (d, B, 3) are those of the weights along every coordinate.
@@ -134,7 +132,7 @@ def _slopes(terms: TelemetryTerms, rows: Rows, differences: Array, at: Array) ->
     )
 
 
-def _own_sd(terms: TelemetryTerms, torque_sd: Array) -> Array:
+def _own_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
     sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
     return np.concatenate([sd, cut_tail_sd(terms)])
 
@@ -208,35 +206,35 @@ def innovations(events: Events, hypothesis: Hypothesis, z: Array) -> Remainder:
     Its linear model has a column for everything that counters leave open (:mod:`.unresolved`).
     """
     linear, factors = linearise(events, hypothesis, z)
-    opened = [unresolved(events, hypothesis, z, place) for place in range(len(events.sources))]
+    opened = [unresolved(events, hypothesis, z, place) for place in range(len(events.telemetry))]
     linear = with_unknowns(linear, opened, factors)
     left = fitted_away(linear, linear.target)
     rows = []
-    for source, usable, part, factor in zip(
-        events.sources, events.telemetry_rows, linear.parts, factors, strict=True
+    for event, usable, part, factor in zip(
+        events.telemetry, events.telemetry_rows, linear.parts, factors, strict=True
     ):
         white = left[part].reshape(-1, 3)
-        samples = source.samples
+        samples = event.samples
         at = np.searchsorted(samples.time_s, usable.time_s)
         fires = samples.on_time_s.shape[1] > 0
         rows.append(
             EventRows(
-                source.id,
+                event.id,
                 usable.time_s,
                 white,
                 white @ factor.T,
                 samples.rate_rad_s[at],
                 samples.wheel_rad_s[at],
                 samples.on_time_s[at] if fires else np.zeros((len(at), 0)),
-                source.wheels,
-                source.thrusters,
+                event.wheels,
+                event.thrusters,
                 factor,
                 samples.attitude[at],
             )
         )
     parameters = hypothesis.model.space.to_parameters(z[None])
     return Remainder(
-        tuple(source.samples for source in events.sources),
+        tuple(event.samples for event in events.telemetry),
         tuple(rows),
         linear,
         {name: float(np.ravel(value)[0]) for name, value in parameters.items()},

@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.sampling.warmstart import hessian, no_wider_than_prior
 
-Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 LOG_2_PI: Final = float(np.log(2.0 * np.pi))
 STEP: Final = 0.02

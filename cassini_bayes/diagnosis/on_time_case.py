@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import chi2, norm
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.case import (
     NONE,
     TRUSTED_K,
@@ -51,7 +51,6 @@ from cassini_bayes.diagnosis.sizes import effect_draws, summarised
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect
 
-Array = NDArray[np.float64]
 Candidate = Weighed[OnTimeHypothesis]
 NEAR_NATS: Final = 10.0  # behind the best, up to which importance draws decide
 MOST_NEAR: Final = 6  # of these: judgement, every one takes some seconds

@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, hold_rate_covariance
 from cassini_bayes.diagnosis.case import NONE
@@ -26,7 +26,6 @@ from cassini_bayes.effects.controller import Fired
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.totals import normal_priors
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import CYCLE_S, Features, expected_minor
@@ -47,8 +46,6 @@ from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import inertia_tensor
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
-
-Array = NDArray[np.float64]
 
 COMMON: Final = "thrust_common_n"
 TAIL_STEP: Final = 0.5
@@ -171,7 +168,7 @@ def read_on_times(events: Sequence[TotalsEvent], priors: Priors, beliefs: Belief
         thrust_centre_n=centre[COMMON],
         space=space,
         fixed={name: value for name, value in centre.items() if name not in space.names},
-        thrust_sd_n=dict(zip(THRUSTS, normal_priors(priors, THRUSTS)[1], strict=True)),
+        thrust_sd_n=dict(zip(THRUSTS, priors.normal(THRUSTS)[1], strict=True)),
         pulses_per_second=beliefs.moments("pulses_per_second")[0],
         beliefs=beliefs,
     )

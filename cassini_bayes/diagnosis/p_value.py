@@ -14,12 +14,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import Linear, fitted_away
 
-Array = NDArray[np.float64]
 MODES: Final = 16
 """Slowest cosines of an event: judgement, drifts down to a sixteenth of it; more would hide them
 among noise."""

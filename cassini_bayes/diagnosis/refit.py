@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from cassini_bayes import __version__
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.evidence import DOF
@@ -19,15 +19,13 @@ from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
 from cassini_bayes.effects.effect import Effect, EffectParameter
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel
-from cassini_bayes.results.joint_record import build_joint_fit
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import Proposal, importance, laplace, refined
 from cassini_bayes.spacecraft.parameters import ParameterSpec
 
-Array = NDArray[np.float64]
 DRAWS: Final = 1_000  # of every ensemble
 PILOT_ROUNDS: Final = 2
 PILOT_DRAWS: Final = 4_000
@@ -39,7 +37,7 @@ def effect_variable(effect: Effect, parameter: EffectParameter) -> str:
     return f"{effect.name.replace(':', '_')}_{parameter.key}"
 
 
-def with_effect_specs(hypothesis: Hypothesis) -> JointModel:
+def with_effect_specs(hypothesis: Hypothesis) -> Model:
     """The hypothesis's model with unit and meaning of the effects' parameters."""
     specs = {
         p.name: ParameterSpec(p.name, p.unit, "effect", f"{effect.name}: {p.key}{_kind(p)}")
@@ -73,7 +71,6 @@ def _renamed(fit: Fit, weighed: Weighed[Hypothesis], z: Array) -> Fit:
 
 def fit_extended(
     diagnosis: Diagnosis[Hypothesis],
-    events: Sequence[ReducedEvent],
     folder: Path,
     seed: int,
     log: Callable[[str], None],
@@ -87,9 +84,7 @@ def fit_extended(
     ----------
     diagnosis
         What was found.
-    events
-        Its telemetry events in order, for what a fit records of them.
-    folder, seed, say
+    folder, seed, log
         Where to write, the sampler's seed, told how far it got.
     target_ess
         Effective draws of every walked parameter to stop at.
@@ -120,7 +115,7 @@ def fit_extended(
     }
     rng = np.random.default_rng((seed, _LINEAR))
     model = with_effect_specs(weighed.hypothesis)
-    fit, _ = build_joint_fit(model, events, z, density, rng, attributes)
+    fit = build_fit(model, z, density, rng, attributes)
     save_fit(_renamed(fit, weighed, z), folder / "fit.nc")
     flat = z.reshape(-1, weighed.hypothesis.dimension)
     parameters = weighed.hypothesis.model.space.to_parameters(flat)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
+
 WITHIN: Final = 1.6449  # standard deviations of a normal that hold 90 % of it
 LEAST_PIECES: Final = 3
 """Held out: the standard error of a sum over two of them has one degree of freedom (judgement)."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import (
     CURVATURE_STEP,
@@ -28,7 +28,6 @@ from cassini_bayes.diagnosis.modes import (
 )
 from cassini_bayes.sampling.warmstart import lower_factor
 
-Array = NDArray[np.float64]
 ROUNDING: Final = 1e-6
 """Nats by which the same point may differ between batches: a log density of 1e5 has 1e-11 of its
 own, sums over a batch more. A Newton step of no gain is then no failure."""

@@ -6,16 +6,15 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.case import TRUSTED_K, Size, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
 from cassini_bayes.diagnosis.unresolved import unresolved
-from cassini_bayes.model.totals import TORQUES
+from cassini_bayes.model.posterior import TORQUES
 
-Array = NDArray[np.float64]
 SUMMARY_DRAWS: Final = 2_000
 """Of a Laplace approximation: the ends of a 90 % interval scatter by 0.05 standard deviations."""
 
@@ -113,10 +112,10 @@ def with_unresolved(
     hypotheses of gyro errors, of which attitudes speak that are not in the rows, and cases with
     totals rows, whose information the linear model does not have.
     """
-    if not events.sources or events.rows or hypothesis.rates is not None:
+    if not events.telemetry or events.rows or hypothesis.rates is not None:
         return z
     linear, factors = linearise(events, hypothesis, mode)
-    opened = [unresolved(events, hypothesis, mode, i) for i in range(len(events.sources))]
+    opened = [unresolved(events, hypothesis, mode, i) for i in range(len(events.telemetry))]
     wide = with_unknowns(linear, opened, factors)
     d, size = len(mode), linear.columns.shape[1]
     gram = linear.gram()

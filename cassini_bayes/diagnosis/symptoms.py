@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.diagnosis.correlations import (
     AXES,
@@ -20,7 +20,6 @@ from cassini_bayes.diagnosis.correlations import (
     running_mean,
 )
 
-Array = NDArray[np.float64]
 DRIFT_Z: Final = 6.0
 """Of the largest of many windows of a random path: judgement, so that a flight with nothing hidden
 names none."""

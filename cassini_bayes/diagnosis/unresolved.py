@@ -10,16 +10,14 @@ firing, which a Gram matrix could not.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.effects.effect import FittedRows
 from cassini_bayes.effects.firings import firings
-from cassini_bayes.model.joint import full_parameters, joint_physics
 
-Array = NDArray[np.float64]
 Unknowns = tuple[Array, Array, Array]
 
 
@@ -33,21 +31,23 @@ def unresolved(events: Events, hypothesis: Hypothesis, z: Array, place: int) -> 
     """
     columns, variance, mean = single_cuts(events, hypothesis, z, place)
     model = hypothesis.model
-    layout = model.telemetry[place].statistics.layout
+    term = model.telemetry[place]
+    layout = term.event.statistics.layout
     timed = [effect for effect in hypothesis.effects if effect.kind.left_open is not None]
     if not timed or not layout.thrusters:
         return columns, variance, mean
-    samples = events.sources[place].samples
-    parameters = full_parameters(model, z[None])
-    physics = joint_physics(model, parameters)
+    samples = events.telemetry[place].samples
+    points = model.points(z[None])
+    physics = term.physics(points)
     arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
     rows = FittedRows(events.telemetry_rows[place].time_s, samples, physics)
     parts = [(columns, variance)]
     for members in layout.couples:
-        fired = firings(samples, members, model.linear.common_mean_n * arms)
+        fired = firings(samples, members, model.thrust_prior.common_mean_n * arms)
         for effect in timed:
             setting = effect.setting(model.spacecraft, model.branch)
+            values = effect.values(points.parameters)
             assert effect.kind.left_open is not None  # it is timed
-            parts.append(effect.kind.left_open(fired, rows, effect.values(parameters), setting))
+            parts.append(effect.kind.left_open(fired, rows, values, setting))
     together, variances = zip(*parts, strict=True)
     return np.concatenate(together, axis=2), np.concatenate(variances), mean

@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, H, Log, Ranking, Weighed, silent
 
-Array = NDArray[np.float64]
 SECOND_CAUSE_NATS: Final = 4.0
 """A second cause has to gain: the largest spurious gain in 34 searches of a study before this
 package was 2.2 nats."""

@@ -11,16 +11,15 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import mode_near
 from cassini_bayes.sampling.warmstart import pareto_k
 
-Array = NDArray[np.float64]
 WORTH_A_SEARCH: Final = 0.01
 """Probability of a cause below which another width cannot make it first (judgement): a search takes
 a second."""

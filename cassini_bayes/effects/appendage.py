@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled
 
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
 RENEWED: Final = 64
 """Rows after which cosine and sine are computed anew and not turned from the last row's: rounding
 grows by some 1e-16 a row, so that 64 leave it below 1e-14."""
@@ -71,7 +69,7 @@ class KnownMotion:
 
     def _recursion(
         self, time_s: Array, frequency_hz: Array, damping: float
-    ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    ) -> tuple[Array, Array, Array, Places]:
         """What :func:`_answer` takes."""
         omega, step = 2.0 * np.pi * frequency_hz, self.step_s
         turned = omega * np.sqrt(1.0 - damping**2)

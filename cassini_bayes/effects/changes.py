@@ -7,11 +7,10 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Physics
 
-Array = NDArray[np.float64]
 AXES: Final = ("x", "y", "z")
 
 

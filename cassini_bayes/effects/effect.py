@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Modifier, Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, Samples
@@ -24,7 +24,6 @@ from cassini_bayes.effects.printed import Printed
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.spacecraft import Spacecraft
 
-Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 """An effect's own parameters by key, each (n,): one value for every point."""
 
@@ -115,7 +114,7 @@ class Kind:
         events are too short. Its priors are those of the effect.
     rate_errors
         Bias (n, 3) rad/s and scale (n, 3) that it adds to measured rates: attitudes against
-        integrated rates then speak of it as well (:mod:`cassini_bayes.effects.kinematics`).
+        integrated rates then speak of it as well (:mod:`cassini_bayes.balance.rate_information`).
     reported, report
         Keys of the sizes that it is reported with, and the function from its parameters to them;
         those of the parameters themselves by default.

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import Samples
 
-Array = NDArray[np.float64]
 TAIL_S: Final = 0.030
 """On-time that a pulse's tail adds: τ_fall − τ_rise of the priors files, good to some milliseconds
 of 155 where it serves, in what depends on a pulse's moment alone."""

@@ -16,10 +16,10 @@ from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
@@ -29,7 +29,6 @@ from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, V
 from cassini_bayes.effects.firings import Firings
 from cassini_bayes.priors.distributions import Distribution
 
-Array = NDArray[np.float64]
 SERIES: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
 SLOPE_STEP: Final = 0.05
 """Of what the span can tell apart, for slopes by frequency and damping: judgement, a phase error of

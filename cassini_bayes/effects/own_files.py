@@ -17,8 +17,8 @@ from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext
 from cassini_bayes.effects.controller import Fired
@@ -26,7 +26,6 @@ from cassini_bayes.effects.effect import Kind
 from cassini_bayes.effects.printed import Printed
 from cassini_bayes.errors import InputError
 
-Array = NDArray[np.float64]
 Shape = tuple[int, ...]
 ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
     "change": ("physics", "parameters", "values", "setting"),

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.changes import unit_vector, with_rate_errors
 from cassini_bayes.effects.effect import Kind, Setting, Values
-
-Array = NDArray[np.float64]
 
 
 def rate_errors(values: Values, setting: Setting) -> tuple[Array, Array]:

@@ -12,14 +12,13 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext
 from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import Kind, Setting, Values
 
-Array = NDArray[np.float64]
 NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
 """Time constants that have columns, even in the logarithm between the bounds of the prior."""
 

@@ -11,8 +11,8 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext
 from cassini_bayes.balance.telemetry_terms import CONTROL_CYCLE_S
@@ -20,7 +20,6 @@ from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Setting, Values
 from cassini_bayes.effects.firings import TAIL_S, Firings
 
-Array = NDArray[np.float64]
 OFFSETS_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """Offsets that have columns (zero needs none): whole samples at 1 Hz, to the prior's bounds."""
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.quantiles import standard_normal_log_density
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -74,6 +73,17 @@ class ParameterSpace:
     def dimension(self) -> int:
         """Number of free parameters d."""
         return len(self.names)
+
+    def centre(self) -> dict[str, float]:
+        """Prior mean of every walked parameter and value of every fixed one.
+
+        With an earlier fit, where its mean lies.
+        """
+        if self.joint is not None:
+            at_mean = self.to_parameters(np.zeros(self.dimension))
+            return {name: float(value) for name, value in at_mean.items()}
+        means = (distribution.mean() for distribution in self.distributions)
+        return {**self.fixed, **dict(zip(self.names, means, strict=True))}
 
     def to_parameters(self, z: ArrayLike) -> dict[str, Array | float]:
         """θ_i = F_i⁻¹(Φ(z_i)): z (..., d) → name → (...,) array; fixed values as floats."""

@@ -9,8 +9,8 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.estimate_case import EstimateCase, estimate_case
 from cassini_bayes.diagnosis.estimates import (
@@ -28,7 +28,6 @@ from cassini_bayes.published import a_branch_thrusts, bias_thrusts
 from cassini_bayes.published.constants import published_constants
 from cassini_bayes.spacecraft import load_spacecraft, thruster_directions, thruster_positions
 
-Array = NDArray[np.float64]
 TWO_DIGITS_SD_N: Final = float(0.01 / np.sqrt(12.0))  # of a figure printed to 0.01 N
 
 

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Log, silent
 from cassini_bayes.diagnosis.diagnosis import Diagnosis, diagnose
@@ -28,7 +27,6 @@ from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.report.plots.on_times import on_time_figure
 from cassini_bayes.studies.published_sections import Section, by_width, in_words
 
-Array = NDArray[np.float64]
 SCALES: Final = ("tail_off", "pulse_shape", "thrust_scale")  # what scales all on-times alike
 FIRING: Final = "firing_logic"
 

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from cassini_bayes.diagnosis.case import Size
 from cassini_bayes.diagnosis.score import Gain
@@ -16,7 +14,6 @@ from cassini_bayes.diagnosis.verdict import Verdict
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.plots.criticism import width_figure
 
-Array = NDArray[np.float64]
 WIDTHS: Final = (0.5, 1.0, 2.0)
 TITLES: Final[Mapping[str, str]] = {
     "a": "Eight flight wheel biases (paper 001, Tables 3.a-3.h)",

@@ -14,7 +14,7 @@ import pytest
 
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.correlations import innovation_tests
-from cassini_bayes.diagnosis.events import Events, prepare
+from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.gain import held_out_telemetry
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.p_value import p_value
@@ -24,7 +24,7 @@ from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.effects.catalogue import read_catalogue
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
-from cassini_bayes.studies.blind.flights import source_of
+from cassini_bayes.studies.blind.flights import reduced
 from cassini_bayes.studies.scenario import simulate_file
 
 NOT_A_SIZE = ("frequency_hz", "damping")
@@ -62,7 +62,7 @@ def flown(seed: int, effects: Sequence[dict[str, Any]] = ()) -> Events:
     document["event"] = [e for e in document["event"] if e["id"] in EVENTS]
     document["effect"] = list(effects)
     simulation = simulate_file(scenario_of(document, SCENARIO.parent), seed, priors=priors())
-    return prepare([source_of(event) for event in simulation.events], priors())
+    return reduced(simulation, priors())
 
 
 def verdict_of(events: Events) -> Verdict[Hypothesis]:

@@ -9,22 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import fitted_away
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.telemetry_terms import cut_probability
 from cassini_bayes.diagnosis.cut_tails import ACROSS_S, chance_across, losses, single_cuts
-from cassini_bayes.diagnosis.events import prepare
 from cassini_bayes.diagnosis.innovations import with_unknowns
 from cassini_bayes.diagnosis.p_value import slow_statistic
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import PulseLog, scenario_of
-from cassini_bayes.studies.blind.flights import CHANNEL_NOISE, source_of
+from cassini_bayes.studies.blind.flights import CHANNEL_NOISE, reduced
 from cassini_bayes.studies.blind.shift import View, at_truth
 from cassini_bayes.studies.scenario import draw_truth, simulate_file
 
-Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
@@ -87,7 +85,7 @@ def quiet_flight() -> View:
     truth = replace(drawn, parameters={**drawn.parameters, "tau_fall_s": 0.075})
     still = {**truth.parameters, **dict.fromkeys(CHANNEL_NOISE, 0.0)}
     flight = simulate_file(file, SEED, truth=replace(truth, parameters=still), priors=PRIORS)
-    return at_truth(prepare([source_of(event) for event in flight.events], PRIORS), truth)
+    return at_truth(reduced(flight, PRIORS), truth)
 
 
 def slow_left(view: View, cuts: tuple[Array, Array, Array]) -> float:

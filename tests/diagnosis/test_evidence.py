@@ -8,9 +8,9 @@ from typing import cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import dblquad, quad
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis import evidence, modes
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.evidence import (
@@ -29,8 +29,6 @@ from cassini_bayes.diagnosis.search import (
     search_from_starts,
     with_whole_curvature,
 )
-
-Array = NDArray[np.float64]
 
 
 def hypothesis(density: Callable[[Array], Array], dimension: int, name: str = "x") -> Hypothesis:

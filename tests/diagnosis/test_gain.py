@@ -30,7 +30,7 @@ from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.report.diagnosis import gain_sentence
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import scenario_of
-from cassini_bayes.studies.blind.flights import source_of
+from cassini_bayes.studies.blind.flights import reduced
 from cassini_bayes.studies.scenario import simulate_file
 
 ROOT = Path(__file__).parents[2]
@@ -57,7 +57,7 @@ def leaking(thrusters: Mapping[str, str]) -> Events:
         for event, name in thrusters.items()
     ]
     simulation = simulate_file(scenario_of(document, SCENARIO.parent), 11, priors=priors())
-    return prepare([source_of(event) for event in simulation.events], priors())
+    return reduced(simulation, priors())
 
 
 def leak_scores(events: Events) -> tuple[HeldOut, HeldOut]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -22,18 +22,16 @@ from cassini_bayes.diagnosis.correlations import (
 )
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
-from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.refit import fit_extended
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.effects.effect import Remainder
-from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.results.record import read_fit
 from cassini_bayes.simulation import scenario_of
-from cassini_bayes.studies.blind.flights import source_of
-from cassini_bayes.studies.scenario import Simulation, simulate_file, write_simulation
+from cassini_bayes.studies.blind.flights import reduced
+from cassini_bayes.studies.scenario import Simulation, simulate_file
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
@@ -54,7 +52,7 @@ def flight(leak: bool) -> Simulation:
 @cache
 def case_of(leak: bool) -> BalanceCase:
     """The events of a flight with that one cause."""
-    events = prepare([source_of(event) for event in flight(leak).events], PRIORS)
+    events = reduced(flight(leak), PRIORS)
     only = (events.catalogue.effect("thruster_leak:z3"),)
     return BalanceCase(replace(events, catalogue=replace(events.catalogue, effects=only)))
 
@@ -151,9 +149,7 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     own = verdict(True)
     leak = next(w for w in own.weighed if w.name == "thruster_leak:z3")
     diagnosis = cast(Diagnosis[Hypothesis], SimpleNamespace(extended=leak))
-    write_simulation(flight(True), tmp_path)
-    events = reduced(case_of(True).events, tmp_path)
-    fit_extended(diagnosis, events, tmp_path / "fit", 1, lambda _: None, target_ess=200)
+    fit_extended(diagnosis, tmp_path / "fit", 1, lambda _: None, target_ess=200)
     fit = read_fit(tmp_path / "fit" / "fit.nc")
     found = fit.groups["posterior"]["thruster_leak_z3_leak_n"]
     assert found.attrs["units"] == "N"
@@ -163,28 +159,3 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     assert np.isfinite(channels.values).all(axis=(0, 2)).sum() > 100
     assert "thruster_leak_z3_leak_n" in fit.groups["prior"]
     assert {"thrust_n", "inertia_xx_kg_m2"} <= set(fit.groups["posterior"])
-
-
-def reduced(events: Events, folder: Path) -> list[Any]:
-    """What a fit records of simulated events, their folders below ``folder``."""
-    records = []
-    for source, (statistics, sampling) in zip(events.sources, events.statistics, strict=True):
-        samples = source.samples
-        has_counters = bool(source.thrusters)
-        reading = SimpleNamespace(
-            on_time_s=samples.on_time_s[-1] if has_counters else [],
-            pulses=samples.pulses[-1] if has_counters else [],
-            start_s=0.0,
-            end_s=source.duration_s,
-            rows=len(samples.time_s),
-        )
-        records.append(
-            SimpleNamespace(
-                event=read_event(folder / source.id, PRIORS.spacecraft),
-                fires=has_counters,
-                sampling=sampling,
-                statistics=statistics,
-                reading=reading,
-            )
-        )
-    return records

@@ -79,4 +79,4 @@ def test_events_of_another_branch_are_refused(tmp_path: Path) -> None:
 def test_honest_events_are_read() -> None:
     """The same events without a mistake pass."""
     events = read_events([str(simulated() / name) for name in ("bias", "slews")], PRIORS)
-    assert [source.id for source in events.sources] == ["bias", "slews"]
+    assert [event.id for event in events.telemetry] == ["bias", "slews"]

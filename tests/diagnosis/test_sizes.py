@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import kstest
 
 from cassini_bayes.balance.telemetry_terms import CONTROL_CYCLE_S
-from cassini_bayes.diagnosis.events import Events, prepare
+from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.evidence import Candidate, weigh_extensions
 from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import find_mode
@@ -26,7 +26,7 @@ from cassini_bayes.diagnosis.sizes import (
 )
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
-from cassini_bayes.studies.blind.flights import source_of
+from cassini_bayes.studies.blind.flights import reduced
 from cassini_bayes.studies.scenario import simulate_file
 
 ROOT = Path(__file__).parents[2]
@@ -44,7 +44,7 @@ def late_records() -> tuple[Events, Candidate]:
     document["event"] = [e for e in document["event"] if e["id"] == "bias-1"]
     document["effect"] = [{"name": "time_offset", "parameters": {LATE: LATE_S}}]
     simulation = simulate_file(scenario_of(document, SCENARIO.parent), SEED, priors=priors)
-    events = prepare([source_of(event) for event in simulation.events], priors)
+    events = reduced(simulation, priors)
     full = none_hypothesis(events)
     none = compact(full)
     base = find_mode(none.log_density, none.dimension)
@@ -72,8 +72,8 @@ def test_an_offset_is_known_as_a_binomial_share_is() -> None:
     own = with_unresolved(events, weighed.hypothesis, mode, still, np.random.default_rng(2))
     share = effect_values(weighed.hypothesis, own)[LATE]  # of an interval of 1 s
     mean, sd = share.mean(), share.std()
-    (source,) = events.sources
-    pulses = source.samples.pulses[-1].sum() - source.samples.pulses[0].sum()
+    (event,) = events.telemetry
+    pulses = event.samples.pulses[-1].sum() - event.samples.pulses[0].sum()
     least = np.sqrt(mean * (1.0 - mean) / pulses)
     assert least < sd < 3.0 * least  # couples fire together, and with unlike momenta
     own_sd = np.std(
@@ -92,8 +92,8 @@ def test_every_cause_and_size_goes_with_events_that_fire_nothing() -> None:
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     document["event"] = [e for e in document["event"] if e["id"] == "slews"]
     simulation = simulate_file(scenario_of(document, SCENARIO.parent), SEED, priors=priors)
-    events = prepare([source_of(event) for event in simulation.events], priors)
-    assert events.sources[0].thrusters == ()
+    events = reduced(simulation, priors)
+    assert events.telemetry[0].thrusters == ()
     none = none_hypothesis(events)
     for effect in events.catalogue.effects:
         if not effect.needs_search:

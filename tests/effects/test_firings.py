@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.effects.firings import TAIL_S, firings
 from cassini_bayes.effects.flexible_mode import driven_answers
 from cassini_bayes.effects.time_offset import late_firings
 
-Array = NDArray[np.float64]
 TIME = np.arange(41.0)
 WIDTH_S = 0.05
 FORCE = np.array([[0.0, 0.0], [1.5, -0.5], [0.2, 0.4]])  # N m of two thrusters

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from totals_cases import ROOT
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.diagnosis.hypotheses import none_hypothesis
 from cassini_bayes.diagnosis.innovations import linearise
@@ -20,7 +20,6 @@ from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.shift import View, at_truth, held, squared_size
 from cassini_bayes.studies.blind.sizes import hidden_oscillation
 
-Array = NDArray[np.float64]
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
 TIME = np.arange(0.0, 1_200.0)
 INERTIA = np.array([8_000.0, 7_000.0, 4_000.0])

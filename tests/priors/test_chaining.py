@@ -11,25 +11,23 @@ import numpy as np
 import pytest
 import tomli_w
 import xarray as xr
-from numpy.typing import NDArray
 from totals_cases import B_BRANCH, flight
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.posterior import about, log_posterior, thrust_information
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model import Model, build_model, collapse, draw, draw_prior, log_posterior
 from cassini_bayes.priors.chaining import EarlierFit
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.results.record import Fit, build_fit, draws_of, prior_draws, save_fit
+from cassini_bayes.results.groups import build_fit
+from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.warmstart import WarmStart, warm_start
-
-Array = NDArray[np.float64]
 
 LEVELS = "thrust_level_n"
 DRAWS = 8_000
 
 
-def fitted(model: TotalsModel, seed: int) -> tuple[WarmStart, Fit]:
+def fitted(model: Model, seed: int) -> tuple[WarmStart, Fit]:
     """Importance draws of a model, resampled, as a fit."""
     rng = np.random.default_rng(seed)
     density = partial(log_posterior, model)
@@ -129,7 +127,8 @@ def test_prior_of_the_chained_model_is_the_posterior_of_the_first(
     folder, rows, _ = chain
     later = read_priors(chained_file(folder))
     model = build_model(rows[1:], later, delta_v="ignore")
-    parameters, draws = prior_draws(model, 20_000, np.random.default_rng(6))
+    drawn = draw_prior(model, 20_000, np.random.default_rng(6))
+    draws = drawn.thrusts
     with xr.open_dataset(folder / "first.nc", group="posterior", engine="h5netcdf") as stored:
         levels = stored[LEVELS].values.reshape(-1, 8)
         fall = stored["tau_fall_s"].values.reshape(-1)
@@ -139,7 +138,7 @@ def test_prior_of_the_chained_model_is_the_posterior_of_the_first(
     assert draws.common_n.mean() == pytest.approx(common.mean(), abs=0.05 * common.std())
     assert draws.common_n.std() == pytest.approx(common.std(), rel=0.05)
     before = np.corrcoef(fall, levels[:, 0])[0, 1]
-    after = np.corrcoef(np.asarray(parameters["tau_fall_s"]), draws.level_n[:, 0])[0, 1]
+    after = np.corrcoef(np.asarray(drawn.parameters["tau_fall_s"]), draws.level_n[:, 0])[0, 1]
     assert after == pytest.approx(before, abs=0.04)
     assert abs(before) > 0.3
 
@@ -160,13 +159,12 @@ def test_moved_information_is_the_same_function() -> None:
     """log L(F) does not depend on the level it is counted from."""
     rows, priors = flight(2)
     model = build_model(rows, priors, delta_v="ignore")
-    from cassini_bayes.model.totals import linear_system
-
     rng = np.random.default_rng(8)
     z = 0.3 * model.space.sample(rng, 3)
-    plain = thrust_information(model, linear_system(model, model.space.to_parameters(z)))
+    (rows,) = collapse(model, z).terms
+    plain = rows.information
     offset = 0.05 * rng.standard_normal((3, 8))
-    moved = about(plain, offset)
+    moved = plain.about(offset)
     departure = 0.05 * rng.standard_normal((3, 2, 8))
 
     def value(information: object, d: Array) -> Array:
@@ -221,9 +219,6 @@ def test_misuse_is_refused(chain: tuple[Path, tuple[TotalsEvent, ...], Priors]) 
     assert isinstance(later.earlier, EarlierFit)
     other = replace(later.earlier, thrusters=("a",))
     assert other.thrusters != later.earlier.thrusters
-    _, draws = draws_of(
-        build_model(rows[1:], later, delta_v="ignore"),
-        np.zeros((2, 20)),
-        np.random.default_rng(9),
-    )
-    assert np.isfinite(draws.level_n).all()
+    chained = build_model(rows[1:], later, delta_v="ignore")
+    draws = draw(chained, np.zeros((2, 20)), np.random.default_rng(9))
+    assert np.isfinite(draws.thrusts.level_n).all()

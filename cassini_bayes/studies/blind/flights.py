@@ -10,7 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.diagnosis.events import Events, TelemetrySource, prepare
+from cassini_bayes.diagnosis.events import Events, prepare
+from cassini_bayes.model.event_reduction import ReducedEvent, reduce_samples, sampling_of
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.simulation import ScenarioFile, SimulatedEvent, Truth, scenario_of
 from cassini_bayes.studies.scenario import (
@@ -83,13 +84,13 @@ class Scene:
         return reduced(flight, self.priors)
 
 
-def source_of(event: SimulatedEvent) -> TelemetrySource:
-    """A simulated event's telemetry as rows, wheel rates in rad/s."""
-    samples, thrusters = simulated_samples(event)
-    kind, numbers = event.plan.event.kind, tuple(event.plan.wheel_numbers)
-    return TelemetrySource(event.plan.event.id, kind, numbers, thrusters, samples)
-
-
 def reduced(flight: Simulation, priors: Priors) -> Events:
     """All events of a flight, ready for a diagnosis."""
-    return prepare([source_of(event) for event in flight.events], priors)
+    return prepare([_reduced_event(event, priors) for event in flight.events], priors)
+
+
+def _reduced_event(event: SimulatedEvent, priors: Priors) -> ReducedEvent:
+    samples, thrusters = simulated_samples(event)
+    sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
+    declared, wheels = event.plan.event, event.plan.wheel_numbers
+    return reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
+from cassini_bayes.arrays import Array, Places
 from cassini_bayes.balance.linearised import fitted_away
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
@@ -31,7 +31,6 @@ from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.studies.blind.sizes import NULL_VALUES, hidden_oscillation
 
-Array = NDArray[np.float64]
 RATE_KINDS: Final = ("rate_bias", "rate_scale")
 """In the order of the attitude channel's information."""
 KINKED: Final = ("pulse_shape", "time_offset")
@@ -76,7 +75,7 @@ class Classifier:
             axis=1,
         )
 
-    def ranks(self, scores: Array, name: str) -> NDArray[np.int64]:
+    def ranks(self, scores: Array, name: str) -> Places:
         """Place (n,) of a cause among all of them, from 0."""
         scores = self.log_scores(scores)
         true = scores[:, [self.names.index(name)]]

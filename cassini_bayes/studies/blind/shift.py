@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import Linear, fitted_away
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
@@ -22,7 +22,6 @@ from cassini_bayes.effects.effect import Effect
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.simulation import Truth
 
-Array = NDArray[np.float64]
 _SAME_S = 1e-6
 
 
@@ -65,20 +64,20 @@ def _known(none: Hypothesis, events: Events, truth: Truth, width: int) -> Array:
     """
     model = none.model
     shared = len(none.model.space.names)
-    shared += model.linear.shared.shape[1] if model.linear.shared.size else 0
+    shared += model.thrust_prior.shared.shape[1] if model.thrust_prior.shared.size else 0
     known, place = np.zeros(width), shared
-    for source, terms in zip(events.sources, model.telemetry, strict=True):
-        individual = model.linear.own if terms.pattern.thrusters else np.zeros((0, 0))
+    for event, term in zip(events.telemetry, model.telemetry, strict=True):
+        individual = model.thrust_prior.own if term.balance.pattern.thrusters else np.zeros((0, 0))
         if individual.size:
-            thrusts = truth.thrust_n(source.id, source.thrusters)
-            departure = np.array([thrusts[k] for k in source.thrusters])
-            departure = departure - model.linear.common_mean_n
+            thrusts = truth.thrust_n(event.id, event.thrusters)
+            departure = np.array([thrusts[k] for k in event.thrusters])
+            departure = departure - model.thrust_prior.common_mean_n
             known[place : place + individual.shape[1]] = np.linalg.solve(individual, departure)
         place += individual.shape[1]
-        values = truth.of(source.id)
+        values = truth.of(event.id)
         torque = np.array([values[f"external_torque_{axis}_n_m"] for axis in "xyz"])
         known[place + 3 : place + 6] = torque - model.torque_mean_n_m
-        place += 6 + len(terms.pattern.cuts)
+        place += 6 + len(term.balance.pattern.cuts)
     return known
 
 
@@ -120,7 +119,7 @@ def changed_size(shown: View, plain: View) -> float:
     """
     same = all(
         np.array_equal(a.samples.attitude, b.samples.attitude, equal_nan=True)
-        for a, b in zip(shown.events.sources, plain.events.sources, strict=True)
+        for a, b in zip(shown.events.telemetry, plain.events.telemetry, strict=True)
     )
     if same:
         return _paired(shown, plain)

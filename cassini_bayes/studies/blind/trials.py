@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.events import Events
@@ -41,7 +40,6 @@ from cassini_bayes.studies.blind.sizes import (
 )
 from cassini_bayes.studies.blind.uncatalogued import draw_uncatalogued
 
-Array = NDArray[np.float64]
 # name, number of trials in a full campaign
 STRATA: Final = (
     ("prior", 150),

@@ -36,18 +36,18 @@ def draw_strange(events: Events, rng: np.random.Generator) -> Strange:
     """An atmospheric torque, a pressure surge, a tachometer scale or plume impingement."""
     kinds = ("atmospheric_torque", "pressure_surge", "tachometer_scale", "plume_impingement")
     kind = str(rng.choice(kinds))
-    event = next(source for source in events.sources if source.thrusters)
+    event = next(event for event in events.telemetry if event.fires)
     if kind == "atmospheric_torque":
         peak = rng.standard_normal(3)
         direction = {f"peak_{a}_n_m": float(v) for a, v in zip("xyz", peak, strict=True)}
         when = {
-            "centre_s": float(rng.uniform(0.2, 0.8) * event.duration_s),
+            "centre_s": float(rng.uniform(0.2, 0.8) * event.sampling.duration_s),
             "width_s": float(rng.uniform(50.0, 250.0)),
         }
         return Strange(kind, direction, when, (-4.7, -3.3))
     if kind == "pressure_surge":
         when = {
-            "start_s": float(rng.uniform(0.1, 0.6) * event.duration_s),
+            "start_s": float(rng.uniform(0.1, 0.6) * event.sampling.duration_s),
             "decay_s": float(rng.uniform(100.0, 500.0)),
         }
         return Strange(kind, {"thrust_fraction": 1.0}, when, (-1.5, -0.5))

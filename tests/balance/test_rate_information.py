@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cassini_bayes.balance import rate_information as module
+from cassini_bayes.balance.rate_information import rate_information, rotation_vectors
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.effects import kinematics
-from cassini_bayes.effects.kinematics import rate_information, rotation_vectors
 
 
 def made_up(
@@ -70,5 +70,5 @@ def test_gyros_without_errors_gain_as_chance_does(monkeypatch: pytest.MonkeyPatc
     nats = gyro_nats(120)
     assert abs(nats.mean() - 1.0) < 4.0 / np.sqrt(len(nats))
     assert nats.max() < np.log(len(nats)) + 5.0
-    monkeypatch.setattr(kinematics, "_white_variance", lambda _: np.zeros(3))
+    monkeypatch.setattr(module, "_white_variance", lambda _: np.zeros(3))
     assert gyro_nats(120).max() > np.log(len(nats)) + 5.0

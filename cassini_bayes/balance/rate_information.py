@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import dst
 from scipy.optimize import minimize
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
 
-Array = NDArray[np.float64]
 BLOCKS: Final = 200
 """Of an event, summed over: judgement, both noises are told apart, and sine transforms are
 short."""

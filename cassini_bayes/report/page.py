@@ -1,0 +1,95 @@
+"""What the page of a run is made of: chapters, their sections, and the blocks of a section."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Final
+
+import pandas as pd
+
+from cassini_bayes.report.cells import Table
+
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A heading of the page; ``anchor`` is its address."""
+
+    anchor: str
+    title: str
+
+
+SEEN: Final = Chapter("seen", "What these events can see")
+INERTIA: Final = Chapter("inertia", "Inertia")
+THRUSTS: Final = Chapter("thrusts", "Thrust of every thruster in every bias")
+NUMBERS: Final = Chapter("numbers", "Thrusts in numbers")
+JOINT: Final = Chapter("joint", "Thrust levels and tail-off together")
+NUISANCES: Final = Chapter("nuisances", "Nuisances: prior against posterior")
+BUDGET: Final = Chapter("budget", "Error budget")
+CHECKS: Final = Chapter("checks", "Model against measurement")
+DELTA_V: Final = Chapter("delta-v", "ΔV")
+CONVERGENCE: Final = Chapter("convergence", "Convergence")
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph; markup in it is that of a ``Markup``, anything else is escaped."""
+
+    kind: ClassVar[str] = "paragraph"
+    text: str
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """Sentences one under another."""
+
+    kind: ClassVar[str] = "bullets"
+    items: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A table; with ``fold`` it is behind that line until asked for, unless it is ``open``."""
+
+    kind: ClassVar[str] = "shown"
+    table: Table
+    style: str = ""
+    fold: str = ""
+    open: bool = False
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure, drawn when asked for; nothing where there is nothing to draw."""
+
+    kind: ClassVar[str] = "drawing"
+    name: str
+    alt: str
+    caption: str
+    draw: Callable[[], Figure | None]
+    portrait: bool = False
+
+
+Block = Paragraph | Bullets | Shown | Drawing
+
+
+@dataclass(frozen=True)
+class Section:
+    """One table of a run: its file, and what the page says and draws of it.
+
+    ``frame`` is written as ``tables/<name>.csv``; a section without one has nothing to keep.
+    """
+
+    chapter: Chapter
+    blocks: tuple[Block, ...]
+    title: str = ""
+    name: str = ""
+    frame: pd.DataFrame | None = None
+
+    @property
+    def drawings(self) -> Iterator[Drawing]:
+        """Its figures."""
+        return (block for block in self.blocks if isinstance(block, Drawing))
