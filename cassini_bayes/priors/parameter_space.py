@@ -99,6 +99,13 @@ class ParameterSpace:
             )
         return parameters
 
+    @property
+    def correlation_factor(self) -> Array:
+        """Slopes (d, d) of the standard coordinates in the walked ones: 1 without earlier fit."""
+        basis = np.concatenate([np.zeros((1, self.dimension)), np.eye(self.dimension)])
+        moved = self._correlated(basis)
+        return np.asarray((moved[1:] - moved[0]).T)
+
     def to_standard(self, parameters: Mapping[str, ArrayLike]) -> Array:
         """Inverse of :meth:`to_parameters`: the free ones of name → (...,) → z (..., d)."""
         columns = [
