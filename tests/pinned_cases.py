@@ -20,8 +20,8 @@ import spacecraft_cases
 import telemetry_cases
 import totals_cases
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import EventStatistics
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.estimate_case import EstimateCase
 from cassini_bayes.diagnosis.events import Events

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.fft import dst
 from scipy.optimize import minimize
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.computing.arrays import Array
 
 BLOCKS: Final = 200
 """Of an event, summed over: judgement, both noises are told apart, and sine transforms are

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.stats import norm
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.computing.arrays import Array
 
 AXES: Final = "xyz"
 WINDOW_ROWS: Final = 61

@@ -19,10 +19,10 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.telemetry_terms import cut_probability, lost_per_cut_s
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 

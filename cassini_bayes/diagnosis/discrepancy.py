@@ -25,9 +25,9 @@ from typing import Final
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from cassini_bayes.arrays import Array, Places
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
 from cassini_bayes.diagnosis.innovations import innovations

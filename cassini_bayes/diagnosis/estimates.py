@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.effects.printed import FACTOR, Printed
 from cassini_bayes.effects.registry import Kinds

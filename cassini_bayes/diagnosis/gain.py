@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import Linear
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import UNKNOWN, Log, Weighed, silent
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import (

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, importance
 
 Forward = Callable[[Array], Array]  # z (n, d) → predicted (n, E, U)

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.rate_information import RateInformation, rate_log_likelihood
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.effects.effect import Effect

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away
 from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.balance.telemetry_terms import (
@@ -24,6 +23,7 @@ from cassini_bayes.balance.telemetry_terms import (
     cut_tail_sd,
     noise_covariance,
 )
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.unresolved import unresolved

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.sampling.warmstart import hessian, no_wider_than_prior
 

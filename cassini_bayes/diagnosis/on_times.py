@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, hold_rate_covariance
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE
 from cassini_bayes.diagnosis.gauss_newton import Model
 from cassini_bayes.effects.controller import Fired

@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from scipy.stats import rankdata
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import Linear, fitted_away
+from cassini_bayes.computing.arrays import Array
 
 MODES: Final = 16
 """Slowest cosines of an event: judgement, drifts down to a sixteenth of it; more would hide them

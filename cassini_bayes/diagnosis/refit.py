@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes import __version__
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.evidence import DOF

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 WITHIN: Final = 1.6449  # standard deviations of a normal that hold 90 % of it
 LEAST_PIECES: Final = 3

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.correlations import (
     AXES,
     WINDOW_ROWS,

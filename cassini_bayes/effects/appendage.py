@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled
 
 RENEWED: Final = 64

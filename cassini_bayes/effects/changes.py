@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Physics
+from cassini_bayes.computing.arrays import Array
 
 AXES: Final = ("x", "y", "z")
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 
 class Controller(Protocol):

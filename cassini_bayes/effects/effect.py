@@ -14,10 +14,10 @@ from typing import Protocol
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Modifier, Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, Samples
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.controller import Controller, Fired
 from cassini_bayes.effects.firings import Firings
 from cassini_bayes.effects.printed import Printed

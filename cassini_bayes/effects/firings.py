@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import Samples
+from cassini_bayes.computing.arrays import Array
 
 TAIL_S: Final = 0.030
 """On-time that a pulse's tail adds: τ_fall − τ_rise of the priors files, good to some milliseconds

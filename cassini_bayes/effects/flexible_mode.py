@@ -19,10 +19,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.appendage import KnownMotion, known_motion, oscillation_series
 from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values

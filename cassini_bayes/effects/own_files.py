@@ -18,9 +18,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.controller import Fired
 from cassini_bayes.effects.effect import Kind
 from cassini_bayes.effects.printed import Printed

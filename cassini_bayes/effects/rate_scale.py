@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Parameters, Physics
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.changes import unit_vector, with_rate_errors
 from cassini_bayes.effects.effect import Kind, Setting, Values
 

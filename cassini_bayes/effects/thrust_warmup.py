@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import Kind, Setting, Values
 

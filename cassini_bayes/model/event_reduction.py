@@ -18,7 +18,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
 from cassini_bayes.balance.physics import INERTIA_PARAMETERS, PULSE_PARAMETERS
 from cassini_bayes.balance.rate_information import RateInformation, rate_information
@@ -33,6 +32,7 @@ from cassini_bayes.balance.statistics import (
     save_statistics,
 )
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MomentumRows, check_momentum, momentum_rows
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event

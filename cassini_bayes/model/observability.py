@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.thrusts import ThrustPrior
 from cassini_bayes.model.unknowns import Unknowns

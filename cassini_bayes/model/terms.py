@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Modifier, Physics, physics_of
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.thrusts import ThrustInformation, ThrustPrior
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.spacecraft import Spacecraft

@@ -15,7 +15,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.computed_delta_v import (
     ComputedDeltaV,
     channel_log_likelihood,
@@ -38,6 +37,7 @@ from cassini_bayes.balance.totals_system import (
     totals_system,
 )
 from cassini_bayes.balance.totals_terms import RPM_PER_RAD_S, TotalsStack, stack_events
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.terms import (

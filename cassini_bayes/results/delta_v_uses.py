@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.model.totals import DeltaVUse

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import xarray as xr
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import Draws, draw, draw_prior, event_log_density
 from cassini_bayes.model.posterior import TORQUES, Model
 from cassini_bayes.model.terms import TORQUE, TermAt, TermDraws, Variable

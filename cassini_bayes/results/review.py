@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.inertia import Physicality, physicality
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.observability import Observability, observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.priors.reader import Priors

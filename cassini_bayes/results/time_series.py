@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array, Flags, Places
 from cassini_bayes.balance.statistics import Carry, Samples, settle
 from cassini_bayes.balance.statistics.columns import Rows
 from cassini_bayes.balance.telemetry_terms import (
@@ -23,6 +22,7 @@ from cassini_bayes.balance.telemetry_terms import (
     balance_weights,
     noise_covariance,
 )
+from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm, unknowns_of

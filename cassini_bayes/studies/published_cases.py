@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.estimate_case import EstimateCase, estimate_case
 from cassini_bayes.diagnosis.estimates import (

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import fitted_away
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.telemetry_terms import cut_probability
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.cut_tails import ACROSS_S, chance_across, losses, single_cuts
 from cassini_bayes.diagnosis.innovations import with_unknowns
 from cassini_bayes.diagnosis.p_value import slow_statistic

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis import evidence, modes
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.evidence import (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.diagnosis import Diagnosis, diagnose
 from cassini_bayes.diagnosis.gauss_newton import Model, fit, importance_draws, predict_left_out
 from cassini_bayes.diagnosis.on_time_case import OnTimeCase

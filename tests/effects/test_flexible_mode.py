@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from totals_cases import ROOT
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import none_hypothesis
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.effects.appendage import known_motion, oscillation_series

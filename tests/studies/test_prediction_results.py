@@ -13,7 +13,7 @@ import run_cases
 from prediction_cases import SIZE, beliefs, flights, folds, learned, model, write_run_folder
 from totals_cases import B_BRANCH, FLIGHT
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.prediction.ground_software import (

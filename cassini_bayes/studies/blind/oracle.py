@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from cassini_bayes.arrays import Array, Places
 from cassini_bayes.balance.linearised import fitted_away
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
 from cassini_bayes.diagnosis.innovations import linearise

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.linearised import Linear, fitted_away
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
 from cassini_bayes.diagnosis.innovations import linearise

@@ -1,4 +1,4 @@
-"""Types of arrays, for everything above."""
+"""Types of arrays."""
 
 from __future__ import annotations
 
