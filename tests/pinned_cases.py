@@ -283,7 +283,7 @@ def causes_of(events: Events, names: Sequence[str]) -> dict[str, Hypothesis]:
         if effect.needs_search:
             effect = replace(effect, search_result=LINE)
         own = events.with_columns_of([effect])
-        found[name] = compact(extend(none_hypothesis(own), [effect], own))
+        found[name] = compact(extend(none_hypothesis(own), [effect]))
     return found
 
 

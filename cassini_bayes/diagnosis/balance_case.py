@@ -88,7 +88,7 @@ class BalanceCase(Case[Hypothesis]):
         start = _unknown_start(none, unknown, base)
         remainder = innovations(events, full, base.point) if events.telemetry else None
         direct = [effect for effect in events.catalogue.effects if not effect.needs_search]
-        hypotheses = [compact(extend(full, [effect], events)) for effect in direct]
+        hypotheses = [compact(extend(full, [effect])) for effect in direct]
         to_find = [] if remainder is None else _to_find(events, remainder)
         first = [partial(find_mode, unknown.log_density, unknown.dimension, start)]
         (unknown_mode, *settled_by), near = _side_by_side(
@@ -122,7 +122,7 @@ class BalanceCase(Case[Hypothesis]):
         """An effect as its search has settled it, beside other effects or alone."""
         effects = [*beside, effect]
         events = self.events.with_columns_of(effects)
-        hypothesis = compact(extend(none_hypothesis(events), effects, events))
+        hypothesis = compact(extend(none_hypothesis(events), effects))
         near = [newton_search(hypothesis, base)]
         (weighed,) = weigh_extensions([hypothesis], near, base, silent, floor=best - MARGIN_NATS)
         return weighed
@@ -142,12 +142,12 @@ class BalanceCase(Case[Hypothesis]):
         """By searches from the first cause's mode, by draws for what could be the best pair."""
         (effect,) = first.hypothesis.effects
         events = self.events.with_columns_of([effect])
-        full = extend(none_hypothesis(events), [effect], events)
+        full = extend(none_hypothesis(events), [effect])
         base = first.mode
         if not base.is_whole:
             base = with_whole_curvature(first.hypothesis, base)
         others = [e for e in events.catalogue.effects if e.name != effect.name]
-        pairs = [compact(extend(full, [e], events)) for e in others if not e.needs_search]
+        pairs = [compact(extend(full, [e])) for e in others if not e.needs_search]
         to_find = []
         if events.telemetry and any(e.needs_search for e in others):
             remainder = innovations(events, first.hypothesis, base.point)

@@ -55,7 +55,7 @@ def fitted_to(events: Events, weighed: Weighed[Hypothesis]) -> tuple[Hypothesis,
     effects = weighed.hypothesis.effects
     needed = events.with_columns_of(effects)
     full = (unknown_hypothesis if weighed.name == UNKNOWN else none_hypothesis)(needed)
-    hypothesis = compact(extend(full, effects, needed) if effects else full)
+    hypothesis = compact(extend(full, effects) if effects else full)
     density = hypothesis.log_density
     start = carried_over(weighed.mode, weighed.hypothesis, hypothesis)
     point = maximise(density, start.point, start.factor)

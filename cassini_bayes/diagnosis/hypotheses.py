@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.rate_information import RateInformation, rate_log_likelihood
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.events import Events
@@ -21,12 +20,12 @@ from cassini_bayes.model.posterior import (
     Model,
     build_model,
     log_posterior,
+    with_effects,
     with_equal_bands_merged,
     without_idle,
 )
 from cassini_bayes.model.telemetry import TORQUE_NOISE
 from cassini_bayes.priors.distributions import Distribution
-from cassini_bayes.priors.parameter_space import ParameterSpace
 
 HOLD_RATE: Final = "hold_rate_rad_s"
 FARTHEST: Final = 8.0
@@ -42,18 +41,17 @@ LEAST: Final = -1e12  # log density where the likelihood has no value: below all
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A model to weigh: its name, log posterior density in z, and prior probability.
-
-    ``effects`` are those it has beyond the baseline; their walked coordinates are the last ones of
-    the model's space. ``rates`` is what attitudes say of the gyros, where an effect is one of them.
-    """
+    """A model to weigh: its name, log posterior density in z, and prior probability."""
 
     name: str
     model: Model
-    effects: tuple[Effect, ...]
     prior_probability: float
-    rates: RateInformation | None = None
     farthest: float = FARTHEST
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What it has beyond the baseline; their coordinates are the last ones of the space."""
+        return self.model.effects
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -95,17 +93,7 @@ class Hypothesis:
             return np.array([LEAST])
 
     def _inside(self, z: Array) -> Array:
-        value = np.nan_to_num(log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
-        if self.rates is None:
-            return value
-        parameters = self.model.space.to_parameters(z)
-        bias, scale = np.zeros((len(z), 3)), np.zeros((len(z), 3))
-        for effect in self.effects:
-            if effect.kind.rate_errors is not None:
-                setting = effect.setting(self.model.spacecraft, self.model.branch)
-                errors = effect.kind.rate_errors(effect.values(parameters), setting)
-                bias, scale = bias + errors[0], scale + errors[1]
-        return value + rate_log_likelihood(self.rates, bias, scale)
+        return np.nan_to_num(log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
 
 
 def none_hypothesis(events: Events) -> Hypothesis:
@@ -114,7 +102,7 @@ def none_hypothesis(events: Events) -> Hypothesis:
     if events.telemetry:
         priors = priors.with_fixed(TORQUE_NOISE, 0.0)
     model = build_model(events.all, priors, keep_idle=True)
-    return Hypothesis(NONE, model, (), events.catalogue.odds.none)
+    return Hypothesis(NONE, model, events.catalogue.odds.none)
 
 
 def unknown_hypothesis(events: Events) -> Hypothesis:
@@ -127,39 +115,16 @@ def unknown_hypothesis(events: Events) -> Hypothesis:
         wider = {"s": unknown.hold_rate_log_sd, "scale": unknown.hold_rate_factor * middle}
         priors = priors.with_distribution(HOLD_RATE, Distribution("lognorm", wider))
     model = build_model(events.all, priors, keep_idle=True)
-    return Hypothesis(UNKNOWN, model, (), events.catalogue.odds.unknown, farthest=UNKNOWN_FARTHEST)
+    return Hypothesis(UNKNOWN, model, events.catalogue.odds.unknown, farthest=UNKNOWN_FARTHEST)
 
 
-def extend(base: Hypothesis, effects: Sequence[Effect], events: Events) -> Hypothesis:
+def extend(base: Hypothesis, effects: Sequence[Effect]) -> Hypothesis:
     """A hypothesis with more effects; its walked coordinates come after those there are."""
-    old = base.model
-    parameters = [parameter for effect in effects for parameter in effect.parameters]
-    space = ParameterSpace(
-        (*old.space.names, *(p.name for p in parameters)),
-        old.space.fixed,
-        (*old.space.distributions, *(p.distribution for p in parameters)),
-        (*old.space.blocks, *("effect" for _ in parameters)),
-    )
-    added = tuple(effect.modifier(old.spacecraft, old.branch) for effect in effects)
-    in_rows = tuple(effect.modifier(old.spacecraft, old.branch, rows=True) for effect in effects)
-    model = replace(
-        old,
-        space=space,
-        totals=tuple(replace(t, modifiers=(*t.modifiers, *added)) for t in old.totals),
-        telemetry=tuple(replace(t, modifiers=(*t.modifiers, *in_rows)) for t in old.telemetry),
-    )
-    together = (*base.effects, *effects)
     probability = base.prior_probability if base.effects else 1.0
     for effect in effects:
         probability *= effect.prior_probability
-    has_rate_errors = any(effect.kind.rate_errors is not None for effect in together)
-    return Hypothesis(
-        "+".join(effect.name for effect in together),
-        model,
-        together,
-        probability,
-        events.rates if has_rate_errors else None,
-    )
+    model = with_effects(base.model, effects)
+    return Hypothesis("+".join(effect.name for effect in model.effects), model, probability)
 
 
 def compact(hypothesis: Hypothesis) -> Hypothesis:

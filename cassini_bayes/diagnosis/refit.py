@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -17,38 +16,16 @@ from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.evidence import DOF
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
-from cassini_bayes.effects.effect import Effect, EffectParameter
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import Proposal, importance, laplace, refined
-from cassini_bayes.spacecraft.parameters import ParameterSpec
 
 DRAWS: Final = 1_000  # of every ensemble
 PILOT_ROUNDS: Final = 2
 PILOT_DRAWS: Final = 4_000
 _PILOTS, _LINEAR = 6, 7  # streams of the proposal's draws, and of what is integrated out
-
-
-def effect_variable(effect: Effect, parameter: EffectParameter) -> str:
-    """Name in ``fit.nc`` of an effect's parameter: cause and key, ``thruster_leak_z3_leak_n``."""
-    return f"{effect.name.replace(':', '_')}_{parameter.key}"
-
-
-def with_effect_specs(hypothesis: Hypothesis) -> Model:
-    """The hypothesis's model with unit and meaning of the effects' parameters."""
-    specs = {
-        p.name: ParameterSpec(p.name, p.unit, "effect", f"{effect.name}: {p.key}{_kind(p)}")
-        for effect in hypothesis.effects
-        for p in effect.parameters
-    }
-    return replace(hypothesis.model, specs={**hypothesis.model.specs, **specs})
-
-
-def _kind(parameter: EffectParameter) -> str:
-    return ", departure from the baseline's" if parameter.is_departure else ""
 
 
 def _renamed(fit: Fit, weighed: Weighed[Hypothesis], z: Array) -> Fit:
@@ -57,11 +34,12 @@ def _renamed(fit: Fit, weighed: Weighed[Hypothesis], z: Array) -> Fit:
     by_key = effect_values(weighed.hypothesis, z.reshape(-1, z.shape[2]))
     for effect in weighed.hypothesis.effects:
         for p in effect.parameters:
-            name = effect_variable(effect, p)
-            names[p.name] = f"{name}_departure" if p.is_departure else name
+            names[p.name] = effect.variable(p)
             if p.is_departure:
                 meta = {"units": p.unit, "long_name": f"{effect.name}: {p.key}"}
-                values[name] = (("chain", "draw"), by_key[p.key].reshape(z.shape[:2]), meta)
+                drawn = by_key[p.key].reshape(z.shape[:2])
+                name = effect.variable(replace(p, is_departure=False))
+                values[name] = (("chain", "draw"), drawn, meta)
     groups = dict(fit.groups)
     for group in ("posterior", "prior"):
         groups[group] = groups[group].rename(names)
@@ -78,7 +56,7 @@ def fit_extended(
 ) -> pd.DataFrame:
     """Sample the extended model; write ``fit.nc`` and ``summary.csv``.
 
-    Effect parameters are variables of ``fit.nc`` like all others (:func:`effect_variable`).
+    Effect parameters are variables of ``fit.nc`` like all others (:meth:`.Effect.variable`).
 
     Parameters
     ----------
@@ -114,8 +92,7 @@ def fit_extended(
         "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
     }
     rng = np.random.default_rng((seed, _LINEAR))
-    model = with_effect_specs(weighed.hypothesis)
-    fit = build_fit(model, z, density, rng, attributes)
+    fit = build_fit(weighed.hypothesis.model, z, density, rng, attributes)
     save_fit(_renamed(fit, weighed, z), folder / "fit.nc")
     flat = z.reshape(-1, weighed.hypothesis.dimension)
     parameters = weighed.hypothesis.model.space.to_parameters(flat)

@@ -112,7 +112,7 @@ def with_unresolved(
     hypotheses of gyro errors, of which attitudes speak that are not in the rows, and cases with
     totals rows, whose information the linear model does not have.
     """
-    if not events.telemetry or events.rows or hypothesis.rates is not None:
+    if not events.telemetry or events.rows or hypothesis.model.gyros:
         return z
     linear, factors = linearise(events, hypothesis, mode)
     opened = [unresolved(events, hypothesis, mode, i) for i in range(len(events.telemetry))]

@@ -40,7 +40,7 @@ def change_of_evidence(
         return float(logsumexp(log_weights))
     effects = [effect.scaled(width) for effect in weighed.hypothesis.effects]
     with_columns = events.with_columns_of(effects)
-    hypothesis = compact(extend(none_hypothesis(with_columns), effects, with_columns))
+    hypothesis = compact(extend(none_hypothesis(with_columns), effects))
     point = weighed.hypothesis.model.space.to_parameters(weighed.mode.point[None])
     start = hypothesis.model.space.to_standard(point)[0]
     other = mode_near(hypothesis.log_density, start, weighed.mode.factor)

@@ -93,6 +93,75 @@ def read_catalogue(
     return Catalogue(tuple(effects), known)
 
 
+def named_effects(
+    names: Sequence[str],
+    priors: Priors,
+    wheels: Sequence[int],
+    inputs: Sequence[str],
+    kinds: Kinds | None = None,
+    where: str = "effects",
+) -> tuple[Effect, ...]:
+    """Effects by name, to be fitted: their parameters have the names that they have in a fit.
+
+    Parameters
+    ----------
+    names
+        Kind, and the target behind a colon where it has one: ``thruster_leak:z3``.
+    priors, wheels, inputs, kinds
+        As for :func:`read_catalogue`.
+    where
+        What gave the names, for messages.
+
+    Raises
+    ------
+    InputError
+        A name twice; one that there is not, with the nearest; an effect that such events cannot
+        show, that departs from a parameter without prior, or that has to be searched for first.
+    """
+    if not names:
+        return ()
+    catalogue = read_catalogue(priors, wheels, inputs, kinds)
+    chosen: list[Effect] = []
+    for name in names:
+        if name in (effect.name for effect in chosen):
+            raise InputError(where, "every effect once", f"{name!r} twice", "leave one out")
+        if name not in catalogue.names:
+            raise _not_there(name, catalogue, priors, inputs, where)
+        effect = catalogue.effect(name)
+        if effect.needs_search:
+            raise InputError(
+                where,
+                "effects that can be fitted at once",
+                f"{name!r}, for which a search comes first",
+                "use cassini-bayes diagnose --then-fit",
+            )
+        chosen.append(effect.as_fitted())
+    return tuple(chosen)
+
+
+def _not_there(
+    name: str, catalogue: Catalogue, priors: Priors, inputs: Sequence[str], where: str
+) -> InputError:
+    """Why a name is none of a catalogue's."""
+    tables = {kind.name: table for kind, table in catalogue.kinds.kinds}
+    kind, _, target = name.partition(":")
+    if kind in tables and not set(tables[kind].inputs) & set(inputs):
+        return InputError(
+            where,
+            f"effects that {' or '.join(inputs)} can show",
+            f"{name!r}, which only {' and '.join(tables[kind].inputs) or 'nothing'} can",
+            "leave it out",
+        )
+    if kind in tables and target in _targets(tables[kind], priors, priors.wheels):
+        return InputError(
+            where,
+            "effects of these events and priors",
+            f"{name!r}, whose wheel they lack or whose parameter is fixed in {priors.path}",
+            "leave it out, or give the parameter a distribution",
+        )
+    return InputError(where, "effects that there are", repr(name), nearest(name, catalogue.names))
+
+
 def _targets(table: Table, priors: Priors, wheels: Sequence[int]) -> tuple[str, ...]:
     spacecraft = priors.spacecraft
     every: Mapping[str, tuple[str, ...]] = {
@@ -121,7 +190,7 @@ def _effect(kind: Kind, table: Table, target: str, priors: Priors) -> Effect | N
         (_size(table, key.replace("{target}", target), sizes), _share(table, key, share))
         for key, share in table.form_error.items()
     )
-    return Effect(kind, target, tuple(parameters), 0.0, form_error)
+    return Effect(kind, target, tuple(parameters), 0.0, form_error, source=table.source)
 
 
 def _parameter(

@@ -8,7 +8,7 @@ says which targets the kind has, which inputs show it, and what is believed of i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -23,6 +23,7 @@ from cassini_bayes.effects.firings import Firings
 from cassini_bayes.effects.printed import Printed
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, ParameterSpec
 
 Values = Mapping[str, Array]
 """An effect's own parameters by key, each (n,): one value for every point."""
@@ -166,8 +167,8 @@ class Effect:
     """A cause: a kind of effect on one target, with the priors of its size.
 
     ``form_error`` is the standard deviation, by the name of a size and as a share of it, of what
-    the term's form leaves out. ``found`` is what a search before the fit settled, where the kind
-    has one and it was made.
+    the term's form leaves out, ``source`` where its priors come from. ``search_result`` is what a
+    search before the fit settled, where the kind has one and it was made.
     """
 
     kind: Kind
@@ -176,6 +177,7 @@ class Effect:
     prior_probability: float
     form_error: tuple[tuple[str, float], ...] = ()
     search_result: SearchResult | None = None
+    source: str = ""
 
     @property
     def name(self) -> str:
@@ -186,6 +188,24 @@ class Effect:
     def needs_search(self) -> bool:
         """Whether a search has to settle something before this can be fitted."""
         return self.kind.search is not None and self.search_result is None
+
+    @property
+    def specs(self) -> tuple[ParameterSpec, ...]:
+        """Unit and meaning of its parameters."""
+        return tuple(
+            ParameterSpec(p.name, p.unit, EFFECT_BLOCK, f"{self.name}: {p.key}{_role(p)}")
+            for p in self.parameters
+        )
+
+    def variable(self, parameter: EffectParameter) -> str:
+        """Name of a parameter in a fit: ``thruster_leak_z3_leak_n``, ``…_departure`` of such."""
+        name = f"{self.name.replace(':', '_')}_{parameter.key}"
+        return f"{name}_departure" if parameter.is_departure else name
+
+    def as_fitted(self) -> Effect:
+        """The same effect, its parameters under the names that they have in a fit."""
+        named = tuple(replace(p, name=self.variable(p)) for p in self.parameters)
+        return replace(self, parameters=named)
 
     def scaled(self, width: float) -> Effect:
         """The same effect with all priors of its size wider by a factor."""
@@ -214,6 +234,27 @@ class Effect:
             return change(physics, parameters, self.values(parameters), setting)
 
         return modify
+
+
+def _role(parameter: EffectParameter) -> str:
+    return ", departure from the baseline's" if parameter.is_departure else ""
+
+
+def columns_of(kinds: Iterable[Kind], thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
+    """Every column of telemetry that some kinds need and that needs no search.
+
+    Those of a thruster lie side by side, those of none are the last.
+    """
+    places = {name: place for place, name in enumerate(thrusters)}
+    columns = {
+        column.name: column
+        for kind in kinds
+        if kind.columns is not None
+        for column in kind.columns(thrusters)
+    }
+    return tuple(
+        sorted(columns.values(), key=lambda c: places.get(c.name.partition("@")[2], len(places)))
+    )
 
 
 def _wider(distribution: Distribution, width: float) -> Distribution:

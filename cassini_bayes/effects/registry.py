@@ -29,7 +29,7 @@ from cassini_bayes.effects import (
     wheel_alignment,
     wheel_inertia,
 )
-from cassini_bayes.effects.effect import Kind
+from cassini_bayes.effects.effect import Kind, columns_of
 from cassini_bayes.effects.own_files import load_kind
 from cassini_bayes.effects.tables import Table, check_keys, read_table, read_toml
 from cassini_bayes.errors import InputError
@@ -98,20 +98,9 @@ class Kinds:
     files: Mapping[str, str] = field(default_factory=dict)
 
     def columns(self, thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
-        """Every column of telemetry that some kind needs and that needs no search.
-
-        Those of a thruster lie side by side, those of none are the last.
-        """
-        places = {name: place for place, name in enumerate(thrusters)}
-        columns = [
-            c
-            for kind, table in self.kinds
-            if kind.columns is not None and "telemetry" in table.inputs
-            for c in kind.columns(thrusters)
-        ]
-        return tuple(
-            sorted(columns, key=lambda c: places.get(c.name.partition("@")[2], len(places)))
-        )
+        """Every column that some kind of effect on telemetry needs."""
+        shown = (kind for kind, table in self.kinds if "telemetry" in table.inputs)
+        return columns_of(shown, thrusters)
 
     def separation(self, one: str, other: str) -> str | None:
         """The measurement that tells two kinds apart, in words; None where neither names one."""

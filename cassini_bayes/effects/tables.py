@@ -55,6 +55,7 @@ class Table:
     where: str
     targets: str
     inputs: tuple[str, ...]
+    source: str
     parameters: tuple[ParameterTable, ...]
     form_error: Mapping[str, float]
 
@@ -102,6 +103,7 @@ def read_table(document: Mapping[str, Any], where: str) -> Table:
         where,
         document["targets"],
         tuple(inputs),
+        document["source"],
         tuple(_parameter(row, key, f"{where}.parameters.{key}") for key, row in parameters.items()),
         _table(document.get("form_error", {}), f"{where}.form_error"),
     )

@@ -85,7 +85,7 @@ def coordinates_of(model: Model) -> Coordinates:
 
 def density_name(model: Model) -> str:
     """Variable of the log density of data: the terms' own name where all have the same."""
-    names = {term.density_name for term in model.terms}
+    names = {term.density_name for term in model.terms if term.events}
     return names.pop() if len(names) == 1 else DENSITY
 
 

@@ -65,7 +65,8 @@ class Review:
         """What has to be read first."""
         is_broken = self.model.telemetry and self.physicality.is_broken
         physical = (self.physicality.sentence,) if is_broken else ()
-        return (*self.notes, *physical, *conflict_sentences(self.nuisances))
+        unseen = self.observability.unseen_effects if self.model.effects else ()
+        return (*self.notes, *physical, *unseen, *conflict_sentences(self.nuisances))
 
     @cached_property
     def summary(self) -> pd.DataFrame:

@@ -24,8 +24,7 @@ from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import weigh
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import build_model
+from cassini_bayes.model.posterior import build_model, log_posterior
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.report.diagnosis import gain_sentence
 from cassini_bayes.sampling.warmstart import warm_start

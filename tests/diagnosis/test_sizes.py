@@ -48,7 +48,7 @@ def late_records() -> tuple[Events, Candidate]:
     full = none_hypothesis(events)
     none = compact(full)
     base = find_mode(none.log_density, none.dimension)
-    cause = compact(extend(full, [events.catalogue.effect("time_offset")], events))
+    cause = compact(extend(full, [events.catalogue.effect("time_offset")]))
     (weighed,) = weigh_extensions([cause], [newton_search(cause, base)], base, lambda _: None)
     return events, weighed
 
@@ -97,7 +97,7 @@ def test_every_cause_and_size_goes_with_events_that_fire_nothing() -> None:
     none = none_hypothesis(events)
     for effect in events.catalogue.effects:
         if not effect.needs_search:
-            hypothesis = extend(none, [effect], events)
+            hypothesis = extend(none, [effect])
             assert np.isfinite(hypothesis.log_density(np.zeros((1, hypothesis.dimension)))).all()
     z = np.random.default_rng(5).standard_normal((3, none.dimension))
     own = with_unresolved(events, none, 0.0 * z[0], z, np.random.default_rng(6))

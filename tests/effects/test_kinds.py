@@ -12,7 +12,6 @@ import cassini_bayes
 from cassini_bayes.balance.physics import physics_of
 from cassini_bayes.balance.statistics import RowContext, Samples, reduce_chunks
 from cassini_bayes.balance.statistics.columns import Carry, settle
-from cassini_bayes.diagnosis.events import TelemetrySource, reduce_source
 from cassini_bayes.effects.catalogue import read_catalogue
 from cassini_bayes.effects.registry import KINDS, standard
 from cassini_bayes.effects.thrust_warmup import (
@@ -22,6 +21,7 @@ from cassini_bayes.effects.thrust_warmup import (
     tail_column,
 )
 from cassini_bayes.effects.time_offset import hat_weights
+from cassini_bayes.model.event_reduction import reduce_samples, sampling_of
 from cassini_bayes.priors.reader import read_priors
 
 ROOT = Path(__file__).parents[2]
@@ -123,8 +123,10 @@ def test_long_events_have_the_columns_of_the_whole_event() -> None:
     rates = 1e-5 * rng.standard_normal((n, 3)), rng.standard_normal((n, 3))
     samples = Samples(time_s, attitude, *rates, 0.125 * pulses, pulses)
     thrusters = PRIORS.spacecraft.thruster_names(PRIORS.branch)
-    source = TelemetrySource("long", "bias", (1, 2, 4), thrusters, samples)
-    whole, sampling = reduce_source(source, PRIORS, standard().columns(thrusters))
+    sampling = sampling_of(PRIORS, thrusters, n - 1.0, "first_order")
+    event = reduce_samples("long", "bias", (1, 2, 4), thrusters, samples, sampling)
+    event = event.with_columns(standard().columns(thrusters))
+    whole, sampling = event.statistics, event.sampling
     rows, _ = settle(samples, Carry.start(whole.layout), whole.layout, sampling, final=True)
     place = whole.layout.scalar.index(tail_column("z1", 32.0))
     wanted = float((rows.scalar[:, place] ** 2).sum())

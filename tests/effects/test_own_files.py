@@ -85,7 +85,7 @@ def weighed(path: Path) -> np.ndarray:
     rows = read_totals(str(FLIGHT), PRIORS.spacecraft, "flight")[:2]
     events = prepare((), PRIORS, rows, read_kinds([path]))
     effect = events.catalogue.effect("plume:z3")
-    own = compact(extend(none_hypothesis(events), [effect], events))
+    own = compact(extend(none_hypothesis(events), [effect]))
     return own.log_density(np.zeros((2, own.dimension)))
 
 

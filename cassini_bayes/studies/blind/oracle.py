@@ -211,7 +211,7 @@ def _columns(
         middle = _null(p.key) + sign * KINK * scale
         plain.append(replace(p, distribution=Distribution("norm", {"loc": middle, "scale": scale})))
         rest.append(0.0)
-    extended = extend(none, [replace(effect, parameters=tuple(plain))], events)
+    extended = extend(none, [replace(effect, parameters=tuple(plain))])
     linear, _ = linearise(events, extended, np.concatenate([base.point, rest]))
     d = len(base.point)
     sized = [i for i, p in enumerate(effect.parameters) if p.distribution.name != "lognorm"]

@@ -81,11 +81,9 @@ def _known(none: Hypothesis, events: Events, truth: Truth, width: int) -> Array:
     return known
 
 
-def held(
-    none: Hypothesis, effect: Effect, values: Mapping[str, float], events: Events
-) -> Hypothesis:
+def held(none: Hypothesis, effect: Effect, values: Mapping[str, float]) -> Hypothesis:
     """The baseline with an effect at fixed values (departures or values, by key)."""
-    extended, old = extend(none, [effect], events), none.model.space
+    extended, old = extend(none, [effect]), none.model.space
     fixed = {p.name: float(values[p.key]) for p in effect.parameters}
     space = ParameterSpace(old.names, {**old.fixed, **fixed}, old.distributions, old.blocks)
     return replace(extended, model=replace(extended.model, space=space))
@@ -93,7 +91,7 @@ def held(
 
 def modelled_size(view: View, effect: Effect, values: Mapping[str, float]) -> float:
     """σ by the change that the model of the effect makes on the flight that has it."""
-    changed = held(view.none, effect, values, view.events)
+    changed = held(view.none, effect, values)
     other, factors = linearise(view.events, changed, view.point, smooth_channels=False)
     before, after = _in_momentum(view.linear, view.factors), _in_momentum(other, tuple(factors))
     shift = np.concatenate(

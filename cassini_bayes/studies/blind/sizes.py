@@ -107,14 +107,14 @@ def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
 def sensitivity(events: Events, base: Mode, path: Growth) -> float:
     """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
     none = none_hypothesis(events)
-    values = [_marginal(events, none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
+    values = [_marginal(none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
     bend = float((2.0 * values[1] - values[0] - values[2]) / SHIFT**2)
     return float(np.sqrt(bend)) if bend > 0 else 0.0
 
 
-def _marginal(events: Events, none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
+def _marginal(none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
     """Log marginal density at a fixed effect, the nuisances integrated out about the mode."""
-    hypothesis = held(none, path.effect, path.values(s), events)
+    hypothesis = held(none, path.effect, path.values(s))
     moves = STEP * base.factor.T
     offsets = np.vstack([0.0 * moves[:1], moves, -moves])
     point, d = base.point, len(base.point)
