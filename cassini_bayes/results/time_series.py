@@ -120,7 +120,8 @@ def balances(
     Rows are thinned evenly to at most ``most_rows``.
     """
     points, first = model.points(z), len(model.totals)
-    thrust, own = model.fired_of_term[first:], draws.own[first:]
+    places = slice(first, first + len(model.telemetry))
+    thrust, own = model.fired_of_term[places], draws.own[places]
     for term, fired, drawn in zip(model.telemetry, thrust, own, strict=True):
         balance, physics = term.balance, term.physics(points)
         rows, every = _rows(term, most_rows)
