@@ -13,7 +13,7 @@ from cassini_bayes.effects.tables import ParameterTable, Table
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.priors.distributions import Distribution
-from cassini_bayes.priors.reader import Priors
+from cassini_bayes.priors.reader import Priors, known_parameters
 
 ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 
@@ -185,9 +185,17 @@ def _effect(kind: Kind, table: Table, target: str, priors: Priors) -> Effect | N
         if parameter is None:
             return None
         parameters.append(parameter)
-    sizes = kind.reported or tuple(p.key for p in parameters)
+    keys = tuple(p.key for p in parameters)
+    for key in kind.reported if kind.report is None else ():
+        _size(f"{table.where / 'parameters'} (reported of {kind.name})", key, keys)
+    sizes = kind.reported or keys
+    for key in kind.known_to:
+        _size(f"{table.where / 'parameters'} (known_to of {kind.name})", key, sizes)
     form_error = tuple(
-        (_size(table, key.replace("{target}", target), sizes), _share(table, key, share))
+        (
+            _size(str(table.where / "form_error" / key), key.replace("{target}", target), sizes),
+            _share(table, key, share),
+        )
         for key, share in table.form_error.items()
     )
     return Effect(kind, target, tuple(parameters), 0.0, form_error, source=table.source)
@@ -199,13 +207,21 @@ def _parameter(
     key = row.key.replace("{target}", target)
     prior = priors.parameters.get(key)
     keywords = dict(row.keywords)
+    known = known_parameters(priors.spacecraft)
+    if row.is_departure and key not in known:
+        raise InputError(
+            str(row.where),
+            f"a departure from a parameter of {priors.spacecraft.name}",
+            repr(key),
+            nearest(key, known),
+        )
     if row.times_prior is not None:
         if prior is None or prior.distribution is None:
             return None
         keywords |= {"loc": 0.0, "scale": row.times_prior * prior.distribution.sd()}
     if row.is_departure and prior is not None and row.unit != prior.spec.unit:
         raise InputError(
-            f"{row.where}.unit", f"{prior.spec.unit}, that of {key}", repr(row.unit),
+            str(row.where / "unit"), f"{prior.spec.unit}, that of {key}", repr(row.unit),
             "convert the values, then write that unit",
         )  # fmt: skip
     role = "departure" if row.is_departure else "effect"
@@ -213,14 +229,13 @@ def _parameter(
         f"{role}:{kind.name}:{target}:{key}",
         key,
         row.unit,
-        Distribution(row.dist, keywords, row.low, row.high, where=row.where),
+        Distribution(row.dist, keywords, row.low, row.high, where=str(row.where)),
         row.is_departure,
     )
 
 
-def _size(table: Table, key: str, sizes: Sequence[str]) -> str:
+def _size(where: str, key: str, sizes: Sequence[str]) -> str:
     if key not in sizes:
-        where = f"{table.where}.form_error.{key}"
         raise InputError(where, "a size of the effect", repr(key), nearest(key, sizes))
     return key
 
@@ -228,7 +243,7 @@ def _size(table: Table, key: str, sizes: Sequence[str]) -> str:
 def _share(table: Table, key: str, share: object) -> float:
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share < 1:
         raise InputError(
-            f"{table.where}.form_error.{key}",
+            str(table.where / "form_error" / key),
             "a share of the size, 0 to 1",
             repr(share),
             "give the standard deviation of what the form leaves out, over the size",

@@ -21,6 +21,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.controller import Controller, Fired
 from cassini_bayes.effects.firings import Firings
 from cassini_bayes.effects.printed import Printed
+from cassini_bayes.errors import InputError
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, ParameterSpec
@@ -244,17 +245,28 @@ def columns_of(kinds: Iterable[Kind], thrusters: Sequence[str]) -> tuple[ExtraCo
     """Every column of telemetry that some kinds need and that needs no search.
 
     Those of a thruster lie side by side, those of none are the last.
+
+    Raises
+    ------
+    InputError
+        Two columns of one name.
     """
     places = {name: place for place, name in enumerate(thrusters)}
-    columns = {
-        column.name: column
-        for kind in kinds
-        if kind.columns is not None
-        for column in kind.columns(thrusters)
-    }
-    return tuple(
-        sorted(columns.values(), key=lambda c: places.get(c.name.partition("@")[2], len(places)))
-    )
+    needed = {kind.name: kind.columns for kind in kinds if kind.columns is not None}
+    owner: dict[str, str] = {}
+    columns: list[ExtraColumn] = []
+    for name, make in needed.items():
+        for column in make(thrusters):
+            if column.name in owner:
+                raise InputError(
+                    f"effect {name}: column {column.name}",
+                    "a name of its own",
+                    f"one that {owner[column.name]} has",
+                    "rename it",
+                )
+            owner[column.name] = name
+            columns.append(column)
+    return tuple(sorted(columns, key=lambda c: places.get(c.name.partition("@")[2], len(places))))
 
 
 def _wider(distribution: Distribution, width: float) -> Distribution:
@@ -262,4 +274,4 @@ def _wider(distribution: Distribution, width: float) -> Distribution:
     if distribution.name == "lognorm":
         return distribution
     keywords = dict(distribution.keywords)
-    return replace(distribution, keywords={**keywords, "scale": keywords["scale"] * width})
+    return replace(distribution, keywords={**keywords, "scale": keywords.get("scale", 1.0) * width})

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import re
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import wraps
 from pathlib import Path
@@ -19,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.statistics import ExtraColumn, RowContext
+from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.controller import Fired
 from cassini_bayes.effects.effect import Kind
@@ -27,6 +28,8 @@ from cassini_bayes.effects.printed import Printed
 from cassini_bayes.errors import InputError
 
 Shape = tuple[int, ...]
+_NAME: Final = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_TAKEN: Final = ("none", "unknown")  # what a diagnosis weighs beside causes
 ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
     "change": ("physics", "parameters", "values", "setting"),
     "change_in_rows": ("physics", "parameters", "values", "setting"),
@@ -52,10 +55,17 @@ def load_module(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(f"effect_{path.stem}", path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise InputError(str(path), "a Python file", "none", "name one that is there")
+    if not _NAME.fullmatch(path.stem) or path.stem in _TAKEN:
+        raise InputError(
+            str(path),
+            "a name of letters, digits and _",
+            path.stem,
+            "rename it",
+        )
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # noqa: BLE001 - a user's file may do anything
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
         raise _fault(path, "a Python file that can be run", error) from None
     return module
 
@@ -75,14 +85,77 @@ def load_kind(path: Path) -> Kind:
         )
     if kind.name != path.stem:
         raise InputError(
-            f"{path}: KIND.name", repr(path.stem), repr(kind.name), "name the file after it"
+            f"{_kind_line(path)}: KIND.name",
+            repr(path.stem),
+            repr(kind.name),
+            "name the file after it",
         )
+    _check_figures(path, kind)
     hooks: dict[str, Any] = {
         name: guarded(path, name, hook)
         for name in ARGUMENTS
         if (hook := getattr(kind, name, None)) is not None
     }
+    if kind.report is not None:
+        hooks["report"] = _reporting(_hook_line(path, kind.report), hooks["report"], kind.reported)
     return replace(kind, **hooks)
+
+
+def _check_figures(path: Path, kind: Kind) -> None:
+    """What of a kind is no function."""
+    given: Any = kind  # a user may have given anything
+    forms: Mapping[str, tuple[str, bool]] = {
+        "reported": (
+            "a tuple of texts",
+            isinstance(given.reported, tuple) and all(isinstance(k, str) for k in given.reported),
+        ),
+        "known_to": (
+            "steps by size",
+            isinstance(given.known_to, Mapping)
+            and all(isinstance(v, int | float) and v >= 0 for v in given.known_to.values()),
+        ),
+        "separation": (
+            "texts by kind",
+            isinstance(given.separation, Mapping)
+            and all(isinstance(v, str) for v in given.separation.values()),
+        ),
+    }
+    for name, (expected, holds) in forms.items():
+        if not holds:
+            where = f"{_kind_line(path)}: KIND.{name}"
+            raise InputError(where, expected, repr(getattr(kind, name)), "write such")
+
+
+def _kind_line(path: Path) -> str:
+    """The file and the line in which its kind begins."""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    begins = [number for number, line in enumerate(lines, 1) if line.startswith("KIND")]
+    return f"{path}, line {begins[-1]}" if begins else str(path)
+
+
+def _hook_line(path: Path, hook: Any) -> str:
+    """The file and the line in which a function begins."""
+    code = getattr(hook, "__code__", None)
+    return str(path) if code is None else f"{path}, line {code.co_firstlineno}"
+
+
+def _reporting(
+    where: str, report: Callable[..., Any], sizes: tuple[str, ...]
+) -> Callable[..., Any]:
+    """A report that has to give the sizes that the kind says it reports."""
+
+    def call(*given: Any) -> Any:
+        result = report(*given)
+        if set(result) != set(sizes):
+            raise InputError(
+                f"{where}: report",
+                f"the sizes that KIND.reported names, {sorted(sizes)}",
+                str(sorted(result)),
+                "return these",
+            )
+        return result
+
+    return call
 
 
 def guarded(path: Path, name: str, hook: Any) -> Callable[..., Any]:
@@ -97,8 +170,7 @@ def guarded(path: Path, name: str, hook: Any) -> Callable[..., Any]:
     try:
         inspect.signature(hook).bind(*ARGUMENTS[name])
     except (TypeError, ValueError) as error:
-        line = getattr(getattr(hook, "__code__", None), "co_firstlineno", None)
-        where = str(path) if line is None else f"{path}, line {line}"
+        where = _hook_line(path, hook)
         raise InputError(where, wanted, str(error), "take these arguments") from None
 
     @wraps(hook)
@@ -107,32 +179,34 @@ def guarded(path: Path, name: str, hook: Any) -> Callable[..., Any]:
             result = hook(*given)
         except InputError:
             raise
-        except Exception as error:  # noqa: BLE001 - a user's file may do anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
             raise _fault(path, f"{wanted} that returns", error) from None
-        return _checked(f"{path}: {name}", name, result, given)
+        return _checked(path, f"{_hook_line(path, hook)}: {name}", name, result, given)
 
     return call
 
 
-def _fault(path: Path, expected: str, error: Exception) -> InputError:
+def _fault(path: Path, expected: str, error: BaseException) -> InputError:
     """An exception in a user's file as one line."""
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [frame.lineno for frame in frames if frame.filename == str(path)]
-    if isinstance(error, SyntaxError):
+    whole, frames = path.resolve(), traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == whole]
+    if isinstance(error, SyntaxError) and Path(error.filename or "").resolve() == whole:
         lines.append(error.lineno)
     where = f"{path}, line {lines[-1]}" if lines else str(path)
     message = " ".join(str(error).split())
     return InputError(where, expected, f"{type(error).__name__}: {message}", "mend that line")
 
 
-def _checked(where: str, name: str, result: Any, given: tuple[Any, ...]) -> Any:
+def _checked(path: Path, where: str, name: str, result: Any, given: tuple[Any, ...]) -> Any:
     """A result of the form that it has to have."""
     if name in ("change", "change_in_rows"):
         _check_type(where, result, Physics)
-        _check_physics(where, result, given[0], len(next(iter(given[2].values()))))
+        _check_physics(where, result, given[0], given[2])
     elif name == "columns":
         _check_type(where, result, tuple)
-        return tuple(_checked_column(where, column) for column in result)
+        return tuple(_checked_column(path, where, column, given[0]) for column in result)
+    elif name == "search":
+        return None if result is None else _checked_search(path, where, result)
     elif name == "rate_errors":
         points = len(next(iter(given[0].values())))
         for part, what in zip(_pair(where, result), ("bias", "scale"), strict=True):
@@ -146,8 +220,11 @@ def _checked(where: str, name: str, result: Any, given: tuple[Any, ...]) -> Any:
         _check_type(where, result, Fired)
     elif name in ("report", "doubt"):
         _check_type(where, result, dict)
-        for key, value in result.items() if name == "doubt" else ():
-            _check_type(f"{where}: {key}", value, Printed)
+        for key, value in result.items():
+            if name == "doubt":
+                _check_type(f"{where}: {key}", value, Printed)
+            else:
+                _check_shape(f"{where}: {key}", value, (len(next(iter(given[0].values()))),))
     return result
 
 
@@ -162,8 +239,11 @@ def _pair(where: str, result: Any) -> tuple[Any, Any]:
     return result
 
 
-def _check_physics(where: str, result: Physics, given: Physics, points: int) -> None:
-    """Every quantity that was changed has the shape of one for every point."""
+def _check_physics(
+    where: str, result: Physics, given: Physics, values: Mapping[str, Array]
+) -> None:
+    """Every quantity that was changed has the shape of one for every point, and finite values."""
+    points = len(next(iter(values.values())))
     axes, wheels, thrusters = (3,), given.wheel_inertia_kg_m2.shape[-1:], given.arms_m.shape[-1:]
     tails: Mapping[str, Shape] = {
         "inertia_kg_m2": (3, 3),
@@ -179,16 +259,31 @@ def _check_physics(where: str, result: Physics, given: Physics, points: int) -> 
     for field in fields(Physics):
         value = getattr(result, field.name)
         if value is not getattr(given, field.name) and field.name in tails:
-            _check_shape(f"{where}: {field.name}", value, (points, *tails[field.name]))
+            _check_numbers(f"{where}: {field.name}", value, (points, *tails[field.name]))
     for name, weight in result.extra.items():
         if given.extra.get(name) is not weight:
             tail = () if "@" in name else axes
-            _check_shape(f"{where}: extra[{name!r}]", weight, (points, *tail))
+            _check_numbers(f"{where}: extra[{name!r}]", weight, (points, *tail))
+
+
+def _check_numbers(where: str, value: Any, wanted: Shape) -> None:
+    """Finite numbers of a shape."""
+    _check_shape(where, value, wanted)
+    if not np.isfinite(value).all():
+        raise InputError(
+            where, "finite values", "NaN or infinity", "mend it, or bound the parameter"
+        )
 
 
 def _check_shape(where: str, value: Any, wanted: Shape) -> None:
-    """A shape that broadcasts to the one wanted."""
-    shape = np.shape(value)
+    """Real numbers of a shape that broadcasts to the one wanted."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged lists
+        array = np.array(None)
+    if array.dtype.kind not in "fiub":
+        raise InputError(where, f"real numbers {wanted}", repr(value)[:60], "return an array")
+    shape = array.shape
     try:
         fits = np.broadcast_shapes(shape, wanted) == wanted
     except ValueError:
@@ -197,16 +292,47 @@ def _check_shape(where: str, value: Any, wanted: Shape) -> None:
         raise InputError(where, f"an array {wanted}", f"one of shape {shape}", "mend its shape")
 
 
-def _checked_column(where: str, column: object) -> ExtraColumn:
+def _checked_search(path: Path, where: str, result: Any) -> Any:
+    """What a search settled, its columns checked as those of a kind are."""
+    lacking = [name for name in ("log_gain", "log_looks", "columns") if not hasattr(result, name)]
+    if lacking:
+        raise InputError(where, f"a result with {lacking[0]}", repr(result)[:60], "give it one")
+    for name in ("log_gain", "log_looks"):
+        if np.ndim(value := getattr(result, name)) or not np.isfinite(value):
+            raise InputError(f"{where}: {name}", "a finite number", repr(value), "mend it")
+    columns = result.columns
+
+    def checked(samples: Samples) -> tuple[ExtraColumn, ...]:
+        try:
+            made = columns(samples)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+            raise _fault(path, "columns(samples) that returns", error) from None
+        _check_type(f"{where}: columns", made, tuple)
+        return tuple(_checked_column(path, where, column, ()) for column in made)
+
+    object.__setattr__(result, "columns", checked)  # frozen or not, it has to be this one
+    return result
+
+
+def _checked_column(
+    path: Path, where: str, column: object, thrusters: Sequence[str]
+) -> ExtraColumn:
     """A column whose values are one finite number for every row."""
     if not isinstance(column, ExtraColumn):
         raise InputError(where, "ExtraColumn(name, function)", repr(column), "return these")
-    path = Path(where.rpartition(": ")[0])
+    _, at, thruster = column.name.partition("@")
+    if at and thruster not in thrusters:
+        raise InputError(
+            f"{where}: {column.name}",
+            f"a thruster behind @, one of {', '.join(thrusters) or 'none'}",
+            repr(thruster),
+            "name one that was given",
+        )
 
     def values(context: RowContext) -> Array:
         try:
             array = np.asarray(column.values(context), dtype=np.float64)
-        except Exception as error:  # noqa: BLE001 - a user's file may do anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
             raise _fault(path, f"values of column {column.name}", error) from None
         _check_shape(f"{where}: {column.name}", array, (len(context.time_s),))
         if not np.isfinite(array).all():

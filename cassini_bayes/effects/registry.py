@@ -31,7 +31,7 @@ from cassini_bayes.effects import (
 )
 from cassini_bayes.effects.effect import Kind, columns_of
 from cassini_bayes.effects.own_files import load_kind
-from cassini_bayes.effects.tables import Table, check_keys, read_table, read_toml
+from cassini_bayes.effects.tables import CHANGEABLE, Place, Table, check_keys, read_table, read_toml
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number
 from cassini_bayes.files.storage import digest
@@ -130,30 +130,35 @@ def read_kinds(files: Sequence[Path]) -> Kinds:
         A file that is neither, or a mistake in one: file and line or dotted key are named.
     """
     kinds = {kind.name: kind for kind in KINDS}
-    tables = {name: (read_toml(FOLDER / f"{name}.toml"), f"{name}.toml") for name in kinds}
+    tables = {name: _with_place(FOLDER / f"{name}.toml") for name in kinds}
     beliefs = read_toml(CAUSES)
+    places = {key: Place(CAUSES, (key,)) for key in beliefs}
     for path in files:
         if path.suffix == ".py":
-            kind, beside = load_kind(path), path.with_suffix(".toml")
-            kinds[kind.name], tables[kind.name] = kind, (read_toml(beside), str(beside))
+            kind = load_kind(path)
+            kinds[kind.name], tables[kind.name] = kind, _with_place(path.with_suffix(".toml"))
         elif path.suffix != ".toml":
             raise InputError(str(path), "a .py or .toml file of effects", path.suffix, "name one")
     for path in files:
         if path.suffix == ".toml":
-            changed = read_toml(path)
-            check_keys(changed, ("effects", *beliefs), str(path))
-            for key in set(changed) & set(beliefs):
-                check_keys(changed[key], beliefs[key], f"{path}: {key}")
+            changed, whole = _with_place(path)
+            check_keys(changed, ("effects", *beliefs), whole)
+            for key in [key for key in beliefs if key in changed]:
+                places[key] = whole / key
+                check_keys(changed[key], beliefs[key], places[key])
                 beliefs[key] = {**beliefs[key], **changed[key]}
-            check_keys(changed.get("effects", {}), kinds, f"{path}: effects")
+            check_keys(changed.get("effects", {}), kinds, whole / "effects")
             for name, table in changed.get("effects", {}).items():
-                known = tables[name][0]["parameters"]
-                check_keys(table.get("parameters", {}), known, f"{path}: effects.{name}.parameters")
-                tables[name] = (merged(tables[name][0], table), f"{path}: effects.{name}")
+                place, (known, _) = whole / "effects" / name, tables[name]
+                check_keys(table, CHANGEABLE, place)
+                parameters = read_table(known, tables[name][1]).parameters
+                keys = [parameter.key for parameter in parameters]
+                check_keys(table.get("parameters", {}), keys, place / "parameters")
+                tables[name] = (merged(known, table), place)
     return Kinds(
-        tuple((kind, read_table(*tables[name])) for name, kind in kinds.items()),
-        _odds(beliefs["causes"]),
-        _unknown(beliefs["unknown"]),
+        tuple((kind, _table_of(kind, *tables[name])) for name, kind in kinds.items()),
+        _odds(beliefs["causes"], places["causes"]),
+        _unknown(beliefs["unknown"], places["unknown"]),
         {
             str(path): digest(path)
             for table in files
@@ -168,20 +173,43 @@ def merged(table: Mapping[str, Any], changed: Mapping[str, Any]) -> dict[str, An
     return {**table, **changed, "parameters": parameters}
 
 
-def _odds(causes: Mapping[str, Any]) -> Odds:
+def _positive(where: Place, value: object) -> float:
+    number = finite_number(str(where), value)
+    if number <= 0.0:
+        raise InputError(str(where), "a positive number", f"{number:g}", "change it")
+    return number
+
+
+def _with_place(path: Path) -> tuple[dict[str, Any], Place]:
+    return read_toml(path), Place(path)
+
+
+def _table_of(kind: Kind, document: Mapping[str, Any], where: Place) -> Table:
+    table = read_table(document, where)
+    if "estimates" in table.inputs and kind.doubt is None:
+        raise InputError(
+            str(where / "inputs"),
+            f"inputs that {kind.name} can show in",
+            "'estimates', of which it has no doubt(printed, width)",
+            "leave it out, or write that function",
+        )
+    return table
+
+
+def _odds(causes: Mapping[str, Any], where: Place) -> Odds:
     none, catalogued, unknown = (
-        finite_number(f"causes.{key}", causes[key]) for key in ("none", "catalogued", "unknown")
+        finite_number(str(where / key), causes[key]) for key in ("none", "catalogued", "unknown")
     )
     total = none + catalogued + unknown
     if min(none, catalogued, unknown) <= 0.0 or not math.isclose(total, 1.0):
         raise InputError(
-            "causes", "three probabilities that add up to 1", f"{total:g}", "mend the table"
+            str(where), "three probabilities that add up to 1", f"{total:g}", "mend the table"
         )
     return Odds(none, catalogued, unknown)
 
 
-def _unknown(unknown: Mapping[str, Any]) -> Unknown:
-    values = {k: finite_number(f"unknown.{k}", v) for k, v in unknown.items() if k != "source"}
+def _unknown(unknown: Mapping[str, Any], where: Place) -> Unknown:
+    values = {k: _positive(where / k, v) for k, v in unknown.items() if k != "source"}
 
     def about(median: str, log_sd: str) -> Distribution:
         return Distribution("lognorm", {"s": values[log_sd], "scale": values[median]})

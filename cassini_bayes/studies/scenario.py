@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.effects.own_files import guarded, load_module
-from cassini_bayes.effects.tables import read_table, read_toml
+from cassini_bayes.effects.tables import Place, read_table, read_toml
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, write_totals
 from cassini_bayes.files.storage import write_text
@@ -311,7 +311,7 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
         module = load_module(path) if path.suffix == ".py" else None
         if module is not None and hasattr(module, "simulate"):
             beside = path.with_suffix(".toml")
-            table = read_table(read_toml(beside), str(beside))
+            table = read_table(read_toml(beside), Place(beside))
             keys = tuple(parameter.key for parameter in table.parameters)
             targets = None if table.targets == "none" else table.targets
             change = guarded(path, "simulate", module.simulate)

@@ -106,12 +106,45 @@ def test_an_effect_of_no_size_is_the_baseline(tmp_path: Path) -> None:
         ("k = setting.thruster", "k = (", r"line \d+: .*SyntaxError"),
         ("import numpy as np", "import numpi as np", r"line \d+: .*ModuleNotFoundError"),
         ("(physics, parameters, values, setting)", "(physics, values)", r"line \d+: .*change\("),
-        ("return replace(physics, arms_m=arms)", "return arms", "plume.py: change: .*a Physics"),
+        (
+            "return replace(physics, arms_m=arms)",
+            "return arms",
+            r"plume.py, line \d+: change: .*a Physics",
+        ),
         ("arms_m=arms)", "arms_m=arms[..., :2])", r"change: arms_m: .*\(2, 3, 8\)"),
         ('    "plume",\n', '    "plums",\n', "KIND.name"),
         ("KIND = Kind", "KINDS = Kind", r"KIND = Kind\(\.\.\.\)"),
         ("    change,\n", "", r"line \d+: .*TypeError.*change"),
         ("    change,\n", "    chnage=change,\n", r"line \d+: .*TypeError.*chnage"),
+        ("    change,\n", "    5,\n", r"plume.py: expected change\(.*not a callable"),
+        ("arms_m=arms)", "arms_m=arms * np.nan)", r"line \d+: change: arms_m: .*finite"),
+        ("arms_m=arms)", "arms_m=arms * 1j)", r"line \d+: change: arms_m: .*real numbers"),
+        ("arms_m=arms)", "arms_m='wide')", r"line \d+: change: arms_m: .*real numbers"),
+        ("arms_m=arms)", "arms_m=[[1.0], 2.0])", r"line \d+: change: arms_m: .*real numbers"),
+        ("arms_m=arms)", "arm_m=arms)", r"line \d+: .*TypeError.*arm_m"),
+        ("import numpy as np", "import numpy as np; exit(3)", r"line \d+: .*SystemExit"),
+        ("k = setting.thruster", "return k()", r"line \d+: .*UnboundLocalError|NameError"),
+        (
+            "    separation={",
+            "    reported=5,\n    separation={",
+            r"line \d+: KIND.reported: .*texts",
+        ),
+        (
+            "    separation={",
+            "    known_to=[5],\n    separation={",
+            r"line \d+: KIND.known_to: .*steps",
+        ),
+        (
+            "    separation={",
+            "    known_to={'a': 1.0},\n    separation={",
+            "known_to of plume.*'a'",
+        ),
+        ("    separation={", "    reported=('a',),\n    separation={", "reported of plume.*'a'"),
+        (
+            "    separation={",
+            "    separation=5) or dict(a={",
+            r"line \d+: KIND.separation: .*texts",
+        ),
     ],
 )
 def test_mistakes_in_a_file_are_one_line(tmp_path: Path, old: str, new: str, told: str) -> None:
@@ -125,13 +158,24 @@ def test_mistakes_in_a_file_are_one_line(tmp_path: Path, old: str, new: str, tol
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('"telemetry"', '"telemetri"', "plume.toml.inputs: .*did you mean 'telemetry'"),
-        ('targets = "thruster"', 'targets = "thrusters"', "plume.toml.targets: .*'thruster'"),
-        ('unit = "m"', 'unit = "metre"', "plume.toml.parameters.lever_m.unit"),
-        ('dist = "norm"', 'dist = "nrom"', "plume.toml.parameters.lever_m"),
+        ('"telemetry"', '"telemetri"', r"plume.toml, line \d+: inputs: .*did you mean 'telemetry'"),
+        (
+            'targets = "thruster"',
+            'targets = "thrusters"',
+            r"plume.toml, line \d+: targets: .*'thruster'",
+        ),
+        ('unit = "m"', 'unit = "metre"', r"plume.toml, line \d+: parameters.lever_m.unit"),
+        ('dist = "norm"', 'dist = "nrom"', r"plume.toml, line \d+: parameters.lever_m"),
         ("scale = 0.1", "scael = 0.1", "lever_m.scael"),
         ('role = "value"', 'role = "size"', "lever_m.role"),
-        ("source =", "sources =", "plume.toml.sources: .*'source'"),
+        ("source =", "sources =", r"plume.toml, line \d+: sources: .*'source'"),
+        ("source =", "source = 5 #", r"plume.toml, line \d+: source: .*a text"),
+        ('targets = "thruster"', "targets = 5", r"plume.toml, line \d+: targets: .*got 5"),
+        ('targets = "thruster"', 'targets = "axis"', "of these events.*'plume:z'"),
+        ("lever_m]", "lever]", r"plume.py, line \d+: .*KeyError: 'lever_m'"),
+        ('role = "value"', 'role = "departure"', r"line \d+: parameters.lever_m: .*a departure"),
+        ("lever_m]", '"lever/m"]', r"line \d+: parameters.lever/m: .*letters"),
+        ('unit = "m"', "unit = 5", r"line \d+: parameters.lever_m.unit: .*a text"),
     ],
 )
 def test_mistakes_in_its_table_are_one_line(tmp_path: Path, old: str, new: str, told: str) -> None:
@@ -139,6 +183,77 @@ def test_mistakes_in_its_table_are_one_line(tmp_path: Path, old: str, new: str, 
     with pytest.raises(InputError, match=told) as caught:
         weighed(copied(tmp_path, old, new, ".toml"))
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_named_from_its_folder_has_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relative path names the same line; a fault of a module that it imports names its own."""
+    copied(tmp_path, "k = setting.thruster", "k = 1 / 0")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"^plume.py, line \d+: .*ZeroDivisionError"):
+        weighed(Path("plume.py"))
+    (tmp_path / "helper_of_a_plume.py").write_text("a = (\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    copied(tmp_path, "import numpy as np", "import numpy as np\nimport helper_of_a_plume")
+    wanted = EXAMPLE.read_text().splitlines().index("import numpy as np") + 2
+    with pytest.raises(InputError, match=rf"^plume.py, line {wanted}: .*SyntaxError"):
+        weighed(Path("plume.py"))
+
+
+@pytest.mark.parametrize("name", ["none", "plume-of-z3", "2plumes"])
+def test_a_file_has_a_name_that_an_effect_can_have(tmp_path: Path, name: str) -> None:
+    """No name that a diagnosis gives to something else, or that no variable can have."""
+    shutil.copy(EXAMPLE, tmp_path / f"{name}.py")
+    with pytest.raises(InputError, match="letters, digits and _"):
+        read_kinds([tmp_path / f"{name}.py"])
+
+
+SEARCH = """
+from types import SimpleNamespace
+
+def search(remainder, priors):
+    return {result}
+
+"""
+
+
+@pytest.mark.parametrize(
+    ("result", "told"),
+    [
+        ("5", r"plume.py, line \d+: search: expected a result with log_gain, got 5"),
+        ("1 / 0", r"plume.py, line \d+: .*ZeroDivisionError"),
+        (
+            "SimpleNamespace(log_gain='a', log_looks=0.0, columns=None)",
+            "search: log_gain: .*number",
+        ),
+        ("SimpleNamespace(log_gain=1.0, log_looks=0.0, columns=lambda s: s.x)", "AttributeError"),
+        ("SimpleNamespace(log_gain=1.0, log_looks=0.0, columns=lambda s: [])", "a tuple, got list"),
+    ],
+)
+def test_what_a_search_settled_is_checked(tmp_path: Path, result: str, told: str) -> None:
+    """Its figures at once, its columns when they are asked for."""
+    path = copied(tmp_path, "KIND = Kind(", SEARCH.format(result=result) + "KIND = Kind(")
+    path.write_text(path.read_text().replace("    change,\n", "    change,\n    search=search,\n"))
+    kind = next(kind for kind, _ in read_kinds([path]).kinds if kind.name == "plume")
+    assert kind.search is not None
+    with pytest.raises(InputError, match=told):
+        settled = kind.search(None, {})  # type: ignore[arg-type]
+        assert settled is not None
+        settled.columns(None)  # type: ignore[arg-type]
+
+
+def test_two_effects_have_columns_of_their_own(tmp_path: Path) -> None:
+    """A column of a name that is taken would have stood in the other's place."""
+    taken = read_kinds([]).columns(("z1",))[-1].name
+    text = COLUMNS.replace("own:ramp", taken).format(values="context.time_s")
+    path = copied(tmp_path, "KIND = Kind(", text + "KIND = Kind(")
+    path.write_text(path.read_text().replace("    change,\n", "    change, columns=columns,\n"))
+    with pytest.raises(InputError, match="effect plume: column .*a name of its own"):
+        read_kinds([path]).columns(("z1",))
+    path.write_text(path.read_text().replace(taken, "ramp@z9"))
+    with pytest.raises(InputError, match="ramp@z9: expected a thruster behind @"):
+        read_kinds([path]).columns(("z1",))
 
 
 def test_a_table_has_to_be_there(tmp_path: Path) -> None:

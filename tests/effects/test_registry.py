@@ -57,14 +57,29 @@ def test_probabilities_before_the_data_can_be_changed_together(tmp_path: Path) -
         changed(tmp_path, "[causes]\nnone = 0.8\n")
 
 
+LEAK = """[effects.thruster_leak.parameters.leak_n]
+role = "value"
+dist = "halfnorm"
+unit = "N"
+"""
+CENTRE = """[effects.center_of_mass.parameters."cm_{target}_m"]
+role = "departure"
+dist = "norm"
+unit = "m"
+"""
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         ("[effects.flexibel_mode]\ninputs = []\n", "effects.flexibel_mode.*did you mean"),
         ('[effects.time_offset]\ninputs = ["telemetri"]\n', "time_offset.inputs.*'telemetry'"),
         ('[effects.time_offset]\ninputs = "telemetry"\n', "a list of inputs"),
-        ('[effects.time_offset]\ntargets = "thrusters"\n', "time_offset.targets.*'thruster'"),
-        ("[effects.time_offset]\ntarget = 1\n", "time_offset.target: .*'targets'"),
+        (
+            '[effects.time_offset]\ntargets = "thrusters"\n',
+            "line 2: effects.time_offset.targets: .*inputs, source",
+        ),
+        ("[effects.time_offset]\ntarget = 1\n", "line 2: effects.time_offset.target: "),
         ("[effects.time_offset.parameters]\nlate_s = 1\n", "late_s.*known: time_offset_s"),
         ("[effects.time_offset.parameters]\ntime_offset_s = 1\n", "time_offset_s.*a table"),
         ('[effects.time_offset.parameters.time_offset_s]\nrole = "size"\n', "role"),
@@ -73,8 +88,28 @@ def test_probabilities_before_the_data_can_be_changed_together(tmp_path: Path) -
         ("[effects.thrust_warmup.form_error]\nwarmup_time_s = 7\n", "a share of the size"),
         ("[effects.thrust_warmup.form_error]\nwarmup_time_s = true\n", "a share of the size"),
         ("[effects.thrust_warmup.form_error]\ndamping = 0.1\n", "a size of the effect"),
-        ("[cause]\nnone = 1\n", "changes.toml.cause: .*'causes'"),
-        ("none = [", "a file of effects"),
+        ("[cause]\nnone = 1\n", "changes.toml, line 1: cause: .*'causes'"),
+        ("none = [", "a table of effects"),
+        ("[effects]\nthruster_leak = 5\n", "line 2: effects.thruster_leak: .*a table"),
+        ("effects = 5\n", "line 1: effects: .*a table"),
+        ("[effects.thrust_warmup]\nparameters = 3\n", "line 2: .*parameters: .*a table"),
+        ("[effects.thrust_warmup]\nsource = 3\n", "line 2: .*source: expected a text"),
+        ('[effects.rate_bias]\ninputs = ["estimates"]\n', "line 2: .*doubt"),
+        ("causes = 5\n", "line 1: causes: .*a table"),
+        ('[causes]\nnone = "half"\n', "line 2: causes.none: .*a finite number"),
+        ("[causes]\nnone = 2.0\ncatalogued = -1.0\nunknown = 0.0\n", "line 1: causes: "),
+        ("[unknown]\nestimate_sd = 0.0\n", "line 2: unknown.estimate_sd: .*positive"),
+        ("[unknown]\nestimate_sd = nan\n", "line 2: unknown.estimate_sd: .*finite"),
+        ("a = " + "[" * 3_000, "a table of effects"),
+        ("a = " + "9" * 5_000, "a table of effects"),
+        (LEAK + "scale = -1.0\n", "line 1: .*leak_n.scale: .*above 0"),
+        (LEAK + 'scale = "wide"\n', "leak_n.scale.*a finite number"),
+        (LEAK + "scale = 1.0\nlow = true\n", "leak_n.low.*a finite number"),
+        (LEAK + "scale = 1.0\nlow = 2.0\nhigh = 1.0\n", "leak_n"),
+        (LEAK + "times_prior = 5.0\n", "line 5: .*times_prior: .*departure"),
+        (CENTRE + "times_prior = -5.0\n", "line 5: .*times_prior: .*a positive number"),
+        (CENTRE + 'times_prior = "5"\n', "line 5: .*times_prior: .*a finite number"),
+        (CENTRE + "times_prior = 5.0\nscale = 1.0\n", "line 5: .*no other keyword"),
     ],
 )
 def test_mistakes_in_a_users_table_are_one_line(tmp_path: Path, text: str, told: str) -> None:
