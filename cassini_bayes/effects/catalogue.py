@@ -136,6 +136,16 @@ def named_effects(
                 "use cassini-bayes diagnose --then-fit",
             )
         chosen.append(effect.as_fitted())
+    taken = set(known_parameters(priors.spacecraft))
+    for spec in (spec for effect in chosen for spec in effect.specs):
+        if spec.name in taken:
+            raise InputError(
+                where,
+                "parameters of names of their own",
+                f"{spec.name!r} twice",
+                "rename the effect",
+            )
+        taken.add(spec.name)
     return tuple(chosen)
 
 

@@ -26,6 +26,7 @@ from cassini_bayes.effects.controller import Fired
 from cassini_bayes.effects.effect import Kind
 from cassini_bayes.effects.printed import Printed
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import finite_number
 
 Shape = tuple[int, ...]
 _NAME: Final = re.compile(r"[A-Za-z]\w*", re.ASCII)
@@ -298,8 +299,7 @@ def _checked_search(path: Path, where: str, result: Any) -> Any:
     if lacking:
         raise InputError(where, f"a result with {lacking[0]}", repr(result)[:60], "give it one")
     for name in ("log_gain", "log_looks"):
-        if np.ndim(value := getattr(result, name)) or not np.isfinite(value):
-            raise InputError(f"{where}: {name}", "a finite number", repr(value), "mend it")
+        finite_number(f"{where}: {name}", getattr(result, name))
     columns = result.columns
 
     def checked(samples: Samples) -> tuple[ExtraColumn, ...]:

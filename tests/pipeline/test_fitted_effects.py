@@ -45,7 +45,7 @@ def fitted(folder: Path) -> Outcome:
         "events": [str(folder / name) for name in ("bias", "slews")],
         "priors": str(PRIORS),
         "model": {"effects": list(NAMES)},
-        "sampler": {**SAMPLER, "max_steps": 200},
+        "sampler": {**SAMPLER, "first_check": 120, "max_steps": 120},
         "output": {"report": False, "draws_per_ensemble": 500, "prior_draws": 500},
     }
     return do(table, folder / "run")[0]
