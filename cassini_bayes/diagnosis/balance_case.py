@@ -86,7 +86,7 @@ class BalanceCase(Case[Hypothesis]):
         log(f"none: log evidence {base.log_evidence:.1f}")
         unknown = compact(unknown_hypothesis(events))
         start = _unknown_start(none, unknown, base)
-        remainder = innovations(events, full, base.point) if events.telemetry else None
+        remainder = innovations(full, base.point) if events.telemetry else None
         direct = [effect for effect in events.catalogue.effects if not effect.needs_search]
         hypotheses = [compact(extend(full, [effect])) for effect in direct]
         to_find = [] if remainder is None else _to_find(events, remainder)
@@ -150,7 +150,7 @@ class BalanceCase(Case[Hypothesis]):
         pairs = [compact(extend(full, [e])) for e in others if not e.needs_search]
         to_find = []
         if events.telemetry and any(e.needs_search for e in others):
-            remainder = innovations(events, first.hypothesis, base.point)
+            remainder = innovations(first.hypothesis, base.point)
             to_find = [(e, work) for e, work in _to_find(events, remainder) if e in others]
         settled_by, near = _side_by_side(
             [work for _, work in to_find], pairs, base, silent, workers, SECOND_CAUSE_NATS
@@ -171,7 +171,7 @@ class BalanceCase(Case[Hypothesis]):
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From draws with what counters leave open (:mod:`cassini_bayes.diagnosis.sizes`)."""
-        return summarised(*size_draws(self.events, weighed, rng))
+        return summarised(*size_draws(weighed, rng))
 
     def held_out(
         self, weighed: Candidate, rng: np.random.Generator, log: Log = silent
@@ -183,8 +183,7 @@ class BalanceCase(Case[Hypothesis]):
         """With what a cause leaves of telemetry."""
         if not self.events.telemetry or weighed.remainder is not None or not weighed.is_cause:
             return weighed
-        events = self.events.with_columns_of(weighed.hypothesis.effects)
-        left = innovations(events, weighed.hypothesis, weighed.mode.point)
+        left = innovations(weighed.hypothesis, weighed.mode.point)
         return replace(weighed, remainder=left)
 
     def rmse(self, weighed: Candidate) -> float | None:

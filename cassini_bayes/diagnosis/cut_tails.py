@@ -23,7 +23,6 @@ from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.telemetry_terms import cut_probability, lost_per_cut_s
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 
 ACROSS_S: Final = 0.035
@@ -92,9 +91,7 @@ def _within(ends: Array, pairs: Array, time_s: Array, duration_s: float) -> Arra
     return np.concatenate(profiles, axis=1)
 
 
-def single_cuts(
-    events: Events, hypothesis: Hypothesis, z: Array, place: int
-) -> tuple[Array, Array, Array]:
+def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Array, Array]:
     """What single cut tails change in the momentum of an event's rows, by the model at z (d,).
 
     A cut tail takes F q (τ_f − τ_r) exp(−0.125 s/τ_f), q summed over thrusters that fire together.
@@ -111,12 +108,12 @@ def single_cuts(
     """
     model, term = hypothesis.model, hypothesis.model.telemetry[place]
     statistics = term.event.statistics
-    layout, time_s = statistics.layout, events.telemetry_rows[place].time_s
+    layout, time_s = statistics.layout, term.event.usable_rows.time_s
     mean = np.zeros((len(time_s), 3))
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = term.physics(model.points(z[None]))
     interval, duration = statistics.counter_interval_s, term.event.sampling.duration_s
-    samples = events.telemetry[place].samples
+    samples = term.event.samples
     for members in layout.couples if layout.thrusters else ():
         possible = losses(samples, members, time_s, duration, interval)
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]

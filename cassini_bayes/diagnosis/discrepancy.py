@@ -73,7 +73,7 @@ def curves_of(
     names = unknown.hypothesis.model.space.names
     at = dict(zip(names, unknown.mode.point, strict=True))
     point = np.array([at[name] for name in full.model.space.names])
-    left = innovations(events, full, point)
+    left = innovations(full, point)
     prior = events.catalogue.unknown.torque_noise
     return discrepancy_curves(left.linear, left.rows, point, prior, rng)
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 from cassini_bayes.balance.rate_information import RateInformation, combined
-from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds, standard
@@ -35,11 +33,6 @@ class Events:
     def ids(self) -> tuple[str, ...]:
         """Of all events."""
         return tuple(event.id for event in self.all)
-
-    @cached_property
-    def telemetry_rows(self) -> tuple[Rows, ...]:
-        """Columns of every telemetry event's usable rows."""
-        return tuple(_usable_rows(event) for event in self.telemetry)
 
     @property
     def rates(self) -> RateInformation:
@@ -72,11 +65,6 @@ class Events:
                 for event in self.telemetry
             ),
         )
-
-
-def _usable_rows(event: ReducedEvent) -> Rows:
-    layout = event.statistics.layout
-    return settle(event.samples, Carry.start(layout), layout, event.sampling, final=True)[0]
 
 
 def prepare(

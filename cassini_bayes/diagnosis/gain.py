@@ -85,8 +85,7 @@ def held_out_telemetry(events: Events, weighed: Weighed[Hypothesis], log: Log = 
         return whole.log_evidence - mode.log_evidence
 
     scores = np.array([score(event.id) for event in events.telemetry])
-    with_columns = events.with_columns_of(weighed.hypothesis.effects)
-    linear, factors = linearise(with_columns, weighed.hypothesis, weighed.mode.point)
+    linear, factors = linearise(weighed.hypothesis, weighed.mode.point)
     residuals, inside = [], []
     for place, factor in enumerate(factors):
         white, spread = predicted_rows(linear, place, -weighed.mode.point)

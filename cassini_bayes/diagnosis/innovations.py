@@ -24,7 +24,6 @@ from cassini_bayes.balance.telemetry_terms import (
     noise_covariance,
 )
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Remainder
@@ -74,7 +73,7 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
 
 
 def linearise(
-    events: Events, hypothesis: Hypothesis, z: Array, *, smooth_channels: bool = True
+    hypothesis: Hypothesis, z: Array, *, smooth_channels: bool = True
 ) -> tuple[Linear, list[Array]]:
     """The whitened linear model at z (d,), and the lower factor (3, 3) of every event's noise.
 
@@ -87,8 +86,8 @@ def linearise(
     thrust = model.thrust_prior.common_mean_n
     levels = model.thrust_prior.shared
     targets, blocks, own_precision, factors = [], [], [], []
-    for term, rows in zip(model.telemetry, events.telemetry_rows, strict=True):
-        terms, physics = term.balance, term.physics(located)
+    for term in model.telemetry:
+        terms, physics, rows = term.balance, term.physics(located), term.event.usable_rows
         weights = balance_weights(terms, physics, thrust)
         noise = noise_covariance(terms, physics, located.parameters)[0]
         factor = np.linalg.cholesky(noise)
@@ -200,19 +199,19 @@ def with_unknowns(
     )
 
 
-def innovations(events: Events, hypothesis: Hypothesis, z: Array) -> Remainder:
+def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
     """What a hypothesis leaves of telemetry at its mode z (d,), what counters leave open as well.
 
     Its linear model has a column for everything that counters leave open (:mod:`.unresolved`).
     """
-    linear, factors = linearise(events, hypothesis, z)
-    opened = [unresolved(events, hypothesis, z, place) for place in range(len(events.telemetry))]
+    events = [term.event for term in hypothesis.model.telemetry]
+    linear, factors = linearise(hypothesis, z)
+    opened = [unresolved(hypothesis, z, place) for place in range(len(events))]
     linear = with_unknowns(linear, opened, factors)
     left = fitted_away(linear, linear.target)
     rows = []
-    for event, usable, part, factor in zip(
-        events.telemetry, events.telemetry_rows, linear.parts, factors, strict=True
-    ):
+    for event, part, factor in zip(events, linear.parts, factors, strict=True):
+        usable = event.usable_rows
         white = left[part].reshape(-1, 3)
         samples = event.samples
         at = np.searchsorted(samples.time_s, usable.time_s)
@@ -234,7 +233,7 @@ def innovations(events: Events, hypothesis: Hypothesis, z: Array) -> Remainder:
         )
     parameters = hypothesis.model.space.to_parameters(z[None])
     return Remainder(
-        tuple(event.samples for event in events.telemetry),
+        tuple(event.samples for event in events),
         tuple(rows),
         linear,
         {name: float(np.ravel(value)[0]) for name, value in parameters.items()},

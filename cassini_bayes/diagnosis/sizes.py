@@ -9,7 +9,6 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import TRUSTED_K, Size, Weighed
-from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
 from cassini_bayes.diagnosis.unresolved import unresolved
@@ -20,7 +19,7 @@ SUMMARY_DRAWS: Final = 2_000
 
 
 def size_draws(
-    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator
+    weighed: Weighed[Hypothesis], rng: np.random.Generator
 ) -> tuple[dict[str, Array], Array]:
     """Draws (n,) of every size of a cause by key, and their weights (n,).
 
@@ -29,8 +28,7 @@ def size_draws(
     """
     hypothesis = weighed.hypothesis
     z, weights = effect_draws(weighed, rng)
-    with_columns = events.with_columns_of(hypothesis.effects)
-    z = with_unresolved(with_columns, hypothesis, weighed.mode.point, z, rng)
+    z = with_unresolved(hypothesis, weighed.mode.point, z, rng)
     values = effect_values(hypothesis, z)
     for effect in hypothesis.effects:
         for key, step in effect.kind.known_to.items():
@@ -98,7 +96,7 @@ def weighted_interval(
 
 
 def with_unresolved(
-    events: Events, hypothesis: Hypothesis, mode: Array, z: Array, rng: np.random.Generator
+    hypothesis: Hypothesis, mode: Array, z: Array, rng: np.random.Generator
 ) -> Array:
     """Posterior draws z (n, d) about a mode (d,), moved and widened by what counters leave open.
 
@@ -112,10 +110,11 @@ def with_unresolved(
     hypotheses of gyro errors, of which attitudes speak that are not in the rows, and cases with
     totals rows, whose information the linear model does not have.
     """
-    if not events.telemetry or events.rows or hypothesis.model.gyros:
+    model = hypothesis.model
+    if not model.telemetry or model.totals or model.gyros:
         return z
-    linear, factors = linearise(events, hypothesis, mode)
-    opened = [unresolved(events, hypothesis, mode, i) for i in range(len(events.telemetry))]
+    linear, factors = linearise(hypothesis, mode)
+    opened = [unresolved(hypothesis, mode, i) for i in range(len(model.telemetry))]
     wide = with_unknowns(linear, opened, factors)
     d, size = len(mode), linear.columns.shape[1]
     gram = linear.gram()

@@ -13,7 +13,6 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.cut_tails import single_cuts
-from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.effects.effect import FittedRows
 from cassini_bayes.effects.firings import firings
@@ -21,7 +20,7 @@ from cassini_bayes.effects.firings import firings
 Unknowns = tuple[Array, Array, Array]
 
 
-def unresolved(events: Events, hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
+def unresolved(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
     """What counters leave open in the rows of an event (``place``) by a hypothesis at z (d,).
 
     Returns
@@ -29,18 +28,18 @@ def unresolved(events: Events, hypothesis: Hypothesis, z: Array, place: int) -> 
     Columns (n, 3, s) in N m s, variances (s,) of their unknowns, whose means are 0, and what the
     likelihood lacks on average (n, 3).
     """
-    columns, variance, mean = single_cuts(events, hypothesis, z, place)
+    columns, variance, mean = single_cuts(hypothesis, z, place)
     model = hypothesis.model
     term = model.telemetry[place]
     layout = term.event.statistics.layout
     timed = [effect for effect in hypothesis.effects if effect.kind.left_open is not None]
     if not timed or not layout.thrusters:
         return columns, variance, mean
-    samples = events.telemetry[place].samples
+    samples = term.event.samples
     points = model.points(z[None])
     physics = term.physics(points)
     arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
-    rows = FittedRows(events.telemetry_rows[place].time_s, samples, physics)
+    rows = FittedRows(term.event.usable_rows.time_s, samples, physics)
     parts = [(columns, variance)]
     for members in layout.couples:
         fired = firings(samples, members, model.thrust_prior.common_mean_n * arms)

@@ -31,6 +31,7 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
     save_statistics,
 )
+from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
@@ -112,6 +113,12 @@ class ReducedEvent:
     def samples(self) -> Samples:
         """All rows at once."""
         return Samples.joined(list(self.rows))
+
+    @cached_property
+    def usable_rows(self) -> Rows:
+        """The columns of all rows that enter the balance."""
+        layout = self.statistics.layout
+        return settle(self.samples, Carry.start(layout), layout, self.sampling, final=True)[0]
 
     @cached_property
     def rates(self) -> RateInformation:

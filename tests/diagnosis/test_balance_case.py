@@ -86,7 +86,7 @@ def test_hidden_effect_is_named_with_its_size_and_gains() -> None:
     assert verdict.best.name == name or name in verdict.confounded_with(verdict.best.name)
     assert verdict.probabilities["none"] < 0.01
     found = next(w for w in verdict.weighed if w.name == name)
-    values, weights = size_draws(events, found, np.random.default_rng(SEED))
+    values, weights = size_draws(found, np.random.default_rng(SEED))
     sizes = {k: v for k, v in values.items() if k in parameters}
     assert sizes
     for key, draws in sizes.items():
@@ -105,7 +105,7 @@ def test_what_bends_the_baseline_to_its_walls_is_found_from_the_centre() -> None
     verdict = verdict_of(events)
     assert np.abs(verdict.none.mode.point).max() > 5.0
     assert verdict.best.name == name
-    values, weights = size_draws(events, verdict.best, np.random.default_rng(SEED))
+    values, weights = size_draws(verdict.best, np.random.default_rng(SEED))
     low, high = weighted_interval(values["inertia_xx_kg_m2"], weights, 0.998)
     assert low < value < high
 

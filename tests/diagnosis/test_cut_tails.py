@@ -94,14 +94,16 @@ def slow_left(view: View, cuts: tuple[Array, Array, Array]) -> float:
     linear = with_unknowns(own, [cuts], view.factors)
     left = fitted_away(linear, linear.target)
     return float(
-        slow_statistic(linear, left[:, None], [own.time_s for own in view.events.telemetry_rows])[0]
+        slow_statistic(
+            linear, left[:, None], [own.usable_rows.time_s for own in view.events.telemetry]
+        )[0]
     )
 
 
 def test_single_cuts_explain_what_a_flight_without_noise_leaves() -> None:
     """Drifts of many deviations vanish with single cuts, and stay with steps at other times."""
     view = quiet_flight()
-    found, variance, mean = single_cuts(view.events, view.none, view.point, 0)
+    found, variance, mean = single_cuts(view.none, view.point, 0)
     none = (found[:, :, :0], variance[:0], 0.0 * mean)
     before = slow_left(view, none)
     assert before > 50.0

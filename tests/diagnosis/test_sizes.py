@@ -55,8 +55,8 @@ def late_records() -> tuple[Events, Candidate]:
 
 def test_late_records_are_late_by_what_was_hidden() -> None:
     """Its 90 % interval holds 0.19 s; a 99.8 % one of the likelihood alone does not."""
-    events, weighed = late_records()
-    values, weights = size_draws(events, weighed, np.random.default_rng(1))
+    _, weighed = late_records()
+    values, weights = size_draws(weighed, np.random.default_rng(1))
     low, high = weighted_interval(values[LATE], weights)
     assert low < LATE_S < high
     z, alone = effect_draws(weighed, np.random.default_rng(1))
@@ -69,7 +69,7 @@ def test_an_offset_is_known_as_a_binomial_share_is() -> None:
     events, weighed = late_records()
     mode = weighed.mode.point
     still = np.tile(mode, (4_000, 1))
-    own = with_unresolved(events, weighed.hypothesis, mode, still, np.random.default_rng(2))
+    own = with_unresolved(weighed.hypothesis, mode, still, np.random.default_rng(2))
     share = effect_values(weighed.hypothesis, own)[LATE]  # of an interval of 1 s
     mean, sd = share.mean(), share.std()
     (event,) = events.telemetry
@@ -80,7 +80,7 @@ def test_an_offset_is_known_as_a_binomial_share_is() -> None:
         effect_values(weighed.hypothesis, effect_draws(weighed, np.random.default_rng(2))[0])[LATE]
     )
     assert sd > 2.0 * own_sd
-    again = with_unresolved(events, weighed.hypothesis, mode, still, np.random.default_rng(2))
+    again = with_unresolved(weighed.hypothesis, mode, still, np.random.default_rng(2))
     assert own == pytest.approx(again)
     level = weighed.hypothesis.model.space.names.index("rate_noise_rad_s")
     assert np.ptp(own[:, level]) < 1e-6  # rows' columns do not speak of noise
@@ -100,31 +100,32 @@ def test_every_cause_and_size_goes_with_events_that_fire_nothing() -> None:
             hypothesis = extend(none, [effect])
             assert np.isfinite(hypothesis.log_density(np.zeros((1, hypothesis.dimension)))).all()
     z = np.random.default_rng(5).standard_normal((3, none.dimension))
-    own = with_unresolved(events, none, 0.0 * z[0], z, np.random.default_rng(6))
+    own = with_unresolved(none, 0.0 * z[0], z, np.random.default_rng(6))
     assert own == pytest.approx(z, abs=1e-6)
 
 
 def test_a_control_cycle_is_left_open() -> None:
     """Draws of an offset are spread evenly over the cycle that rows cannot tell."""
-    events, weighed = late_records()
+    _, weighed = late_records()
     z, _ = effect_draws(weighed, np.random.default_rng(3))
-    values, _ = size_draws(events, weighed, np.random.default_rng(3))
+    values, _ = size_draws(weighed, np.random.default_rng(3))
     # the same generator: the same draws, then what is open, then the cycle
     rng = np.random.default_rng(3)
     z, _ = effect_draws(weighed, rng)
-    moved = with_unresolved(events, weighed.hypothesis, weighed.mode.point, z, rng)
+    moved = with_unresolved(weighed.hypothesis, weighed.mode.point, z, rng)
     added = values[LATE] - effect_values(weighed.hypothesis, moved)[LATE]
     assert kstest(added / CONTROL_CYCLE_S, "uniform").pvalue > 1e-3
 
 
 def test_what_a_form_leaves_out_widens_its_sizes_alone() -> None:
     """A share of 30 % is in the draws, as wide as said; without it they are the same as before."""
-    events, weighed = late_records()
+    _, weighed = late_records()
     (effect,) = weighed.hypothesis.effects
     wider = replace(effect, form_error=((LATE, 0.3),))
-    own = replace(weighed, hypothesis=replace(weighed.hypothesis, effects=(wider,)))
-    values, _ = size_draws(events, weighed, np.random.default_rng(4))
-    spread, _ = size_draws(events, own, np.random.default_rng(4))
+    model = replace(weighed.hypothesis.model, effects=(wider,))
+    own = replace(weighed, hypothesis=replace(weighed.hypothesis, model=model))
+    values, _ = size_draws(weighed, np.random.default_rng(4))
+    spread, _ = size_draws(own, np.random.default_rng(4))
     ratio = spread[LATE] / values[LATE] - 1.0
     n = len(ratio)
     assert ratio.std() == pytest.approx(0.3, abs=4.0 * 0.3 / np.sqrt(2.0 * n))

@@ -150,7 +150,7 @@ def left_by(view: View, values: dict[str, float], line: Oscillation) -> float:
     effect = replace(view.events.catalogue.effect("flexible_mode"), search_result=line)
     events = view.events.with_columns_of([effect])
     changed = held(none_hypothesis(events), effect, values)
-    other, _ = linearise(events, changed, view.point, smooth_channels=False)
+    other, _ = linearise(changed, view.point, smooth_channels=False)
     left = view.left + other.target - view.linear.target
     return float(np.sqrt(squared_size(view.linear, left)))
 

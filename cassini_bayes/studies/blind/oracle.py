@@ -136,22 +136,21 @@ def classifier(
         Known line of an oscillation; without it no oscillation is among the causes.
     """
     none = none_hypothesis(events)
-    linear, _ = linearise(events, none, base.point)
+    linear, _ = linearise(none, base.point)
     # departures count from the centre of the prior, not from the mode
     d = len(base.point)
     target = linear.target + linear.columns[:, :d] @ base.point
     sides: list[Side] = []
     columns: list[Array] = []
     for effect in events.catalogue.effects:
-        settled, with_columns, baseline = effect, events, none
+        settled, baseline = effect, none
         if effect.needs_search:
             if line is None:
                 continue
             settled = replace(effect, search_result=line)
-            with_columns = events.with_columns_of([settled])
-            baseline = none_hypothesis(with_columns)
+            baseline = none_hypothesis(events.with_columns_of([settled]))
         for sign in (1.0, -1.0) if effect.kind.name in KINKED else (0.0,):
-            columns.append(_columns(with_columns, baseline, base, settled, sign, hidden))
+            columns.append(_columns(baseline, base, settled, sign, hidden))
             first = sum(part.shape[1] for part in columns[:-1])
             sides.append(_side(effect, sign, first))
     every = np.concatenate(columns, axis=1)
@@ -192,7 +191,6 @@ def _side(effect: Effect, sign: float, first: int) -> Side:
 
 
 def _columns(
-    events: Events,
     none: Hypothesis,
     base: Mode,
     effect: Effect,
@@ -212,7 +210,7 @@ def _columns(
         plain.append(replace(p, distribution=Distribution("norm", {"loc": middle, "scale": scale})))
         rest.append(0.0)
     extended = extend(none, [replace(effect, parameters=tuple(plain))])
-    linear, _ = linearise(events, extended, np.concatenate([base.point, rest]))
+    linear, _ = linearise(extended, np.concatenate([base.point, rest]))
     d = len(base.point)
     sized = [i for i, p in enumerate(effect.parameters) if p.distribution.name != "lognorm"]
     return np.asarray(linear.columns[:, [d + i for i in sized]])

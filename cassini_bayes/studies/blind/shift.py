@@ -51,7 +51,7 @@ def at_truth(events: Events, truth: Truth) -> View:
     none = none_hypothesis(events)
     names = none.model.space.names
     point = none.model.space.to_standard({name: truth.parameters[name] for name in names})
-    linear, factors = linearise(events, none, point, smooth_channels=False)
+    linear, factors = linearise(none, point, smooth_channels=False)
     left = linear.target - linear.columns @ _known(none, events, truth, linear.columns.shape[1])
     return View(events, none, point, linear, left, tuple(factors))
 
@@ -92,7 +92,7 @@ def held(none: Hypothesis, effect: Effect, values: Mapping[str, float]) -> Hypot
 def modelled_size(view: View, effect: Effect, values: Mapping[str, float]) -> float:
     """σ by the change that the model of the effect makes on the flight that has it."""
     changed = held(view.none, effect, values)
-    other, factors = linearise(view.events, changed, view.point, smooth_channels=False)
+    other, factors = linearise(changed, view.point, smooth_channels=False)
     before, after = _in_momentum(view.linear, view.factors), _in_momentum(other, tuple(factors))
     shift = np.concatenate(
         [
@@ -129,8 +129,8 @@ def _paired(shown: View, plain: View) -> float:
     ours, theirs = [], []
     first, second = 0, 0
     counts = []
-    for rows, other in zip(shown.events.telemetry_rows, plain.events.telemetry_rows, strict=True):
-        a, b = rows.time_s, other.time_s
+    for one, other in zip(shown.events.telemetry, plain.events.telemetry, strict=True):
+        a, b = one.usable_rows.time_s, other.usable_rows.time_s
         _, i, j = np.intersect1d(np.round(a / _SAME_S), np.round(b / _SAME_S), return_indices=True)
         ours.append((first + 3 * i[:, None] + np.arange(3)).reshape(-1))
         theirs.append((second + 3 * j[:, None] + np.arange(3)).reshape(-1))

@@ -208,7 +208,7 @@ def _record(
         "probability_of_truth": [probabilities.get(h.name, 0.0) for h in hidden]
         or [probabilities["none"]],
         "rank_of_truth": [_rank(verdict, h.name) for h in hidden],
-        "sizes": [s for h in hidden for s in _sizes(events, verdict, h, rng)],
+        "sizes": [s for h in hidden for s in _sizes(verdict, h, rng)],
         "pair": None if verdict.pair is None else verdict.pair.name,
         "pair_gain": None
         if verdict.pair is None
@@ -226,13 +226,13 @@ def _rank(verdict: Verdict[Hypothesis], name: str) -> int | None:
 
 
 def _sizes(
-    events: Events, verdict: Verdict[Hypothesis], hidden: Hidden, rng: np.random.Generator
+    verdict: Verdict[Hypothesis], hidden: Hidden, rng: np.random.Generator
 ) -> list[dict[str, float | str | bool]]:
     """Whether the 90 % interval of the true cause's parameters holds what was hidden."""
     cause = next((w for w in verdict.weighed if w.name == hidden.name), None)
     if cause is None:
         return []
-    draws, weights = size_draws(events, cause, rng)
+    draws, weights = size_draws(cause, rng)
     result: list[dict[str, float | str | bool]] = []
     for key, values in draws.items():
         if key not in hidden.parameters:
