@@ -136,7 +136,7 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
         "events": list(campaign.events),
         "code": trial_code(),
         "stratum": stratum,
-        **_record(events, verdict, hidden, rng),
+        **_record(verdict, hidden, rng),
         **_oracle(events, verdict, hidden, truth, rng),
         "cpu_prepare_s": prepared - worked,
         "cpu_diagnose_s": diagnosed - prepared,
@@ -178,7 +178,6 @@ def _oracle(
 
 
 def _record(
-    events: Events,
     verdict: Verdict[Hypothesis],
     hidden: Sequence[Hidden],
     rng: np.random.Generator,
