@@ -12,6 +12,7 @@ import pytest
 from event_cases import PRIORS, document, events, priors
 from run_cases import B_BRANCH, EVENTS, FLIGHT, command, small_table, write_run
 from test_joint_run import SAMPLER, do
+from test_run import Silent
 
 from cassini_bayes.balance.rate_information import rate_log_likelihood
 from cassini_bayes.diagnosis.events import prepare
@@ -23,8 +24,12 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.model import build_model, log_posterior, observability
 from cassini_bayes.model.posterior import log_likelihood
 from cassini_bayes.pipeline.run import Outcome
+from cassini_bayes.pipeline.run_file import check_run
+from cassini_bayes.pipeline.sweep_run import execute_sweep
+from cassini_bayes.prediction.sources import read_sources
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
+from cassini_bayes.sweep.specification import SweepFile
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "plume.py"
 LEAK_N, BIAS_RAD_S = 1.0e-4, 6.0e-6
@@ -177,11 +182,13 @@ def test_own_effects_are_fitted_from_the_command_line(
     assert command(["predict", str(tmp_path / "run" / "fit.nc"), "--quiet"]) == 2
 
 
-def test_a_run_with_effects_is_not_predicted_from(tmp_path: Path) -> None:
+def test_a_run_with_effects_is_neither_predicted_from_nor_swept(tmp_path: Path) -> None:
     """Predictions and sweeps have the standard physics only, and say so."""
-    from cassini_bayes.prediction.sources import read_sources
-
     (tmp_path / "fit.nc").write_bytes(b"")
     (tmp_path / "resolved.toml").write_text('[model]\neffects = ["tail_off"]\n')
     with pytest.raises(InputError, match="one with effects tail_off"):
         read_sources(tmp_path / "fit.nc")
+    run = check_run(small_table() | {"model": {"effects": ["tail_off"]}}, "test")
+    rest = {"jobs": 1, "dask": None, "report": False, "reporter": Silent()}
+    with pytest.raises(InputError, match="one with tail_off"):
+        execute_sweep(run, Path(), tmp_path, SweepFile(), "test", **rest)
