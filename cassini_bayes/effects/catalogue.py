@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, Final
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors
 
@@ -189,12 +189,7 @@ def _on_time_noise(unknown: Mapping[str, Any]) -> Distribution | None:
 
 
 def _parse(path: Path) -> dict[str, Any]:
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(
-            str(path), "a catalogue of effects (TOML)", str(error), "mend the file"
-        ) from None
+    document = read_toml(path, "a catalogue of effects")
     for table in ("causes", "unknown", "effects"):
         if not isinstance(document.get(table), dict):
             raise InputError(f"{path}: {table}", f"a table [{table}]", "nothing", "add it")

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.physics import Parameters
-from cassini_bayes.errors import InputError
+from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.storage import write_bytes
 from cassini_bayes.model.posterior import (
     LinearDraws,
@@ -470,22 +470,4 @@ def read_fit(path: Path) -> Fit:
     InputError
         The file is missing, is not NetCDF, is truncated, or lacks a group.
     """
-    try:
-        groups = {}
-        for name in GROUPS:
-            with xr.open_dataset(path, group=name, engine="h5netcdf") as dataset:
-                groups[name] = dataset.load()
-        with xr.open_dataset(path, engine="h5netcdf") as root:
-            attributes = dict(root.attrs)
-    except FileNotFoundError as error:
-        raise InputError(
-            str(path), "a fit.nc of this package", "no such file", "check the path"
-        ) from error
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(
-            str(path),
-            "a fit.nc of this package",
-            f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}",
-            "run the fit again, or restore the file",
-        ) from error
-    return Fit(groups, attributes)
+    return Fit(*read_groups(path, dict.fromkeys(GROUPS, ()), "a fit.nc of this package"))

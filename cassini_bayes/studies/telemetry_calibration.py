@@ -8,7 +8,6 @@ sampled and how noisy the wheels are; controls are likelihoods that must fail.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,6 +28,7 @@ from cassini_bayes.balance.statistics import (
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.joint import (
     JointModel,
     build_joint_model,
@@ -172,7 +172,7 @@ class TelemetryCampaign:
     def simulate(self, priors: Priors, rng: np.random.Generator) -> Simulation:
         """Fly the scenario once, with wheel rates and truth of this repetition."""
         path = Path(self.scenario_path)
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = read_toml(path, "a scenario file")
         document["telemetry"] |= self.variant.telemetry
         document["event"] = [e for e in document["event"] if e["id"] in self.variant.events]
         draw_wheel_rates(document["event"], rng)

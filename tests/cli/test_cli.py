@@ -180,7 +180,7 @@ def test_files_that_are_not_there(capsys: Captured, tmp_path: Path) -> None:
         capsys, tmp_path, flight, "--priors", good.replace("2010", "2011")
     )
     assert "write event.toml" in fit_refused(capsys, tmp_path, str(tmp_path), "--priors", good)
-    assert "directory" in fit_refused(capsys, tmp_path, flight, "--priors", str(tmp_path))
+    assert "a folder" in fit_refused(capsys, tmp_path, flight, "--priors", str(tmp_path))
     unknown = fit_refused(capsys, tmp_path, f"{flight}:2009-08-23", "--priors", good)
     assert f"{flight}:2009-08-23" in unknown
     assert "no such file" in refused(capsys, "run", str(tmp_path / "none.toml"))
