@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Resume, Seed
-from cassini_bayes.pipeline.run import Outcome, execute
-from cassini_bayes.pipeline.run_file import RunFile, check_run, read_run_file
+
+if TYPE_CHECKING:
+    from cassini_bayes.pipeline.run import Outcome
+    from cassini_bayes.pipeline.run_file import RunFile
 
 
 def run_command(
@@ -24,24 +26,14 @@ def run_command(
     quiet: Quiet = False,
 ) -> None:
     """Run the whole pipeline of one run file: posterior, tables, figures, report."""
+    from cassini_bayes.pipeline.run_file import read_run_file
+
     run = read_run_file(run_file)
     if seed is not None:
         run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
     folder = out or run_file.parent / (run.output.folder or run_file.stem)
-    _finish(
-        execute(
-            run,
-            run_file.parent,
-            folder,
-            name=run_file.stem,
-            command=["cassini-bayes", *sys.argv[1:]],
-            reporter=ConsoleReporter(quiet),
-            force=force,
-            resume=resume,
-        ),
-        as_json=as_json,
-        quiet=quiet,
-    )
+    outcome = _execute(run, run_file.parent, folder, run_file.stem, force, resume, quiet)
+    _finish(outcome, as_json, quiet)
 
 
 def fit_command(
@@ -62,8 +54,10 @@ def fit_command(
     quiet: Quiet = False,
 ) -> None:
     """Posterior only: fit.nc and tables, no report."""
+    from cassini_bayes.pipeline.run_file import check_run
+
     sampler: dict[str, Any] = {} if seed is None else {"seed": seed}
-    run: RunFile = check_run(
+    run = check_run(
         {
             "events": list(events),
             "priors": str(priors),
@@ -73,23 +67,28 @@ def fit_command(
         },
         "command line",
     )
-    _finish(
-        execute(
-            run,
-            Path(),
-            out,
-            name=out.name,
-            command=["cassini-bayes", *sys.argv[1:]],
-            reporter=ConsoleReporter(quiet),
-            force=force,
-            resume=resume,
-        ),
-        as_json=as_json,
-        quiet=quiet,
+    outcome = _execute(run, Path(), out, out.name, force, resume, quiet)
+    _finish(outcome, as_json, quiet)
+
+
+def _execute(
+    run: RunFile, base: Path, folder: Path, name: str, force: bool, resume: bool, quiet: bool
+) -> Outcome:
+    from cassini_bayes.pipeline.run import execute
+
+    return execute(
+        run,
+        base,
+        folder,
+        name=name,
+        command=["cassini-bayes", *sys.argv[1:]],
+        reporter=ConsoleReporter(quiet),
+        force=force,
+        resume=resume,
     )
 
 
-def _finish(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
+def _finish(outcome: Outcome, as_json: bool, quiet: bool) -> None:
     """Say what came of a run: the result on standard output, what is amiss on standard error."""
     if as_json:
         columns = ["name", "unit", "mean", "sd", "hdi_90_low", "hdi_90_high"]

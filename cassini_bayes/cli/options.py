@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from cassini_bayes.sampling.ensembles import ProgressReport
+if TYPE_CHECKING:
+    from cassini_bayes.sampling.ensembles import ProgressReport
 
 Seed = Annotated[
     int | None, typer.Option("--seed", min=0, help="Random seed (overrides the run file).")

@@ -6,15 +6,17 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import pandas as pd
 import typer
 
 from cassini_bayes.cli.options import ConsoleReporter, Json, Quiet
-from cassini_bayes.pipeline.run_file import read_run_file
-from cassini_bayes.pipeline.sweep_run import SweepOutcome, execute_sweep
-from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from cassini_bayes.pipeline.sweep_run import SweepOutcome
+    from cassini_bayes.sweep.specification import SweepFile
 
 
 def sweep_command(
@@ -46,6 +48,9 @@ def sweep_command(
     quiet: Quiet = False,
 ) -> None:
     """Sweep the priors of a finished run; go on with the same command after a stop."""
+    from cassini_bayes.pipeline.run_file import read_run_file
+    from cassini_bayes.pipeline.sweep_run import execute_sweep
+
     run = read_run_file(run_file)
     where = "command line" if spec is None else str(spec)
     sweep = _sweep_file(spec, where, {"quantities": quantity or None, "refit": refit})
@@ -70,6 +75,8 @@ def sweep_command(
 
 def _sweep_file(spec: Path | None, where: str, options: dict[str, Any]) -> SweepFile:
     """The sweep file, or the defaults without one, with the options that were given."""
+    from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
+
     sweep = SweepFile() if spec is None else read_sweep_file(spec)
     given = {key: value for key, value in options.items() if value is not None}
     return check_sweep({**sweep.model_dump(), **given}, where) if given else sweep

@@ -2,8 +2,7 @@
 
 The likelihood spends its time in compiled code that lets other threads run, and costs less per
 point in large batches. Neither the cut nor the order of what is evaluated together depends on the
-number of threads, so results do not either. Linear algebra has one thread each: more of them on
-small matrices would only compete (three times as slow on two cores).
+number of threads, so results do not either. Linear algebra has one thread each.
 """
 
 from __future__ import annotations
@@ -22,7 +21,8 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+
+from cassini_bayes.computing.threads import one_thread
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
@@ -41,7 +41,7 @@ def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
     if threads < 2:
         yield lambda z: _joined([log_density(part) for part in _parts(z)])
         return
-    with threadpool_limits(1), ThreadPoolExecutor(threads, "likelihood") as pool:
+    with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
         yield lambda z: _joined(list(pool.map(log_density, _parts(z))))
 
 
@@ -78,7 +78,7 @@ def in_processes(
     if processes < 2 or len(work) < 2:
         return gather(function(item) for _, item in work)
     if sys.platform != "linux":
-        with threadpool_limits(1), ThreadPoolExecutor(processes, "work") as threads:
+        with one_thread(), ThreadPoolExecutor(processes, "work") as threads:
             return gather(threads.map(function, (item for _, item in work)))
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(processes, context, _inherit, (work, os.getpid())) as pool:
