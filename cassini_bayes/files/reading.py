@@ -102,13 +102,15 @@ def _unreadable(path: Path, what: str, error: OSError) -> InputError:
     if error.errno != errno.ENOENT:
         got = error.strerror or str(error)
         return InputError(str(path), what, got, "name a file that can be read")
-    return InputError(str(path), what, "no such file", nearest(path.name, _neighbours(path)))
+    names = _neighbours(path)
+    hint = nearest(path.name, names) if names else "check the path"
+    return InputError(str(path), what, "no such file", hint)
 
 
 def _neighbours(path: Path) -> list[str]:
-    """Names beside a path, those of its own suffix if there are any."""
+    """Names of the same suffix beside a path."""
     try:
         names = [entry.name for entry in itertools.islice(path.parent.iterdir(), MOST_NEIGHBOURS)]
     except OSError:
         return []
-    return [name for name in names if name.endswith(path.suffix)] or names
+    return [name for name in names if name.endswith(path.suffix)]

@@ -11,7 +11,8 @@ import pytest
 from cassini_bayes.computing.threads import VARIABLES, one_thread
 
 COUNT = (
-    "import threadpoolctl; print(max(i['num_threads'] for i in threadpoolctl.threadpool_info()))"
+    "import threadpoolctl; "
+    "print(max(found['num_threads'] for found in threadpoolctl.threadpool_info()))"
 )
 
 
