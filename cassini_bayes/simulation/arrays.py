@@ -200,6 +200,10 @@ def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
         pulse_max_s=settings.pulse_max_s,
         pulse_resolution_s=settings.pulse_resolution_s,
         adaptive=settings.pulse_law == "adaptive",
+        proportional_band=settings.proportional_band
+        if settings.pulse_law == "proportional"
+        else 0.0,
+        minimum_off_s=settings.minimum_off_s,
         shared_only=settings.mapping == "shared",
         latency_cycles=settings.latency_cycles,
         pairs=np.ascontiguousarray(pairs),

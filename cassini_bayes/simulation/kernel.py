@@ -102,6 +102,8 @@ class RcsLaw(NamedTuple):
     pulse_max_s: float
     pulse_resolution_s: float
     adaptive: bool
+    proportional_band: float  # of the dead-band, over which widths grow to the largest; 0: no
+    minimum_off_s: float
     shared_only: bool
     latency_cycles: int
     pairs: Array  # (6, K): +x −x +y −y +z −z
@@ -497,8 +499,10 @@ def demanded_widths(law: RcsLaw, error: Array, rate: Array, time: float, memory:
     """Pulse width demanded of +x −x +y −y +z −z this cycle, into memory[0].
 
     u = −(e_θ + k e_ω), e_θ clamped; an axis begins to fire when |u| passes the dead-band and goes
-    on until |u| falls below (1 − hysteresis) of it. ``memory`` rows: 0 widths; 1 whether firing;
-    2 the adaptive width; 3 the time of the direction's last firing.
+    on until |u| falls below (1 − hysteresis) of it. A direction that has stopped stays off for the
+    least time off. Proportional widths grow with what |u| has beyond the level at which it stops.
+    ``memory`` rows: 0 widths; 1 whether firing; 2 the adaptive width; 3 the time of the direction's
+    last firing.
     """
     clamp = law.rate_clamp_rad_s * law.rate_gain_s
     for axis in range(3):
@@ -509,7 +513,12 @@ def demanded_widths(law: RcsLaw, error: Array, rate: Array, time: float, memory:
             row = 2 * axis + side
             value = switch if side == 0 else -switch
             was_firing = memory[1, row] > 0.0
-            fires = value > band * (1.0 - law.hysteresis) if was_firing else value > band
+            level = band * (1.0 - law.hysteresis)
+            fires = value > level if was_firing else value > band
+            # a pulse of this cycle's last ends within the cycle after it began
+            rests = time - memory[3, row] < law.minimum_off_s + law.pulse_max_s - 1e-9
+            if fires and not was_firing and rests:
+                fires = False
             memory[0, row] = 0.0
             memory[1, row] = 0.0
             if not fires:
@@ -527,6 +536,9 @@ def demanded_widths(law: RcsLaw, error: Array, rate: Array, time: float, memory:
                 else:
                     memory[2, row] = law.pulse_max_s
                 width = memory[2, row]
+            if law.proportional_band > 0.0:
+                share = (value - level) / (law.proportional_band * band)
+                width = law.pulse_max_s * min(share, 1.0)
             steps = math.floor(width / law.pulse_resolution_s + 0.5)
             memory[0, row] = min(
                 max(steps * law.pulse_resolution_s, law.pulse_min_s), law.pulse_max_s

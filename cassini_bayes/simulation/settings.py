@@ -55,7 +55,9 @@ class RcsSettings(Table):
     pulse_min_s: Positive = 0.007
     pulse_max_s: Positive = 0.125
     pulse_resolution_s: Positive = 0.001
-    pulse_law: Literal["fixed", "adaptive"] = "fixed"
+    pulse_law: Literal["fixed", "adaptive", "proportional"] = "fixed"
+    proportional_band: Positive = 0.1
+    minimum_off_s: NotNegative = 0.0
     mapping: Literal["shared", "union"] = "shared"
     latency_cycles: Literal[0, 1] = 0
     attitude_knowledge_rad: NotNegative = 2e-5

@@ -113,6 +113,32 @@ def test_a_wheel_torque_makes_a_one_sided_limit_cycle() -> None:
     assert np.all(motion.attitude_error_rad[ramping, 1] < -1e-3)
 
 
+def test_a_thruster_rests_for_its_least_time_off() -> None:
+    """With 14 s of rest no two pulses of a thruster are closer; without it some are."""
+
+    def least_gap(minimum_off_s: float) -> float:
+        logs = run(make_plan(rcs=RcsSettings(minimum_off_s=minimum_off_s))).pulses
+        # these serve one direction each; a thruster of two rests for each of them by itself
+        gaps = [
+            logs[name].start_s[1:] - (logs[name].start_s + logs[name].width_s)[:-1]
+            for name in ("y1", "y2")
+        ]
+        return float(np.concatenate(gaps).min())
+
+    assert least_gap(0.0) < 14.0
+    assert least_gap(14.0) >= 14.0 - 1e-9
+
+
+def test_proportional_pulses_have_many_widths() -> None:
+    """Widths between the least and the largest that can be commanded, in steps of 1 ms."""
+    motion = run(make_plan(rcs=RcsSettings(pulse_law="proportional")))
+    widths = np.concatenate([log.width_s for log in motion.pulses.values()])
+    assert len(np.unique(np.round(widths, 4))) > 10
+    assert widths.min() >= 0.007 - 1e-12
+    np.testing.assert_allclose(np.round(1e3 * widths), 1e3 * widths, atol=1e-6)
+    assert np.abs(motion.attitude_error_rad).max() < 2.3e-3
+
+
 def widths_for(widths: list[float], shared: bool, burning: bool = False) -> list[float]:
     """Thruster widths z1…z4, y1…y4 that the mapping gives for demands +x −x +y −y +z −z."""
     plan = make_plan()
@@ -127,6 +153,8 @@ def widths_for(widths: list[float], shared: bool, burning: bool = False) -> list
         pulse_max_s=0.125,
         pulse_resolution_s=0.001,
         adaptive=False,
+        proportional_band=0.0,
+        minimum_off_s=0.0,
         shared_only=shared,
         latency_cycles=0,
         pairs=np.ascontiguousarray(pair_indicator(plan.spacecraft, "B")),

@@ -1,0 +1,160 @@
+"""Cumulative on-times as they were, from counters that are rounded.
+
+A counter shows C_m + δ_m after firing run m: C_m the commanded on-time so far, δ_m its rounding,
+bounded by half a step and independent of that of other readings, so that it does not add up. With
+all pulses alike, C_m = w n_m, only the roundings tell on-time from pulse count: a regression on the
+readings takes them for the difference between thrust and tail-off, and finds too little thrust
+(errors in variables). The remedy is to regress on what is expected of C_m given all readings
+(regression calibration), and to count what that leaves open as noise.
+
+Where commands come in a control cycle's quantum and every reading agrees with a multiple of it, C_m
+is known exactly. Otherwise widths are taken as N(w, v), so that with σ² = step²/12
+
+    Δu_m = n_m w + e_m + δ_m − δ_{m−1},   Var(Δu) = v diag(n) + σ² tridiag(−1, 2, −1),
+
+w and v by maximum likelihood; E[Δc | u] = n w + v n Var⁻¹ (Δu − n w). Of the cumulative on-time a
+variance σ² (q/(q + 4))^½ stays open, q = v n̄/σ² (a random walk seen with white noise, smoothed).
+Derivation: ``docs/telemetry-likelihood.md`` §6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky_banded, solveh_banded
+
+Array = NDArray[np.float64]
+# Least step that counts as rounding, s: what is finer leaves a hundredth of a rate sample's noise.
+LEAST_STEP_S: Final = 5e-4
+# Widths' variances tried, in units of the rounding's: from none to no rounding at all.
+SPREADS: Final = np.concatenate([[0.0], np.logspace(-3.0, 5.0, 33)])
+LEAST_RUNS: Final = 3
+_SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step
+
+
+@dataclass(frozen=True)
+class OnTimes:
+    """On-times expected of rounded counters.
+
+    ``on_time_s`` (m, K) takes the place of the readings; ``open_s2`` (K,) is the variance of the
+    cumulative on-time that the readings leave open.
+    """
+
+    on_time_s: Array
+    open_s2: Array
+
+
+def counter_step(on_time_s: Array) -> float:
+    """Largest of the usual steps (1 ms to 1 s, 1-2-5) that all readings are multiples of; else 0.
+
+    A counter with few distinct values looks rounder than it is: five are asked for.
+    """
+    values = np.unique(on_time_s[np.isfinite(on_time_s)])
+    if len(values) < 5:
+        return 0.0
+    for step in (1.0, 0.5, 0.25, 0.2, 0.125, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001):
+        if np.all(np.abs(values - step * np.round(values / step)) < _SLACK):
+            return step
+    return 0.0
+
+
+def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> OnTimes:
+    """What is expected of the commanded on-times, given rounded readings.
+
+    Parameters
+    ----------
+    on_time_s, pulses
+        (m, K) readings of the cumulative counters, in order.
+    step_s
+        Their step, s; 0 where they are not rounded.
+    quantum_s
+        What commands may be multiples of (a control cycle), s; 0 for any width.
+    """
+    result = np.array(on_time_s, dtype=np.float64)
+    left = np.zeros(on_time_s.shape[1])
+    if step_s < LEAST_STEP_S:
+        return OnTimes(result, left)
+    for k in range(on_time_s.shape[1]):
+        if is_quantised(on_time_s[:, k], step_s, quantum_s):
+            start = on_time_s[0, k]
+            result[:, k] = start + quantum_s * np.round((on_time_s[:, k] - start) / quantum_s)
+        else:
+            result[:, k], left[k] = _smoothed(on_time_s[:, k], pulses[:, k], step_s)
+    return OnTimes(result, left)
+
+
+def is_quantised(on_time_s: Array, step_s: float, quantum_s: float) -> bool:
+    """Whether every reading (m,) is within its rounding of a multiple of the quantum.
+
+    By chance a reading is so with probability 2 step/quantum; with five different ones, of a step
+    of a quarter of the quantum or less, that is nobody's chance. A step that is the quantum itself
+    leaves nothing open.
+    """
+    gained = on_time_s - on_time_s[0]
+    if quantum_s <= 0.0 or len(np.unique(gained)) < LEAST_RUNS:
+        return False
+    if abs(step_s - quantum_s) < _SLACK:
+        return True
+    off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
+    # the first reading is rounded, too
+    return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
+
+
+def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, float]:
+    """Expected cumulative on-time (m,) and the variance that stays open, s²."""
+    change = np.diff(on_time_s)
+    firing = (change > 0.0) | (np.diff(pulses) > 0.0)
+    active = np.flatnonzero(firing)
+    if len(active) == 0:
+        return on_time_s, 0.0
+    # a pulse may run over a reading: what follows without a pause belongs together
+    run = np.concatenate([[0], np.cumsum(np.diff(active) > 1)])
+    seconds = np.bincount(run, change[active])
+    count = np.maximum(np.bincount(run, np.diff(pulses)[active]), 1.0)
+    if len(seconds) < LEAST_RUNS:
+        return on_time_s, step_s**2 / 12.0
+    rounding = step_s**2 / 12.0
+    spread = max(SPREADS, key=lambda s: _log_likelihood(seconds, count, s, rounding))
+    width = _mean_width(seconds, count, spread, rounding)
+    missed = _solve(seconds - count * width, count, spread, rounding)
+    expected = count * width + spread * rounding * count * missed
+    share = np.divide(expected, seconds, out=np.ones_like(expected), where=seconds > 0.0)
+    gained = np.zeros_like(change)
+    gained[active] = change[active] * share[run]
+    ratio = float(spread * count.mean())
+    left = rounding * np.sqrt(ratio / (ratio + 4.0))
+    return on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)]), float(left)
+
+
+def _banded(count: Array, spread: float, rounding: float) -> Array:
+    """Upper form of v diag(n) + σ² tridiag(−1, 2, −1) with v = spread σ², the ends' roundings too.
+
+    The reading before the first run is rounded like all others.
+    """
+    bands = np.zeros((2, len(count)))
+    bands[0, 1:] = -rounding
+    bands[1] = rounding * (spread * count + 2.0)
+    return bands
+
+
+def _solve(values: Array, count: Array, spread: float, rounding: float) -> Array:
+    return np.asarray(solveh_banded(_banded(count, spread, rounding), values), dtype=np.float64)
+
+
+def _mean_width(seconds: Array, count: Array, spread: float, rounding: float) -> float:
+    """Generalised least squares of Δu = n w."""
+    weighted = _solve(count, count, spread, rounding)
+    return float(weighted @ seconds / (weighted @ count))
+
+
+def _log_likelihood(seconds: Array, count: Array, spread: float, rounding: float) -> float:
+    """Restricted log likelihood of the widths' spread, w profiled out; constants left out."""
+    bands = _banded(count, spread, rounding)
+    log_det = 2.0 * float(np.log(cholesky_banded(bands)[1]).sum())
+    by_count = _solve(count, count, spread, rounding)
+    missed = seconds - count * _mean_width(seconds, count, spread, rounding)
+    square = float(missed @ _solve(missed, count, spread, rounding))
+    return -0.5 * (square + log_det + np.log(float(by_count @ count)))

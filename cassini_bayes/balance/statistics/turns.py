@@ -1,0 +1,154 @@
+"""Turns of the attitude as measured rates: the momentum balance integrated over quiet pieces.
+
+The attitude is measured as well as the rates, and over some seconds its differences are the better
+rate: real records have rates of 2e-5 rad/s and attitudes of 1e-5 rad, so that 32 s of attitudes
+every 4 s tell the mean rate to 4e-7 rad/s, those of rates to 7e-6. Within a piece in which nothing
+fires the balance holds at all times, so its integral does:
+
+    I Θ(t) + ∫ T I_w ρ dt = ∫ [R h0 + Σ F_k q_k s_k + τ …] dt + constant + I θ(t),
+
+Θ the turn of the body since the piece began, θ the attitude's white noise. The constant is the
+piece's own and free, so that columns are centred: what is left of a piece of m rows are m − 1
+contrasts of white noise. Pieces end at firings (when in a counter interval a pulse came is not
+known, and that shifts the angle, not the rate), at gaps, where wheels change their acceleration
+between rows, and after :data:`LONGEST_S`, beyond which the integrated noise of wheel rates would be
+more than that of the attitude. Derivation: ``docs/telemetry-likelihood.md`` §4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.statistics.columns import Layout, Rows
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+LONGEST_S: Final = 32.0
+LEAST_PIECE: Final = 3  # rows: two contrasts, of which one is the mean rate
+GAP: Final = 2.5  # times the usual time between rows
+_SAME_S: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Integrated and centred columns of some pieces, and what else their noise is made of.
+
+    ``columns`` (n, 3 V + S) are vector columns (axis first) and scalar columns at all rows of the
+    pieces; those of rates hold turns. ``contrasts`` counts the m − 1 of every piece. The others are
+    sums of squares over the centred rows: of unit white noise of a rate summed up by trapezoids
+    (``summed``, s²), of a unit random walk integrated (``walked``, s³), and of a ramp of unit rate
+    (``ramped``, s²).
+    """
+
+    columns: Array
+    contrasts: int
+    summed: float
+    walked: float
+    ramped: float
+
+
+@dataclass(frozen=True)
+class PieceRule:
+    """Where pieces end.
+
+    ``usual_s`` is the usual time between rows. A wheel rate whose second difference exceeds
+    ``corner_rad_s`` (its noise) changes its acceleration; it matters where that times the step
+    exceeds ``corner_rad`` (what the trapezoid misses, against the attitude's noise).
+    """
+
+    usual_s: float
+    corner_rad_s: float = np.inf
+    corner_rad: float = np.inf
+
+
+def turns_between(cosines: Array) -> Array:
+    """Turns (n − 1, 3) rad of the body between inertial-to-body matrices (n, 3, 3), body axes."""
+    step = cosines[1:] @ np.swapaxes(cosines[:-1], 1, 2)
+    sine = 0.5 * np.stack(
+        [
+            step[:, 1, 2] - step[:, 2, 1],
+            step[:, 2, 0] - step[:, 0, 2],
+            step[:, 0, 1] - step[:, 1, 0],
+        ],
+        axis=1,
+    )
+    size = np.linalg.norm(sine, axis=1)
+    angle = np.arcsin(np.clip(size, 0.0, 1.0))
+    stretch = np.where(size > 0, angle / np.where(size > 0, size, 1.0), 1.0)
+    return np.asarray(sine * stretch[:, None])
+
+
+def piece_ends(rows: Rows, layout: Layout, rule: PieceRule) -> list[int]:
+    """Bounds of the pieces: rows ``ends[i]`` to ``ends[i + 1]`` belong together.
+
+    The last piece may go on with rows still to come.
+    """
+    n, vectors = len(rows.time_s), rows.vector.shape[2]
+    if n == 0:
+        return [0]
+    step = np.diff(rows.time_s)
+    pulses = rows.scalar[:, layout.pulse_count.start - vectors : layout.pulse_count.stop - vectors]
+    breaks = np.any(np.diff(pulses, axis=0) != 0.0, axis=1) | (step > GAP * rule.usual_s)
+    breaks |= _corners(rows, layout, rule)
+    ends, start = [0], rows.time_s[0]
+    for i in range(n - 1):
+        if breaks[i] or rows.time_s[i + 1] - start > LONGEST_S + _SAME_S:
+            ends.append(i + 1)
+            start = rows.time_s[i + 1]
+    return [*ends, n]
+
+
+def _corners(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
+    """Intervals (n − 1,) next to a row at which a wheel changes its acceleration."""
+    n, vectors = len(rows.time_s), rows.vector.shape[2]
+    found = np.zeros(n - 1, dtype=bool)
+    if n < 3:
+        return found
+    wheels = rows.scalar[:, layout.wheel.start - vectors : layout.wheel.stop - vectors]
+    step = np.diff(rows.time_s)[:, None]
+    slope = np.diff(wheels, axis=0) / step
+    bend = np.abs(np.diff(slope, axis=0)) * step[1:]
+    corner = np.any((bend > rule.corner_rad_s) & (bend * step[1:] > rule.corner_rad), axis=1)
+    found[:-1] |= corner
+    found[1:] |= corner
+    return found
+
+
+def turned(rows: Rows, layout: Layout, ends: list[int]) -> Turned:
+    """Integrate and centre the columns of the pieces between bounds."""
+    vectors = rows.vector.shape[2]
+    n = len(rows.time_s)
+    flat = np.concatenate([rows.vector.reshape(n, -1), rows.scalar], axis=1)
+    rate = slice(layout.rate.start + 2 * vectors, layout.rate.stop + 2 * vectors)
+    parts = [np.zeros((0, flat.shape[1]))]
+    contrasts, summed, walked, ramped = 0, 0.0, 0.0, 0.0
+    for start, stop in pairwise(ends):
+        if stop - start < LEAST_PIECE:
+            continue
+        time = rows.time_s[start:stop]
+        own = _integral(time, flat[start:stop])
+        turns = turns_between(rows.cosines[start:stop])
+        own[:, rate] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
+        parts.append(own - own.mean(axis=0))
+        contrasts += stop - start - 1
+        summed += _centred_square(_integral(time, np.eye(len(time))))
+        walk = np.sqrt(np.diff(time)) * np.tri(len(time), len(time) - 1, -1)
+        walked += _centred_square(_integral(time, walk))
+        ramped += _centred_square(time[:, None])
+    return Turned(np.concatenate(parts), contrasts, summed, walked, ramped)
+
+
+def _integral(time_s: Array, values: Array) -> Array:
+    """∫ values dt by the trapezoidal rule from the first row, (m, …)."""
+    step = np.diff(time_s)[:, None]
+    gained = 0.5 * step * (values[1:] + values[:-1])
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(gained, axis=0)])
+
+
+def _centred_square(values: Array) -> float:
+    return float(((values - values.mean(axis=0)) ** 2).sum())
