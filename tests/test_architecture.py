@@ -26,7 +26,8 @@ ROOT: Final = Path(cassini_bayes.__file__).parent
 # own line or from one below; modules inside one package may import each other, without cycles. A
 # name that is missing here is an error.
 LAYERS: Final[tuple[tuple[str, ...], ...]] = (
-    ("errors", "computing"),
+    ("errors",),
+    ("computing",),
     ("files",),
     ("spacecraft", "published"),
     ("priors",),

@@ -31,10 +31,7 @@ app.command("simulate")(simulations.simulate_command)
 app.command("sweep")(sweeps.sweep_command)
 app.command("predict")(predictions.predict_command)
 app.command("plan")(predictions.plan_command)
-calibrations.app.command("prediction")(predictions.calibrate_prediction_command)
-calibrations.app.command("perturbations")(sweeps.calibrate_perturbations_command)
-app.command("diagnose-published")(diagnoses.diagnose_published_command)
-calibrations.app.command("blind")(diagnoses.calibrate_blind_command)
+app.command("diagnose-published")(calibrations.diagnose_published_command)
 app.add_typer(calibrations.app, name="calibrate")
 
 

@@ -1,9 +1,7 @@
-"""`diagnose`, `diagnose-published` and `calibrate blind`: what the simulation gets wrong."""
+"""`diagnose`: what the simulation gets wrong."""
 
 from __future__ import annotations
 
-import json
-import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -39,6 +37,7 @@ def diagnose_command(
     """Show what the simulation gets wrong, name the cause, measure the gain."""
     import numpy as np
 
+    from cassini_bayes.computing.workers import cores
     from cassini_bayes.diagnosis.diagnosis import catalogue_of, diagnose
     from cassini_bayes.diagnosis.estimates import is_estimates
     from cassini_bayes.diagnosis.read import read_case, totals_rows
@@ -52,7 +51,7 @@ def diagnose_command(
         estimated = _diagnose_estimates(events, priors, out, number)
         typer.echo(diagnosis_json(estimated).rstrip() if as_json else str(out / "report.html"))
         return
-    cores = len(os.sched_getaffinity(0))
+    processes = cores()
     case = read_case(events, priors, source, reporter.say)
     catalogue = catalogue_of(case, effects)
     result = diagnose(
@@ -62,11 +61,11 @@ def diagnose_command(
         measure_gain=gain,
         rows=totals_rows(events, case.priors, source),
         say=reporter.say,
-        workers=cores,
+        workers=processes,
     )
     result.record["seed"] = number
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
-    write_diagnosis(result, out, out.name, cores)
+    write_diagnosis(result, out, out.name, processes)
     if then_fit:
         from cassini_bayes.diagnosis.read import reduced_events
         from cassini_bayes.diagnosis.refit import fit_extended
@@ -104,61 +103,3 @@ def _diagnose_estimates(
     record |= {"seed": seed, "command": ["cassini-bayes", *sys.argv[1:]]}
     write_record(record, drawn([cause_picture(record)]), out, out.name)
     return record
-
-
-def calibrate_blind_command(
-    trials: Annotated[int, typer.Option("--trials", min=1)] = 470,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_261_121,
-    work: Annotated[Path, typer.Option("--work", help="Folder of finished trials.")] = Path(
-        "runs/calibrate-blind"
-    ),
-    page: Annotated[Path, typer.Option("--page", help="Folder of the results.")] = Path(
-        "docs/results/blind"
-    ),
-    scenario: Annotated[Path, typer.Option("--scenario")] = Path("runs/scenarios/calibration.toml"),
-    priors: Annotated[Path, typer.Option("--priors")] = Path(
-        "priors/cassini_b_branch_telemetry.toml"
-    ),
-    events: Annotated[str, typer.Option("--events", help="Ids of the scenario's events.")] = (
-        "bias-1,slews"
-    ),
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
-    results_only: Annotated[
-        bool, typer.Option("--results-only", help="Write results of the trials that are there.")
-    ] = False,
-    quiet: Quiet = False,
-) -> None:
-    """Hide effects in simulated telemetry and count how often the diagnosis finds them."""
-    from cassini_bayes.studies.blind.campaign import run_campaign, write_results
-    from cassini_bayes.studies.blind.flights import Blind
-
-    reporter = ConsoleReporter(quiet)
-    campaign = Blind(scenario, priors, seed, tuple(events.split(",")))
-    if not results_only:
-        for done, total in run_campaign(campaign, trials, work, jobs):
-            reporter.count("blind trials", done, total)
-    rates: dict[str, Any] = write_results(work, page, seed, ["cassini-bayes", *sys.argv[1:]])
-    typer.echo(json.dumps(rates))
-
-
-def diagnose_published_command(
-    page: Annotated[Path, typer.Option("--page", help="Folder of the results.")] = Path(
-        "docs/results"
-    ),
-    priors: Annotated[Path, typer.Option("--priors", help="Priors of the flight biases.")] = Path(
-        "priors/cassini_b_branch_2010.toml"
-    ),
-    totals: Annotated[Path, typer.Option("--totals", help="The flight biases.")] = Path(
-        "cassini_bayes/published/flight_2009_2010.csv"
-    ),
-    seed: Seed = None,
-    quiet: Quiet = False,
-) -> None:
-    """Diagnose published cases: flight biases and on-times, printed thrusts, test bed, A branch."""
-    from cassini_bayes.studies.published_diagnosis import write_published_diagnosis
-
-    reporter = ConsoleReporter(quiet)
-    number = DEFAULT_SEED if seed is None else seed
-    command = ["cassini-bayes", *sys.argv[1:]]
-    found = write_published_diagnosis(page, totals, priors, number, command, reporter.say)
-    typer.echo(json.dumps(found))

@@ -18,6 +18,13 @@ Seed = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", min=1, help="Worker processes (default and most: one for each core)."),
+]
+Dask = Annotated[
+    str | None, typer.Option("--dask", help="Workers of a Dask scheduler, e.g. tcp://host:8786.")
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")]
 
 

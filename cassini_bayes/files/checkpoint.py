@@ -1,4 +1,4 @@
-"""Checkpoints of a sampling run: one file per finished block, atomic, read without pickle.
+"""Results kept file by file: blocks of a sampling run, repetitions of a study; atomic, no pickle.
 
 Every block carries the end state of its ensembles (positions, log densities, random state), so the
 run can go on from any of them; a damaged last block costs that block only.
@@ -10,13 +10,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
-from cassini_bayes.files.json_file import json_of
+from cassini_bayes.files.json_file import json_of, read_json
+from cassini_bayes.files.storage import write_text
 
 FORMAT = 1
 
@@ -66,3 +68,24 @@ class CheckpointStore:
     def exists(self) -> bool:
         """Whether any checkpoint has been written."""
         return any(self.folder.glob("*.npz"))
+
+
+@dataclass(frozen=True)
+class RecordStore:
+    """A folder of JSON records; one that was not made by ``made_by`` counts as missing."""
+
+    folder: Path
+    made_by: Mapping[str, object]
+
+    def save(self, name: str, record: Mapping[str, Any]) -> None:
+        """Write a record, which says what it was made by, to ``<name>.json`` atomically."""
+        write_text(self.folder / f"{name}.json", json.dumps(record) + "\n")
+
+    def load(self, name: str) -> dict[str, Any] | None:
+        """A record; None when there is none, it is damaged, or something else made it."""
+        try:
+            record = read_json(self.folder / f"{name}.json", "a record")
+        except InputError:
+            return None
+        own = all(record.get(key) == value for key, value in self.made_by.items())
+        return record if own else None

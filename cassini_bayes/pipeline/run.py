@@ -6,7 +6,6 @@ A run folder holds ``resolved.toml`` and ``provenance.json`` (written before sam
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
 from collections.abc import Mapping, Sequence
@@ -20,6 +19,7 @@ import pandas as pd
 import tomli_w
 
 from cassini_bayes import __version__
+from cassini_bayes.computing.workers import cores
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
@@ -185,7 +185,7 @@ def execute(
         store=CheckpointStore(folder / "checkpoint", provenance.identity),
         say=reporter.say,
         progress=reporter.progress,
-        threads=len(os.sched_getaffinity(0)),
+        threads=cores(),
     )
     save_fit(sampled.fit, folder / "fit.nc")
     reporter.say("tables")

@@ -19,7 +19,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from cassini_bayes import __version__
 from cassini_bayes.diagnosis.diagnosis import Diagnosis, catalogue_of, diagnose
 from cassini_bayes.diagnosis.extended import Case
 from cassini_bayes.diagnosis.on_time_report import OnTimeFindings, on_time_findings
@@ -34,8 +33,6 @@ from cassini_bayes.diagnosis.summaries import (
 )
 from cassini_bayes.diagnosis.totals_gain import held_out_totals
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.files.storage import write_bytes, write_text
-from cassini_bayes.report.plots import encode
 from cassini_bayes.report.plots.criticism import width_figure
 from cassini_bayes.report.plots.on_times import on_time_figure
 from cassini_bayes.studies.published_cases import (
@@ -46,6 +43,7 @@ from cassini_bayes.studies.published_cases import (
     flight_2004,
     fsds,
 )
+from cassini_bayes.studies.study import Study
 
 Array = NDArray[np.float64]
 WIDTHS: Final = (0.5, 1.0, 2.0)
@@ -260,14 +258,10 @@ def _catalogue_sizes(parameters: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def write_published_diagnosis(
-    folder: Path,
-    totals: Path,
-    priors: Path,
-    seed: int,
-    command: Sequence[str],
-    say: Callable[[str], None] | None = None,
+    study: Study, totals: Path, priors: Path, say: Callable[[str], None] | None = None
 ) -> dict[str, str]:
     """Weigh all cases, write page, table and figures; returns the first cause of every case."""
+    seed = study.seed
     weighings = [
         weigh_flight(totals, priors, seed, say),
         weigh_summary_case("b", flight_2004(), seed),
@@ -278,16 +272,17 @@ def write_published_diagnosis(
     weighings.append(replace(branch, details=f"{branch.details}\n\n{pairs}"))
     on_times = on_time_findings(totals, priors, seed, say)
     weighings.append(_on_time_weighing(on_times))
-    frame = pd.concat([_table(weighing) for weighing in weighings])
-    write_text(folder / f"{NAME}.csv", frame.to_csv(index=False))
-    for weighing in weighings:
-        picture = (
-            on_time_figure(on_times.probability, on_times.log_bayes_factor, on_times.points)
-            if weighing.key == "e"
-            else width_figure(weighing.probability)
+    figures = {
+        f"-{weighing.key}": on_time_figure(
+            on_times.probability, on_times.log_bayes_factor, on_times.points
         )
-        write_bytes(folder / f"{NAME}-{weighing.key}.png", encode(picture, "png"))
-    write_text(folder / f"{NAME}.md", _page(weighings, seed, command))
+        if weighing.key == "e"
+        else width_figure(weighing.probability)
+        for weighing in weighings
+    }
+    table = pd.concat([_table(weighing) for weighing in weighings])
+    title, body = "What published data say against their models", _body(weighings)
+    study.publish(title, body, "studies.published_diagnosis", {"": table}, figures)
     return {weighing.key: weighing.first for weighing in weighings}
 
 
@@ -354,15 +349,13 @@ def _section(weighing: Weighing) -> str:
 """
 
 
-def _page(weighings: Sequence[Weighing], seed: int, command: Sequence[str]) -> str:
+def _body(weighings: Sequence[Weighing]) -> str:
     sections = "\n".join(_section(weighing) for weighing in weighings)
-    return f"""# What published data say against their models
-
+    return f"""\
 Posterior probability of every cause, `none` and `unknown` included, with the prior of each effect's
 size half, once and twice as wide as the default. What the cases assume, and what their outcome
 means, is in [What the simulation gets wrong](../criticism.md). Units stand in the names of the
-parameters; `thrust_factor`, `scale` and `ratio` are fractions. Made by
-`{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__}; all numbers:
+parameters; `thrust_factor`, `scale` and `ratio` are fractions. All numbers:
 [{NAME}.csv]({NAME}.csv).
 
 {sections}"""

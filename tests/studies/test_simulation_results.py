@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
+from study_cases import study_in
 
 from cassini_bayes.report.plots.simulation import motion_figure
 from cassini_bayes.simulation import read_scenario
 from cassini_bayes.simulation.settings import PropulsionSettings
-from cassini_bayes.studies.simulation import biases, main, page
+from cassini_bayes.studies.simulation import biases, page, simulation_results
 from cassini_bayes.studies.simulation.cases import simulated
 from cassini_bayes.studies.simulation.fsds import fsds_section, naive_thrust_n
 from cassini_bayes.studies.simulation.mechanics import (
@@ -137,7 +138,8 @@ def test_the_page_is_written_with_its_tables_and_pictures(
     monkeypatch.setattr(biases, "SCAN", {"as in the scenario": {}})
     monkeypatch.setattr(biases, "TAIL_OFFS_S", ())
     monkeypatch.setattr(page, "fsds_section", fsds)
-    main(["--out", str(tmp_path), "--seeds", "1", "--scan-seeds", "1"])
+    study = study_in(tmp_path, tmp_path / "simulation.md", seed=1)
+    simulation_results(study, {"eight wheel biases": 1, "scan of settings": 1})
     text = (tmp_path / "simulation.md").read_text("utf-8")
     for name in ("simulation_biases.png", "simulation_event.png"):
         assert name in text

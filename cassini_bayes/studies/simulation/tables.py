@@ -15,8 +15,8 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     return "\n".join(lines)
 
 
-def csv_bytes(rows: Iterable[Iterable[str]]) -> bytes:
+def csv_text(rows: Iterable[Iterable[str]]) -> str:
     """Rows as CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
+    return text.getvalue()
