@@ -13,11 +13,11 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing.synchronize import Event
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -97,7 +97,7 @@ def as_finished(
             yield from _gathered(pending, meanwhile)
         return
     context = multiprocessing.get_context("fork")
-    stop = context.Event()
+    stop = context.RawValue("b", 0)  # not an Event: it waits for ever for a waiter that was killed
     most = min(processes, len(work))
     with ProcessPoolExecutor(most, context, _inherit, (work, os.getpid(), stop)) as pool:
         try:
@@ -105,7 +105,7 @@ def as_finished(
                 {pool.submit(_inherited, i): i for i in range(len(work))}, meanwhile
             )
         except BaseException as failure:  # interrupted, given up, or a piece failed
-            stop.set()
+            stop.value = 1
             pool.shutdown(wait=False, cancel_futures=True)
             if isinstance(failure, BrokenProcessPool):
                 raise CassiniBayesError(
@@ -127,17 +127,17 @@ def _gathered(
 _work: list[tuple[Callable[[Any], Any], Any]] = []  # of a forked process
 
 
-def _inherit(work: list[tuple[Callable[[Any], Any], Any]], parent: int, stop: Event) -> None:
+def _inherit(work: list[tuple[Callable[[Any], Any], Any]], parent: int, stop: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says that it was interrupted
     threading.Thread(target=_end_in_time, args=(parent, stop), daemon=True).start()
     gc.freeze()  # a collection would copy all that is inherited
     _work[:] = work
 
 
-def _end_in_time(parent: int, stop: Event) -> None:
+def _end_in_time(parent: int, stop: Any) -> None:
     """End this worker when its parent gives up, or was killed: it would wait for work for ever."""
-    while os.getppid() == parent and not stop.wait(0.5):
-        pass
+    while os.getppid() == parent and not stop.value:
+        time.sleep(0.5)
     os._exit(1)
 
 

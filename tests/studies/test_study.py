@@ -89,11 +89,13 @@ def test_a_study_killed_at_any_file_goes_on(
 
         pid = os.fork()
         if not pid:
-            monkeypatch.setattr(CheckpointStore, "save", deadly)
-            repeated(study_in(folder))
-            os._exit(0)
+            try:
+                monkeypatch.setattr(CheckpointStore, "save", deadly)
+                repeated(study_in(folder))
+            finally:
+                os._exit(0)
         assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == -signal.SIGKILL
-        assert len([p for p in folder.rglob("r*.npz")]) == kill
+        assert len(list(folder.rglob("r*.npz"))) == kill
         again = repeated(study_in(folder))
         assert all(np.array_equal(again[key], alone[key]) for key in alone)
 
