@@ -19,14 +19,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cassini_bayes.errors import CassiniBayesError, InputError
     from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
-    from cassini_bayes.model.totals import TotalsModel, build_model, prior_centre
+    from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_event
     from cassini_bayes.priors.reader import Priors, read_priors
-    from cassini_bayes.report.plots import make_figures
+    from cassini_bayes.report import figures_of, sections_of
     from cassini_bayes.results.baselines import perturbation_bars
     from cassini_bayes.results.fitting import Sampled, convergence_table, fit_model
     from cassini_bayes.results.record import Fit, read_fit, save_fit
-    from cassini_bayes.results.review import Review, assemble_review, nuisance_table, summarise
+    from cassini_bayes.results.review import Review
     from cassini_bayes.results.sensitivity import error_budget
+    from cassini_bayes.results.tables import nuisance_table, summarise
     from cassini_bayes.sampling.ensembles import SamplerSettings
     from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 
@@ -35,14 +36,15 @@ __version__ = "0.1.0"
 _HOMES = {
     "errors": ("CassiniBayesError", "InputError"),
     "events.totals": ("TotalsEvent", "read_totals", "write_totals"),
-    "model.totals": ("TotalsModel", "build_model", "prior_centre"),
+    "model": ("Model", "ReducedEvent", "build_model", "reduce_event"),
     "priors.reader": ("Priors", "read_priors"),
-    "report.plots": ("make_figures",),
+    "report": ("figures_of", "sections_of"),
     "results.baselines": ("perturbation_bars",),
     "results.fitting": ("Sampled", "convergence_table", "fit_model"),
     "results.record": ("Fit", "read_fit", "save_fit"),
-    "results.review": ("Review", "assemble_review", "nuisance_table", "summarise"),
+    "results.review": ("Review",),
     "results.sensitivity": ("error_budget",),
+    "results.tables": ("nuisance_table", "summarise"),
     "sampling.ensembles": ("SamplerSettings",),
     "spacecraft": ("Spacecraft", "load_spacecraft"),
 }
@@ -52,27 +54,28 @@ __all__ = [
     "CassiniBayesError",
     "Fit",
     "InputError",
+    "Model",
     "Priors",
+    "ReducedEvent",
     "Review",
     "Sampled",
     "SamplerSettings",
     "Spacecraft",
     "TotalsEvent",
-    "TotalsModel",
-    "assemble_review",
     "build_model",
     "convergence_table",
     "error_budget",
+    "figures_of",
     "fit_model",
     "load_spacecraft",
-    "make_figures",
     "nuisance_table",
     "perturbation_bars",
-    "prior_centre",
     "read_fit",
     "read_priors",
     "read_totals",
+    "reduce_event",
     "save_fit",
+    "sections_of",
     "summarise",
     "write_totals",
 ]

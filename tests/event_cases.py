@@ -9,8 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cassini_bayes.model.event_reduction import ReducedEvent, reduce_event
-from cassini_bayes.model.joint import JointModel, build_joint_model
+from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_event
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
@@ -81,6 +80,6 @@ def events(*names: str) -> tuple[ReducedEvent, ...]:
 
 
 @cache
-def model(*names: str) -> JointModel:
+def model(*names: str) -> Model:
     """The joint model of some of the events."""
-    return build_joint_model([(e.statistics, e.sampling) for e in events(*names)], priors())
+    return build_model(events(*names), priors())

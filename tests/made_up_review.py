@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
-from cassini_bayes.report.plots import Figure, make_figures
+from cassini_bayes.arrays import Array
+from cassini_bayes.report import figures_of, render_report, sections_of
 from cassini_bayes.results.record import Fit
-from cassini_bayes.results.review import Review, hdi
+from cassini_bayes.results.review import Review
+from cassini_bayes.results.tables import hdi
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
+
 
 DATES = (
     "2009-08-22", "2009-10-05", "2009-12-13", "2010-02-13",
@@ -102,15 +107,10 @@ def made_up_review(
     nuisances = _nuisances(fit)
     review = Review(
         name="made_up",
+        model=cast(Any, SimpleNamespace(telemetry=())),
+        priors=cast(Any, None),
         fit=fit,
-        summary=summary,
-        nuisances=nuisances,
-        budget=_budget(rng, summary, events, thrusters),
-        baseline=_baseline(rng, events, thrusters, on_time) if baseline else _no_baseline(),
-        predictive=_predictive(rng, events, thrusters, on_time),
-        balance=_balance(rng, events),
-        delta_v=_delta_v(rng, events) if delta_v else _no_delta_v(),
-        variants=_variants(rng, summary) if delta_v else pd.DataFrame(),
+        z=np.zeros((0, 0)),
         convergence=pd.DataFrame(
             {
                 "name": nuisances["name"],
@@ -128,10 +128,24 @@ def made_up_review(
             "Identity": "9f" * 32,
             "Command": "cassini-bayes run runs/made_up.toml",
         },
+    )
+    # what a run works out of its model is made up here
+    vars(review).update(
         warnings=(
             "cm_y_m: the data pull it -3.1 standard deviations from its prior "
             "(-0.06 ± 0.006 → -0.0786 ± 0.0036 m).",
         ),
+        summary=summary,
+        nuisances=nuisances,
+        budget=_budget(rng, summary, events, thrusters),
+        baseline=_baseline(rng, events, thrusters, on_time) if baseline else _no_baseline(),
+        predictive=_predictive(rng, events, thrusters, on_time),
+        balance=_balance(rng, events),
+        delta_v=_delta_v(rng, events) if delta_v else _no_delta_v(),
+        variants=_variants(rng, summary) if delta_v else pd.DataFrame(),
+        inertia_methods=pd.DataFrame(),
+        torque_methods=pd.DataFrame(),
+        series=(),
     )
     return _with_missing_cells(review) if missing_cells else review
 
@@ -145,7 +159,12 @@ def full_review() -> Review:
 @functools.cache
 def full_figures() -> dict[str, Figure]:
     """Its figures: some seconds to make, so made once."""
-    return make_figures(full_review())
+    return figures_of(sections_of(full_review()))
+
+
+def page_of(review: Review, figures: dict[str, Figure]) -> str:
+    """Its report, with these figures."""
+    return render_report(review, sections_of(review), figures)
 
 
 def _date(i: int) -> str:

@@ -48,15 +48,16 @@ from cassini_bayes.diagnosis.search import near_mode
 from cassini_bayes.diagnosis.summaries import SummaryCause, weigh_summaries
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
 from cassini_bayes.events.totals import read_totals
-from cassini_bayes.model.event_reduction import ReducedEvent, reduce_event
-from cassini_bayes.model.joint import (
-    JointModel,
-    build_joint_model,
-    collapse_joint,
-    joint_log_posterior,
+from cassini_bayes.model import (
+    Model,
+    ReducedEvent,
+    build_model,
+    collapse,
+    conditional_thrusts,
+    log_posterior,
+    reduce_event,
 )
-from cassini_bayes.model.posterior import log_posterior, moments_of, thrust_moments
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model.telemetry import unknowns_of
 from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.priors.chaining import EarlierFit
 from cassini_bayes.priors.distributions import Distribution
@@ -97,13 +98,37 @@ def by_name(names: Sequence[str], n: int) -> Array:
 # Totals rows.
 
 
-def of_totals(model: TotalsModel) -> Subject:
-    """A model of totals rows."""
+def of_model(model: Model) -> Subject:
+    """A model of any events."""
     moments = {
-        "thrust mean, N": lambda z: thrust_moments(model, z)[0],
-        "thrust variance, N2": lambda z: thrust_moments(model, z)[1],
+        f"own unknowns of {term.id}": partial(own_means, model, place)
+        for place, term in enumerate(model.telemetry, start=len(model.totals))
     }
+    if model.fired_ids:
+        moments |= {
+            "thrust mean, N": lambda z: conditional_thrusts(model, z)[0],
+            "thrust variance, N2": lambda z: conditional_thrusts(model, z)[1],
+        }
     return Subject(model.space.names, partial(log_posterior, model), moments)
+
+
+class Still(np.random.Generator):
+    """A generator whose normal deviates are all zero: draws are then means."""
+
+    def __init__(self) -> None:
+        super().__init__(np.random.PCG64(0))
+
+    def standard_normal(self, size: Any = None, *_: Any) -> Any:
+        """Zeros."""
+        return np.zeros(size)
+
+
+def own_means(model: Model, place: int, z: Array) -> Array:
+    """Mean of an event's initial momentum, torque and cut tails, thrusts at their means."""
+    fired = model.fired_of_term[place]
+    thrusts = conditional_thrusts(model, z)[0][:, fired]
+    drawn = collapse(model, z).terms[place].draw(thrusts, Still())
+    return unknowns_of(thrusts[:, :0], drawn)
 
 
 @cache
@@ -115,7 +140,7 @@ def flight_priors() -> Priors:
 def flight(priors: Priors | None = None, events: int = 8, **choices: Any) -> Subject:
     """The flight biases, with other priors or choices of the model."""
     rows, own = totals_cases.flight(events)
-    return of_totals(build_model(rows, priors or own, **choices))
+    return of_model(build_model(rows, priors or own, **choices))
 
 
 def with_wider(priors: Priors, name: str, factor: float) -> Priors:
@@ -157,54 +182,22 @@ def twelve() -> Subject:
     thrust = np.full((3, count), values["thrust_common_n"])
     rng = np.random.default_rng(SEED)
     events = spacecraft_cases.balanced_events("twelve", priors.branch, values, thrust, rng, 3)
-    return of_totals(build_model(events, priors))
+    return of_model(build_model(events, priors))
 
 
 # Telemetry, with totals rows or without.
 
 
-def of_telemetry(model: JointModel) -> Subject:
-    """A model of telemetry events and totals rows."""
-
-    def thrust(which: int, z: Array) -> Array:
-        collapsed = collapse_joint(model, z)
-        assert collapsed.thrusts is not None
-        return moments_of(model.linear, collapsed.thrusts, collapsed.common_n)[which]
-
-    def own(event: int, z: Array) -> Array:
-        """Mean of an event's initial momentum, torque and cut tails, thrusts at their means."""
-        collapsed = collapse_joint(model, z)
-        factors, pull = collapsed.own[event], collapsed.own[event].shift
-        if model.telemetry[event].fires:
-            place = model.fired_ids.index(model.telemetry[event].id)
-            pull = pull - (factors.coupling @ thrust(0, z)[:, place, :, None])[..., 0]
-        v = np.linalg.solve(np.swapaxes(factors.factor, -1, -2), pull[..., None])[..., 0]
-        return np.asarray(factors.mean + factors.sd * v)
-
-    moments = {
-        f"own unknowns of {terms.id}": partial(own, event)
-        for event, terms in enumerate(model.telemetry)
-    }
-    if model.fired_ids:
-        moments |= {
-            "thrust mean, N": partial(thrust, 0),
-            "thrust variance, N2": partial(thrust, 1),
-        }
-    return Subject(model.space.names, partial(joint_log_posterior, model), moments)
-
-
 def telemetry(*names: str, priors: Priors | None = None) -> Subject:
     """Events of tests/event_cases.py, with other priors."""
-    pairs = [(e.statistics, e.sampling) for e in event_cases.events(*names)]
-    return of_telemetry(build_joint_model(pairs, priors or event_cases.priors()))
+    return of_model(build_model(event_cases.events(*names), priors or event_cases.priors()))
 
 
 def mixed(delta_v: Any) -> Subject:
     """Two flight biases as totals rows beside a bias and slews as telemetry."""
     rows, _ = totals_cases.flight(2)
-    totals = build_model(rows, event_cases.priors(), delta_v=delta_v)
-    pairs = [(e.statistics, e.sampling) for e in event_cases.events("bias", "slews")]
-    return of_telemetry(build_joint_model(pairs, event_cases.priors(), totals))
+    events = (*rows, *event_cases.events("bias", "slews"))
+    return of_model(build_model(events, event_cases.priors(), delta_v=delta_v))
 
 
 @cache
@@ -222,8 +215,7 @@ def measured() -> Subject:
     """The model of that bias."""
     event = with_measured_delta_v()
     assert event.delta_v is not None
-    pairs = [(event.statistics, event.sampling)]
-    return of_telemetry(build_joint_model(pairs, event_cases.priors(), delta_v=[event.delta_v]))
+    return of_model(build_model([event], event_cases.priors()))
 
 
 def made_up() -> Subject:
@@ -234,10 +226,13 @@ def made_up() -> Subject:
         telemetry_cases.made_up_samples(rng, 300, fires=False),
         telemetry_cases.made_up_samples(rng, 110, every_s=4.0),
     ]
-    pairs = [
-        telemetry_cases.reduced(own, event_cases.priors(), f"e{i}") for i, own in enumerate(samples)
-    ]
-    return of_telemetry(build_joint_model(pairs, event_cases.priors()))
+    priors = event_cases.priors()
+    return of_model(
+        build_model(
+            [telemetry_cases.event_of(own, priors, f"e{i}") for i, own in enumerate(samples)],
+            priors,
+        )
+    )
 
 
 # A diagnosis of telemetry, and one of totals rows.
@@ -567,7 +562,7 @@ def of_event(name: str) -> EventStatistics:
 
 def of_diagnosis() -> EventStatistics:
     """The bias reduced with all columns that effects need."""
-    return flexible_case(telemetry_case(), LINE).statistics[0][0]
+    return flexible_case(telemetry_case(), LINE).reduced[0].statistics
 
 
 # What random numbers everything above leans on.

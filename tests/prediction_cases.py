@@ -8,20 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 from totals_cases import B_BRANCH, FLIGHT, flight
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model import Model, build_model, draw
+from cassini_bayes.model.totals import software_of
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.leave_one_out import HeldOut, fold
 from cassini_bayes.prediction.physics import Physics
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.results.record import build_fit, draws_of, save_fit
+from cassini_bayes.results.groups import build_fit
+from cassini_bayes.results.record import save_fit
 
-Array = NDArray[np.float64]
 SIZE = 400
 
 
@@ -38,7 +39,7 @@ def flights(first: int = 8) -> tuple[tuple[TotalsEvent, ...], Priors]:
 
 
 @cache
-def model() -> TotalsModel:
+def model() -> Model:
     """The totals model of the eight events."""
     events, priors = flights()
     return build_model(events, priors)
@@ -48,9 +49,9 @@ def physics(n: int = SIZE, seed: int = 3) -> Physics:
     """Draws near the prior's centre with thrusts drawn from their exact conditional."""
     rng = np.random.default_rng(seed)
     z = 0.3 * rng.standard_normal((n, len(model().space.names)))
-    parameters, linear = draws_of(model(), z, rng)
-    full: Mapping[str, Array | float] = {**parameters, **model().absent_wheel_parameters}
-    return Physics(full, linear.thrust_n, linear.level_n, linear.software)
+    draws = draw(model(), z, rng)
+    full: Mapping[str, Array | float] = {**draws.parameters, **model().idle}
+    return Physics(full, draws.thrusts.thrust_n, draws.thrusts.level_n, software_of(draws.own[0]))
 
 
 @cache

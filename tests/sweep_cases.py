@@ -7,19 +7,18 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from totals_cases import flight
 
-from cassini_bayes.model.posterior import log_posterior
+from cassini_bayes.arrays import Array
+from cassini_bayes.model import log_posterior
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.results.record import Fit, build_fit
+from cassini_bayes.results.groups import build_fit
+from cassini_bayes.results.record import Fit
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.sweep.cells import Baseline
-from cassini_bayes.sweep.models import TotalsFactory
+from cassini_bayes.sweep.models import Factory
 from cassini_bayes.sweep.weights import batch_labels
-
-Array = NDArray[np.float64]
 
 TOY_NAMES = ("cm_x_m", "cm_y_m")
 TOY_DATUM = 0.25
@@ -105,10 +104,10 @@ def toy_baseline(n: int = 8_000, seed: int = 1) -> Baseline:
     )
 
 
-def small_fit(events: int = 2, draws: int = 1_000) -> tuple[TotalsFactory, Fit]:
+def small_fit(events: int = 2, draws: int = 1_000) -> tuple[Factory, Fit]:
     """Importance draws, four "chains" of them, of the first flight events without ΔV."""
     rows, priors = flight(events)
-    factory = TotalsFactory(rows, priors, delta_v="ignore")
+    factory = Factory(rows, priors, delta_v="ignore")
     model = factory.build(priors).model
     rng = np.random.default_rng(7)
     density = partial(log_posterior, model)

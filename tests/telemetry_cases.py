@@ -9,11 +9,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 from scipy.linalg import sqrtm
 from scipy.stats import multivariate_normal
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     Layout,
@@ -21,12 +21,13 @@ from cassini_bayes.balance.statistics import (
     Sampling,
     reduce_chunks,
 )
-from cassini_bayes.balance.telemetry_terms import TelemetryTerms, cut_probability
-from cassini_bayes.model.joint import JointModel, build_joint_model, sampling_of
+from cassini_bayes.balance.telemetry_terms import cut_probability
+from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
+from cassini_bayes.model.event_reduction import sampling_of
+from cassini_bayes.model.telemetry import TelemetryTerm
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
 
-Array = NDArray[np.float64]
 PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 RPM = 2.0 * np.pi / 60.0
 MODES = 512
@@ -101,11 +102,19 @@ def reduced(
     return reduce_chunks(event_id, kind, parts, layout, sampling), sampling
 
 
-def model_of(events: list[Samples]) -> JointModel:
-    """A joint model of made-up events."""
+def event_of(samples: Samples, priors: Priors, event_id: str = "made-up") -> ReducedEvent:
+    """Samples as an event that a model takes."""
+    fires = samples.on_time_s.shape[1] > 0
+    names = priors.spacecraft.thruster_names(priors.branch) if fires else ()
+    sampling = sampling_of(priors, names, float(samples.time_s[-1]), "first_order")
+    kind = "bias" if fires else "slew"
+    return reduce_samples(event_id, kind, (1, 2, 4), names, samples, sampling)
+
+
+def model_of(events: list[Samples]) -> Model:
+    """A model of made-up events."""
     priors = telemetry_priors()
-    statistics = [reduced(samples, priors, f"e{i}") for i, samples in enumerate(events)]
-    return build_joint_model(statistics, priors)
+    return build_model([event_of(own, priors, f"e{i}") for i, own in enumerate(events)], priors)
 
 
 def rotation(q: Array) -> Array:
@@ -209,32 +218,32 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
 
 
 def plain_log_likelihood(
-    model: JointModel, events: list[Samples], parameters: Mapping[str, float]
+    model: Model, events: list[Samples], parameters: Mapping[str, float]
 ) -> float:
     """Log density of all channels of all rows, the unknowns integrated out as one dense normal.
 
     Every linear unknown (thrust levels and departures, initial momenta, torques, cut tails,
     cosines) becomes covariance between rows.
     """
-    linear = model.linear
+    linear = model.thrust_prior
     means, blocks, shared, constant = [], [], [], 0.0
-    values = dict.fromkeys(model.absent_wheel_parameters, 0.0) | dict(parameters)
+    values = dict(model.idle) | dict(parameters)
     inertia = inertia_tensor(values)
     weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
         :, [0, 1, 3]
     ]
     arms = lever_arms(model.spacecraft, model.branch, values)
     tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
-    for terms, samples in zip(model.telemetry, events, strict=True):
+    for term, samples in zip(model.telemetry, events, strict=True):
         fires = samples.on_time_s.shape[1] > 0
-        sampling = terms.sampling
+        sampling = term.event.sampling
         rows = plain_rows(samples, sampling, arms if fires else np.zeros((3, 0)), tau)
         n = len(rows.times)
         spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
         white = values["rate_noise_rad_s"] ** 2 * inertia @ inertia
         white = white + values["attitude_noise_rad"] ** 2 * spin
         wheels, wheel_noise = np.array(rows.wheels), (values["wheel_noise_rpm"] * RPM) ** 2
-        own, columns, mean = _unknowns(model, terms, samples, rows, arms, tau)
+        own, columns, mean = _unknowns(model, term, samples, rows, arms, tau)
         drift_square = values["torque_noise_n_m_s05"] ** 2
         y = np.array(rows.rates) @ inertia
         lacking = y
@@ -281,8 +290,8 @@ def plain_log_likelihood(
 
 
 def _unknowns(
-    model: JointModel,
-    terms: TelemetryTerms,
+    model: Model,
+    term: TelemetryTerm,
     samples: Samples,
     rows: PlainRows,
     arms: Array,
@@ -296,14 +305,14 @@ def _unknowns(
         sd * np.array(rows.torques)[:, :, axis].reshape(-1)
         for axis, sd in enumerate(model.torque_sd_n_m)
     ]
-    mean = start @ terms.initial_mean_n_m_s + np.array(rows.torques) @ model.torque_mean_n_m
+    mean = start @ term.balance.initial_mean_n_m_s + np.array(rows.torques) @ model.torque_mean_n_m
     columns = np.zeros((3 * n, thrusters))
     if samples.on_time_s.shape[1] == 0:
         return own, columns, mean
     chance = cut_probability(float(np.median(np.diff(samples.time_s))))
     lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
     counts = np.array(rows.cuts)  # (n, G, PARTS)
-    couples = terms.sampling.couples
+    couples = term.event.sampling.couples
     for k in range(thrusters):
         couple = next(g for g, c in enumerate(couples) if k in c)
         cut = chance * lost * counts[:, couple].sum(1)[:, None] * arms[:, k]
@@ -313,7 +322,7 @@ def _unknowns(
         for part in range(PARTS):
             if rows.totals[g, part] > 0:
                 sd = np.sqrt(chance * (1 - chance) / rows.totals[g, part])
-                step = model.linear.common_mean_n * lost * sd
+                step = model.thrust_prior.common_mean_n * lost * sd
                 own.append(step * (counts[:, g, part][:, None] * arm).reshape(-1))
     return own, columns, mean
 
@@ -427,12 +436,12 @@ def _spin(momentum: Array) -> Array:
     return np.eye(3) * (momentum @ momentum) - np.outer(momentum, momentum)
 
 
-def _nominal_momenta(model: JointModel, rows: PlainRows) -> list[Array]:
+def _nominal_momenta(model: Model, rows: PlainRows) -> list[Array]:
     means = {
         name: distribution.mean()
         for name, distribution in zip(model.space.names, model.space.distributions, strict=True)
     }
-    values = dict.fromkeys(model.absent_wheel_parameters, 0.0) | dict(model.space.fixed) | means
+    values = dict(model.idle) | dict(model.space.fixed) | means
     inertia = inertia_tensor(values)
     weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
         :, [0, 1, 3]

@@ -10,14 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.model import Model
 from cassini_bayes.priors.reader import Priors, read_priors
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
 FLIGHT = ROOT / "cassini_bayes" / "published" / "flight_2009_2010.csv"
@@ -158,6 +156,6 @@ def jacobian_determinant(
     return float(np.linalg.det(np.array(columns).T))
 
 
-def point(model: TotalsModel, z: Array) -> dict[str, float]:
+def point(model: Model, z: Array) -> dict[str, float]:
     """Parameters of a single point as floats."""
     return {k: float(np.asarray(v).reshape(-1)[0]) for k, v in model.space.to_parameters(z).items()}

@@ -8,7 +8,7 @@ import jax.scipy.special as jax_special
 import numpy as np
 import scipy.special
 
-from cassini_bayes.model.joint import joint_log_posterior
+from cassini_bayes.model.posterior import log_posterior
 from speed import plain
 from speed.fast_jax import fast_log_posterior
 
@@ -21,7 +21,7 @@ def largest_difference(problem: plain.Problem, points: int = 5) -> dict[str, flo
     """
     d, extra = len(problem.model.space.names), problem.linear_size
     z = 0.5 * np.random.default_rng(7).standard_normal((points, d))
-    ours = joint_log_posterior(problem.model, z)
+    ours = log_posterior(problem.model, z)
     fast = jax.jit(fast_log_posterior(problem))
     by_jax = np.array([float(fast(point)) for point in z])
 

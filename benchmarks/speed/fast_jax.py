@@ -31,7 +31,7 @@ def fast_log_posterior(problem: plain.Problem) -> Callable[[Values], Values]:
     rows, k = terms.statistics.rows, pattern.thrusters
     channels = 3 + len(terms.wheel_places)
     mean, sd = plain.slow_prior(problem)
-    linear = model.linear
+    linear = model.thrust_prior
 
     def combined(own: Values, inertia: Values, wheels: Values) -> Values:
         """Columns to unknowns and measured momentum, (3, A', P)."""
@@ -124,7 +124,7 @@ def _weights(problem: plain.Problem, arms: Values, taus: tuple[Values, Values]) 
     parts.append(jnp.ones((6, 3)))
     for place in pattern.cuts:
         members = list(layout.couples[place // CUT_PARTS])
-        push = problem.model.linear.common_mean_n * lost * jnp.sum(arms[:, members], axis=1)
+        push = problem.model.thrust_prior.common_mean_n * lost * jnp.sum(arms[:, members], axis=1)
         parts.append(push[None])
     return jnp.concatenate(parts)
 

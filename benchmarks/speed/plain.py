@@ -19,20 +19,19 @@ import scipy.special
 
 from cassini_bayes.balance.bands import Band
 from cassini_bayes.balance.physics import INERTIA_PARAMETERS
-from cassini_bayes.balance.statistics import Carry, settle
+from cassini_bayes.balance.statistics import Carry, Samples, settle
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.statistics.reduction import MODES
 from cassini_bayes.balance.telemetry_terms import (
     CONTROL_CYCLE_S,
     INITIAL_SD_N_M_S,
-    TelemetryTerms,
+    TelemetryBalance,
     cut_probability,
     cut_tail_sd,
 )
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
-from cassini_bayes.events.telemetry import load_event
-from cassini_bayes.model.event_reduction import ReducedEvent, samples_of
-from cassini_bayes.model.joint import JointModel
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from speed.wheel_motion import fast_motion, mean_walk, slow_motion
@@ -55,8 +54,8 @@ class Slow:
 class Problem:
     """One bias: the model, its rows as columns, and the orthonormal modes of its bands."""
 
-    model: JointModel
-    terms: TelemetryTerms
+    model: Model
+    terms: TelemetryBalance
     vector: Values  # (3 n, V)
     counts: Values  # (n, C) of pulses that may have cut tails
     rate: Values  # (n, 3)
@@ -78,10 +77,10 @@ class Problem:
         return self.terms.pattern.thrusters + 6 + len(self.terms.pattern.cuts)
 
 
-def make_problem(model: JointModel, event: ReducedEvent) -> Problem:
+def make_problem(model: Model, event: ReducedEvent) -> Problem:
     """Rows of an event for the plain likelihood."""
-    samples = samples_of(load_event(event.event, model.spacecraft))
-    layout, terms = event.statistics.layout, model.telemetry[0]
+    samples = Samples.joined(tuple(event.rows))
+    layout, terms = event.statistics.layout, model.telemetry[0].balance
     rows, _ = settle(samples, Carry.start(layout), layout, event.sampling, final=True)
     n, offset = len(rows.time_s), len(layout.vector)
     bands = (terms.slow, *terms.fast)
@@ -96,7 +95,7 @@ def make_problem(model: JointModel, event: ReducedEvent) -> Problem:
     vector = rows.vector.reshape(n, -1)
     slow = modes[:, places[0]].T
     amplitude = modes.T @ wheel
-    own, shared = model.linear.own, model.linear.shared
+    own, shared = model.thrust_prior.own, model.thrust_prior.shared
     return Problem(
         model=model,
         terms=terms,
@@ -224,7 +223,7 @@ def placed_by_slow_rows(
 def slow_prior(problem: Problem) -> tuple[Values, Values]:
     """Mean and sd (P,) of thrusts, initial momentum, torque and tails for the slow rows."""
     model, terms = problem.model, problem.terms
-    common, k = model.linear.common_mean_n, terms.pattern.thrusters
+    common, k = model.thrust_prior.common_mean_n, terms.pattern.thrusters
     tails = np.zeros(len(terms.pattern.cuts))
     mean = [np.full(k, common), terms.initial_mean_n_m_s, model.torque_mean_n_m, tails]
     sd = [np.full(k, _THRUST_SPREAD * common), np.full(3, INITIAL_SD_N_M_S), model.torque_sd_n_m]
@@ -239,7 +238,7 @@ def unpacked(
     white = x[d:]
     unknowns = xp.concatenate(
         [
-            problem.model.linear.common_mean_n + problem.thrust_factor @ white[:k],
+            problem.model.thrust_prior.common_mean_n + problem.thrust_factor @ white[:k],
             problem.terms.initial_mean_n_m_s + INITIAL_SD_N_M_S * white[k : k + 3],
             problem.model.torque_mean_n_m + problem.model.torque_sd_n_m * white[k + 3 : k + 6],
             cut_tail_sd(problem.terms) * white[k + 6 :],
@@ -274,7 +273,7 @@ def column_weights(
     members = np.zeros((cuts, k))
     for i, place in enumerate(terms.pattern.cuts):
         members[i, list(layout.couples[place // CUT_PARTS])] = 1.0
-    tails = problem.model.linear.common_mean_n * lost * (members @ arms.T)
+    tails = problem.model.thrust_prior.common_mean_n * lost * (members @ arms.T)
     by_count = xp.concatenate(
         [
             -chance * lost * arms * members[:, None, :],
@@ -308,10 +307,10 @@ def physics(xp: ModuleType, problem: Problem, parameters: dict[str, Values]) -> 
     return inertia, xp.stack(columns, axis=1), arms, taus
 
 
-def to_parameters(xp: ModuleType, special: Any, model: JointModel, z: Values) -> dict[str, Values]:
+def to_parameters(xp: ModuleType, special: Any, model: Model, z: Values) -> dict[str, Values]:
     """Parameters at standard-normal coordinates z (d,)."""
     found = {name: xp.asarray(value) for name, value in model.space.fixed.items()}
-    found |= {name: xp.asarray(value) for name, value in model.absent_wheel_parameters.items()}
+    found |= {name: xp.asarray(value) for name, value in model.idle.items()}
     for i, name in enumerate(model.space.names):
         found[name] = _quantile(xp, special, model.space.distributions[i], z[i])
     return found

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cassini_bayes.model.event_reduction import ReducedEvent, reduce_event
-from cassini_bayes.model.joint import JointModel, build_joint_model
+from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import draw_wheel_rates, simulate_file, write_simulation
@@ -58,7 +58,6 @@ def reduced_events(folders: list[Path], torque_noise: bool = True) -> list[Reduc
     return [reduce_event(folder, priors_of(torque_noise), PULSE_SHAPE) for folder in folders]
 
 
-def model_of(events: list[ReducedEvent], torque_noise: bool = True) -> JointModel:
-    """The joint model of reduced events."""
-    pairs = [(event.statistics, event.sampling) for event in events]
-    return build_joint_model(pairs, priors_of(torque_noise))
+def model_of(events: list[ReducedEvent], torque_noise: bool = True) -> Model:
+    """The model of reduced events."""
+    return build_model(events, priors_of(torque_noise))

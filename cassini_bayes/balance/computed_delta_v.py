@@ -12,11 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.totals_terms import TotalsStack
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class ComputedDeltaV:
     information matrix is rotation @ diag(eigenvalues) @ rotationᵀ over the noise variance.
     """
 
-    used: NDArray[np.bool_]  # (E,)
+    used: Flags  # (E,)
     printed_m_s: Array  # (C,) along the net commanded impulse
     design: Array  # (C, 2)
     prior_mean: Array  # (2,)
@@ -41,7 +39,7 @@ class ComputedDeltaV:
 def computed_channel(
     stack: TotalsStack,
     directions: Array,
-    used: NDArray[np.bool_],
+    used: Flags,
     prior_mean: Array,
     prior_sd: Array,
 ) -> ComputedDeltaV:

@@ -14,19 +14,18 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.physics import Physics
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.physics import DELTA_V_NOISE, Physics, delta_v_variance
 from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.balance.telemetry_terms import pulse_weights
 from cassini_bayes.errors import InputError
 
-Array = NDArray[np.float64]
 OFFSET_SD_M_S: Final = 0.1
 LEAST_ROWS: Final = 2
-DELTA_V_PARAMETERS: Final = ("mass_kg", "delta_v_noise_m_s", "delta_v_resolution_m_s")
+DELTA_V_PARAMETERS: Final = ("mass_kg", *DELTA_V_NOISE)
 
 
 @dataclass(frozen=True)
@@ -38,13 +37,18 @@ class DeltaVStatistics:
     squares over rows and axes; ``last_m_s`` (3,) the last reading less the first.
     """
 
-    event_id: str
     sampling: Sampling
     rows: int
     gram: Array
     cross: Array
     square: float
     last_m_s: Array
+
+    @property
+    def centred_gram(self) -> Array:
+        """Inner products (4K, 4K) with the unknown constant eliminated."""
+        gram, one = self.gram[:-1, :-1], self.gram[:-1, -1]
+        return np.asarray(gram - np.outer(one, one) / self.rows)
 
 
 def delta_v_statistics(
@@ -86,7 +90,6 @@ def delta_v_statistics(
     table = np.concatenate([total[place], np.ones((len(rows), 1))], axis=1)
     values = measured[rows]
     return DeltaVStatistics(
-        event_id,
         sampling,
         len(rows),
         table.T @ table,
@@ -109,9 +112,7 @@ def delta_v_information(
     thrusters' force directions, ``parameters`` has those of :data:`DELTA_V_PARAMETERS`, (n,) each.
     """
     n, k = len(common_n), directions.shape[1]
-    variance = (
-        parameters["delta_v_noise_m_s"] ** 2 + parameters["delta_v_resolution_m_s"] ** 2 / 12.0
-    )
+    variance = delta_v_variance(parameters)
     weights = on_time_weights(statistics, physics, n, k)
     gram, cross = statistics.gram, statistics.cross
     fired = weights @ gram[: 4 * k, : 4 * k] @ np.swapaxes(weights, 1, 2)
@@ -140,6 +141,19 @@ def delta_v_information(
         vector - common_n[:, None] * by_common,
         constant + common_n * vector.sum(-1) - 0.5 * common_n**2 * by_common.sum(-1),
     )
+
+
+def delta_v_columns(
+    statistics: DeltaVStatistics,
+    physics: Physics,
+    directions: Array,
+    parameters: Mapping[str, Array],
+) -> Array:
+    """Velocity change per newton of every thruster on the columns, (n, K, 3, 4 K)."""
+    n, k = len(parameters["mass_kg"]), directions.shape[1]
+    weights = on_time_weights(statistics, physics, n, k)
+    per_newton = weights / parameters["mass_kg"][:, None, None]
+    return np.asarray(directions.T[None, :, :, None] * per_newton[:, :, None, :])
 
 
 def on_time_weights(statistics: DeltaVStatistics, physics: Physics, n: int, k: int) -> Array:

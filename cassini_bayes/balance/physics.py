@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.spacecraft import (
     Spacecraft,
     inertia_tensor,
@@ -23,7 +23,6 @@ from cassini_bayes.spacecraft import (
     wheel_inertias,
 )
 
-Array = NDArray[np.float64]
 Parameters = Mapping[str, Array | float]
 
 PULSE_PARAMETERS: Final = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
@@ -31,6 +30,8 @@ CENTRE_PARAMETERS: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
 INERTIA_PARAMETERS: Final = tuple(
     f"inertia_{element}_kg_m2" for element in ("xx", "yy", "zz", "xy", "xz", "yz")
 )
+DELTA_V_NOISE: Final = ("delta_v_noise_m_s", "delta_v_resolution_m_s")
+"""Noise and least step of a velocity change, measured or printed."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def _rate_bias(parameters: Mapping[str, Array]) -> Array | float:
     return np.stack(np.broadcast_arrays(*(parameters[name] for name in names)), axis=-1)
 
 
-def physical_inertia(inertia: Array) -> NDArray[np.bool_]:
+def physical_inertia(inertia: Array) -> Flags:
     """Whether inertia tensors (..., 3, 3) can be those of a body, (...).
 
     Principal moments are positive and none exceeds the sum of the other two.
@@ -113,3 +114,9 @@ def physical_inertia(inertia: Array) -> NDArray[np.bool_]:
     moments = np.linalg.eigvalsh(inertia)
     positive = moments[..., 0] > 0.0
     return np.asarray(positive & (moments[..., 2] <= moments[..., 0] + moments[..., 1]))
+
+
+def delta_v_variance(parameters: Parameters) -> Array:
+    """Variance (...) of a velocity change, (m/s)²: its noise and its least step."""
+    noise, step = (np.asarray(parameters[name]) for name in DELTA_V_NOISE)
+    return np.asarray(noise**2 + step**2 / 12.0)

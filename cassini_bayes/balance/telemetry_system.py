@@ -12,20 +12,18 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.kernel import Noise, Placed, normal_equations
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
-    INITIAL_SD_N_M_S,
-    TelemetryTerms,
+    TelemetryBalance,
+    balance_weights,
     covariance_beside_wheels,
-    measured_weights,
-    unknown_weights,
+    own_prior,
 )
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 
-Array = NDArray[np.float64]
 _THRUST_SPREAD: Final = 0.3  # of thrusts about their level, where slow modes place them
 
 
@@ -46,7 +44,7 @@ class EventSystem:
 
 
 def event_system(
-    terms: TelemetryTerms,
+    event: TelemetryBalance,
     physics: Physics,
     parameters: Mapping[str, Array],
     thrust_n: float,
@@ -66,23 +64,20 @@ def event_system(
     torque_mean, torque_sd
         (3,) prior of the event's steady torque, N m.
     """
-    n, k, reduced = len(physics.inertia_kg_m2), terms.pattern.thrusters, terms.reduced
-    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    weights, cut_sd = unknown_weights(terms, physics, n, thrust_n)
-    weights[:, terms.pattern.start[-2] :] = measured_weights(terms, physics, wheels)
-    known_sd = np.broadcast_to([INITIAL_SD_N_M_S] * 3 + list(torque_sd), (n, 6))
-    own_sd = np.concatenate([known_sd, cut_sd], axis=1)
-    own_mean = np.concatenate([terms.initial_mean_n_m_s, torque_mean, np.zeros(cut_sd.shape[1])])
+    n, k, reduced = len(physics.inertia_kg_m2), event.pattern.thrusters, event.reduced
+    weights = balance_weights(event, physics, thrust_n)
+    own_mean, sd = own_prior(event, torque_mean, torque_sd)
+    own_sd = np.tile(sd, (n, 1))
     noise = Noise(
-        np.ascontiguousarray(wheels),
-        covariance_beside_wheels(terms, physics, parameters),
+        np.ascontiguousarray(event.wheel_weights(physics)),
+        covariance_beside_wheels(event, physics, parameters),
         (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2,
         parameters["torque_noise_n_m_s05"] ** 2,
     )
     placed = Placed(np.r_[np.full(k, thrust_n), own_mean], _THRUST_SPREAD * thrust_n, own_sd)
     used = np.ascontiguousarray(weights[:, reduced.entries])
-    normal, log_scale, kept = normal_equations(used, noise, reduced.places, *terms.bands, placed)
-    channels = 3 + len(terms.wheel_places)
+    normal, log_scale, kept = normal_equations(used, noise, reduced.places, *event.bands, placed)
+    channels = 3 + len(event.wheel_places)
     jacobian = np.linalg.slogdet(physics.momentum_per_rate)[1]
-    log_scale += terms.statistics.rows * (jacobian - 0.5 * channels * np.log(2.0 * np.pi))
+    log_scale += event.statistics.rows * (jacobian - 0.5 * channels * np.log(2.0 * np.pi))
     return EventSystem(normal, log_scale, own_sd, own_mean, kept)

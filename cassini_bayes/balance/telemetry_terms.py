@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Places
 from cassini_bayes.balance.bands import Band, make_bands
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand
 from cassini_bayes.balance.physics import Physics, physics_of
@@ -26,20 +26,63 @@ from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.spacecraft import Spacecraft
 
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
 INITIAL_SD_N_M_S: Final = 10.0
 CONTROL_CYCLE_S: Final = 0.125
 _CLOSE_S: Final = 0.4
 
 
 @dataclass(frozen=True)
-class Pattern:
-    """Which columns enter which unknown: entries in order of owner (contraction.py).
+class EventUnknowns:
+    """Places of one telemetry event's unknowns: K thrusts, then the event's own.
 
-    Unknowns are the K thrusts, the initial momentum (3), the steady torque (3), the cut tails (S),
-    and last the measured momentum. The other fields are places among the entries: by what a thrust
-    acts, and wheel rates.
+    Its own are the initial momentum (3), the steady torque (3) and the S cut tails; after all of
+    them the normal equations have the measured momentum. ``first`` is the place of the first one.
+    """
+
+    thrusters: int
+    cuts: int
+    first: int = 0
+
+    @property
+    def thrusts(self) -> slice:
+        """The K thrusts."""
+        return slice(self.first, self.first + self.thrusters)
+
+    @property
+    def initial(self) -> slice:
+        """The initial momentum."""
+        return slice(self.thrusts.stop, self.thrusts.stop + 3)
+
+    @property
+    def torque(self) -> slice:
+        """The steady external torque."""
+        return slice(self.initial.stop, self.initial.stop + 3)
+
+    @property
+    def tails(self) -> slice:
+        """The cut tails."""
+        return slice(self.torque.stop, self.torque.stop + self.cuts)
+
+    @property
+    def own(self) -> slice:
+        """All but the thrusts."""
+        return slice(self.initial.start, self.tails.stop)
+
+    @property
+    def measured(self) -> int:
+        """The measured momentum, in the normal equations."""
+        return int(self.tails.stop)
+
+    def at(self, first: int) -> EventUnknowns:
+        """The event's own unknowns alone, from another place on."""
+        return EventUnknowns(0, self.cuts, first)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Which columns enter which unknown: entries in order of owner (:class:`EventUnknowns`).
+
+    The other fields are places among the entries: by what a thrust acts, and wheel rates.
     """
 
     row: Places
@@ -80,7 +123,7 @@ class Reduced:
 
 
 @dataclass(frozen=True)
-class TelemetryTerms:
+class TelemetryBalance:
     """One telemetry event, ready for likelihood calls.
 
     ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`).
@@ -134,6 +177,15 @@ class TelemetryTerms:
         """Whether the event has thrusters that fired."""
         return self.pattern.thrusters > 0
 
+    def wheel_weights(self, physics: Physics) -> Array:
+        """Momentum (..., 3, W) of the event's wheels per rad/s."""
+        return physics.wheel_weights[..., list(self.wheel_places)]
+
+    @property
+    def unknowns(self) -> EventUnknowns:
+        """Places of the event's unknowns."""
+        return EventUnknowns(self.pattern.thrusters, len(self.pattern.cuts))
+
 
 def cut_probability(counter_interval_s: float) -> float:
     """Chance that two pulses of one counter interval are a control cycle apart.
@@ -144,12 +196,12 @@ def cut_probability(counter_interval_s: float) -> float:
     return min(0.5, _CLOSE_S / counter_interval_s) if counter_interval_s > 0 else 0.0
 
 
-def make_terms(
+def make_balance(
     statistics: EventStatistics,
     sampling: Sampling,
     spacecraft: Spacecraft,
     nominal: Mapping[str, float],
-) -> TelemetryTerms:
+) -> TelemetryBalance:
     """Prepare one event: everything that does not change during a fit.
 
     ``nominal`` are parameter values good to some percent (prior means): they centre the wide prior
@@ -172,7 +224,7 @@ def make_terms(
     slow, fast, slow_modes, grams = make_bands(statistics)
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
-    return TelemetryTerms(
+    return TelemetryBalance(
         statistics=statistics,
         sampling=sampling,
         pattern=pattern,
@@ -195,27 +247,24 @@ def make_terms(
 
 
 def without_idle_columns(
-    terms: TelemetryTerms, physics: Physics, thrust_n: float
-) -> TelemetryTerms:
+    event: TelemetryBalance, physics: Physics, thrust_n: float
+) -> TelemetryBalance:
     """The same event without the columns whose weights vanish at every one of a few points.
 
     ``physics`` holds parameter points in general position, (n, …). Likelihood calls cost half as
     much without them.
     """
-    n, pattern = len(physics.inertia_kg_m2), terms.pattern
-    weights, _ = unknown_weights(terms, physics, n, thrust_n)
-    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
-    weights[:, pattern.start[-2] :] = measured_weights(terms, physics, wheels)
-    used = np.any(weights != 0.0, axis=(0, 2))
+    pattern = event.pattern
+    used = np.any(balance_weights(event, physics, thrust_n) != 0.0, axis=(0, 2))
     entries = np.flatnonzero(used)
     # in the order in which the unknowns need them: inner products are symmetric
     columns, first = np.unique(pattern.row[entries], return_index=True)
     columns = columns[np.argsort(first)]
-    place = np.empty(len(terms.reduced.slow[0]), dtype=np.int64)
+    place = np.empty(len(event.reduced.slow[0]), dtype=np.int64)
     place[columns] = np.arange(len(columns))
     owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
     counts = np.bincount(owner[entries], minlength=len(pattern.start) - 1)
-    full = terms.reduced
+    full = event.reduced
     reduced = Reduced(
         entries=entries,
         columns=columns,
@@ -226,21 +275,21 @@ def without_idle_columns(
         grams=np.ascontiguousarray(full.grams[..., columns[:, None], columns]),
         slow=np.ascontiguousarray(full.slow[:, columns]),
     )
-    return replace(terms, reduced=reduced)
+    return replace(event, reduced=reduced)
 
 
-def merged_bands(terms: TelemetryTerms) -> TelemetryTerms:
+def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     """The same event with its fast bands as one, if they differ only in torque noise.
 
     For models without torque noise: where all that the wheels show is motion, as in slews, rows of
     all frequencies have the same weights and the same covariance.
     """
-    if len(terms.fast) < 2 or any(band.motion is not None for band in terms.fast):
-        return terms
-    first, rows = terms.fast[0], sum(band.rows for band in terms.fast)
-    reduced = terms.reduced
+    if len(event.fast) < 2 or any(band.motion is not None for band in event.fast):
+        return event
+    first, rows = event.fast[0], sum(band.rows for band in event.fast)
+    reduced = event.reduced
     return replace(
-        terms,
+        event,
         fast=(replace(first, rows=rows, walk=np.zeros(1)),),
         reduced=replace(reduced, grams=reduced.grams.sum(axis=0, keepdims=True)),
     )
@@ -308,7 +357,7 @@ def _owned(layout: Layout, thruster: str) -> dict[str, int]:
 
 
 def balance_weights(
-    terms: TelemetryTerms, physics: Physics, thrust_n: float, kept: Array | None = None
+    event: TelemetryBalance, physics: Physics, thrust_n: float, kept: Array | None = None
 ) -> Array:
     """Weights (n, B, 3) of all entries of the pattern, in its order, at a batch of n points.
 
@@ -316,16 +365,16 @@ def balance_weights(
     (n, W, W) of a band that of the estimate of the true wheel rates. For residuals and their
     derivatives: the same columns and weights that the likelihood has.
     """
-    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    wheels = event.wheel_weights(physics)
     if kept is not None:
         wheels = wheels @ kept
-    weights, _ = unknown_weights(terms, physics, len(physics.inertia_kg_m2), thrust_n)
-    weights[:, terms.pattern.start[-2] :] = measured_weights(terms, physics, wheels)
+    weights = _unknown_weights(event, physics, len(physics.inertia_kg_m2), thrust_n)
+    weights[:, event.pattern.start[-2] :] = _measured_weights(event, physics, wheels)
     return weights
 
 
 def noise_covariance(
-    terms: TelemetryTerms,
+    event: TelemetryBalance,
     physics: Physics,
     parameters: Mapping[str, Array],
     kept: Array | None = None,
@@ -335,24 +384,24 @@ def noise_covariance(
     ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
     estimated.
     """
-    wheels = physics.wheel_weights[..., list(terms.wheel_places)]
+    wheels = event.wheel_weights(physics)
     left = wheels if kept is None else wheels @ kept
     noise = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
-    other = covariance_beside_wheels(terms, physics, parameters)
+    other = covariance_beside_wheels(event, physics, parameters)
     return np.asarray(other + noise * left @ np.swapaxes(wheels, -1, -2))
 
 
 def covariance_beside_wheels(
-    terms: TelemetryTerms, physics: Physics, parameters: Mapping[str, Array]
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
 ) -> Array:
     """Covariance (n, 3, 3) of what rates and attitudes put into a row, (N m s)²."""
     by_rate = physics.momentum_per_rate
     rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
     attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
-    return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * terms.spin)
+    return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * event.spin)
 
 
-def measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> Array:
+def _measured_weights(event: TelemetryBalance, physics: Physics, wheels: Array) -> Array:
     """Weights of the measured momentum's entries: rates, constant, wheels, torque, extra columns.
 
     What a steady torque or an effect's own column puts in is taken off the measured momentum.
@@ -361,7 +410,7 @@ def measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> 
     bias = np.broadcast_to(physics.rate_bias_rad_s, (n, 3))
     shift = by_rate @ bias[..., None]
     torque = -np.broadcast_to(physics.steady_torque_n_m, (n, 3))
-    extra = [-np.broadcast_to(physics.extra.get(name, 0.0), (n, 3)) for name in terms.extra]
+    extra = [-np.broadcast_to(physics.extra.get(name, 0.0), (n, 3)) for name in event.extra]
     return np.concatenate(
         [
             np.swapaxes(by_rate, -1, -2),
@@ -374,23 +423,20 @@ def measured_weights(terms: TelemetryTerms, physics: Physics, wheels: Array) -> 
     )
 
 
-def unknown_weights(
-    terms: TelemetryTerms, physics: Physics, n: int, thrust_n: float
-) -> tuple[Array, Array]:
-    """Weights (n, B, 3) of the unknowns' entries, and the prior sd of the cut tails (n, S)."""
-    pattern = terms.pattern
+def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n: float) -> Array:
+    """Weights (n, B, 3) of the unknowns' entries."""
+    pattern, places = event.pattern, event.unknowns
     weights = np.zeros((n, len(pattern.row), 3))
     k = pattern.thrusters
-    own = pattern.start[k]
-    own_sd = np.ones((n, len(pattern.cuts)))
-    weights[:, own : own + 6] = 1.0
+    tails = pattern.start[places.tails.start]
+    weights[:, pattern.start[places.initial.start] : tails] = 1.0
     if k > 0:
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
-        pulse = pulse_weights(terms.sampling, physics)
+        pulse = pulse_weights(event.sampling, physics)
         lost = lost_per_cut_s(physics)
         factor = np.broadcast_to(physics.thrust_factor, (n, k))
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
-        probability = cut_probability(terms.statistics.counter_interval_s)
+        probability = cut_probability(event.statistics.counter_interval_s)
         arm = np.swapaxes(arms, -1, -2)
         strength = factor[:, :, None] * pulse[:, None, :]
         fired = arm[..., :, None] * strength[..., None, :]
@@ -401,17 +447,27 @@ def unknown_weights(
             if name in physics.extra:
                 on_time = factor[:, thruster] * np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
-        own_sd[:] = cut_tail_sd(terms)
-        weights[:, own + 6 : own + 6 + len(pattern.cuts)] = (
+        weights[:, tails : tails + len(pattern.cuts)] = (
             thrust_n * lost[:, None, None] * (pattern.members @ arm)
         )
-    return weights, own_sd
+    return weights
 
 
-def cut_tail_sd(terms: TelemetryTerms) -> Array:
+def own_prior(
+    event: TelemetryBalance, torque_mean_n_m: Array, torque_sd_n_m: Array
+) -> tuple[Array, Array]:
+    """Prior mean and sd (U,) of the event's own unknowns, independent normals."""
+    tails = cut_tail_sd(event)
+    return (
+        np.concatenate([event.initial_mean_n_m_s, torque_mean_n_m, np.zeros(len(tails))]),
+        np.concatenate([np.full(3, INITIAL_SD_N_M_S), torque_sd_n_m, tails]),
+    )
+
+
+def cut_tail_sd(event: TelemetryBalance) -> Array:
     """Prior sd (S,) of the share of n close pairs whose tail was cut: (p (1 − p)/n)^½."""
-    probability = cut_probability(terms.statistics.counter_interval_s)
-    pairs = terms.statistics.close_pairs[list(terms.pattern.cuts)]
+    probability = cut_probability(event.statistics.counter_interval_s)
+    pairs = event.statistics.close_pairs[list(event.pattern.cuts)]
     return np.asarray(np.sqrt(probability * (1.0 - probability)) / np.sqrt(pairs))
 
 

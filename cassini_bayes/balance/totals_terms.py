@@ -20,15 +20,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.spacecraft import Spacecraft, couples, pair_indicator
 
-Array = NDArray[np.float64]
-
 RAD_S_PER_RPM: Final = 2.0 * np.pi / 60.0
+RPM_PER_RAD_S: Final = 60.0 / (2.0 * np.pi)
 
 
 @dataclass(frozen=True)
@@ -45,14 +44,14 @@ class TotalsStack:
     pulses: Array  # (E, K)
     wheel_start_rad_s: Array  # (E, W)
     wheel_end_rad_s: Array  # (E, W)
-    wheel_is_prime: NDArray[np.bool_]  # (E, W)
-    wheel_is_used: NDArray[np.bool_]  # (W,) prime in some event
+    wheel_is_prime: Flags  # (E, W)
+    wheel_is_used: Flags  # (W,) prime in some event
     duration_s: Array  # (E,)
     response: Array  # (E, K, 3) thrusters that answer a momentum demand about each axis
     couples: Array  # (G, K) indicator
     delta_v_m_s: Array  # (E, 3), NaN where not given
-    has_delta_v: NDArray[np.bool_]  # (E,)
-    delta_v_measured: NDArray[np.bool_]  # (E,)
+    has_delta_v: Flags  # (E,)
+    delta_v_measured: Flags  # (E,)
     mass_kg: Array  # (E,) table mass, NaN where not given
     thrust_predicted_n: Array  # (E,) NaN where not given
 
@@ -201,7 +200,7 @@ def hold_attitude_covariance(start: Array, end: Array, hold_attitude: Array) -> 
 
 
 def wheel_rounding_covariance(
-    axes: Array, inertias: Array, is_prime: NDArray[np.bool_], step_rpm: Array
+    axes: Array, inertias: Array, is_prime: Flags, step_rpm: Array
 ) -> Array:
     """Covariance of the wheel momentum change due to the printed step of both wheel rates.
 

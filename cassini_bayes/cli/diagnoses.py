@@ -67,11 +67,9 @@ def diagnose_command(
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
     write_diagnosis(result, out, out.name, processes)
     if then_fit:
-        from cassini_bayes.diagnosis.read import reduced_events
         from cassini_bayes.diagnosis.refit import fit_extended
 
-        reduced = reduced_events(events, case.priors)
-        fit_extended(result, reduced, out / "extended", number, reporter.say)
+        fit_extended(result, out / "extended", number, reporter.say)
     if as_json:
         typer.echo(diagnosis_json(result.record).rstrip())
     elif not quiet:

@@ -24,7 +24,6 @@ from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.telemetry_terms import cut_probability, lost_per_cut_s
 from cassini_bayes.diagnosis.extended import Case, Hypothesis
-from cassini_bayes.model.joint import full_parameters, joint_physics
 
 Array = NDArray[np.float64]
 ACROSS_S: Final = 0.035
@@ -112,18 +111,19 @@ def single_cuts(
     Columns (n, 3, s) in N m s, the variances (s,) of their unknowns, whose means are 0, and the
     mean (n, 3) that the likelihood lacks.
     """
-    model, terms = hypothesis.model, hypothesis.model.telemetry[place]
-    layout = terms.statistics.layout
+    model, term = hypothesis.model, hypothesis.model.telemetry[place]
+    statistics = term.event.statistics
+    layout = statistics.layout
     mean = np.zeros((len(time_s), 3))
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
-    physics = joint_physics(model, full_parameters(model, z[None]))
-    interval, duration = terms.statistics.counter_interval_s, terms.sampling.duration_s
+    physics = term.physics(model.points(z[None]))
+    interval, duration = statistics.counter_interval_s, term.event.sampling.duration_s
     samples = case.sources[place].samples
     for members in layout.couples if layout.thrusters else ():
         found = losses(samples, members, time_s, duration, interval)
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
         lost = float(lost_per_cut_s(physics)[0]) * arms[:, list(members)].sum(1)
-        taken = -model.linear.common_mean_n * lost
+        taken = -model.thrust_prior.common_mean_n * lost
         columns.append(found.profile[:, None] * taken[:, None])
         variances.append(found.variance)
         mean += found.mean[:, None] * taken

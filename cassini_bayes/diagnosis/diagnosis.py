@@ -145,7 +145,7 @@ def _held_out_score(
 ) -> HeldOut | None:
     """Score on telemetry events or on totals rows; None for few of them and for a mix of both."""
     case = verdict.case
-    if case.totals is None and len(case.sources) >= LEAST_EVENTS:
+    if not case.totals and len(case.sources) >= LEAST_EVENTS:
         return held_out(verdict, weighed, say)
     if not case.sources and len(rows) >= LEAST_EVENTS:
         return held_out_totals(case, rows, verdict.catalogue, weighed, rng, say)
@@ -157,7 +157,7 @@ def _is_discrepant(verdict: Verdict) -> bool:
 
 
 def _event_ids(case: Case) -> list[str]:
-    rows = list(case.totals.stack.event_ids) if case.totals is not None else []
+    rows = [row.id for row in case.totals]
     return [*rows, *(source.id for source in case.sources)]
 
 

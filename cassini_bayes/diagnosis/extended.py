@@ -12,14 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.balance.statistics import (
-    EventStatistics,
-    ExtraColumn,
-    Layout,
-    Samples,
-    Sampling,
-    reduce_chunks,
-)
+from cassini_bayes.balance.statistics import ExtraColumn, Samples
 from cassini_bayes.diagnosis.kinematics import (
     RateInformation,
     combined,
@@ -29,15 +22,16 @@ from cassini_bayes.diagnosis.kinematics import (
 from cassini_bayes.effects.catalogue import AXES, Catalogue, Effect
 from cassini_bayes.effects.columns import telemetry_columns
 from cassini_bayes.effects.modifiers import modifier_of
-from cassini_bayes.model.joint import (
-    JointModel,
-    build_joint_model,
-    joint_log_posterior,
-    sampling_of,
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.event_reduction import ReducedEvent, reduce_samples, sampling_of
+from cassini_bayes.model.posterior import (
+    Event,
+    Model,
+    build_model,
+    log_posterior,
     with_equal_bands_merged,
     without_idle,
 )
-from cassini_bayes.model.totals import TotalsModel
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
@@ -97,8 +91,8 @@ class Case:
 
     priors: Priors
     sources: tuple[TelemetrySource, ...]
-    statistics: tuple[tuple[EventStatistics, Sampling], ...]
-    totals: TotalsModel | None
+    reduced: tuple[ReducedEvent, ...]
+    totals: tuple[TotalsEvent, ...]
     rates: RateInformation
     oscillation: Oscillation | None = None
 
@@ -106,17 +100,17 @@ class Case:
     def inputs(self) -> tuple[str, ...]:
         """Kinds of input there are."""
         found = ("telemetry",) if self.sources else ()
-        return (*found, "totals") if self.totals is not None else found
+        return (*found, "totals") if self.totals else found
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """All events, totals rows first."""
+        return (*self.totals, *self.reduced)
 
     @property
     def wheels(self) -> tuple[int, ...]:
         """Wheels that the events use."""
-        used = {number for source in self.sources for number in source.wheels}
-        if self.totals is not None:
-            numbers = [wheel.number for wheel in self.priors.spacecraft.wheels]
-            prime = self.totals.stack.wheel_is_used
-            used |= {n for n, is_used in zip(numbers, prime, strict=True) if is_used}
-        return tuple(sorted(used))
+        return tuple(sorted({number for event in self.events for number in event.wheels}))
 
     def without(self, event: str) -> Case:
         """The case with one telemetry event left out."""
@@ -125,7 +119,7 @@ class Case:
         return replace(
             self,
             sources=sources,
-            statistics=tuple(self.statistics[i] for i in keep),
+            reduced=tuple(self.reduced[i] for i in keep),
             rates=combined([rate_information(source.samples) for source in sources]),
         )
 
@@ -133,16 +127,16 @@ class Case:
 def prepare(
     sources: Sequence[TelemetrySource],
     priors: Priors,
-    totals: TotalsModel | None = None,
+    totals: Sequence[TotalsEvent] = (),
     pulse_shape: str = "first_order",
 ) -> Case:
     """Reduce telemetry with every column that an effect may need."""
-    statistics = tuple(
+    reduced = tuple(
         reduce_source(source, priors, telemetry_columns(source.thrusters), pulse_shape)
         for source in sources
     )
     rates = combined([rate_information(source.samples) for source in sources])
-    return Case(priors, tuple(sources), statistics, totals, rates)
+    return Case(priors, tuple(sources), reduced, tuple(totals), rates)
 
 
 def reduce_source(
@@ -150,17 +144,12 @@ def reduce_source(
     priors: Priors,
     extra: Sequence[ExtraColumn],
     pulse_shape: str = "first_order",
-) -> tuple[EventStatistics, Sampling]:
+) -> ReducedEvent:
     """One event's Gram matrices with extra columns, which see the whole event at once."""
-    plain = sampling_of(priors, source.thrusters, source.duration_s, pulse_shape)
-    sampling = replace(plain, extra=tuple(extra))
-    layout = Layout(
-        source.wheels, source.thrusters, sampling.couples, tuple(column.name for column in extra)
+    sampling = sampling_of(priors, source.thrusters, source.duration_s, pulse_shape, extra)
+    return reduce_samples(
+        source.id, source.kind, source.wheels, source.thrusters, source.samples, sampling
     )
-    statistics = reduce_chunks(
-        source.id, source.kind, [source.samples], layout, sampling, len(source.samples)
-    )
-    return statistics, sampling
 
 
 @dataclass(frozen=True)
@@ -172,7 +161,7 @@ class Hypothesis:
     """
 
     name: str
-    model: JointModel
+    model: Model
     effects: tuple[Effect, ...]
     prior_probability: float
     rates: RateInformation | None
@@ -210,7 +199,7 @@ class Hypothesis:
             return np.array([LEAST])
 
     def _inside(self, z: Array) -> Array:
-        value = np.nan_to_num(joint_log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
+        value = np.nan_to_num(log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
         if self.rates is None:
             return value
         parameters = self.model.space.to_parameters(z)
@@ -227,29 +216,25 @@ def none_hypothesis(case: Case, catalogue: Catalogue) -> Hypothesis:
     priors = case.priors
     if case.sources:
         priors = priors.with_fixed(TORQUE_NOISE, 0.0)
-    model = build_joint_model(case.statistics, priors, case.totals, keep_idle=True)
+    model = build_model(case.events, priors, keep_idle=True)
     return Hypothesis("none", model, (), catalogue.none_probability, None)
 
 
 def unknown_hypothesis(case: Case, catalogue: Catalogue) -> Hypothesis:
     """The baseline with a discrepancy: torque noise and totals' hold rates at wide priors."""
     priors = case.priors
-    totals = case.totals
     if case.sources:
         priors = priors.with_distribution(TORQUE_NOISE, catalogue.unknown.torque_noise)
-    if totals is not None:
+    if case.totals:
         priors = priors.with_distribution(HOLD_RATE, _wider_hold(priors, catalogue))
-        totals = replace(totals, space=priors.space([*totals.space.names, *totals.space.fixed]))
-    model = build_joint_model(case.statistics, priors, totals, keep_idle=True)
+    model = build_model(case.events, priors, keep_idle=True)
     return Hypothesis(
         "unknown", model, (), catalogue.unknown_probability, None, farthest=UNKNOWN_FARTHEST
     )
 
 
 def _wider_hold(priors: Priors, catalogue: Catalogue) -> Distribution:
-    prior = priors.parameters[HOLD_RATE]
-    middle = prior.fixed if prior.distribution is None else prior.distribution.mean()
-    assert middle is not None  # the reader guarantees dist or fixed
+    middle = priors.parameters[HOLD_RATE].mean
     return Distribution(
         "lognorm", {"s": HOLD_LOG_SD, "scale": catalogue.unknown.hold_rate_factor * middle}
     )
@@ -269,10 +254,12 @@ def extend(base: Hypothesis, effects: Sequence[Effect], case: Case) -> Hypothesi
     setting = (old.spacecraft, old.branch, 2 if line is None else line.axis)
     added = tuple(modifier_of(effect, *setting) for effect in effects)
     in_rows = tuple(modifier_of(effect, *setting, rows=True) for effect in effects)
-    totals = old.totals
-    if totals is not None:
-        totals = replace(totals, modifiers=(*totals.modifiers, *added))
-    model = replace(old, space=space, totals=totals, modifiers=(*old.modifiers, *in_rows))
+    model = replace(
+        old,
+        space=space,
+        totals=tuple(replace(t, modifiers=(*t.modifiers, *added)) for t in old.totals),
+        telemetry=tuple(replace(t, modifiers=(*t.modifiers, *in_rows)) for t in old.telemetry),
+    )
     together = (*base.effects, *effects)
     uses_rates = any(effect.kind in RATE_KINDS for effect in together)
     probability = base.prior_probability if base.effects else 1.0

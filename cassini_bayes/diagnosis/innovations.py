@@ -9,7 +9,7 @@ prior precision, the innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.statistics.columns import Carry, Layout, Rows, settle
 from cassini_bayes.balance.telemetry_terms import (
     INITIAL_SD_N_M_S,
-    TelemetryTerms,
+    TelemetryBalance,
     balance_weights,
     cut_tail_sd,
     noise_covariance,
 )
 from cassini_bayes.diagnosis.extended import Case, Hypothesis
 from cassini_bayes.diagnosis.unresolved import unresolved
-from cassini_bayes.model.joint import full_parameters, joint_physics
 
 Array = NDArray[np.float64]
 SMOOTHED_ROWS: Final = 31
@@ -84,13 +83,13 @@ class Linear:
 def event_rows(case: Case, place: int) -> Rows:
     """Columns of one event's usable rows."""
     source = case.sources[place]
-    statistics, sampling = case.statistics[place]
-    carry = Carry.start(statistics.layout)
-    rows, _ = settle(source.samples, carry, statistics.layout, sampling, final=True)
+    reduced = case.reduced[place]
+    layout = reduced.statistics.layout
+    rows, _ = settle(source.samples, Carry.start(layout), layout, reduced.sampling, final=True)
     return rows
 
 
-def _columns(terms: TelemetryTerms, rows: Rows, weights: Array) -> Array:
+def _columns(terms: TelemetryBalance, rows: Rows, weights: Array) -> Array:
     """Unknowns' columns and the measured momentum (n, 3, P) from one point's weights (B, 3)."""
     pattern = terms.pattern
     vectors = rows.vector.shape[2]
@@ -124,7 +123,7 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
     ):
         column = scalar[:, place - vectors]
         scalar[:, place - vectors] = np.convolve(column, np.ones(width), mode="same") / counts
-    return Rows(rows.time_s, rows.vector, scalar)
+    return replace(rows, scalar=scalar)
 
 
 def linearise(
@@ -143,15 +142,15 @@ def linearise(
     model = hypothesis.model
     d = len(z)
     points = np.vstack([z, z + _STEP * np.eye(d), z - _STEP * np.eye(d)])
-    parameters = full_parameters(model, points)
-    physics = joint_physics(model, parameters)
-    thrust = model.linear.common_mean_n
-    levels = model.linear.shared
+    located = model.points(points)
+    thrust = model.thrust_prior.common_mean_n
+    levels = model.thrust_prior.shared
     targets, blocks, own_precision, factors, all_rows = [], [], [], [], []
-    for place, terms in enumerate(model.telemetry):
+    for place, term in enumerate(model.telemetry):
+        terms, physics = term.balance, term.physics(located)
         rows = event_rows(case, place) if known is None else known[place]
         weights = balance_weights(terms, physics, thrust)
-        noise = noise_covariance(terms, physics, parameters)[0]
+        noise = noise_covariance(terms, physics, located.parameters)[0]
         factor = np.linalg.cholesky(noise)
         smooth = smoothed(rows, terms.statistics.layout) if smooth_channels else rows
         centre = _columns(terms, rows, weights[0])
@@ -163,7 +162,7 @@ def linearise(
         slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
         own = unknown[:, :, k:]
         shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
-        apart = unknown[:, :, :k] @ model.linear.own if k else unknown[:, :, :0]
+        apart = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
         sd = _own_sd(terms, model.torque_sd_n_m)
         blocks.append((shared, np.concatenate([apart, own], axis=2)))
         own_precision.append(np.concatenate([np.ones(apart.shape[2]), sd**-2]))
@@ -174,7 +173,7 @@ def linearise(
     return _stacked(targets, blocks, own_precision, factors, shared_width), all_rows, factors
 
 
-def _slopes(terms: TelemetryTerms, rows: Rows, differences: Array, at: Array) -> Array:
+def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) -> Array:
     """Changes (n, 3, d) of what the unknowns predict less the measured momentum.
 
     ``differences`` (d, B, 3) are those of the weights along every coordinate.
@@ -194,7 +193,7 @@ def _slopes(terms: TelemetryTerms, rows: Rows, differences: Array, at: Array) ->
     )
 
 
-def _own_sd(terms: TelemetryTerms, torque_sd: Array) -> Array:
+def _own_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
     sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
     return np.concatenate([sd, cut_tail_sd(terms)])
 

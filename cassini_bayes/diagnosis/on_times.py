@@ -30,7 +30,6 @@ from cassini_bayes.effects.catalogue import Effect
 from cassini_bayes.effects.modifiers import modifier_of
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.totals import normal_priors
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import CYCLE_S, Features, expected_minor
@@ -161,7 +160,7 @@ def on_time_case(events: Sequence[TotalsEvent], priors: Priors, beliefs: Beliefs
         thrust_centre_n=centre[COMMON],
         space=space,
         fixed={name: value for name, value in centre.items() if name not in space.names},
-        thrust_sd_n=dict(zip(THRUSTS, normal_priors(priors, THRUSTS)[1], strict=True)),
+        thrust_sd_n=dict(zip(THRUSTS, priors.normal(THRUSTS)[1], strict=True)),
         pulses_per_second=beliefs.moments("pulses_per_second")[0],
         beliefs=beliefs,
     )

@@ -48,18 +48,16 @@ def flexible_case(case: Case, oscillation: Oscillation) -> Case:
     """The case reduced again with the columns of the oscillation beside all others."""
     own = oscillation
     line = own.frequency_hz, own.damping, own.axis, own.span_s
-    statistics = tuple(
+    reduced = tuple(
         reduce_source(
             source,
             case.priors,
             (*telemetry_columns(source.thrusters), *flexible_columns(*line, motion)),
-            sampling.pulse_shape.name,
+            before.sampling.pulse_shape.name,
         )
-        for source, (_, sampling), motion in zip(
-            case.sources, case.statistics, motions_of(case), strict=True
-        )
+        for source, before, motion in zip(case.sources, case.reduced, motions_of(case), strict=True)
     )
-    return replace(case, statistics=statistics, oscillation=oscillation)
+    return replace(case, reduced=reduced, oscillation=oscillation)
 
 
 def case_of(case: Case, hypothesis: Hypothesis) -> Case:

@@ -11,14 +11,11 @@ from cassini_bayes.events.plausibility import check_momentum, momentum_rows
 from cassini_bayes.events.telemetry import read_chunks, read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import (
-    ReducedEvent,
     is_event_folder,
     nominal_values,
-    reduce_event,
     require_branch,
     samples_of,
 )
-from cassini_bayes.model.totals import build_model
 from cassini_bayes.priors.reader import Priors, read_priors
 
 
@@ -50,10 +47,9 @@ def read_case(
     folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
     sources = [read_source(folder, priors) for folder in folders]
     rows = totals_rows(references, priors, source)
-    totals = build_model(rows, priors) if rows else None
     if say is not None:
         say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
-    return prepare(sources, priors, totals)
+    return prepare(sources, priors, rows)
 
 
 def totals_rows(
@@ -62,12 +58,6 @@ def totals_rows(
     """Totals rows among the references, in order, as :func:`read_case` has them."""
     tables = [reference for reference in references if not is_event_folder(Path(reference))]
     return tuple(row for table in tables for row in read_totals(table, priors.spacecraft, source))
-
-
-def reduced_events(references: Sequence[str], priors: Priors) -> list[ReducedEvent]:
-    """Records of the event folders among the references, in order, as a fit has them."""
-    folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
-    return [reduce_event(folder, priors, "first_order") for folder in folders]
 
 
 def read_source(folder: Path, priors: Priors) -> TelemetrySource:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -18,9 +18,8 @@ from cassini_bayes.diagnosis.extended import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
 from cassini_bayes.effects.catalogue import Effect, EffectParameter
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel
-from cassini_bayes.results.joint_record import build_joint_fit
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import Proposal, importance, laplace, refined
@@ -38,7 +37,7 @@ def effect_variable(effect: Effect, parameter: EffectParameter) -> str:
     return f"{effect.name.replace(':', '_')}_{parameter.key}"
 
 
-def with_effect_specs(hypothesis: Hypothesis) -> JointModel:
+def with_effect_specs(hypothesis: Hypothesis) -> Model:
     """The hypothesis's model with unit and meaning of the effects' parameters."""
     specs = {
         p.name: ParameterSpec(p.name, p.unit, "effect", f"{effect.name}: {p.key}{_kind(p)}")
@@ -72,7 +71,6 @@ def _renamed(fit: Fit, weighed: Weighed, z: Array) -> Fit:
 
 def fit_extended(
     diagnosis: Diagnosis,
-    events: Sequence[ReducedEvent],
     folder: Path,
     seed: int,
     say: Callable[[str], None],
@@ -86,8 +84,6 @@ def fit_extended(
     ----------
     diagnosis
         What was found.
-    events
-        Its telemetry events in order, for what a fit records of them.
     folder, seed, say
         Where to write, the sampler's seed, told how far it got.
     target_ess
@@ -119,7 +115,7 @@ def fit_extended(
     }
     rng = np.random.default_rng((seed, _LINEAR))
     model = with_effect_specs(weighed.hypothesis)
-    fit, _ = build_joint_fit(model, events, z, density, rng, attributes)
+    fit = build_fit(model, z, density, rng, attributes)
     save_fit(_renamed(fit, weighed, z), folder / "fit.nc")
     flat = z.reshape(-1, weighed.hypothesis.dimension)
     parameters = weighed.hypothesis.model.space.to_parameters(flat)

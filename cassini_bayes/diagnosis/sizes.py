@@ -132,7 +132,7 @@ def with_unresolved(
     hypotheses of gyro errors, of which attitudes speak that are not in the rows, and cases with
     totals rows, whose information the linear model does not have.
     """
-    if not case.sources or case.totals is not None or hypothesis.rates is not None:
+    if not case.sources or case.totals or hypothesis.rates is not None:
         return z
     linear, rows, factors = linearise(case, hypothesis, mode, known=rows)
     opened = [unresolved(case, hypothesis, mode, i, own.time_s) for i, own in enumerate(rows)]

@@ -20,9 +20,8 @@ from cassini_bayes.diagnosis.gain import WITHIN, HeldOut, fitted_to
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.joint import collapse_joint
-from cassini_bayes.model.posterior import draw_thrusts
-from cassini_bayes.model.totals import build_model, linear_system
+from cassini_bayes.model.posterior import collapse
+from cassini_bayes.model.thrusts import draw_thrusts
 
 Array = NDArray[np.float64]
 DRAWS: Final = 400
@@ -55,7 +54,7 @@ def held_out_totals(
         if say is not None:
             say(f"{weighed.name}: {left_out.id} held out")
         others = tuple(row for i, row in enumerate(rows) if i != place)
-        smaller = replace(case, totals=build_model(others, case.priors))
+        smaller = replace(case, totals=others)
         hypothesis, own = fitted_to(smaller, catalogue, weighed)
         scores.append(mode.log_evidence - own.log_evidence)
         residual, sd = predicted_balance(whole, place, hypothesis, own, rng)
@@ -77,12 +76,9 @@ def predicted_balance(
     the row's own thrust departures, torque and noise.
     """
     z = mode.point + rng.standard_normal((DRAWS, len(mode.point))) @ mode.factor.T
-    collapsed = collapse_joint(others.model, z)
-    assert collapsed.thrusts is not None  # totals fire
-    linear = others.model.linear
-    level = draw_thrusts(linear, collapsed.thrusts, collapsed.common_n, rng).level_n
-    assert whole.model.totals is not None  # it has the row
-    system = linear_system(whole.model.totals, whole.model.space.to_parameters(z))
+    linear = others.model.thrust_prior
+    level = draw_thrusts(linear, collapse(others.model, z).thrusts, rng).level_n
+    system = whole.model.totals_rows.at(whole.model.points(z)).system
     design = system.design[:, place, :3]
     residual = system.target[:, place, :3] - (design @ level[..., None])[..., 0]
     noise = system.covariance[:, place, :3, :3] + system.torque_covariance[place, :3, :3]

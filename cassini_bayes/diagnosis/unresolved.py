@@ -27,7 +27,6 @@ from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.extended import Case, Hypothesis
 from cassini_bayes.effects.columns import TAIL_S
-from cassini_bayes.model.joint import full_parameters, joint_physics
 
 Array = NDArray[np.float64]
 Unknowns = tuple[Array, Array, Array]
@@ -110,16 +109,17 @@ def unresolved(case: Case, hypothesis: Hypothesis, z: Array, place: int, time_s:
     """
     columns, variance, mean = single_cuts(case, hypothesis, z, place, time_s)
     kinds = {effect.kind for effect in hypothesis.effects}
-    layout = hypothesis.model.telemetry[place].statistics.layout
+    term = hypothesis.model.telemetry[place]
+    layout = term.event.statistics.layout
     if kinds.isdisjoint(TIMED) or not layout.thrusters:
         return columns, variance, mean
     model, source = hypothesis.model, case.sources[place]
-    parameters = full_parameters(model, z[None])
-    physics = joint_physics(model, parameters)
+    points = model.points(z[None])
+    parameters, physics = points.parameters, term.physics(points)
     arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
     found = [(columns, variance)]
     for members in layout.couples:
-        fired = firings(source.samples, members, model.linear.common_mean_n * arms)
+        fired = firings(source.samples, members, model.thrust_prior.common_mean_n * arms)
         for effect in hypothesis.effects:
             values = {p.key: float(np.ravel(parameters[p.name])[0]) for p in effect.parameters}
             if effect.kind == "time_offset":

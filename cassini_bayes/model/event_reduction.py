@@ -9,18 +9,19 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
-from cassini_bayes.balance.physics import INERTIA_PARAMETERS
+from cassini_bayes.balance.physics import INERTIA_PARAMETERS, PULSE_PARAMETERS
 from cassini_bayes.balance.statistics import (
     EventStatistics,
+    ExtraColumn,
     Layout,
     Samples,
     Sampling,
@@ -28,6 +29,7 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
     save_statistics,
 )
+from cassini_bayes.balance.statistics.reduction import BLOCK_ROWS
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MomentumRows, check_momentum, momentum_rows
@@ -37,11 +39,11 @@ from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.model.joint import sampling_of
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.spacecraft import Spacecraft, couples
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
-Array = NDArray[np.float64]
 Say = Callable[[str], None]
 DESCRIPTION: Final = "event.toml"
 _TAIL_BYTES: Final = 65_536
@@ -51,6 +53,10 @@ REDUCED_BY: Final = ("events.telemetry", "balance.statistics")
 """Packages whose code, with all that they import, turns telemetry into Gram matrices."""
 _SAME_S: Final = 1e-9
 _TELL_S: Final = 5.0  # between lines of progress
+_TAIL_SPAN: Final = 5.0
+_PRIOR_SPAN: Final = 2.0
+MOST_KEPT: Final = 200_000
+"""Rows of an event that stay in memory once they are read, some 50 MB."""
 
 
 @dataclass(frozen=True)
@@ -65,21 +71,73 @@ class ReadingRecord:
     mends: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReducedEvent:
-    """A telemetry event ready for the joint model, and how it was reduced."""
+    """A telemetry event ready for a model, how it was reduced, and its rows."""
 
-    event: TelemetryEvent
-    sampling: Sampling
     statistics: EventStatistics
+    sampling: Sampling
     reading: ReadingRecord
-    key: str
-    delta_v: DeltaVStatistics | None = None
+    rows: Iterable[Samples]
+    source: str
+    digest: str = ""  # of the files; none of telemetry that was never in one
+    key: str = ""  # of the reduction in the cache
+    delta_v: DeltaVStatistics | None = None  # of a measured velocity change
+
+    @property
+    def id(self) -> str:
+        """Id of the event."""
+        return self.statistics.event_id
+
+    @property
+    def kind(self) -> str:
+        """Kind of the event."""
+        return self.statistics.kind
+
+    @property
+    def wheels(self) -> tuple[int, ...]:
+        """Numbers of its wheels."""
+        return self.statistics.layout.wheels
 
     @property
     def fires(self) -> bool:
         """Whether the event has thruster counters."""
-        return bool(self.event.thrusters)
+        return bool(self.statistics.layout.thrusters)
+
+
+class EventRows:
+    """The telemetry of an event folder: parsed once, and kept if it is not long.
+
+    Up to :data:`MOST_KEPT` rows stay in memory for whoever asks next. A longer file is streamed
+    anew each time, in constant memory.
+    """
+
+    def __init__(self, event: TelemetryEvent, spacecraft: Spacecraft) -> None:
+        self._event, self._spacecraft = event, spacecraft
+        self._kept: tuple[Chunk, ...] | None = None
+        self.mends = Mends()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Another process reads the file itself: rows need not travel.
+        return EventRows, (self._event, self._spacecraft)
+
+    def __iter__(self) -> Iterator[Samples]:
+        return (samples_of(chunk) for chunk in self.chunks())
+
+    def chunks(self) -> Iterator[Chunk]:
+        """The rows as they are in the file, checked and mended."""
+        if self._kept is not None:
+            yield from self._kept
+            return
+        kept: list[Chunk] = []
+        rows, mends = 0, Mends()
+        for chunk in read_chunks(self._event, self._spacecraft, mends=mends):
+            rows += chunk.rows
+            kept = [*kept, chunk] if rows <= MOST_KEPT else []
+            yield chunk
+        self.mends = mends
+        if rows <= MOST_KEPT:
+            self._kept = tuple(kept)
 
 
 def is_event_folder(path: Path) -> bool:
@@ -97,6 +155,67 @@ def samples_of(chunk: Chunk) -> Samples:
         chunk.on_time_s,
         chunk.pulses,
     )
+
+
+def sampling_of(
+    priors: Priors,
+    thrusters: Sequence[str],
+    duration_s: float,
+    pulse_shape: str,
+    extra: Sequence[ExtraColumn] = (),
+) -> Sampling:
+    """How an event's telemetry is reduced, from the priors of the pulse parameters.
+
+    The guard time is the valve delay and five of the longest likely tail-off times: what a pulse
+    delivers later is below a percent of its tail.
+    """
+    groups = couples(priors.spacecraft, priors.branch) if thrusters else ()
+    reference, guard = (0.0, 0.0, 0.0), 0.0
+    if thrusters:
+        priors.require(PULSE_PARAMETERS, "telemetry with thrusters")
+        delay, rise, fall = (priors.parameters[name] for name in PULSE_PARAMETERS)
+        reference = (delay.mean, rise.mean, fall.mean)
+        guard = delay.mean + _TAIL_SPAN * (fall.mean + _PRIOR_SPAN * fall.sd)
+    return Sampling(
+        PULSE_SHAPES[pulse_shape],
+        reference,
+        guard,
+        tuple(tuple(list(thrusters).index(name) for name in group) for group in groups),
+        duration_s,
+        tuple(extra),
+    )
+
+
+def reduce_samples(
+    event_id: str,
+    kind: str,
+    wheels: Sequence[int],
+    thrusters: Sequence[str],
+    samples: Samples,
+    sampling: Sampling,
+) -> ReducedEvent:
+    """Reduce telemetry that is in memory, as from a simulation.
+
+    Columns that effects bring see the whole event at once.
+    """
+    extra = tuple(column.name for column in sampling.extra)
+    layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples, extra)
+    block = len(samples) if extra else BLOCK_ROWS
+    statistics = reduce_chunks(event_id, kind, [samples], layout, sampling, block)
+    counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
+    gained = np.zeros((2, len(thrusters)))
+    if len(counted):
+        first, last = counted[[0, -1]]
+        gained = np.stack([v[last] - v[first] for v in (samples.on_time_s, samples.pulses)])
+    reading = ReadingRecord(
+        rows=len(samples),
+        start_s=float(samples.time_s[0]),
+        end_s=float(samples.time_s[-1]),
+        on_time_s=tuple(gained[0].tolist()),
+        pulses=tuple(gained[1].tolist()),
+        mends=(),
+    )
+    return ReducedEvent(statistics, sampling, reading, (samples,), "memory")
 
 
 def reduce_event(
@@ -130,20 +249,21 @@ def reduce_event(
     """
     event = read_event(folder, priors.spacecraft)
     require_branch(event, priors)
+    rows = EventRows(event, priors.spacecraft)
     guess = last_time(event.telemetry)
     sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
     key = reduction_key(event, sampling)
-    found = _cached(cache, key)
-    if found is None:
-        statistics, reading = _reduced(event, priors, sampling, say)
+    cached = _cached(cache, key)
+    if cached is None:
+        statistics, reading = _reduced(event, rows, priors, sampling, say)
         if abs(reading.end_s - guess) > _SAME_S:  # the file's tail did not tell
             sampling = sampling_of(priors, event.thrusters, reading.end_s, pulse_shape)
-            statistics, reading = _reduced(event, priors, sampling, say)
+            statistics, reading = _reduced(event, rows, priors, sampling, say)
     else:
-        statistics, reading = found
+        statistics, reading = cached
         sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
     if say is not None:
-        source = "from the cache" if found is not None else "reduced"
+        source = "from the cache" if cached is not None else "reduced"
         say(
             f"{event.id} ({event.kind}): {reading.rows:,} rows of telemetry, {statistics.rows:,} "
             f"in the balance, {source}"
@@ -151,18 +271,25 @@ def reduce_event(
         for line in reading.mends:
             say(f"{event.id}: mended: {line}")
     return ReducedEvent(
-        event, sampling, statistics, reading, key, _delta_v(event, priors, sampling)
+        statistics,
+        sampling,
+        reading,
+        rows,
+        event.source,
+        event.digest,
+        key,
+        _delta_v(event, rows, sampling),
     )
 
 
-def _delta_v(event: TelemetryEvent, priors: Priors, sampling: Sampling) -> DeltaVStatistics | None:
+def _delta_v(event: TelemetryEvent, rows: EventRows, sampling: Sampling) -> DeltaVStatistics | None:
     """The measured velocity change of a burn or a wheel bias; None for any other event.
 
     One computed on board repeats the flight software's constants and says nothing of thrust.
     """
     if event.kind not in WITH_DELTA_V or event.delta_v_source != "measured" or not event.thrusters:
         return None
-    parts = ((samples_of(c), c.delta_v_m_s) for c in read_chunks(event, priors.spacecraft))
+    parts = ((samples_of(chunk), chunk.delta_v_m_s) for chunk in rows.chunks())
     return delta_v_statistics(event.id, parts, sampling)
 
 
@@ -224,27 +351,30 @@ class _Reading:
     """Streams an event's chunks and keeps what the record of the reading needs."""
 
     def __init__(
-        self, event: TelemetryEvent, momentum: MomentumRows, until_s: float, say: Say | None
+        self,
+        event: TelemetryEvent,
+        rows: EventRows,
+        momentum: MomentumRows,
+        until_s: float,
+        say: Say | None,
     ) -> None:
-        self._event = event
+        self._event, self._rows = event, rows
         self._until_s, self._say = until_s, say
         self._began = self._told = time.monotonic()
         self._momentum = momentum
-        self.mends = Mends()
         self.rows = 0
         self.start_s, self.end_s = np.nan, np.nan
         self._first: Array | None = None
         self._last: Array | None = None
 
-    def samples(self, priors: Priors) -> Iterator[Samples]:
+    def samples(self) -> Iterator[Samples]:
         """The event's rows, chunk by chunk."""
-        for chunk in read_chunks(self._event, priors.spacecraft, mends=self.mends):
+        for chunk in self._rows.chunks():
             if self.rows == 0:
                 self.start_s = float(chunk.time_s[0])
             self.rows += chunk.rows
             self.end_s = float(chunk.time_s[-1])
             self._count(chunk)
-
             self._momentum.add(chunk)
             yield samples_of(chunk)
             self._tell()
@@ -281,18 +411,18 @@ class _Reading:
             end_s=self.end_s,
             on_time_s=tuple(float(value) for value in gained[0]),
             pulses=tuple(float(value) for value in gained[1]),
-            mends=self.mends.lines(),
+            mends=self._rows.mends.lines(),
         )
 
 
 def _reduced(
-    event: TelemetryEvent, priors: Priors, sampling: Sampling, say: Say | None
+    event: TelemetryEvent, rows: EventRows, priors: Priors, sampling: Sampling, say: Say | None
 ) -> tuple[EventStatistics, ReadingRecord]:
     layout = Layout(event.wheels, event.thrusters, sampling.couples)
     nominal = nominal_values(priors)
     momentum = momentum_rows(nominal)
-    reading = _Reading(event, momentum, sampling.duration_s, say)
-    statistics = reduce_chunks(event.id, event.kind, reading.samples(priors), layout, sampling)
+    reading = _Reading(event, rows, momentum, sampling.duration_s, say)
+    statistics = reduce_chunks(event.id, event.kind, reading.samples(), layout, sampling)
     check_momentum(event, momentum, priors.spacecraft, nominal)
     return statistics, reading.record()
 
@@ -309,14 +439,7 @@ def nominal_values(priors: Priors) -> dict[str, float]:
     geometry = spacecraft.geometry[priors.branch]
     needed = (*INERTIA_PARAMETERS, *CENTRE_OF_MASS, *geometry.parameters, *FIRING_PARAMETERS)
     priors.require(needed, "telemetry")
-    absent = [name for wheel in spacecraft.wheels for name in wheel.parameters]
-    nominal = dict.fromkeys(absent, 0.0)
-    for name, prior in priors.parameters.items():
-        if prior.distribution is not None:
-            nominal[name] = prior.distribution.mean()
-        elif prior.fixed is not None:
-            nominal[name] = prior.fixed
-    return nominal
+    return {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **priors.means()}
 
 
 def last_time(telemetry: Path) -> float:

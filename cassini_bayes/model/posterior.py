@@ -1,297 +1,318 @@
-"""The collapsed posterior: thrusts and torques integrated out exactly, drawn back afterwards.
+"""A model: terms that add up to one collapsed posterior.
 
-Given the walked parameters θ the model is linear-Gaussian in the thrusts and torques, apart from
-the response Jacobian, whose logarithm is expanded to second order about the reference thrust
-(:func:`cassini_bayes.model.predictive.jacobian_expansion_error` measures what that leaves out).
-Each event's own coordinates are eliminated first, then the shared ones, so the cost grows linearly
-with events. ``docs/totals-likelihood.md`` derives the formulae.
+What all events share (pulse shape, centre of mass, geometry, wheels, inertia, noise) is walked;
+thrusts, torques and what else an event has of its own are linear-Gaussian and integrated out, each
+event's own first, then the shared thrust levels. The dimension that is walked does not grow with
+events.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate, pairwise
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.computed_delta_v import channel_log_likelihood, draw_software
-from cassini_bayes.model.totals import LinearBlock, LinearSystem, TotalsModel, linear_system
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.physics import Parameters
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm, telemetry_terms
+from cassini_bayes.model.terms import Points, Shared, Term, TermAt, TermEvent
+from cassini_bayes.model.thrusts import (
+    CollapsedThrusts,
+    ThrustInformation,
+    ThrustPrior,
+    collapse_thrusts,
+    thrust_moments,
+    thrust_prior_of,
+)
+from cassini_bayes.model.totals import DeltaVUse, TotalsTerm, totals_terms
+from cassini_bayes.model.unknowns import Unknowns
+from cassini_bayes.priors.reader import ParameterSpace, Priors
+from cassini_bayes.spacecraft.parameters import ParameterSpec
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
-Array = NDArray[np.float64]
+TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
+Event = TotalsEvent | ReducedEvent
+_POINTS: Final = 4
+_BLOCK: Final = 400
+_FAR: Final = 30.0
 
 
 @dataclass(frozen=True)
-class ThrustInformation:
-    """What events say of their thrusts, everything else of their own integrated out.
+class Model(Shared):
+    """Everything that stays constant during a fit.
 
-    With d = F − common: log L_e(F) = constant + vectorᵀ d − ½ dᵀ matrix d. Totals and telemetry
-    events alike come down to this.
+    Events are those of the terms, totals rows first, then telemetry in order; thrusts are those of
+    the events that fire.
     """
 
-    common_n: Array  # (n,)
-    matrix: Array  # (n, E, K, K)
-    vector: Array  # (n, E, K)
-    constant: Array  # (n, E)
+    space: ParameterSpace
+    specs: Mapping[str, ParameterSpec]
+    totals: tuple[TotalsTerm, ...]
+    telemetry: tuple[TelemetryTerm, ...]
+    idle: Mapping[str, float]  # parameters of wheels that no event uses
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """All terms in order."""
+        return (*self.totals, *self.telemetry)
+
+    @property
+    def totals_rows(self) -> TotalsTerm:
+        """The term of its totals rows, for those who take a model that has some."""
+        (term,) = self.totals
+        return term
+
+    @property
+    def sources(self) -> tuple[Event, ...]:
+        """The events as they were given: totals rows, then reduced telemetry."""
+        rows = (row for term in self.totals for row in term.rows)
+        return (*rows, *(term.event for term in self.telemetry))
+
+    @property
+    def events(self) -> tuple[TermEvent, ...]:
+        """All events in order."""
+        return tuple(event for term in self.terms for event in term.events)
+
+    @property
+    def event_ids(self) -> tuple[str, ...]:
+        """Ids of all events."""
+        return tuple(event.id for event in self.events)
+
+    @property
+    def fired_ids(self) -> tuple[str, ...]:
+        """Ids of the events with thrusts."""
+        return tuple(event.id for event in self.events if event.fires)
+
+    @property
+    def thrusters(self) -> tuple[str, ...]:
+        """Names of the branch's thrusters."""
+        return self.spacecraft.thruster_names(self.branch)
+
+    @property
+    def integrated(self) -> tuple[str, ...]:
+        """Parameters whose priors act although they are integrated out."""
+        own = dict.fromkeys(name for term in self.terms for name in term.integrated)
+        return (*self.thrust_prior.integrated, *TORQUES, *own)
+
+    @cached_property
+    def fired_of_term(self) -> tuple[slice, ...]:
+        """Where every term's events are among those that fire."""
+        counts = (sum(event.fires for event in term.events) for term in self.terms)
+        return tuple(slice(a, b) for a, b in pairwise(accumulate(counts, initial=0)))
+
+    @cached_property
+    def events_of_term(self) -> tuple[slice, ...]:
+        """Where every term's events are among all."""
+        counts = (len(term.events) for term in self.terms)
+        return tuple(slice(a, b) for a, b in pairwise(accumulate(counts, initial=0)))
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """Places of everything unknown, walked or integrated out."""
+        levels, departures = self.thrust_prior.shared.shape[1], self.thrust_prior.own.shape[1]
+        events = ((event.fires, event.own) for event in self.events)
+        return Unknowns.of(self.space.dimension, levels, departures, events)
+
+    def points(self, z: Array) -> Points:
+        """Every parameter the physics may ask for at walked coordinates z (n, d)."""
+        return self.points_at(self.space.to_parameters(z), len(z))
+
+    def points_at(self, parameters: Parameters, n: int) -> Points:
+        """The same at n values of the walked and fixed parameters."""
+        arrays = {
+            name: value if isinstance(value, np.ndarray) else np.full(n, value)
+            for name, value in {**self.idle, **parameters}.items()
+        }
+        return Points(self, arrays, n)
+
+    def batches(self, n: int) -> Iterator[slice]:
+        """Slices that cover n points, as many at a time as every term may have."""
+        size = min(term.most_points for term in self.terms)
+        for start in range(0, n, size):
+            yield slice(start, min(start + size, n))
+
+
+def build_model(
+    events: Sequence[Event],
+    priors: Priors,
+    *,
+    pulse_shape: str = "first_order",
+    delta_v: DeltaVUse = "as-declared",
+    keep_idle: bool = False,
+) -> Model:
+    """Assemble the model of any mix of totals rows and reduced telemetry events.
+
+    Parameters
+    ----------
+    events
+        Of one thruster branch. Telemetry is reduced already (:mod:`.event_reduction`).
+    priors
+        The priors file; every parameter the model needs must be in it.
+    pulse_shape
+        Of the totals rows: key of :data:`cassini_bayes.spacecraft.pulses.PULSE_SHAPES`.
+    delta_v
+        Of the totals rows. ``as-declared``: each row's ``delta_v_source`` decides; ``ignore``: ΔV
+        is left out; ``as-measured``: every ΔV is taken as a measurement of thrust (a what-if).
+    keep_idle
+        Keep the columns of telemetry that have no weight yet, for effects to be added;
+        :func:`without_idle` drops them.
+
+    Raises
+    ------
+    InputError
+        No event; an id twice; events of another branch or wheel set; unknown pulse shape; a
+        parameter that is missing, or that leaves nothing to estimate.
+    """
+    if pulse_shape not in PULSE_SHAPES:
+        raise InputError(
+            "model.pulse_shape",
+            f"one of {', '.join(PULSE_SHAPES)}",
+            repr(pulse_shape),
+            "choose one of these",
+        )
+    _require_distinct([event.id for event in events])
+    rows = [event for event in events if isinstance(event, TotalsEvent)]
+    reduced = [event for event in events if isinstance(event, ReducedEvent)]
+    fires = bool(rows) or any(event.fires for event in reduced)
+    shared = shared_of(priors, {number for event in events for number in event.wheels}, fires=fires)
+    totals = totals_terms(rows, priors, shared, pulse_shape=pulse_shape, delta_v=delta_v)
+    telemetry = telemetry_terms(reduced, priors, shared)
+    terms: tuple[Term, ...] = (*totals, *telemetry)
+    names = dict.fromkeys(name for term in terms for name in term.parameters)
+    space = priors.space(names)
+    model = Model(
+        spacecraft=shared.spacecraft,
+        branch=shared.branch,
+        wheels=shared.wheels,
+        thrust_prior=_chained(shared.thrust_prior, priors, space, terms),
+        torque_mean_n_m=shared.torque_mean_n_m,
+        torque_sd_n_m=shared.torque_sd_n_m,
+        space=space,
+        specs={name: prior.spec for name, prior in priors.parameters.items()},
+        totals=totals,
+        telemetry=telemetry,
+        idle={name: 0.0 for name in priors.spacecraft.wheel_parameters() if name not in names},
+    )
+    return model if keep_idle else without_idle(model)
+
+
+def shared_of(priors: Priors, wheels: Collection[int], *, fires: bool) -> Shared:
+    """What terms share, of events that use some wheels and fire or do not.
+
+    Raises
+    ------
+    InputError
+        A prior that is missing, or that cannot be integrated out.
+    """
+    spacecraft = priors.spacecraft
+    torque_mean, torque_sd = (np.array(values) for values in priors.normal(TORQUES))
+    return Shared(
+        spacecraft,
+        priors.branch,
+        tuple(wheel.number for wheel in spacecraft.wheels if wheel.number in wheels),
+        thrust_prior_of(priors, len(spacecraft.thruster_names(priors.branch)) if fires else 0),
+        torque_mean,
+        torque_sd,
+    )
+
+
+def _require_distinct(ids: Sequence[str]) -> None:
+    if not ids:
+        raise InputError("events", "at least one event", "none", "name an event folder or CSV")
+    for name in ids:
+        if ids.count(name) > 1:
+            raise InputError(
+                f"event {name}", "each event once in a fit", "the same id twice", "rename one"
+            )
+
+
+def _chained(
+    prior: ThrustPrior, priors: Priors, space: ParameterSpace, terms: Sequence[Term]
+) -> ThrustPrior:
+    """Thrust levels from an earlier fit, given the parameters that both walk."""
+    if priors.earlier is None or not len(prior.shared):
+        return prior
+    if any(term.integrated for term in terms):
+        raise InputError(
+            f"{priors.path}: from_fit",
+            "events without a computed velocity change",
+            "one that the flight software computed, whose constants are not handed on",
+            'set delta_v = "ignore" in the run file: it informs no thrust',
+        )
+    levels, factor = priors.earlier.levels(space.names)
+    factor.setflags(write=False)
+    return replace(prior, shared=factor, chained=levels)
+
+
+def without_idle(model: Model) -> Model:
+    """The model without columns that no parameter point gives weight: call it after a change."""
+    points = model.points(model.space.sample(np.random.default_rng(0), _POINTS))
+    kept = tuple(term.without_idle_columns(points) for term in model.telemetry)
+    return replace(model, telemetry=kept)
+
+
+def with_equal_bands_merged(model: Model) -> Model:
+    """The model with a slew's bands as one where no torque noise tells them apart."""
+    if model.space.fixed.get(TORQUE_NOISE) != 0.0:
+        return model
+    return replace(model, telemetry=tuple(term.with_bands_merged() for term in model.telemetry))
 
 
 @dataclass(frozen=True)
 class Collapsed:
-    """Factors of the conditional normal of the linear coordinates at a batch of points.
+    """The collapsed posterior at a batch of points, with all that drawing back needs."""
 
-    Coordinates are the events' own ξ_e (p of them) and the shared η (q); all have N(0, 1) priors.
+    log_likelihood: Array
+    thrusts: CollapsedThrusts
+    terms: tuple[TermAt, ...]
+
+
+def collapse(model: Model, z: Array) -> Collapsed:
+    """Everything linear integrated out at walked coordinates z (n, d)."""
+    points = model.points(z)
+    terms = tuple(term.at(points) for term in model.terms)
+    prior, common = model.thrust_prior, points.common_n
+    thrusts = collapse_thrusts(
+        prior,
+        ThrustInformation.joined([term.information for term in terms]),
+        common,
+        prior.offset_at(points.parameters, common),
+    )
+    constant = sum(term.log_likelihood for term in terms)
+    return Collapsed(np.asarray(constant + thrusts.log_likelihood), thrusts, terms)
+
+
+def log_likelihood(model: Model, z: Array) -> Array:
+    """Collapsed log likelihood (n,) at walked coordinates z (n, d).
+
+    Worked up in blocks whose arrays stay in the processor's cache.
     """
-
-    log_likelihood: Array  # (n,)
-    own_factor: Array  # (n, E, p, p) lower Cholesky factor of an event's own precision
-    own_coupling: Array  # (n, E, p, q) own_factor⁻¹ Λ_ξη
-    own_shift: Array  # (n, E, p) own_factor⁻¹ ν_ξ
-    shared_factor: Array  # (n, q, q) lower Cholesky factor of the shared precision
-    shared_shift: Array  # (n, q) shared_factor⁻¹ ν_η
+    blocks = [z[start : start + _BLOCK] for start in range(0, len(z), _BLOCK)]
+    return np.concatenate([collapse(model, block).log_likelihood for block in blocks])
 
 
-@dataclass(frozen=True)
-class LinearDraws:
-    """One draw of the linear parameters per parameter point."""
+def log_posterior(model: Model, z: Array) -> Array:
+    """Collapsed log likelihood plus log prior density in z, (n,); each prior counts once.
 
-    thrust_n: Array  # (n, E, K)
-    common_n: Array  # (n,) the common level
-    level_n: Array  # (n, K) common + individual: a thruster's level over all events
-    external_torque_n_m: Array  # (n, E, 3)
-    software: Array  # (n, 2) factor and on-time per pulse of the on-board ΔV computation
-
-
-def collapse(model: TotalsModel, system: LinearSystem) -> Collapsed:
-    """Integrate the thrusts and torques out of the likelihood of totals events."""
-    information = thrust_information(model, system)
-    if system.offset_n is not None:
-        information = about(information, system.offset_n)
-    collapsed = combine(model.linear, information)
-    if model.computed is None:
-        return collapsed
-    channel = channel_log_likelihood(model.computed, system.delta_v_variance)
-    return replace(collapsed, log_likelihood=collapsed.log_likelihood + channel)
-
-
-def thrust_information(model: TotalsModel, system: LinearSystem) -> ThrustInformation:
-    """What totals events say of their thrusts, the external torques integrated out.
-
-    With A the whitened design, b the whitened misfit at the common level's mean, and g, H the
-    gradient and Hessian of the response Jacobian there, an event's information on its thrusts is
-    G = AᵀA − H with linear term ν = Aᵀb + g + H d0; d0 is the distance of a walked common level
-    from the reference.
+    Far out in a proposal's tails, where the prior has 1e-190, quantiles overflow: the likelihood
+    stays there what it is at the edge.
     """
-    linear = model.linear
-    misfit = system.target - system.common_n[..., None, None] * system.design.sum(-1)
-    factor = _cholesky(system.covariance + system.torque_covariance)
-    white = np.linalg.solve(factor, np.concatenate([system.design, misfit[..., None]], axis=-1))
-    log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
-    rows = factor.shape[-1]
-
-    jacobian = system.jacobian
-    shift = (system.common_n - linear.common_mean_n)[..., None, None]
-    tilt = jacobian.gradient + shift * jacobian.hessian.sum(-1)
-    tilt_value = (
-        jacobian.value
-        + shift[..., 0] * jacobian.gradient.sum(-1)
-        + 0.5 * shift[..., 0] ** 2 * jacobian.hessian.sum((-2, -1))
-    )
-    gram = np.swapaxes(white, -1, -2) @ white
-    return ThrustInformation(
-        common_n=system.common_n,
-        matrix=gram[..., :-1, :-1] - jacobian.hessian,
-        vector=gram[..., :-1, -1] + tilt,
-        constant=(
-            -0.5 * gram[..., -1, -1] - log_det - 0.5 * rows * np.log(2.0 * np.pi) + tilt_value
-        ),
-    )
+    inside = np.clip(z, -_FAR, _FAR)
+    return np.asarray(log_likelihood(model, inside) + model.space.log_prior_terms(z).sum(-1))
 
 
-def about(information: ThrustInformation, offset_n: Array) -> ThrustInformation:
-    """The same information about other mean levels, common + offset (n, K).
-
-    With d = d' + δ: c + νᵀd − ½ dᵀGd = (c + νᵀδ − ½ δᵀGδ) + (ν − Gδ)ᵀ d' − ½ d'ᵀ G d'.
-    """
-    moved = (information.matrix @ offset_n[:, None, :, None])[..., 0]
-    along = offset_n[:, None, :] * (information.vector - 0.5 * moved)
-    return replace(
-        information,
-        vector=information.vector - moved,
-        constant=information.constant + along.sum(-1),
-    )
-
-
-def combine(linear: LinearBlock, information: ThrustInformation) -> Collapsed:
-    """Integrate the thrusts out of the information of all events.
-
-    Thrust is S η + L ξ_e beyond the common level, so ξ_e is eliminated with the Cholesky factor of
-    1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S (Rasmussen & Williams 2006,
-    eqs. A.9-A.12).
-    """
-    own, shared = linear.own, linear.shared
-    matrix, vector = information.matrix, information.vector
-    by_shared = _times(matrix, shared)
-    own_precision = _times(np.swapaxes(_times(matrix, own), -1, -2), own)
-    own_factor = _cholesky(own_precision + np.eye(own.shape[1]))
-    right = _times(
-        np.concatenate([np.swapaxes(by_shared, -1, -2), vector[..., None, :]], axis=-2), own
-    )
-    solved: Array = np.asarray(np.linalg.solve(own_factor, np.swapaxes(right, -1, -2)), dtype=float)
-    schur = np.swapaxes(solved, -1, -2) @ solved
-    shared_precision = shared.T @ by_shared.sum(-3) - schur[..., :-1, :-1].sum(-3)
-    shared_linear = vector.sum(-2) @ shared - schur[..., :-1, -1].sum(-2)
-    shared_factor = _cholesky(shared_precision + np.eye(shared.shape[1]))
-    shared_shift = np.linalg.solve(shared_factor, shared_linear[..., None])[..., 0]
-    own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
-    shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
-    log_likelihood = (
-        (information.constant + 0.5 * schur[..., -1, -1] - own_log_det).sum(-1)
-        + 0.5 * (shared_shift**2).sum(-1)
-        - shared_log_det
-    )
-    return Collapsed(
-        log_likelihood=log_likelihood,
-        own_factor=own_factor,
-        own_coupling=solved[..., :-1],
-        own_shift=solved[..., -1],
-        shared_factor=shared_factor,
-        shared_shift=shared_shift,
-    )
-
-
-def _cholesky(matrix: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
-
-
-def _times(stack: Array, matrix: Array) -> Array:
-    """stack (..., r, K) @ matrix (K, c) as one product: numpy would loop over the stack."""
-    product = stack.reshape(-1, stack.shape[-1]) @ matrix
-    return np.asarray(product.reshape(*stack.shape[:-1], matrix.shape[1]))
-
-
-def log_likelihood(model: TotalsModel, z: Array) -> Array:
-    """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
-    return collapse(model, linear_system(model, model.space.to_parameters(z))).log_likelihood
-
-
-def log_posterior(model: TotalsModel, z: Array) -> Array:
-    """Collapsed log likelihood plus log prior density in z, shape (n,); each prior counts once."""
-    return np.asarray(log_likelihood(model, z) + model.space.log_prior_terms(z).sum(-1))
-
-
-@dataclass(frozen=True)
-class ThrustDraws:
-    """One draw of the thrusts per parameter point."""
-
-    thrust_n: Array  # (n, E, K)
-    common_n: Array  # (n,)
-    level_n: Array  # (n, K)
-
-
-def draw_thrusts(
-    linear: LinearBlock,
-    collapsed: Collapsed,
-    common_n: Array,
-    rng: np.random.Generator,
-    offset_n: Array | None = None,
-) -> ThrustDraws:
-    """One draw of all events' thrusts from their conditional normal at every parameter point."""
-    n, n_events, n_own, n_shared = collapsed.own_coupling.shape
-    shared = _solve_transposed(
-        collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
-    )
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
-    own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
-    level = common_n[:, None] + shared @ linear.shared.T
-    if offset_n is not None:
-        level = level + offset_n
-    return ThrustDraws(
-        thrust_n=level[:, None, :] + own @ linear.own.T,
-        common_n=draw_common(linear, common_n, level, rng),
-        level_n=level,
-    )
-
-
-def draw_linear(
-    model: TotalsModel, system: LinearSystem, collapsed: Collapsed, rng: np.random.Generator
-) -> LinearDraws:
-    """One draw of thrusts and torques from their conditional normal at every parameter point."""
-    thrusts = draw_thrusts(model.linear, collapsed, system.common_n, rng, system.offset_n)
-    return LinearDraws(
-        thrust_n=thrusts.thrust_n,
-        common_n=thrusts.common_n,
-        level_n=thrusts.level_n,
-        external_torque_n_m=draw_torque(model, system, thrusts.thrust_n, rng),
-        software=(
-            np.zeros((len(thrusts.common_n), 2))
-            if model.computed is None
-            else draw_software(model.computed, system.delta_v_variance, rng)
-        ),
-    )
-
-
-def draw_common(
-    linear: LinearBlock, common_n: Array, level_n: Array, rng: np.random.Generator
-) -> Array:
-    """The common level given every thruster's level = common + individual; the data add nothing.
-
-    A thruster's own departure of width zero makes the common level that of every thruster.
-    """
-    normals = rng.standard_normal(len(level_n))
-    if linear.common_sd_n == 0.0:
-        return common_n
-    if linear.individual_sd_n == 0.0:
-        return level_n[:, 0]
-    weight = linear.common_sd_n**-2 + level_n.shape[1] * linear.individual_sd_n**-2
-    mean = (
-        common_n * linear.common_sd_n**-2 + level_n.sum(-1) * linear.individual_sd_n**-2
-    ) / weight
-    return np.asarray(mean + normals / np.sqrt(weight))
-
-
-def draw_torque(
-    model: TotalsModel, system: LinearSystem, thrust_n: Array, rng: np.random.Generator
-) -> Array:
-    """External torques given the thrusts: a prior draw corrected by the residual it leaves."""
-    linear = model.linear
-    residual = system.target - (system.design @ thrust_n[..., None])[..., 0]
-    departure = linear.torque_sd_n_m * rng.standard_normal((*residual.shape[:-1], 3))
-    noise = np.linalg.cholesky(system.covariance) @ rng.standard_normal((*residual.shape, 1))
-    missing = residual - (system.torque_design @ departure[..., None] + noise)[..., 0]
-    answer = np.linalg.solve(system.covariance + system.torque_covariance, missing[..., None])
-    gain = linear.torque_sd_n_m**2 * (np.swapaxes(system.torque_design, -1, -2) @ answer)[..., 0]
-    return np.asarray(linear.torque_mean_n_m + departure + gain)
-
-
-def _solve_transposed(factor: Array, right: Array) -> Array:
-    """Solve factorᵀ x = right for stacked lower factors and vectors."""
-    solution = np.linalg.solve(np.swapaxes(factor, -1, -2), right[..., None])
-    return np.asarray(solution[..., 0])
-
-
-def thrust_moments(model: TotalsModel, z: Array) -> tuple[Array, Array]:
-    """Conditional mean and variance (n, E, K) of every event's thrusts given the nuisances z.
-
-    This is the estimate, and the noise-only variance, that a fit with all nuisances held at z would
-    report; its change with z is the consider-style contribution of each nuisance.
-    """
-    system = linear_system(model, model.space.to_parameters(z))
-    mean, variance = moments_of(model.linear, collapse(model, system), system.common_n)
-    if system.offset_n is not None:
-        mean = mean + system.offset_n[:, None, :]
-    return mean, variance
-
-
-def moments_of(linear: LinearBlock, collapsed: Collapsed, common_n: Array) -> tuple[Array, Array]:
-    """Mean and variance (n, E, K) of the thrusts that :func:`draw_thrusts` draws."""
-    own, shared = linear.own, linear.shared
-    shared_inverse = np.linalg.inv(collapsed.shared_factor)
-    shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
-    own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.own_factor), -1, -2)
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared_mean[:, None, :, None])[..., 0]
-    own_mean = (own_inverse_t @ pull[..., None])[..., 0]
-    # thrust = … + [S − L gain] (η − η̂) + L (own noise)
-    gain = own_inverse_t @ collapsed.own_coupling
-    response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
-    spread = own @ own_inverse_t
-    mean = common_n[:, None, None] + own_mean @ own.T + (shared_mean @ shared.T)[:, None, :]
-    return mean, (spread**2).sum(-1) + (response**2).sum(-1)
+def conditional_thrusts(model: Model, z: Array) -> tuple[Array, Array]:
+    """Mean and variance (n, E', K) of the thrusts given the walked coordinates z (n, d)."""
+    parts = [
+        thrust_moments(model.thrust_prior, collapse(model, z[rows]).thrusts)
+        for rows in model.batches(len(z))
+    ]
+    mean, variance = zip(*parts, strict=True)
+    return np.concatenate(mean), np.concatenate(variance)

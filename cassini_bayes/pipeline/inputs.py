@@ -8,16 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.event_reduction import (
-    ReducedEvent,
-    is_event_folder,
-    reduce_event,
-    store_reduction,
-)
-from cassini_bayes.model.joint import JointModel, build_joint_model
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model.event_reduction import is_event_folder, reduce_event, store_reduction
+from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.priors.reader import Priors, read_priors
 
@@ -27,22 +21,17 @@ STATISTICS: Final = "statistics"
 
 @dataclass(frozen=True)
 class Inputs:
-    """Data and priors of a run, read and checked.
+    """Data and priors of a run, read and checked, and the model of them."""
 
-    ``totals`` is the model of the totals rows (None without any), ``model`` that of everything.
-    """
-
-    events: tuple[TotalsEvent, ...]
-    telemetry: tuple[ReducedEvent, ...]
+    events: tuple[Event, ...]
     priors: Priors
-    totals: TotalsModel | None
-    model: TotalsModel | JointModel
+    model: Model
     digests: Mapping[str, str]
 
     def store(self, folder: Path) -> None:
         """Keep the reduced telemetry beside the run."""
-        for reduced in self.telemetry:
-            store_reduction(reduced, folder / STATISTICS)
+        for term in self.model.telemetry:
+            store_reduction(term.event, folder / STATISTICS)
 
 
 def read_inputs(
@@ -68,22 +57,18 @@ def read_inputs(
     if priors.earlier is not None:
         digests[priors.earlier.path] = priors.earlier.digest
     given: dict[str, str] = {}
-    events: list[TotalsEvent] = []
-    telemetry: list[ReducedEvent] = []
+    events: list[Event] = []
     cache = None if folder is None else folder / STATISTICS
     for reference in run.events:
         if is_event_folder(base / reference):
             reduced = reduce_event(base / reference, priors, run.model.pulse_shape, cache, say)
-            ids = [reduced.event.id]
-            telemetry.append(reduced)
-            digests[reference] = reduced.event.digest
+            found: tuple[Event, ...] = (reduced,)
+            digests[reference] = reduced.digest
         else:
             found = read_totals(str(base / reference), priors.spacecraft, run.source)
-            ids = [event.id for event in found]
-            events.extend(found)
             file = _file_of(base, reference)
             digests[file] = digest(base / file)
-        for name in ids:
+        for name in (event.id for event in found):
             if name in given:
                 raise InputError(
                     f"{base / reference}: event {name}",
@@ -91,28 +76,12 @@ def read_inputs(
                     f"the id that {base / given[name]} has given",
                     "leave one of the two out, or rename one of them",
                 )
-        given |= dict.fromkeys(ids, reference)
-    totals = None
-    if events:
-        totals = build_model(
-            tuple(events), priors, pulse_shape=run.model.pulse_shape, delta_v=run.model.delta_v
-        )
-    return Inputs(
-        tuple(events), tuple(telemetry), priors, totals, _model(telemetry, priors, totals), digests
+        given |= dict.fromkeys((event.id for event in found), reference)
+        events.extend(found)
+    model = build_model(
+        events, priors, pulse_shape=run.model.pulse_shape, delta_v=run.model.delta_v
     )
-
-
-def _model(
-    telemetry: list[ReducedEvent], priors: Priors, totals: TotalsModel | None
-) -> TotalsModel | JointModel:
-    if totals is not None and not telemetry:
-        return totals
-    return build_joint_model(
-        [(e.statistics, e.sampling) for e in telemetry],
-        priors,
-        totals,
-        delta_v=[e.delta_v for e in telemetry if e.delta_v is not None],
-    )
+    return Inputs(tuple(events), priors, model, digests)
 
 
 def _file_of(base: Path, reference: str) -> str:

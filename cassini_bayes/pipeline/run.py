@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Final, Protocol
 
-import numpy as np
-import pandas as pd
 import tomli_w
 
 from cassini_bayes import __version__
@@ -23,26 +20,17 @@ from cassini_bayes.computing.workers import cores
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
-from cassini_bayes.model.joint import JointModel
 from cassini_bayes.model.observability import observability
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import DeltaVUse, build_model
 from cassini_bayes.pipeline.inputs import STATISTICS, Inputs, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile
+from cassini_bayes.report.sections import figures_of, sections_of, write_tables
 from cassini_bayes.results.fitting import Sampled, convergence_table, fit_model
-from cassini_bayes.results.joint_review import assemble_joint_review
-from cassini_bayes.results.record import Fit, draws_of, save_fit
-from cassini_bayes.results.review import Review, assemble_review, thrust_variant, worst_convergence
+from cassini_bayes.results.record import save_fit
+from cassini_bayes.results.review import Review
+from cassini_bayes.results.tables import worst_convergence
 from cassini_bayes.sampling.ensembles import MAX_RHAT, ProgressReport
-from cassini_bayes.sampling.warmstart import warm_start
 
-VARIANTS: Final[Mapping[DeltaVUse, str]] = {
-    "ignore": "ΔV left out",
-    "as-declared": "ΔV as declared",
-    "as-measured": "ΔV as if measured",
-}
-VARIANT_STREAM: Final = 3
 WRITTEN: Final = (
     "provenance.json",
     "checkpoint",
@@ -55,7 +43,6 @@ WRITTEN: Final = (
     "resolved.toml",  # last: it makes a folder a run, so a removal cut short can be done again
 )
 """What a run writes into its folder: all that ``--force`` removes."""
-SERIES_STREAM: Final = 4
 
 
 class Reporter(Protocol):
@@ -168,7 +155,7 @@ def execute(
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
     if resume:
         refuse_other_run(folder / "provenance.json", provenance.identity)
-    if isinstance(inputs.model, JointModel):
+    if inputs.model.telemetry:
         for sentence in observability(inputs.model).sentences:
             reporter.say(sentence)
     prepare_folder(folder, force=force, resume=resume)
@@ -179,7 +166,6 @@ def execute(
     sampled = fit_model(
         inputs.model,
         settings,
-        events=inputs.telemetry,
         draws_per_ensemble=run.output.draws_per_ensemble,
         prior_draws=run.output.prior_draws,
         store=CheckpointStore(folder / "checkpoint", provenance.identity),
@@ -189,82 +175,33 @@ def execute(
     )
     save_fit(sampled.fit, folder / "fit.nc")
     reporter.say("tables")
-    review = _review(name, run, inputs, sampled, provenance)
+    review = Review(
+        name=name,
+        model=inputs.model,
+        priors=inputs.priors,
+        fit=sampled.fit,
+        z=sampled.flat_z,
+        convergence=convergence_table(sampled),
+        facts=_facts(run, inputs, sampled, provenance),
+        notes=tuple(sampled.warnings),
+        seed=run.sampler.seed,
+        what_if=run.output.report,
+    )
     converged = _converged(review, sampled)
-    _write_tables(review, folder)
+    sections = sections_of(review)
+    write_text(folder / "summary.csv", review.summary.to_csv(index=False))
+    write_tables(sections, folder / "tables")
     if run.output.report:
         from cassini_bayes.report import write_report
-        from cassini_bayes.report.plots import make_figures, save_figures
+        from cassini_bayes.report.plots import save_figures
 
         reporter.say("figures and report")
-        figures = make_figures(review)
+        figures = figures_of(sections)
         save_figures(figures, folder / "figures")
-        write_report(review, figures, folder / "report.html")
+        write_report(review, sections, figures, folder / "report.html")
     seconds = time.monotonic() - began
     reporter.say(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
     return Outcome(folder, review, converged, seconds)
-
-
-def _review(
-    name: str, run: RunFile, inputs: Inputs, sampled: Sampled, provenance: Provenance
-) -> Review:
-    """Every table of the run, for either kind of model."""
-    if isinstance(inputs.model, JointModel):
-        return assemble_joint_review(
-            name,
-            inputs.model,
-            inputs.telemetry,
-            inputs.priors,
-            sampled.fit,
-            sampled.flat_z,
-            convergence=convergence_table(sampled),
-            facts=_facts(run, sampled, provenance),
-            warnings=sampled.warnings,
-            rng=np.random.default_rng(np.random.SeedSequence((run.sampler.seed, SERIES_STREAM))),
-        )
-    return assemble_review(
-        name,
-        inputs.model,
-        inputs.priors,
-        sampled.fit,
-        sampled.flat_z,
-        variants=_variants(run, inputs, sampled.fit) if run.output.report else [],
-        convergence=convergence_table(sampled),
-        facts=_facts(run, sampled, provenance),
-        warnings=sampled.warnings,
-    )
-
-
-def _variants(run: RunFile, inputs: Inputs, fit: Fit) -> list[pd.DataFrame]:
-    """Thrust posteriors with ΔV left out, as declared, and as if measured.
-
-    The declared use is the fit itself; the others are importance draws, with k̂ in the name of the
-    variant where it is too large to trust.
-    """
-    assert inputs.totals is not None  # asked for with totals rows only
-    if not inputs.totals.stack.has_delta_v.any():
-        return []
-    tables = []
-    rng = np.random.default_rng(np.random.SeedSequence((run.sampler.seed, VARIANT_STREAM)))
-    for use, label in VARIANTS.items():
-        if use == run.model.delta_v:
-            values = fit.posterior["thrust_n"].values
-            tables.append(
-                thrust_variant(label, inputs.totals, values.reshape(-1, *values.shape[2:]))
-            )
-            continue
-        model = build_model(
-            inputs.events, inputs.priors, pulse_shape=run.model.pulse_shape, delta_v=use
-        )
-        warm = warm_start(partial(log_posterior, model), len(model.space.names), rng)
-        z = warm.draws.resample(rng, len(warm.draws.z))
-        _, draws = draws_of(model, z, rng)
-        trusted = warm.draws.pareto_k < 0.7
-        note = (
-            "" if trusted else f" (importance draws, k̂ = {warm.draws.pareto_k:.2f}: not reliable)"
-        )
-        tables.append(thrust_variant(label + note, model, draws.thrust_n))
-    return tables
 
 
 def _converged(review: Review, sampled: Sampled) -> bool:
@@ -274,7 +211,9 @@ def _converged(review: Review, sampled: Sampled) -> bool:
     return done and rhat < MAX_RHAT and bulk >= target and tail >= target
 
 
-def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, str]:
+def _facts(
+    run: RunFile, inputs: Inputs, sampled: Sampled, provenance: Provenance
+) -> dict[str, str]:
     fit, warm, chains = sampled.fit, sampled.warm, sampled.chains
     convergence = chains.convergence
     stats = fit.groups["sample_stats"]
@@ -308,7 +247,7 @@ def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, 
         **expansion,
         "Pulse shape": run.model.pulse_shape,
         "ΔV": run.model.delta_v,
-        "Data rows": _data_rows(run, sampled),
+        "Data rows": _data_rows(run, inputs),
         "Versions": ", ".join(f"{name} {version}" for name, version in provenance.versions.items()),
         "Package": f"cassini_bayes {__version__}",
         "SHA-256 of the inputs": "; ".join(
@@ -320,21 +259,9 @@ def _facts(run: RunFile, sampled: Sampled, provenance: Provenance) -> dict[str, 
     }
 
 
-def _data_rows(run: RunFile, sampled: Sampled) -> str:
+def _data_rows(run: RunFile, inputs: Inputs) -> str:
     """Where the data came from; the source chooses rows of totals files only."""
-    named = ", ".join(run.events)
-    if isinstance(sampled.model, JointModel):
-        totals = f"; totals rows of source “{run.source}”" if sampled.model.totals else ""
-        return f"telemetry{totals}: {named}"
-    return f"source “{run.source}” of {named}"
-
-
-def _write_tables(review: Review, folder: Path) -> None:
-    write_text(folder / "summary.csv", review.summary.to_csv(index=False))
-    names = ["nuisances", "budget", "baseline", "predictive", "balance", "delta_v", "variants"]
-    if review.telemetry is not None:
-        for name, table in review.telemetry.tables().items():
-            write_text(folder / "tables" / f"{name}.csv", table.to_csv(index=False))
-    for name in names:
-        table = getattr(review, name)
-        write_text(folder / "tables" / f"{name}.csv", table.to_csv(index=False))
+    named, rows = ", ".join(run.events), f"source “{run.source}”"
+    if not inputs.model.telemetry:
+        return f"{rows} of {named}"
+    return f"telemetry{f'; totals rows of {rows}' if inputs.model.totals else ''}: {named}"

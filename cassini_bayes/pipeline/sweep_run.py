@@ -24,7 +24,7 @@ from cassini_bayes.files.storage import remove_leftovers, write_text
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.results.record import Fit, read_fit
-from cassini_bayes.sweep.models import JointFactory, ModelFactory, TotalsFactory
+from cassini_bayes.sweep.models import Factory
 from cassini_bayes.sweep.plan import Sweep, plan, reported_quantiles
 from cassini_bayes.sweep.specification import SweepFile
 from cassini_bayes.sweep.tables import SweepTables, tables_of
@@ -135,16 +135,9 @@ def _store(sweep: Sweep, target: Path, inputs: Inputs) -> CheckpointStore:
     return CheckpointStore(target / "cells" / identity[:12], identity)
 
 
-def factory_of(run: RunFile, inputs: Inputs) -> ModelFactory:
+def factory_of(run: RunFile, inputs: Inputs) -> Factory:
     """The factory that builds the run's model with other priors."""
-    totals = None
-    if inputs.events:
-        totals = TotalsFactory(
-            inputs.events, inputs.priors, run.model.pulse_shape, run.model.delta_v
-        )
-    if totals is not None and not inputs.telemetry:
-        return totals
-    return JointFactory(inputs.telemetry, inputs.priors, totals)
+    return Factory(inputs.model.sources, inputs.priors, run.model.pulse_shape, run.model.delta_v)
 
 
 def _figures(sweep: Sweep, store: CheckpointStore, tables: SweepTables) -> dict[str, Figure]:

@@ -12,10 +12,10 @@ from datetime import datetime
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.prediction.physics import Physics
@@ -23,8 +23,6 @@ from cassini_bayes.prediction.regressions import Regression, ScalePrior, regress
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.pulses import effective_on_time
-
-Array = NDArray[np.float64]
 
 GRAVITY_M_S2: Final = 9.80665
 SECONDS_PER_YEAR: Final = 365.25 * 86400.0
@@ -96,7 +94,7 @@ def group_impulse(layout: PairLayout, thrust_n: Array, effective_s: Array) -> tu
 
 
 def hydrazine_regression(
-    model: TotalsModel,
+    model: Model,
     events: tuple[TotalsEvent, ...],
     physics: Physics,
     layout: PairLayout,
@@ -109,9 +107,9 @@ def hydrazine_regression(
         return None
     times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
     effective = effective_on_time(
-        model.pulse_shape,
-        model.stack.on_time_s,
-        model.stack.pulses,
+        model.totals_rows.pulse_shape,
+        model.totals_rows.stack.on_time_s,
+        model.totals_rows.stack.pulses,
         *(np.asarray(value)[..., None, None] for value in times),
     )
     total, couple = group_impulse(layout, physics.thrust_n[:, rows], effective[..., rows, :])
@@ -207,7 +205,7 @@ def no_trend(epochs: list[datetime], size: int) -> Trend:
 
 
 def lateral_variance(
-    model: TotalsModel, events: tuple[TotalsEvent, ...], rng: np.random.Generator, size: int
+    model: Model, events: tuple[TotalsEvent, ...], rng: np.random.Generator, size: int
 ) -> Array:
     """Variance (n,) of a printed ΔV component across the net thrust, (m/s)²."""
     directions = thruster_directions(model.spacecraft, model.branch)

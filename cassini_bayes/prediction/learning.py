@@ -16,9 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.totals import TotalsModel
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
 from cassini_bayes.prediction.firing import (
@@ -58,8 +59,6 @@ from cassini_bayes.sampling.warmstart import (
     refined,
 )
 
-Array = NDArray[np.float64]
-
 PROPOSAL_DOF: Final = 5.0
 PILOT_DRAWS: Final = 2_000
 MOST_PILOTS: Final = 12
@@ -79,7 +78,7 @@ class Learned:
     at its mean and the draws (ramps of ``ramp_wheels``, loop time) behind the duration.
     """
 
-    model: TotalsModel
+    model: Model
     layout: PairLayout
     physics: Physics
     firing: Mapping[str, Array | float]
@@ -103,7 +102,7 @@ class Learned:
 
 
 def learn(
-    model: TotalsModel,
+    model: Model,
     events: tuple[TotalsEvent, ...],
     physics: Physics,
     beliefs: Beliefs,
@@ -117,7 +116,7 @@ def learn(
     InputError
         The events are not those of the model, or the layout of the thrusters is another.
     """
-    if tuple(event.id for event in events) != model.stack.event_ids:
+    if tuple(event.id for event in events) != model.totals_rows.stack.event_ids:
         raise InputError("events", "the events of the fit", "others", "name the fit's own events")
     layout = pair_layout(model.spacecraft, model.branch)
     ramp_wheels = tuple(sorted({n for event in events for n in event.wheels}))
@@ -172,7 +171,7 @@ def _trends(
 
 
 def training_features(
-    model: TotalsModel,
+    model: Model,
     events: tuple[TotalsEvent, ...],
     physics: Physics,
     manager: WheelManager,

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import SOFTWARE, TotalsModel
+from cassini_bayes.model.draws import draw
+from cassini_bayes.model.posterior import Model, log_posterior
+from cassini_bayes.model.totals import SOFTWARE, software_of
 from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
-from cassini_bayes.results.record import draws_of
 from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class Physics:
 
 
 def importance_physics(
-    model: TotalsModel, rng: np.random.Generator, size: int
+    model: Model, rng: np.random.Generator, size: int
 ) -> tuple[Physics, float, float]:
     """Draws from the posterior of a model: mode, Laplace, importance sampling, resampling.
 
@@ -81,19 +81,16 @@ def importance_physics(
     """
     from cassini_bayes.sampling.warmstart import warm_start
 
-    warm = warm_start(partial(log_posterior, model), len(model.space.names), rng, draws=8_000)
-    z = warm.draws.resample(rng, size)
-    parameters, linear = draws_of(model, z, rng)
-    physics = Physics(
-        {**parameters, **model.absent_wheel_parameters},
-        linear.thrust_n,
-        linear.level_n,
-        linear.software,
-    )
+    warm = warm_start(partial(log_posterior, model), model.space.dimension, rng, draws=8_000)
+    draws = draw(model, warm.draws.resample(rng, size), rng)
+    values = {**draws.parameters, **model.idle}
+    thrusts, (own,) = draws.thrusts, draws.own
+    software = software_of(own) if model.totals_rows.computed is not None else np.zeros((size, 2))
+    physics = Physics(values, thrusts.thrust_n, thrusts.level_n, software)
     return physics, warm.draws.efficiency, warm.draws.pareto_k
 
 
-def physics_of_fit(model: TotalsModel, path: Path, rng: np.random.Generator, size: int) -> Physics:
+def physics_of_fit(model: Model, path: Path, rng: np.random.Generator, size: int) -> Physics:
     """Read ``size`` random draws of a fit, checked against the events of the model.
 
     Raises
@@ -118,10 +115,10 @@ def physics_of_fit(model: TotalsModel, path: Path, rng: np.random.Generator, siz
     return _from_values(model, values, wheels, path)
 
 
-def _check_events(model: TotalsModel, path: Path, observed: xr.Dataset) -> None:
+def _check_events(model: Model, path: Path, observed: xr.Dataset) -> None:
     ids = tuple(str(name) for name in observed["event"].values)
     on_time = observed["on_time_s"].values
-    stack = model.stack
+    stack = model.totals_rows.stack
     if ids != stack.event_ids or not np.allclose(on_time, stack.on_time_s, atol=1e-9):
         raise InputError(
             str(path),
@@ -131,12 +128,10 @@ def _check_events(model: TotalsModel, path: Path, observed: xr.Dataset) -> None:
         )
 
 
-def _from_values(
-    model: TotalsModel, values: dict[str, Array], wheels: list[str], path: Path
-) -> Physics:
+def _from_values(model: Model, values: dict[str, Array], wheels: list[str], path: Path) -> Physics:
     parameters: dict[str, Array | float] = {
         **model.space.fixed,
-        **model.absent_wheel_parameters,
+        **model.idle,
     }
     inertia = {
         wheel.inertia_parameter: wheels.index(wheel.name)
@@ -154,7 +149,7 @@ def _from_values(
             )
     size = len(values["thrust_level_n"])
     software = np.zeros((size, 2))
-    if model.computed is not None:
+    if model.totals_rows.computed is not None:
         software = np.stack([values[name] for name in SOFTWARE], axis=-1)
     return Physics(parameters, values["thrust_n"], values["thrust_level_n"], software)
 
@@ -165,7 +160,7 @@ class Wheels:
 
     momentum_per_rpm: Array
 
-    def of(self, model: TotalsModel, wheels: tuple[int, ...], rates_rpm: Array) -> Array:
+    def of(self, model: Model, wheels: tuple[int, ...], rates_rpm: Array) -> Array:
         """Momentum (n, S, 3) of wheel rates or changes (S, len(wheels)), N m s."""
         numbers = [wheel.number for wheel in model.spacecraft.wheels]
         columns = [numbers.index(n) for n in wheels]
@@ -173,7 +168,7 @@ class Wheels:
         return np.asarray(np.swapaxes(own @ rates_rpm.T, -1, -2))
 
 
-def wheels_of(model: TotalsModel, physics: Physics) -> Wheels:
+def wheels_of(model: Model, physics: Physics) -> Wheels:
     """Wheel momentum at every draw."""
     axes = wheel_axes(model.spacecraft, physics.parameters)
     inertia = wheel_inertias(model.spacecraft, physics.parameters)
@@ -181,22 +176,22 @@ def wheels_of(model: TotalsModel, physics: Physics) -> Wheels:
     return Wheels(np.broadcast_to(weights, (physics.size, *weights.shape[-2:])))
 
 
-def stretch(model: TotalsModel, physics: Physics, pulses_per_second: Array | float) -> Array:
+def stretch(model: Model, physics: Physics, pulses_per_second: Array | float) -> Array:
     """Effective over commanded on-time (n, 1) at a mean width of 1/pulses_per_second."""
     width = 1.0 / np.asarray(pulses_per_second, dtype=np.float64)
     times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
-    effective = model.pulse_shape.effective_time(width, *times)
+    effective = model.totals_rows.pulse_shape.effective_time(width, *times)
     return np.asarray(np.broadcast_to(effective / width, (physics.size,)))[:, None]
 
 
-def arms_of(model: TotalsModel, physics: Physics) -> Array:
+def arms_of(model: Model, physics: Physics) -> Array:
     """Lever arms (n, 3, K), m."""
     arms = lever_arms(model.spacecraft, model.branch, physics.parameters)
     return np.broadcast_to(arms, (physics.size, *arms.shape[-2:]))
 
 
 def solver_of(
-    model: TotalsModel, physics: Physics, thrust_n: Array, pulses_per_second: Array | float
+    model: Model, physics: Physics, thrust_n: Array, pulses_per_second: Array | float
 ) -> PairSolver:
     """Pair solver at thrusts (n, K)."""
     layout = pair_layout(model.spacecraft, model.branch)
@@ -205,7 +200,7 @@ def solver_of(
 
 
 def features_of(
-    model: TotalsModel, solver: PairSolver, changes_n_m_s: Array, duration_s: Array | float
+    model: Model, solver: PairSolver, changes_n_m_s: Array, duration_s: Array | float
 ) -> Features:
     """Features of the firing model from the momentum changes (n, S, 3) of the wheels."""
     layout = pair_layout(model.spacecraft, model.branch)

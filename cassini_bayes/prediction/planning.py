@@ -21,8 +21,8 @@ from itertools import product
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_rate_covariance
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
@@ -41,8 +41,6 @@ from cassini_bayes.prediction.predict import on_times_of
 from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
 from cassini_bayes.prediction.wheel_profile import duration_s, segments_rpm
 from cassini_bayes.spacecraft import inertia_tensor
-
-Array = NDArray[np.float64]
 
 LEVEL: Final = "thrust_level_"
 
@@ -98,12 +96,11 @@ def quantities(learned: Learned) -> dict[str, Array]:
     """
     physics = learned.physics
     found = {
-        f"{LEVEL}{name}_n": physics.level_n[:, k]
-        for k, name in enumerate(learned.model.stack.thrusters)
+        f"{LEVEL}{name}_n": physics.level_n[:, k] for k, name in enumerate(learned.model.thrusters)
     }
     found["thrust_mean_n"] = physics.level_n.mean(1)
     kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
-    for k, name in enumerate(learned.model.stack.thrusters):
+    for k, name in enumerate(learned.model.thrusters):
         found[f"impulse_per_on_time_{name}_n"] = physics.level_n[:, k] * kappa[:, 0]
     for name in learned.model.space.names:
         found[name] = np.asarray(physics.parameters[name])
@@ -222,7 +219,7 @@ class _Judge:
         t, w, q = torque - torque.mean(0), momentum - momentum.mean(0), draws - draws.mean()
         n, p = len(draws), physics.parameters
         hold = hold_rate_covariance(inertia_tensor(p), np.asarray(p["hold_rate_rad_s"]))
-        own = model.linear.own
+        own = model.thrust_prior.own
         return _Judge(
             thruster_moment=np.einsum("nik,njl->ikjl", t, t) / n,
             cross_moment=np.einsum("nik,njl->ikjl", t, w) / n,

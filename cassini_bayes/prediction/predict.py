@@ -8,8 +8,8 @@ from datetime import datetime
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import (
     hold_attitude_covariance,
     hold_rate_covariance,
@@ -29,8 +29,6 @@ from cassini_bayes.prediction.requests import BiasRequest
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES, segments_rpm
 from cassini_bayes.spacecraft import inertia_tensor, thruster_directions
 from cassini_bayes.spacecraft.pulses import effective_on_time
-
-Array = NDArray[np.float64]
 
 Source = Literal[
     "limit cycle", "rates at the ends", "thrust and geometry", "thrust of the event", "on-board ΔV"
@@ -108,12 +106,15 @@ def predict(
     pulses = _pulses(learned, on_time, streams[4])
     times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
     effective = effective_on_time(
-        model.pulse_shape, on_time, pulses, *(np.asarray(v)[..., None] for v in times)
+        model.totals_rows.pulse_shape,
+        on_time,
+        pulses,
+        *(np.asarray(v)[..., None] for v in times),
     )
     return Prediction(
         request=request,
         epoch=epoch,
-        thrusters=model.stack.thrusters,
+        thrusters=model.thrusters,
         units=learned.layout.units,
         on_time_s=on_time,
         pulses=pulses,
@@ -156,7 +157,7 @@ def _firings(
 
 def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:
     """Thrusts (n, K) of a new event: level, trend of the printed thrust, its own departures."""
-    own = learned.model.linear.own
+    own = learned.model.thrust_prior.own
     trend = learned.thrust_trend
     moved = trend.at(epoch) - trend.centre
     departure = rng.standard_normal((learned.size, own.shape[1])) @ own.T
@@ -198,7 +199,7 @@ def _momentum_noise(
     covariance = covariance + wheel_rounding_covariance(per_rpm, unit, prime, step)[:, 0]
     factor = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
     normals = rng.standard_normal((2, learned.size, 3))
-    torque = model.linear.torque_mean_n_m + model.linear.torque_sd_n_m * normals[1]
+    torque = model.torque_mean_n_m + model.torque_sd_n_m * normals[1]
     return np.asarray((factor @ normals[0][..., None])[..., 0] - torque * duration_s[:, None])
 
 
@@ -259,7 +260,7 @@ def _computed(
     still: bool,
 ) -> Array | None:
     """ΔV of the on-board computation: (F/M)(f u + o n) along the thrust, and lateral scatter."""
-    if learned.acceleration is None or learned.model.computed is None:
+    if learned.acceleration is None or learned.model.totals_rows.computed is None:
         return None
     directions = thruster_directions(learned.model.spacecraft, learned.model.branch)
     software = learned.physics.software

@@ -14,7 +14,7 @@ from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
@@ -29,7 +29,7 @@ class Sources:
 
     events: tuple[TotalsEvent, ...]
     priors: Priors
-    model: TotalsModel
+    model: Model
 
 
 def read_sources(

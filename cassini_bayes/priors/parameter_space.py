@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.quantiles import standard_normal_log_density
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -75,6 +74,17 @@ class ParameterSpace:
         """Number of free parameters d."""
         return len(self.names)
 
+    def centre(self) -> dict[str, float]:
+        """Prior mean of every walked parameter and value of every fixed one.
+
+        With an earlier fit, where its mean lies.
+        """
+        if self.joint is not None:
+            at_mean = self.to_parameters(np.zeros(self.dimension))
+            return {name: float(value) for name, value in at_mean.items()}
+        means = (distribution.mean() for distribution in self.distributions)
+        return {**self.fixed, **dict(zip(self.names, means, strict=True))}
+
     def to_parameters(self, z: ArrayLike) -> dict[str, Array | float]:
         """θ_i = F_i⁻¹(Φ(z_i)): z (..., d) → name → (...,) array; fixed values as floats."""
         points = self._correlated(self._points(z))
@@ -88,6 +98,13 @@ class ParameterSpace:
                 else distribution.quantile_of_standard(points[..., i])
             )
         return parameters
+
+    @property
+    def correlation_factor(self) -> Array:
+        """Slopes (d, d) of the standard coordinates in the walked ones: 1 without earlier fit."""
+        basis = np.concatenate([np.zeros((1, self.dimension)), np.eye(self.dimension)])
+        moved = self._correlated(basis)
+        return np.asarray((moved[1:] - moved[0]).T)
 
     def to_standard(self, parameters: Mapping[str, ArrayLike]) -> Array:
         """Inverse of :meth:`to_parameters`: the free ones of name → (...,) → z (..., d)."""

@@ -61,6 +61,19 @@ class ParameterPrior:
         if (self.distribution is None) == (self.fixed is None):
             raise ValueError(f"{self.spec.name}: give a distribution or a fixed value, not both")
 
+    @property
+    def mean(self) -> float:
+        """The distribution's mean, or the fixed value."""
+        if self.distribution is None:
+            assert self.fixed is not None  # one of the two, as checked
+            return self.fixed
+        return float(self.distribution.mean())
+
+    @property
+    def sd(self) -> float:
+        """The distribution's standard deviation; 0 of a fixed value."""
+        return 0.0 if self.distribution is None else float(self.distribution.sd())
+
 
 @dataclass(frozen=True)
 class Priors:
@@ -114,6 +127,32 @@ class Priors:
                 f"add [parameters.{name}] with dist or fixed, unit and source"
                 f" (nearest in the file: {closest(name, self.parameters, 0.0)})",
             )
+
+    def means(self) -> dict[str, float]:
+        """Prior mean of every parameter, or its fixed value."""
+        return {name: prior.mean for name, prior in self.parameters.items()}
+
+    def normal(self, names: Iterable[str]) -> tuple[list[float], list[float]]:
+        """Means and standard deviations of parameters that are integrated out.
+
+        Raises
+        ------
+        InputError
+            One is missing, or neither normal nor fixed.
+        """
+        chosen = tuple(names)
+        self.require(chosen, "the model")
+        for name in chosen:
+            distribution = self.parameters[name].distribution
+            if distribution is not None and not distribution.is_normal:
+                raise InputError(
+                    f"{self.path}: parameters.{name}.dist",
+                    "norm without bounds, or fixed (the parameter is integrated out exactly)",
+                    f"{distribution.name} (or bounds)",
+                    "use a normal prior; its width can be as large as you believe",
+                )
+        priors = [self.parameters[name] for name in chosen]
+        return [prior.mean for prior in priors], [prior.sd for prior in priors]
 
     def space(self, names: Iterable[str]) -> ParameterSpace:
         """The ordered parameter space of ``names``: free ones are walked, fixed ones carried.

@@ -3,62 +3,41 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.report.checks import (
-    balance_table,
-    budget_event_table,
-    budget_table,
-    convergence_table,
-    coverage,
-    delta_v_table,
-    nuisance_table,
-    predictive_table,
-    prior_table,
-    scalar_table,
-    variant_table,
-)
-from cassini_bayes.report.plots import Figure, encode, is_corner
+from cassini_bayes.report.page import Section
+from cassini_bayes.report.plots import encode, is_corner
 from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT
 from cassini_bayes.report.plots.tables import all_events_of, events_of
-from cassini_bayes.report.telemetry import (
-    event_table,
-    inertia_numbers,
-    inertia_sentence,
-    inertia_table,
-    method_table,
-    observability_table,
-    thrust_method_tables,
-    torque_table,
-)
-from cassini_bayes.report.thrusts import (
-    key_numbers,
-    summary_sentences,
-    thrust_matrix,
-    thrust_tables,
-)
+from cassini_bayes.report.sections import figures_of, sections_of, write_tables
+from cassini_bayes.report.telemetry import inertia_numbers, inertia_sentence
+from cassini_bayes.report.thrusts import key_numbers, summary_sentences
 from cassini_bayes.results.review import Review
 
-__all__ = ["render_report", "write_report"]
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
 
-STOP_RULE: Final = "Stop rule"
+__all__ = ["figures_of", "render_report", "sections_of", "write_report", "write_tables"]
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure as a data address, and whether it is wide enough to need enlarging on a phone."""
+    """A figure as a data address."""
 
     name: str
     address: str
 
 
-def write_report(review: Review, figures: Mapping[str, Figure], path: Path) -> None:
+def write_report(
+    review: Review, sections: Sequence[Section], figures: Mapping[str, Figure], path: Path
+) -> None:
     """Write the report as one self-contained HTML file, atomically.
 
     Pictures are inside the page (SVG; corner plots PNG); it uses no script, font or network.
@@ -68,10 +47,12 @@ def write_report(review: Review, figures: Mapping[str, Figure], path: Path) -> N
     InputError
         The place cannot be written.
     """
-    write_text(path, render_report(review, figures))
+    write_text(path, render_report(review, sections, figures))
 
 
-def render_report(review: Review, figures: Mapping[str, Figure]) -> str:
+def render_report(
+    review: Review, sections: Sequence[Section], figures: Mapping[str, Figure]
+) -> str:
     """The report as HTML; every text of the review is escaped."""
     environment = Environment(
         loader=PackageLoader("cassini_bayes", "report/templates"),
@@ -80,7 +61,6 @@ def render_report(review: Review, figures: Mapping[str, Figure]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    has_budget = not review.budget.empty
     return environment.get_template("report.html.jinja").render(
         name=review.name,
         warnings=review.warnings,
@@ -89,32 +69,13 @@ def render_report(review: Review, figures: Mapping[str, Figure]) -> str:
         interval_short=INTERVAL_SHORT,
         n_events=len(all_events_of(review)),
         has_thrusts=bool(events_of(review)),
-        telemetry=review.telemetry,
-        telemetry_events=event_table(review),
-        inertia=inertia_table(review),
-        inertia_methods=method_table(review),
-        thrust_methods=thrust_method_tables(review),
-        torques=torque_table(review),
-        observability=observability_table(review),
+        has_telemetry=bool(review.model.telemetry),
         summary=[*inertia_sentence(review), *summary_sentences(review)],
         key_numbers=[*inertia_numbers(review), *key_numbers(review)],
         pictures={name: Picture(name, _address(name, figure)) for name, figure in figures.items()},
-        thrust_matrix=thrust_matrix(review),
-        thrust_events=thrust_tables(review),
-        has_baseline=not review.baseline.empty,
-        nuisances=nuisance_table(review),
-        priors=prior_table(review),
-        conflicts=list(review.nuisances[review.nuisances["verdict"] == "conflict"]["name"]),
-        budget=budget_table(review),
-        budget_events=budget_event_table(review) if has_budget else None,
-        predictive=predictive_table(review) if not review.predictive.empty else None,
-        coverage=coverage(review),
-        balance=balance_table(review),
-        delta_v=delta_v_table(review),
-        variants=variant_table(review),
-        convergence=convergence_table(review),
-        scalars=scalar_table(review),
-        stop_rule=review.facts.get(STOP_RULE, ""),
+        chapters=[
+            (chapter, list(own)) for chapter, own in groupby(sections, lambda own: own.chapter)
+        ],
     )
 
 

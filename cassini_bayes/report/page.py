@@ -1,78 +1,95 @@
-"""Results pages for the documentation: one frame around every study's own text.
-
-A page says what made it (command, seed, versions, digest of the code) and nothing of the machine it
-was made on; its tables and figures lie beside it under its name.
-"""
+"""What the page of a run is made of: chapters, their sections, and the blocks of a section."""
 
 from __future__ import annotations
 
-import importlib.metadata
-import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import pandas as pd
 
-from cassini_bayes import __version__
-from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import write_bytes, write_text
-from cassini_bayes.report.plots import Figure, encode
+from cassini_bayes.report.cells import Table
 
-LIBRARIES: Final = ("numpy", "scipy", "numba")
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
 
 
 @dataclass(frozen=True)
-class Made:
-    """What made a page: the command line, its seed, and the module whose code it ran."""
+class Chapter:
+    """A heading of the page; ``anchor`` is its address."""
 
-    command: Sequence[str]
-    seed: int
-    module: str
-
-    def line(self) -> str:
-        """The last line of a page."""
-        versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in LIBRARIES)
-        return (
-            f"Made by `{' '.join(map(_without_place, self.command))}` (seed {self.seed}) with "
-            f"cassini_bayes {__version__}, Python {platform.python_version()}, {versions}; SHA-256 "
-            f"of the code `{code_digest(self.module)[:16]}…`."
-        )
+    anchor: str
+    title: str
 
 
-def write_page(
-    page: Path,
-    title: str,
-    body: str,
-    made: Made,
-    tables: Mapping[str, pd.DataFrame | str],
-    figures: Mapping[str, Figure | bytes],
-) -> None:
-    """Write a page and what lies beside it, each file whole or not at all.
+SEEN: Final = Chapter("seen", "What these events can see")
+INERTIA: Final = Chapter("inertia", "Inertia")
+THRUSTS: Final = Chapter("thrusts", "Thrust of every thruster in every bias")
+NUMBERS: Final = Chapter("numbers", "Thrusts in numbers")
+JOINT: Final = Chapter("joint", "Thrust levels and tail-off together")
+NUISANCES: Final = Chapter("nuisances", "Nuisances: prior against posterior")
+BUDGET: Final = Chapter("budget", "Error budget")
+CHECKS: Final = Chapter("checks", "Model against measurement")
+DELTA_V: Final = Chapter("delta-v", "ΔV")
+CONVERGENCE: Final = Chapter("convergence", "Convergence")
 
-    Parameters
-    ----------
-    page
-        The Markdown file.
-    title, body
-        Heading and text.
-    tables, figures
-        By what their name has beyond the page's: ``""`` is ``<page>.csv``, ``-worth``
-        ``<page>-worth.csv``. A table is a data frame or CSV text, a figure may be PNG bytes.
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph; markup in it is that of a ``Markup``, anything else is escaped."""
+
+    kind: ClassVar[str] = "paragraph"
+    text: str
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """Sentences one under another."""
+
+    kind: ClassVar[str] = "bullets"
+    items: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A table; with ``fold`` it is behind that line until asked for, unless it is ``open``."""
+
+    kind: ClassVar[str] = "shown"
+    table: Table
+    style: str = ""
+    fold: str = ""
+    open: bool = False
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure, drawn when asked for; nothing where there is nothing to draw."""
+
+    kind: ClassVar[str] = "drawing"
+    name: str
+    alt: str
+    caption: str
+    draw: Callable[[], Figure | None]
+    portrait: bool = False
+
+
+Block = Paragraph | Bullets | Shown | Drawing
+
+
+@dataclass(frozen=True)
+class Section:
+    """One table of a run: its file, and what the page says and draws of it.
+
+    ``frame`` is written as ``tables/<name>.csv``; a section without one has nothing to keep.
     """
-    for name, figure in figures.items():
-        content = figure if isinstance(figure, bytes) else encode(figure, "png")
-        write_bytes(page.with_name(f"{page.stem}{name}.png"), content)
-    for name, table in tables.items():
-        text = table if isinstance(table, str) else table.to_csv(index=False, float_format="%.6g")
-        write_text(page.with_name(f"{page.stem}{name}.csv"), text)
-    write_text(page, f"# {title}\n\n{body.strip()}\n\n{made.line()}\n")
 
+    chapter: Chapter
+    blocks: tuple[Block, ...]
+    title: str = ""
+    name: str = ""
+    frame: pd.DataFrame | None = None
 
-def _without_place(argument: str) -> str:
-    """An argument without where on this machine it points."""
-    path = Path(argument)
-    if not path.is_absolute():
-        return argument
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else path.name
+    @property
+    def drawings(self) -> Iterator[Drawing]:
+        """Its figures."""
+        return (block for block in self.blocks if isinstance(block, Drawing))

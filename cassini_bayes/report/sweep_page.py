@@ -9,8 +9,8 @@ from typing import Final
 import pandas as pd
 
 from cassini_bayes.report.cells import Table
-from cassini_bayes.report.page import Made, write_page
 from cassini_bayes.report.plots import Figure
+from cassini_bayes.report.study_page import Made, write_page
 from cassini_bayes.report.sweep import changes_table, scaling_table, strongest_sentence
 from cassini_bayes.sweep.tables import SweepTables
 

@@ -1,16 +1,28 @@
-"""Thrusts in words and tables: the main result, and the methods it replaces beside it."""
+"""Thrusts in words, tables and figures: the main result, and the methods it replaces beside it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator
+from functools import partial
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.report.cells import MN, Cell, Table, or_missing, percent
-from cassini_bayes.report.plots.budget import NOISE_ONLY, NOT_BLOCKS, SHARE, budget_blocks
+from cassini_bayes.report.cells import (
+    MN,
+    Cell,
+    Column,
+    Table,
+    between,
+    formatted,
+    mean_sd,
+    percent,
+    tabulate,
+)
+from cassini_bayes.report.page import JOINT, NUMBERS, THRUSTS, Drawing, Paragraph, Section, Shown
+from cassini_bayes.report.plots.corners import thrust_corner
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
     INTERVAL_SHORT,
@@ -19,12 +31,104 @@ from cassini_bayes.report.plots.quantities import (
     number,
     plus_minus,
 )
-from cassini_bayes.report.plots.tables import events_of, level_row, thrust_grid, thrusters_of
+from cassini_bayes.report.plots.tables import (
+    NOISE_ONLY,
+    NOT_BLOCKS,
+    SHARE,
+    budget_blocks,
+    events_of,
+    level_row,
+    thrust_grid,
+    thrusters_of,
+)
+from cassini_bayes.report.plots.thrusts import thrust_figure
 from cassini_bayes.results.review import Review
 
 PSEUDO_INVERSE: Final = "pseudo-inverse, per event"
 POOLED: Final = "pseudo-inverse, pooled"
 MEAN_OF_ALL: Final = "mean of all thrusters, per event"
+
+
+def thrusts(review: Review) -> Iterator[Section]:
+    """Every thruster in every event, beside the methods it replaces, whose table this keeps."""
+    if not events_of(review):
+        return
+    methods = (
+        " Black symbols: the least-squares methods this replaces, with the root sum square of "
+        "their hand-picked perturbations; hollow where the thruster fired for less than 5 s. "
+        "Estimates beyond the axes stand at the edge with their value. Totals give the "
+        "pseudo-inverse three equations per event for more thrusters than that: its answer is then "
+        "the one of least norm."
+    )
+    caption = (
+        f"Coloured bars: {INTERVAL} of the posterior, white symbol: its mean. Grey band: "
+        f"{INTERVAL} of the prior. Dashed line: thrust printed with the event."
+        f"{'' if review.baseline.empty else methods} Last column: the thruster's level over all "
+        "events, beside the pseudo-inverse of all events together."
+    )
+    alt = (
+        "Posterior thrust of every thruster in every bias with prior, least-squares estimates and "
+        "printed thrust"
+    )
+    drawing = Drawing("thrusts", alt, caption, partial(thrust_figure, review))
+    yield Section(THRUSTS, (drawing,), name="baseline", frame=review.baseline)
+
+
+def thrust_numbers(review: Review) -> Iterator[Section]:
+    """Thrusts as numbers, all together and event by event."""
+    if not events_of(review):
+        return
+    bars = (
+        " Their bars are the root sum square of the shifts from hand-picked perturbations; in "
+        "brackets the sum of their absolute values. † on-time below 5 s: not valid by the papers' "
+        "own rule."
+    )
+    if review.baseline.empty:
+        bars = " No estimates by the replaced methods are part of this run."
+    tables = thrust_tables(review)
+    yield Section(
+        NUMBERS,
+        (
+            Paragraph(
+                "Mean ± standard deviation of the posterior, in newton; last row: the thruster's "
+                "level over all events."
+            ),
+            Shown(thrust_matrix(review), style="total dense"),
+            Paragraph(
+                f"Event by event, with the {INTERVAL} and the methods it replaces beside it.{bars}"
+            ),
+            *(
+                Shown(table, fold=table.title, open=i in (0, len(tables) - 1))
+                for i, table in enumerate(tables)
+            ),
+        ),
+    )
+
+
+def thrust_levels(review: Review) -> Iterator[Section]:
+    """Levels and tail-off in a corner plot."""
+    if not events_of(review):
+        return
+    yield Section(
+        JOINT,
+        (
+            Paragraph(
+                "Thrust and tail-off time enter the momentum balance almost as one product: a "
+                "longer tail-off with less thrust explains the same data. The tilted ellipses in "
+                "the lowest row show how much of the uncertainty is that trade."
+            ),
+            Drawing(
+                "corner_thrusts",
+                "Corner plot of the thrust levels and the tail-off time with priors",
+                "Filled: posterior, contours hold 39 % and 86 % of the draws (1 and 2 standard "
+                "deviations of a two-dimensional normal). Dashed: prior, same contours; where the "
+                "prior is far wider than the posterior they run outside the view. Above each "
+                "column: mean ± standard deviation; r: correlation where it is 0.2 or more.",
+                partial(thrust_corner, review),
+                portrait=True,
+            ),
+        ),
+    )
 
 
 def _common(review: Review) -> pd.Series:
@@ -64,7 +168,7 @@ def summary_sentences(review: Review) -> list[str]:
 
 def _what(review: Review) -> tuple[str, str]:
     """One event with thrusts, and several: totals rows are biases, telemetry may be a burn."""
-    if review.telemetry is None:
+    if not review.model.telemetry:
         return "wheel bias", "wheel biases"
     return "event with firings", "events with firings"
 
@@ -134,87 +238,68 @@ def _thrust_numbers(review: Review) -> list[tuple[str, str]]:
     ]
 
 
-def thrust_matrix(review: Review) -> Table | None:
-    """Events × thrusters, mean ± sd; last row the level over all events; None without thrusts."""
-    if not events_of(review):
-        return None
-    mean, sd = thrust_grid(review, "mean"), thrust_grid(review, "sd")
-    rows = [
-        (Cell(event), *(Cell(plus_minus(m, s)) for m, s in zip(mean[e], sd[e], strict=True)))
-        for e, event in enumerate(events_of(review))
-    ]
-    level = zip(level_row(review, "mean"), level_row(review, "sd"), strict=True)
-    rows.append((Cell("all events"), *(Cell(plus_minus(m, s)) for m, s in level)))
-    return Table(("event", *(f"{t} [N]" for t in thrusters_of(review))), tuple(rows))
+def thrust_matrix(review: Review) -> Table:
+    """Events × thrusters, mean ± sd; last row the level over all events."""
+    mean, sd = (
+        np.vstack([thrust_grid(review, column), level_row(review, column)])
+        for column in ("mean", "sd")
+    )
+    rows = tuple(
+        (Cell(name), *(Cell(plus_minus(m, s)) for m, s in zip(mean[i], sd[i], strict=True)))
+        for i, name in enumerate([*events_of(review), "all events"])
+    )
+    return Table(("event", *(f"{t} [N]" for t in thrusters_of(review))), rows)
 
 
 def thrust_tables(review: Review) -> list[Table]:
     """One table per event, posterior beside baseline; last the level over all events."""
-    if not events_of(review):
-        return []
-    baseline = {
-        (row["method"], row["event"], row["thruster"]): row for _, row in review.baseline.iterrows()
-    }
-    events, thrusters = events_of(review), thrusters_of(review)
-    observed = review.fit.groups["observed_data"].sel(event=events)
-    on_time, pulses = observed["on_time_s"].values, observed["pulses"].values
-    mean, sd, low, high = (
-        thrust_grid(review, c) for c in ("mean", "sd", "hdi_90_low", "hdi_90_high")
+    table, baseline = (
+        review.summary,
+        {
+            (row["method"], row["event"], row["thruster"]): row
+            for _, row in review.baseline.iterrows()
+        },
     )
-    tables = []
-    for e, event in enumerate(events):
-        rows = tuple(
-            (
-                Cell(name),
-                Cell(or_missing(on_time[e, k], ".2f")),
-                Cell(or_missing(pulses[e, k], ".0f")),
-                Cell(plus_minus(mean[e, k], sd[e, k])),
-                Cell(interval(low[e, k], high[e, k])),
-                _baseline_cell(baseline.get((PSEUDO_INVERSE, event, name))),
-                _baseline_cell(baseline.get((MEAN_OF_ALL, event, name))),
-            )
-            for k, name in enumerate(thrusters)
-        )
-        tables.append(
-            Table(
-                (
-                    "thruster",
-                    "on-time [s]",
-                    "pulses",
-                    "posterior mean ± sd [N]",
-                    f"{INTERVAL_SHORT} [N]",
-                    "pseudo-inverse ± rss (worst case) [N]",
-                    "mean of all thrusters ± rss (worst case) [N]",
+
+    def beside(method: str, event: str) -> Column:
+        return lambda row: _baseline_cell(baseline.get((method, event, row["item"])))
+
+    known = {f"{INTERVAL_SHORT} [N]": between()}
+    bars = "± rss (worst case) [N]"
+    observed = review.fit.groups["observed_data"]
+    thrusts = table[table["quantity"] == "thrust_n"]
+    levels = table[table["quantity"] == "thrust_level_n"]
+    return [
+        *(
+            tabulate(
+                thrusts[thrusts["event"] == event].assign(
+                    on_time=observed["on_time_s"].sel(event=event).values,
+                    pulses=observed["pulses"].sel(event=event).values,
                 ),
-                rows,
+                {
+                    "thruster": "item",
+                    "on-time [s]": formatted("on_time", ".2f"),
+                    "pulses": formatted("pulses", ".0f"),
+                    "posterior mean ± sd [N]": mean_sd(),
+                    **known,
+                    f"pseudo-inverse {bars}": beside(PSEUDO_INVERSE, event),
+                    f"mean of all thrusters {bars}": beside(MEAN_OF_ALL, event),
+                },
                 title=event,
             )
-        )
-    return [*tables, _level_table(review, baseline)]
-
-
-def _level_table(review: Review, baseline: Mapping[tuple[str, str, str], pd.Series]) -> Table:
-    mean, sd, low, high = (
-        level_row(review, c) for c in ("mean", "sd", "hdi_90_low", "hdi_90_high")
-    )
-    return Table(
-        (
-            "thruster",
-            "level, mean ± sd [N]",
-            f"{INTERVAL_SHORT} [N]",
-            "pseudo-inverse of all events ± rss (worst case) [N]",
+            for event in events_of(review)
         ),
-        tuple(
-            (
-                Cell(name),
-                Cell(plus_minus(mean[k], sd[k])),
-                Cell(interval(low[k], high[k])),
-                _baseline_cell(baseline.get((POOLED, "", name))),
-            )
-            for k, name in enumerate(thrusters_of(review))
+        tabulate(
+            levels,
+            {
+                "thruster": "item",
+                "level, mean ± sd [N]": mean_sd(),
+                **known,
+                f"pseudo-inverse of all events {bars}": beside(POOLED, ""),
+            },
+            title="all events",
         ),
-        title="all events",
-    )
+    ]
 
 
 def _baseline_cell(row: pd.Series | None) -> Cell:

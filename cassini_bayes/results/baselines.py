@@ -11,20 +11,18 @@ not carry; their numbers are not reproduced here, their method is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.totals_terms import wheel_momentum
-from cassini_bayes.model.totals import TotalsModel
-from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.totals_terms import TotalsStack, wheel_momentum
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.terms import Points
 from cassini_bayes.spacecraft.parameters import ParameterSpec
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
-
-Array = NDArray[np.float64]
 
 MINIMUM_ON_TIME_S: Final = 5.0  # paper 003 §IV: estimates from shorter on-times are not valid
 PER_EVENT: Final = "pseudo-inverse, per event"
@@ -44,13 +42,13 @@ TAU_FALL_PERTURBATION: Final = 0.10
 ALIGNMENT_PERTURBATION_RAD: Final = 0.01  # 1 % of the column of T
 
 
-def perturbation_bars(model: TotalsModel, nominal: Mapping[str, float]) -> pd.DataFrame:
-    """Every baseline estimate with its perturbation bars.
+def perturbation_bars(model: Model, nominal: Mapping[str, float]) -> pd.DataFrame:
+    """Every baseline estimate from totals rows with its perturbation bars.
 
     Parameters
     ----------
     model
-        Totals model (its pulse shape is not used: the papers' correction factor is).
+        Its totals rows are used; their pulse shape is not: the papers' correction factor is.
     nominal
         Assumed value of every walked or fixed parameter, e.g. the priors' means.
 
@@ -59,35 +57,53 @@ def perturbation_bars(model: TotalsModel, nominal: Mapping[str, float]) -> pd.Da
     DataFrame with columns method, event ("" when pooled), thruster, estimate_n, bar_rss_n (root sum
     square of the shifts), bar_worst_n (sum of their absolute values), on_time_s, valid, note.
     """
-    varied = [dict(nominal), *perturbed(model.specs, nominal)]
-    batch = {name: np.array([point[name] for point in varied]) for name in nominal}
-    stack = model.stack
-    estimates = _estimates(model, batch)
-    rows = []
-    for (method, event), values in estimates.items():
-        shifts = values[1:] - values[0]
-        rss = np.sqrt((shifts**2).sum(0))
-        worst = np.abs(shifts).sum(0)
-        on_time = (
-            stack.on_time_s.sum(0) if event == "" else stack.on_time_s[stack.event_ids.index(event)]
-        )
-        for k, thruster in enumerate(stack.thrusters):
-            fired_long = on_time if method != MEAN else np.full_like(on_time, on_time.sum())
-            valid = bool(fired_long[k] >= MINIMUM_ON_TIME_S and np.isfinite(values[0, k]))
-            rows.append(
-                {
-                    "method": method,
-                    "event": event,
-                    "thruster": thruster,
-                    "estimate_n": values[0, k],
-                    "bar_rss_n": rss[k],
-                    "bar_worst_n": worst[k],
-                    "on_time_s": on_time[k],
-                    "valid": valid,
-                    "note": "" if valid else f"on-time below {MINIMUM_ON_TIME_S:g} s",
-                }
-            )
+    points = assumed_points(model, nominal)
+    rows: list[dict[str, object]] = []
+    for term in model.totals:
+        stack = term.stack
+        for (method, event), values in _estimates(stack, points).items():
+            each = stack.on_time_s[[not event or name == event for name in stack.event_ids]].sum(0)
+            counted = np.full_like(each, each.sum()) if method == MEAN else each
+            rows += estimate_rows(method, event, stack.thrusters, values, counted, each)
     return pd.DataFrame(rows)
+
+
+def assumed_points(model: Model, nominal: Mapping[str, float]) -> Points:
+    """The assumed parameters, then one point per perturbation of paper 003."""
+    points = [dict(nominal), *perturbed(model.specs, nominal)]
+    batch = {name: np.array([point[name] for point in points]) for name in nominal}
+    return model.points_at(batch, len(points))
+
+
+def estimate_rows(
+    method: str,
+    event: str,
+    thrusters: Sequence[str],
+    values: Array,
+    counted_s: Array,
+    on_time_s: Array,
+) -> list[dict[str, object]]:
+    """Table rows of one method: estimates (n, K), those after the first with perturbations.
+
+    ``counted_s`` (K,) is the on-time by which an estimate is called valid.
+    """
+    shifts = values[1:] - values[0]
+    rss, worst = np.sqrt((shifts**2).sum(0)), np.abs(shifts).sum(0)
+    valid = (counted_s >= MINIMUM_ON_TIME_S) & np.isfinite(values[0])
+    return [
+        {
+            "method": method,
+            "event": event,
+            "thruster": name,
+            "estimate_n": values[0, k],
+            "bar_rss_n": rss[k],
+            "bar_worst_n": worst[k],
+            "on_time_s": on_time_s[k],
+            "valid": bool(valid[k]),
+            "note": "" if valid[k] else f"on-time below {MINIMUM_ON_TIME_S:g} s",
+        }
+        for k, name in enumerate(thrusters)
+    ]
 
 
 def perturbed(
@@ -109,16 +125,13 @@ def perturbed(
     return points
 
 
-def _estimates(model: TotalsModel, batch: Mapping[str, Array]) -> dict[tuple[str, str], Array]:
+def _estimates(stack: TotalsStack, points: Points) -> dict[tuple[str, str], Array]:
     """(method, event) → corrected thrust (n, K) for n sets of assumed parameters."""
-    stack = model.stack
-    absent = {k: np.asarray(v) for k, v in model.absent_wheel_parameters.items()}
-    full = {**batch, **absent}
-    axes, inertias = wheel_axes(model.spacecraft, full), wheel_inertias(model.spacecraft, full)
+    physics, batch = points.physics(()), points.parameters
+    axes, inertias, arms = physics.wheel_axes, physics.wheel_inertia_kg_m2, physics.arms_m
     change = wheel_momentum(axes, inertias, stack.wheel_end_rad_s) - wheel_momentum(
         axes, inertias, stack.wheel_start_rad_s
     )
-    arms = lever_arms(model.spacecraft, model.branch, full)
     # the thrusters of a couple always fire together: one unknown for the couple (000 eq. 21)
     columns = (arms[:, None] * stack.on_time_s[:, None, :]) @ stack.couples.T
     found: dict[tuple[str, str], Array] = {}

@@ -9,18 +9,16 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.processes import in_parts
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel, joint_log_posterior
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import TotalsModel
-from cassini_bayes.results.joint_draws import draw_all
-from cassini_bayes.results.joint_record import build_joint_fit
-from cassini_bayes.results.record import Fit, build_fit, draws_of
+from cassini_bayes.model.draws import Draws, draw
+from cassini_bayes.model.posterior import Model, log_posterior
+from cassini_bayes.model.telemetry import TAILS
+from cassini_bayes.results.groups import build_fit
+from cassini_bayes.results.record import Fit
 from cassini_bayes.sampling.ensembles import (
     Chains,
     ProgressReport,
@@ -35,9 +33,6 @@ from cassini_bayes.sampling.warmstart import (
     WarmStart,
     warm_start,
 )
-
-Array = NDArray[np.float64]
-Model = TotalsModel | JointModel
 
 _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
 SERIOUS_EXPANSION_ERROR: Final = 0.1
@@ -96,7 +91,6 @@ def fit_model(
     model: Model,
     settings: SamplerSettings | None = None,
     *,
-    events: Sequence[ReducedEvent] = (),
     draws_per_ensemble: int = 4_000,
     prior_draws: int = 4_000,
     store: CheckpointStore | None = None,
@@ -109,11 +103,9 @@ def fit_model(
     Parameters
     ----------
     model
-        Of totals rows, or of telemetry with totals rows or without.
+        Of any events.
     settings
         Sampler settings with the seed; the same seed gives the same draws.
-    events
-        The telemetry events of a joint model, in its order.
     draws_per_ensemble, prior_draws
         How many draws the fit keeps.
     store
@@ -140,10 +132,10 @@ def fit_model(
         )
     tell = say or (lambda _: None)
     tell(
-        f"{_count(event_ids(model))}, {len(model.space.names)} walked and "
+        f"{_count(model.event_ids)}, {len(model.space.names)} walked and "
         f"{collapsed_size(model)} collapsed parameters"
     )
-    with in_parts(log_density(model), threads) as density_of:
+    with in_parts(partial(log_posterior, model), threads) as density_of:
         warm, chains = _sampled(
             model, density_of, settings, draws_per_ensemble, store, tell, progress
         )
@@ -163,10 +155,7 @@ def fit_model(
         "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
     }
     rng = _stream(settings.seed, _LINEAR)
-    if isinstance(model, JointModel):
-        fit, _ = build_joint_fit(model, events, z, density, rng, attributes, prior_draws)
-    else:
-        fit = build_fit(model, z, density, rng, attributes, prior_draws)
+    fit = build_fit(model, z, density, rng, attributes, prior_draws)
     return Sampled(model, settings, fit, z, warm, chains)
 
 
@@ -209,18 +198,6 @@ def _sampled(
     return warm, chains
 
 
-def log_density(model: Model) -> LogDensity:
-    """The collapsed log posterior of either kind of model, as the sampler calls it."""
-    if isinstance(model, JointModel):
-        return partial(joint_log_posterior, model)
-    return partial(log_posterior, model)
-
-
-def event_ids(model: Model) -> tuple[str, ...]:
-    """Ids of all events of either kind of model."""
-    return model.event_ids if isinstance(model, JointModel) else model.stack.event_ids
-
-
 def _count(events: Sequence[str]) -> str:
     return f"{len(events)} event{'s' if len(events) != 1 else ''}"
 
@@ -243,15 +220,13 @@ def _stream(seed: int, which: int) -> np.random.Generator:
 
 
 def collapsed_size(model: Model) -> int:
-    """Numbers integrated out: shared thrust levels, and each event's thrusts, torques and so on."""
-    if not isinstance(model, JointModel):
-        torques = int(np.count_nonzero(model.linear.torque_sd_n_m))
-        own = int(model.linear.own.shape[1]) + torques
-        return int(model.linear.shared.shape[1]) + own * len(model.stack.event_ids)
-    torques = int(np.count_nonzero(model.torque_sd_n_m)) * len(model.event_ids)
-    starts_and_tails = sum(3 + len(terms.pattern.cuts) for terms in model.telemetry)
-    thrusts = int(model.linear.own.shape[1]) * len(model.fired_ids)
-    return int(model.linear.shared.shape[1]) + thrusts + torques + starts_and_tails
+    """Numbers integrated out: shared thrust levels, and each event's thrusts, torques and so on.
+
+    Torques whose prior has no width are none.
+    """
+    known = int(np.count_nonzero(model.torque_sd_n_m == 0.0))
+    unknowns = model.unknowns
+    return int(unknowns.size - unknowns.walked.stop - known * len(unknowns.events))
 
 
 def _warm_start(
@@ -301,18 +276,15 @@ def _warm_start(
 def _derived_ess(model: Model, z: Array, walkers: int, seed: int) -> float:
     """Smallest bulk or tail effective sample size over what is drawn back for these points."""
     m, n, d = z.shape
-    drawn = _derived(model, z.reshape(-1, d), _stream(seed, _LINEAR)).reshape(m, n, -1)
+    draws = draw(model, z.reshape(-1, d), _stream(seed, _LINEAR))
+    drawn = watched(draws).reshape(m, n, -1)
     varying = drawn[..., drawn.std((0, 1)) > 0]
     sizes = [min(stored_ess(varying[:, :, j], walkers)) for j in range(varying.shape[-1])]
     return min(sizes, default=np.inf)
 
 
-def _derived(model: Model, z: Array, rng: np.random.Generator) -> Array:
-    """Draws (n, q) of the quantities beside the walked ones that the stop rule watches."""
-    if not isinstance(model, JointModel):
-        return draws_of(model, z, rng)[1].thrust_n.reshape(len(z), -1)
-    sample = draw_all(model, z, rng)
-    parts = [sample.torque_n_m.reshape(len(z), -1), *(own[:, :3] for own in sample.own)]
-    if sample.thrusts is not None:
-        parts += [sample.thrusts.thrust_n.reshape(len(z), -1), sample.thrusts.level_n]
-    return np.concatenate(parts, axis=1)
+def watched(draws: Draws) -> Array:
+    """Draws (n, q) that the stop rule watches beside the walked ones: all but cut tails."""
+    own = [values for part in draws.own for name, values in part.items() if name != TAILS]
+    parts = (draws.thrusts.thrust_n, draws.thrusts.level_n, *own)
+    return np.concatenate([values.reshape(draws.size, -1) for values in parts], axis=1)

@@ -6,39 +6,37 @@ bars as in :mod:`cassini_bayes.results.telemetry_baselines`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.inertia import ELEMENTS, PLACES
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel
-from cassini_bayes.results.inertia import ELEMENTS, PLACES
-from cassini_bayes.results.telemetry_baselines import PlainRows, assumed_physics, plain_rows
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.telemetry import TelemetryTerm
+from cassini_bayes.results.baselines import assumed_points
+from cassini_bayes.results.telemetry_baselines import PlainRows, plain_rows
 
-Array = NDArray[np.float64]
 AXIS_BY_AXIS: Final = "axis by axis"
 ALL_AXES: Final = "all axes together"
 PURE: Final = 0.2  # a slew about one axis: the other rates below this share of it
 TURNING: Final = 0.1  # of the largest rate about the axis: slower rows tell nothing
 
 
-def inertia_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+def inertia_methods(model: Model) -> pd.DataFrame:
     """Inertia by the papers' methods from every slew, and from all slews together.
 
     Columns label, method, event ("" for all slews), element, estimate_kg_m2, bar_rss_kg_m2,
     bar_worst_kg_m2; an element that the rows do not determine is NaN.
     """
-    _, physics = assumed_physics(model)
+    physics = assumed_points(model, model.space.centre()).physics(())
     parts: list[tuple[str, Array, Array]] = []
-    for terms, event in zip(model.telemetry, events, strict=True):
-        if terms.statistics.kind == "slew":
-            data = plain_rows(event, model.spacecraft)
-            exchanged = momentum_exchanged(physics, terms.wheel_places, data)
-            parts.append((event.event.id, data.rate_rad_s, exchanged))
+    for term in model.telemetry:
+        if term.event.kind == "slew":
+            data = plain_rows(term.event)
+            parts.append((term.id, data.rate_rad_s, momentum_exchanged(term, physics, data)))
     rows: list[dict[str, object]] = []
     for event_id, rate, exchanged in parts:
         rows += _inertia_rows(event_id, rate, exchanged)
@@ -48,12 +46,12 @@ def inertia_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.Dat
     return pd.DataFrame(rows)
 
 
-def momentum_exchanged(physics: Physics, wheels: tuple[int, ...], data: PlainRows) -> Array:
+def momentum_exchanged(term: TelemetryTerm, physics: Physics, data: PlainRows) -> Array:
     """Q = P(t) P(0)⁻¹ T I_w ρ(0) − T I_w ρ(t), (n, rows, 3) N m s (paper 000 eq. 6).
 
     The body is taken to be at rest on the first row.
     """
-    weights = physics.wheel_weights[..., list(wheels)]
+    weights = term.balance.wheel_weights(physics)
     momentum = np.einsum("niw,tw->nti", weights, data.wheel_rad_s)
     turned = data.attitude @ data.attitude[0].T
     return np.asarray(np.einsum("tij,nj->nti", turned, momentum[:, 0]) - momentum)

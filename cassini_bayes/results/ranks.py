@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array, Flags
+
 GRID: Final = 99
 NULL_DRAWS: Final = 40_000
 _NULL_SEED: Final = 2022
@@ -28,7 +29,7 @@ class Ranks:
     names: tuple[str, ...]
     ranks: Array
     pareto_k: Array
-    by_chain: NDArray[np.bool_]
+    by_chain: Flags
 
     def of_fitted(self) -> Ranks:
         """Only the parameters that the fitted model has: a control may fix one of the true ones."""

@@ -9,7 +9,7 @@ time series (:mod:`cassini_bayes.results.time_series`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,10 +17,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
-from cassini_bayes.results.time_series import Balance
+from cassini_bayes.model.draws import Draws
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.results.record import Coordinates, labelled
+from cassini_bayes.results.time_series import BalanceRows, balances, shown_places
 
-Array = NDArray[np.float64]
 REPLICATED_ROWS: Final = 500  # with the draws shown 1.2 MB per event of three wheels
 _STORED: Final = np.float32  # six digits finer than any channel's noise
 
@@ -42,7 +45,7 @@ class Replicates:
     wheel_rpm: Array
 
 
-def replicated(balance: Balance, rng: np.random.Generator) -> Replicates:
+def replicated(balance: BalanceRows, rng: np.random.Generator) -> Replicates:
     """Channels of one event replicated, one replicate per posterior draw of its balance."""
     draws, rows, _ = balance.measured.shape
     factor = np.linalg.cholesky(balance.covariance)
@@ -50,14 +53,15 @@ def replicated(balance: Balance, rng: np.random.Generator) -> Replicates:
     kicks = rng.standard_normal((draws, balance.drift.shape[1], 3))
     drift = np.sqrt(balance.walk)[:, None, None] * (balance.drift @ kicks)
     change = white + drift - balance.residual
-    layout = balance.terms.statistics.layout
+    event = balance.term.event
+    layout = event.statistics.layout
     first = len(layout.vector)
     scalar = balance.rows.scalar
     rate = scalar[:, layout.rate.start - first : layout.rate.stop - first]
     wheel = scalar[:, layout.wheel.start - first : layout.wheel.stop - first]
     to_rate, to_wheel = np.linalg.inv(balance.by_rate), np.linalg.pinv(balance.by_wheel)
     return Replicates(
-        balance.terms.id,
+        event.id,
         balance.rows.time_s,
         layout.wheels,
         rate,
@@ -67,27 +71,43 @@ def replicated(balance: Balance, rng: np.random.Generator) -> Replicates:
     )
 
 
-def channel_datasets(
-    found: Iterable[Replicates],
-    coordinates: Mapping[str, Sequence[str] | Sequence[int]],
-    wheels: Sequence[int],
-    origin: tuple[Array, Array],
-) -> tuple[xr.Dataset, xr.Dataset]:
-    """Replicated channels, and the measured ones at the same rows, of all events together.
+def channel_replicates(
+    model: Model,
+    z: Array,
+    draws: Draws,
+    chain_length: int,
+    coordinates: Coordinates,
+    rng: np.random.Generator,
+) -> Mapping[str, xr.Dataset]:
+    """Replicated and measured channels of the telemetry events, at the draws of the figures.
 
     Parameters
     ----------
-    found
-        Of every telemetry event.
+    z, draws
+        All posterior draws, (n, d), chain after chain of ``chain_length``.
     coordinates
         Labels of ``event``, ``wheel`` and ``axis``; events and wheels that an event has no channels
         of are NaN, and so are the places after the last row of a short event.
-    wheels
-        Numbers of the wheels that ``coordinates`` names.
-    origin
-        Chain and draw of every replicate in the posterior.
+
+    Returns
+    -------
+    Additions to the groups ``posterior_predictive`` and ``observed_data``; none without telemetry.
     """
-    events = list(found)
+    shown = shown_places(len(z))
+    rows = balances(model, z[shown], draws.at(shown), REPLICATED_ROWS)
+    events = [replicated(own, rng) for own in rows]
+    if not events:
+        return {}
+    return channel_datasets(events, coordinates, model.wheels, np.divmod(shown, chain_length))
+
+
+def channel_datasets(
+    events: Sequence[Replicates],
+    coordinates: Coordinates,
+    wheels: Sequence[int],
+    origin: tuple[Array, Array],
+) -> dict[str, xr.Dataset]:
+    """Channels of all events together; ``origin``: chain and draw of every replicate."""
     labels = list(coordinates["event"])
     n, most = len(origin[0]), max(len(event.time_s) for event in events)
     time = np.full((len(labels), most), np.nan)
@@ -107,10 +127,13 @@ def channel_datasets(
         "replicate_chain": labelled(("replicate",), chain, "1", "chain of the posterior draw"),
         "replicate_draw": labelled(("replicate",), draw, "1", "draw of the posterior draw"),
     }
-    return (
-        _channels(rate[1:], wheel[1:], "replicated", ("replicate",), {**shared, **own}),
-        _channels(rate[0], wheel[0], "measured", (), shared),
-    )
+    replicate = ("replicate",)
+    return {
+        "posterior_predictive": _channels(
+            rate[1:], wheel[1:], "replicated", replicate, {**shared, **own}
+        ),
+        "observed_data": _channels(rate[0], wheel[0], "measured", (), shared),
+    }
 
 
 def _channels(
@@ -132,10 +155,3 @@ def _channels(
         },
         coords=dict(coordinates),
     )
-
-
-def labelled(
-    dims: tuple[str, ...], values: NDArray[np.generic], unit: str, meaning: str
-) -> xr.DataArray:
-    """Values with their unit and meaning as attributes."""
-    return xr.DataArray(values, dims=dims, attrs={"units": unit, "long_name": meaning})

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from cassini_bayes.model.joint import JointModel
-from cassini_bayes.model.posterior import thrust_moments
-from cassini_bayes.model.totals import TotalsModel
-from cassini_bayes.results.joint_draws import joint_thrust_moments
-
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
+from cassini_bayes.model.posterior import Model, conditional_thrusts
 
 DERIVATIVE_STEP = 0.05
 CONFLICT_Z = 2.576
@@ -19,7 +14,7 @@ LEAST_CONTRACTION = 0.05
 MOVED = 0.5
 
 
-def error_budget(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
+def error_budget(model: Model, z: Array) -> pd.DataFrame:
     """Split every thrust's variance over the nuisances, in two ways.
 
     z (n, d) are posterior draws. With m(z) the conditional mean of a thrust given the nuisances:
@@ -36,9 +31,11 @@ def error_budget(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
 
     Returns one row per event and thruster: event, thruster, full_sd_n, noise_only_sd_n,
     consider_sd_n, ``<block>|consider_n``, ``<block>|share``, ``noise-only|share`` and
-    ``nonlinear|share``.
+    ``nonlinear|share``; nothing where nothing fires.
     """
-    mean, variance = _moments(model, z)
+    if not model.fires:
+        return pd.DataFrame()
+    mean, variance = conditional_thrusts(model, z)
     n, n_events, n_thrusters = mean.shape
     conditional = variance.mean(0)
     total = conditional + mean.var(0, ddof=1)
@@ -48,8 +45,8 @@ def error_budget(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
     per_coordinate = slopes * (centred_z.T @ centred_m) / (n - 1)
     centre = z.mean(0)
     steps = DERIVATIVE_STEP * np.eye(len(centre))
-    plus, _ = _moments(model, centre + steps)
-    minus, _ = _moments(model, centre - steps)
+    plus, _ = conditional_thrusts(model, centre + steps)
+    minus, _ = conditional_thrusts(model, centre - steps)
     derivative = ((plus - minus) / (2.0 * DERIVATIVE_STEP)).reshape(len(centre), -1)
 
     blocks = [model.specs[name].block for name in model.space.names]
@@ -66,7 +63,7 @@ def error_budget(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
         columns[f"{block}|share"] = share
         explained += share
     noise_share = conditional.reshape(-1) / flat_total
-    events, thrusters = _labels(model)
+    events, thrusters = model.fired_ids, model.thrusters
     return pd.DataFrame(
         {
             "event": np.repeat(events, n_thrusters),
@@ -81,21 +78,7 @@ def error_budget(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
     )
 
 
-def _moments(model: TotalsModel | JointModel, z: Array) -> tuple[Array, Array]:
-    """Conditional mean and variance (n, E, K) of the thrusts, for either kind of model."""
-    if isinstance(model, JointModel):
-        return joint_thrust_moments(model, z)
-    return thrust_moments(model, z)
-
-
-def _labels(model: TotalsModel | JointModel) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Events with thrusts, and the thrusters."""
-    if isinstance(model, JointModel):
-        return model.fired_ids, model.spacecraft.thruster_names(model.branch)
-    return model.stack.event_ids, model.stack.thrusters
-
-
-def prior_against_posterior(model: TotalsModel | JointModel, z: Array) -> pd.DataFrame:
+def prior_against_posterior(model: Model, z: Array) -> pd.DataFrame:
     """Prior and posterior of every walked parameter, with a conflict flag.
 
     In standard-normal coordinates the prior is N(0, 1). If prior and likelihood agree, the shift of

@@ -18,26 +18,26 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.physics import Physics, physics_of
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import direction_cosines, effective_increments
-from cassini_bayes.events.telemetry import read_chunks
-from cassini_bayes.model.event_reduction import ReducedEvent, samples_of
-from cassini_bayes.model.joint import JointModel
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.telemetry import TelemetryTerm
+from cassini_bayes.model.terms import Points
 from cassini_bayes.results.baselines import (
     MEAN,
-    MINIMUM_ON_TIME_S,
     PER_EVENT,
     POOLED,
+    assumed_points,
     correction_factor,
-    perturbed,
+    estimate_rows,
 )
-from cassini_bayes.spacecraft import Spacecraft, thruster_directions
+from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
-Array = NDArray[np.float64]
 MEAN_OF_COUPLES: Final = "mean of the paired thrusters, per event"
 UNCORRECTED: Final = ", uncorrected"
 BY_R: Final = ", divided by R"
@@ -60,17 +60,16 @@ class PlainRows:
     pulses: Array  # (n, K)
 
 
-def plain_rows(event: ReducedEvent, spacecraft: Spacecraft) -> PlainRows:
+def plain_rows(event: ReducedEvent) -> PlainRows:
     """Rows with every channel, thinned evenly where there are more than ``MOST_ROWS``."""
     every = max(1, -(-event.reading.rows // MOST_ROWS))
     parts = []
-    seen = 0
-    for chunk in read_chunks(event.event, spacecraft):
-        samples = samples_of(chunk)
+    done = 0
+    for samples in event.rows:
         whole = samples.has_state & (samples.has_counters if event.fires else True)
         rows = np.flatnonzero(whole)
-        kept = rows[(-seen) % every :: every]
-        seen += len(rows)
+        kept = rows[(-done) % every :: every]
+        done += len(rows)
         parts.append(Samples(*(getattr(samples, name)[kept] for name in _CHANNELS)))
     rows_of = Samples.joined(parts)
     return PlainRows(
@@ -86,23 +85,23 @@ def plain_rows(event: ReducedEvent, spacecraft: Spacecraft) -> PlainRows:
 _CHANNELS: Final = ("time_s", "attitude", "rate_rad_s", "wheel_rad_s", "on_time_s", "pulses")
 
 
-def thrust_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+def thrust_methods(model: Model) -> pd.DataFrame:
     """Thrust by the papers' methods from every telemetry event that fires.
 
     Columns as of :func:`cassini_bayes.results.baselines.perturbation_bars`. Methods without a
     suffix are divided by T; the suffixes say what else was done.
     """
-    batch, physics = assumed_physics(model)
+    points = assumed_points(model, model.space.centre())
+    batch, physics, names = points.parameters, points.physics(()), model.thrusters
+    fired = [term for term in model.telemetry if term.event.fires]
     gathered: list[tuple[Array, Array]] = []
     rows: list[dict[str, object]] = []
-    for terms, event in zip(model.telemetry, events, strict=True):
-        if not event.fires:
-            continue
-        data = plain_rows(event, model.spacecraft)
-        gained = momentum_gained(physics, terms.wheel_places, data)
+    for term in fired:
+        data = plain_rows(term.event)
+        gained = momentum_gained(term, physics, data)
         columns = physics.arms_m[:, None] * data.on_time_s[:, None, :]
         gathered.append((gained, columns))
-        couples = event.sampling.couples
+        couples = term.event.sampling.couples
         estimates = {
             PER_EVENT: individual_and_paired(columns, gained, couples),
             MEAN_OF_COUPLES: mean_thrust(columns, gained, _paired(couples)),
@@ -112,61 +111,58 @@ def thrust_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.Data
         factors = {
             "": correction_factor(on_time, pulses, batch),
             UNCORRECTED: np.ones((len(gained), len(on_time))),
-            BY_R: ratio(event.sampling, data, batch),
+            BY_R: ratio(term.event.sampling, data, batch),
         }
-        rows += _thrust_rows(model, event.event.id, estimates, factors, on_time, couples)
+        rows += _thrust_rows(names, term.id, estimates, factors, on_time, couples)
     if len(gathered) > 1:
-        rows += _pooled(model, batch, events, gathered)
+        rows += _pooled(names, points, [term.event for term in fired], gathered)
     return pd.DataFrame(rows)
 
 
-def burn_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+def burn_methods(model: Model) -> pd.DataFrame:
     """Mean thrust along the measured velocity change of every burn (paper 000 App. D).
 
     M ΔV over the on-time of the thrusters that push that way, divided by T; columns as of
     :func:`cassini_bayes.results.baselines.perturbation_bars`.
     """
-    batch, _ = assumed_physics(model)
+    batch = assumed_points(model, model.space.centre()).parameters
     directions = thruster_directions(model.spacecraft, model.branch)
-    names = model.spacecraft.thruster_names(model.branch)
     rows: list[dict[str, object]] = []
-    for event in events:
+    for event in (term.event for term in model.telemetry):
         if event.delta_v is None:
             continue
         on_time, pulses = np.array(event.reading.on_time_s), np.array(event.reading.pulses)
         axis = int(np.argmax(np.abs(event.delta_v.last_m_s)))
         along = directions[axis] * np.sign(event.delta_v.last_m_s[axis])
         pushing = np.flatnonzero((along > 0.5) & (on_time > 0))
+        names = [model.thrusters[k] for k in pushing]
         momentum = batch["mass_kg"] * abs(float(event.delta_v.last_m_s[axis]))
         factor = correction_factor(on_time, pulses, batch)
         for suffix, correction in (("", factor), (UNCORRECTED, np.ones_like(factor))):
             seconds = (along[pushing] * on_time[pushing] * correction[:, pushing]).sum(-1)
-            total = float(on_time[pushing].sum())
-            rows += [
-                _row(BURN + suffix, event.event.id, names[k], momentum / seconds, total, on_time[k])
-                for k in pushing
-            ]
+            values = np.tile((momentum / seconds)[:, None], len(pushing))
+            total = np.full(len(pushing), on_time[pushing].sum())
+            rows += estimate_rows(BURN + suffix, event.id, names, values, total, on_time[pushing])
     return pd.DataFrame(rows)
 
 
-def torque_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.DataFrame:
+def torque_methods(model: Model) -> pd.DataFrame:
     """External torque from the wheels' drift over every quiescent event (paper 000 App. A).
 
     T diag(I_w) Δρ over the time, from straight lines through the wheel rates; columns event, axis,
     estimate_n_m, bar_rss_n_m.
     """
-    _, physics = assumed_physics(model)
+    physics = assumed_points(model, model.space.centre()).physics(())
     rows: list[dict[str, object]] = []
-    for terms, event in zip(model.telemetry, events, strict=True):
-        if terms.statistics.kind != "quiescent":
+    for term in model.telemetry:
+        if term.event.kind != "quiescent":
             continue
-        data = plain_rows(event, model.spacecraft)
-        torque = drift_torque(physics, terms.wheel_places, data)
+        torque = drift_torque(term, physics, plain_rows(term.event))
         bars = np.sqrt(((torque[1:] - torque[0]) ** 2).sum(0))
         for axis, name in enumerate("xyz"):
             rows.append(
                 {
-                    "event": event.event.id,
+                    "event": term.id,
                     "axis": name,
                     "estimate_n_m": torque[0, axis],
                     "bar_rss_n_m": bars[axis],
@@ -175,27 +171,15 @@ def torque_methods(model: JointModel, events: Sequence[ReducedEvent]) -> pd.Data
     return pd.DataFrame(rows)
 
 
-def drift_torque(physics: Physics, wheels: tuple[int, ...], data: PlainRows) -> Array:
+def drift_torque(term: TelemetryTerm, physics: Physics, data: PlainRows) -> Array:
     """T diag(I_w) times the drift rates of the wheels, (n, 3) N m: straight lines through rows."""
     drift = np.polynomial.polynomial.polyfit(data.time_s, data.wheel_rad_s, 1)[1]
-    return np.asarray(physics.wheel_weights[..., list(wheels)] @ drift)
+    return np.asarray(term.balance.wheel_weights(physics) @ drift)
 
 
-def assumed_physics(model: JointModel) -> tuple[dict[str, Array], Physics]:
-    """Prior means, then one point per perturbation of paper 003: parameters (n,), and physics."""
-    space = model.space
-    means = {n: d.mean() for n, d in zip(space.names, space.distributions, strict=True)}
-    nominal = {**space.fixed, **means}
-    points = [nominal, *perturbed(model.specs, nominal)]
-    batch = {name: np.array([point[name] for point in points]) for name in nominal}
-    absent = {n: np.zeros(len(points)) for n in model.absent_wheel_parameters}
-    fires = bool(model.fired_ids)
-    return batch, physics_of(model.spacecraft, model.branch, {**batch, **absent}, fires=fires)
-
-
-def momentum_gained(physics: Physics, wheels: tuple[int, ...], data: PlainRows) -> Array:
+def momentum_gained(term: TelemetryTerm, physics: Physics, data: PlainRows) -> Array:
     """I Δω + ΔH_w + ∫ ω × (I ω + H_w) dt per row, (n, rows, 3) N m s (paper 000 eq. 15)."""
-    weights = physics.wheel_weights[..., list(wheels)]
+    weights = term.balance.wheel_weights(physics)
     body = np.einsum("nij,tj->nti", physics.inertia_kg_m2, data.rate_rad_s)
     momentum = body + np.einsum("niw,tw->nti", weights, data.wheel_rad_s)
     torque = np.cross(data.rate_rad_s, momentum)
@@ -269,7 +253,7 @@ def ratio(sampling: Sampling, data: PlainRows, parameters: Mapping[str, Array]) 
 
 
 def _thrust_rows(
-    model: JointModel,
+    names: Sequence[str],
     event: str,
     estimates: Mapping[str, Array],
     factors: Mapping[str, Array],
@@ -278,60 +262,37 @@ def _thrust_rows(
 ) -> list[dict[str, object]]:
     """Table rows of one event; a mean over thrusters is divided by their mean factor."""
     rows: list[dict[str, object]] = []
-    names = model.spacecraft.thruster_names(model.branch)
     groups = {MEAN: list(range(len(names))), MEAN_OF_COUPLES: _paired(couples)}
     for method, values in estimates.items():
         for suffix, factor in factors.items():
+            seconds = on_time
             if method in groups:
                 members = groups[method]
                 weight = on_time[members]
                 shared = (factor[:, members] * weight).sum(-1) / max(float(weight.sum()), 1e-9)
                 factor = np.broadcast_to(shared[:, None], factor.shape)
                 seconds = np.full(len(names), weight.sum())
-            else:
-                seconds = on_time
-            for k in range(len(names)):
-                if np.isfinite(values[0, k]):
-                    own = values[:, k] / factor[:, k]
-                    rows.append(_row(method + suffix, event, names[k], own, seconds[k], on_time[k]))
+            found = estimate_rows(method + suffix, event, names, values / factor, seconds, on_time)
+            rows += _finite(found, values)
     return rows
 
 
-def _row(
-    method: str, event: str, thruster: str, values: Array, counted_s: float, on_time_s: float
-) -> dict[str, object]:
-    shifts = values[1:] - values[0]
-    valid = bool(counted_s >= MINIMUM_ON_TIME_S)
-    return {
-        "method": method,
-        "event": event,
-        "thruster": thruster,
-        "estimate_n": values[0],
-        "bar_rss_n": float(np.sqrt((shifts**2).sum())),
-        "bar_worst_n": float(np.abs(shifts).sum()),
-        "on_time_s": on_time_s,
-        "valid": valid,
-        "note": "" if valid else f"on-time below {MINIMUM_ON_TIME_S:g} s",
-    }
+def _finite(rows: list[dict[str, object]], values: Array) -> list[dict[str, object]]:
+    """Rows of the thrusters that a method has an estimate of."""
+    return [row for row, value in zip(rows, values[0], strict=True) if np.isfinite(value)]
 
 
 def _pooled(
-    model: JointModel,
-    batch: Mapping[str, Array],
-    events: Sequence[ReducedEvent],
+    names: Sequence[str],
+    points: Points,
+    fired: Sequence[ReducedEvent],
     gathered: Sequence[tuple[Array, Array]],
 ) -> list[dict[str, object]]:
     """All events' rows in one least squares, divided by T."""
-    fired = [event for event in events if event.fires]
     gained = np.concatenate([part[0] for part in gathered], axis=1)
     columns = np.concatenate([part[1] for part in gathered], axis=1)
     values = individual_and_paired(columns, gained, fired[0].sampling.couples)
     on_time = np.sum([event.reading.on_time_s for event in fired], axis=0)
     pulses = np.sum([event.reading.pulses for event in fired], axis=0)
-    values = values / correction_factor(on_time, pulses, batch)
-    names = model.spacecraft.thruster_names(model.branch)
-    return [
-        _row(POOLED, "", names[k], values[:, k], on_time[k], on_time[k])
-        for k in range(len(names))
-        if np.isfinite(values[0, k])
-    ]
+    corrected = values / correction_factor(on_time, pulses, points.parameters)
+    return _finite(estimate_rows(POOLED, "", names, corrected, on_time, on_time), values)

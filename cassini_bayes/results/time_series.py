@@ -8,36 +8,32 @@ is left of the conserved total, ``R h0 + ∫ torque − H_w``. The residual is t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags, Places
 from cassini_bayes.balance.statistics import Carry, Samples, settle
 from cassini_bayes.balance.statistics.columns import Rows
 from cassini_bayes.balance.telemetry_terms import (
-    TelemetryTerms,
+    TelemetryBalance,
     balance_weights,
     noise_covariance,
 )
-from cassini_bayes.events.telemetry import read_chunks
-from cassini_bayes.model.event_reduction import ReducedEvent, samples_of
-from cassini_bayes.model.joint import JointModel, full_parameters, joint_physics
+from cassini_bayes.model.draws import Draws, draw
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm, unknowns_of
 from cassini_bayes.priors.quantiles import NORMAL_90
-from cassini_bayes.results.joint_draws import JointSample, draw_all
-from cassini_bayes.spacecraft import Spacecraft
 
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
 MOST_ROWS: Final = 2_000
 DRAWS: Final = 100
 
 
 @dataclass(frozen=True)
-class Balance:
+class BalanceRows:
     """One event's balance at n posterior draws and r thinned rows, body axes.
 
     ``measured`` and ``predicted`` (n, r, 3) are its sides in N m s; ``covariance`` (n, 3, 3) is
@@ -45,7 +41,7 @@ class Balance:
     ``by_rate`` (n, 3, 3) and ``by_wheel`` (n, 3, W) are the momentum per measured rate, kg m².
     """
 
-    terms: TelemetryTerms
+    term: TelemetryTerm
     rows: Rows
     every: int  # one row in this many is kept
     measured: Array
@@ -63,8 +59,9 @@ class Balance:
     @property
     def drift(self) -> Array:
         """Cosines (r, M) that standard normals turn into the momentum of a unit torque noise."""
-        duration = self.terms.statistics.duration_s
-        order = np.arange(1, len(self.terms.statistics.mode_gram) + 1) * np.pi
+        statistics = self.term.event.statistics
+        duration = statistics.duration_s
+        order = np.arange(1, len(statistics.mode_gram) + 1) * np.pi
         phase = self.rows.time_s[:, None] / duration * order
         return np.asarray(np.sqrt(2.0 * duration) * np.cos(phase) / order)
 
@@ -104,16 +101,10 @@ class EventSeries:
         return np.asarray((np.abs(self.residual) <= NORMAL_90 * self.noise_sd).mean(0))
 
 
-def event_series(
-    model: JointModel,
-    events: tuple[ReducedEvent, ...],
-    z: Array,
-    rng: np.random.Generator,
-) -> tuple[EventSeries, ...]:
+def event_series(model: Model, z: Array, rng: np.random.Generator) -> tuple[EventSeries, ...]:
     """Series of every telemetry event from posterior points z (n, d), of which some are used."""
     chosen = z[shown_places(len(z))]
-    sample = draw_all(model, chosen, rng)
-    return tuple(_series(balance) for balance in balances(model, events, chosen, sample))
+    return tuple(_series(own) for own in balances(model, chosen, draw(model, chosen, rng)))
 
 
 def shown_places(n: int) -> Places:
@@ -122,65 +113,47 @@ def shown_places(n: int) -> Places:
 
 
 def balances(
-    model: JointModel,
-    events: Sequence[ReducedEvent],
-    z: Array,
-    sample: JointSample,
-    most_rows: int = MOST_ROWS,
-) -> Iterator[Balance]:
+    model: Model, z: Array, draws: Draws, most_rows: int = MOST_ROWS
+) -> Iterator[BalanceRows]:
     """Balance of every telemetry event at z (n, d) and what was drawn there, row by row.
 
-    Rows are thinned evenly to at most ``most_rows``; the files are read again.
+    Rows are thinned evenly to at most ``most_rows``.
     """
-    full = full_parameters(model, z)
-    physics = joint_physics(model, full)
-    place = len(model.event_ids) - len(model.telemetry)
-    for terms, event, own in zip(model.telemetry, events, sample.own, strict=True):
-        unknowns = own
-        if terms.fires:
-            unknowns = np.concatenate([_thrusts(sample, place), own], axis=1)
-            place += 1
-        rows, every = _rows(terms, event, model.spacecraft, most_rows)
-        weights = balance_weights(terms, physics, model.linear.common_mean_n)
-        measured, predicted = _both_sides(terms, rows, weights, unknowns)
-        yield Balance(
-            terms=terms,
+    points, first = model.points(z), len(model.totals)
+    thrust, own = model.fired_of_term[first:], draws.own[first:]
+    for term, fired, drawn in zip(model.telemetry, thrust, own, strict=True):
+        balance, physics = term.balance, term.physics(points)
+        rows, every = _rows(term, most_rows)
+        weights = balance_weights(balance, physics, model.thrust_prior.common_mean_n)
+        unknowns = unknowns_of(draws.thrusts.thrust_n[:, fired], drawn)
+        measured, predicted = _both_sides(balance, rows, weights, unknowns)
+        yield BalanceRows(
+            term=term,
             rows=rows,
             every=every,
             measured=measured,
             predicted=predicted,
-            covariance=noise_covariance(terms, physics, full),
-            walk=full["torque_noise_n_m_s05"] ** 2,
+            covariance=noise_covariance(balance, physics, points.parameters),
+            walk=points.parameters[TORQUE_NOISE] ** 2,
             by_rate=physics.momentum_per_rate,
-            by_wheel=physics.wheel_weights[..., list(terms.wheel_places)],
+            by_wheel=balance.wheel_weights(physics),
         )
 
 
-def _thrusts(sample: JointSample, place: int) -> Array:
-    assert sample.thrusts is not None  # the event fires
-    return sample.thrusts.thrust_n[:, place]
-
-
-def _rows(
-    terms: TelemetryTerms, event: ReducedEvent, spacecraft: Spacecraft, most_rows: int
-) -> tuple[Rows, int]:
+def _rows(term: TelemetryTerm, most_rows: int) -> tuple[Rows, int]:
     """The columns at evenly thinned rows of the balance, streamed in constant memory."""
-    statistics = terms.statistics
+    statistics = term.event.statistics
     every = max(1, -(-statistics.rows // most_rows))
-    times, vectors, scalars = [], [], []
-    carry, seen = Carry.start(statistics.layout), 0
-    for samples, final in _with_end(samples_of(c) for c in read_chunks(event.event, spacecraft)):
-        rows, carry = settle(samples, carry, statistics.layout, terms.sampling, final)
-        kept = slice((-seen) % every, None, every)
-        seen += len(rows.time_s)
-        times.append(rows.time_s[kept])
-        vectors.append(rows.vector[kept])
-        scalars.append(rows.scalar[kept])
-    joined = Rows(np.concatenate(times), np.concatenate(vectors), np.concatenate(scalars))
-    return joined, every
+    parts = []
+    carry, done = Carry.start(statistics.layout), 0
+    for samples, final in _with_end(term.event.rows):
+        rows, carry = settle(samples, carry, statistics.layout, term.event.sampling, final)
+        parts.append(rows.part(slice((-done) % every, None, every)))
+        done += len(rows.time_s)
+    return Rows.joined(parts), every
 
 
-def _with_end(samples: Iterator[Samples]) -> Iterator[tuple[Samples, bool]]:
+def _with_end(samples: Iterable[Samples]) -> Iterator[tuple[Samples, bool]]:
     """Every item with whether it is the last."""
     previous: Samples | None = None
     for item in samples:
@@ -192,19 +165,17 @@ def _with_end(samples: Iterator[Samples]) -> Iterator[tuple[Samples, bool]]:
 
 
 def _both_sides(
-    terms: TelemetryTerms, rows: Rows, weights: Array, unknowns: Array
+    balance: TelemetryBalance, rows: Rows, weights: Array, unknowns: Array
 ) -> tuple[Array, Array]:
     """Both sides of the balance (n, rows, 3): weights (n, B, 3), unknowns (n, P − 1)."""
-    layout, pattern = terms.statistics.layout, terms.pattern
+    layout, pattern, places = balance.statistics.layout, balance.pattern, balance.unknowns
     owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
-    last = len(pattern.start) - 2
     factor = np.concatenate([unknowns, np.ones((len(unknowns), 1))], axis=1)
-    is_measured = owner == last
+    is_measured = owner == places.measured
     in_wheels = (
         is_measured & (pattern.row >= layout.wheel.start) & (pattern.row < layout.wheel.stop)
     )
-    first = pattern.thrusters
-    initial = (owner >= first) & (owner < first + 3)
+    initial = (owner >= places.initial.start) & (owner < places.initial.stop)
     masks = {
         "measured": is_measured,
         "wheels": in_wheels,
@@ -215,21 +186,21 @@ def _both_sides(
         name: _applied(rows, layout.size, pattern.row, weights, factor[:, owner], mask)
         for name, mask in masks.items()
     }
-    if terms.fires:
+    if balance.fires:
         return sums["measured"] - sums["initial"], sums["delivered"]
     body = sums["measured"] - sums["wheels"]
     return body, sums["initial"] + sums["delivered"] - sums["wheels"]
 
 
-def _series(balance: Balance) -> EventSeries:
+def _series(balance: BalanceRows) -> EventSeries:
     """Means and spreads of one event over posterior draws."""
-    terms, measured, predicted = balance.terms, balance.measured, balance.predicted
+    event, measured, predicted = balance.term.event, balance.measured, balance.predicted
     variance = np.diagonal(balance.covariance, axis1=-2, axis2=-1).mean(0)
     drift = balance.walk.mean() * (balance.drift**2).sum(-1)
     return EventSeries(
-        event=terms.id,
-        kind=terms.statistics.kind,
-        quantity="momentum gained" if terms.fires else "momentum of the body, I ω",
+        event=event.id,
+        kind=event.kind,
+        quantity="momentum gained" if event.fires else "momentum of the body, I ω",
         time_s=balance.rows.time_s,
         measured=measured.mean(0),
         predicted=predicted.mean(0),
@@ -244,10 +215,10 @@ def _series(balance: Balance) -> EventSeries:
 def _applied(
     rows: Rows,
     size: int,
-    column: NDArray[np.int64],
+    column: Places,
     weights: Array,
     factor: Array,
-    mask: NDArray[np.bool_],
+    mask: Flags,
 ) -> Array:
     """Σ_b factor_b weight_b column_b over the masked entries, (draws, rows, 3)."""
     coefficients = np.zeros((len(weights), 3, size))

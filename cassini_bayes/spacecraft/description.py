@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft.parameters import ParameterSpec
-
-Array = NDArray[np.float64]
 
 AXIS_DEMANDS: Final = ("+x", "-x", "+y", "-y", "+z", "-z")
 
@@ -197,6 +195,13 @@ class Spacecraft:
             The spacecraft has no such branch.
         """
         return self.geometry_of(branch).names
+
+    def wheel_parameters(self, numbers: Iterable[int] | None = None) -> tuple[str, ...]:
+        """Names of the parameters of some wheels, or of all, in file order."""
+        chosen = {wheel.number for wheel in self.wheels} if numbers is None else set(numbers)
+        return tuple(
+            name for wheel in self.wheels if wheel.number in chosen for name in wheel.parameters
+        )
 
     def wheel(self, number: int) -> Wheel:
         """The wheel with a number.

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.requests import BiasRequest
-
-Array = NDArray[np.float64]
 
 RCS: Final = {"rate_gain_s": 10.0, "hysteresis": 0.15, "rate_knowledge_rad_s": 5e-5}
 """Settings of the controller that come nearest to flight (docs/simulation.md §7)."""
@@ -52,7 +50,7 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
         event = file.scenario.event[0]
         plan = make_plan(file.scenario, file.spacecraft, event, truth)
         motion = simulate_plan(plan, file.scenario, seed + draw).motion
-        logs = [motion.pulses[name] for name in learned.model.stack.thrusters]
+        logs = [motion.pulses[name] for name in learned.model.thrusters]
         rows.append(
             (
                 [float(log.width_s.sum()) for log in logs],
@@ -84,7 +82,7 @@ def _document(learned: Learned, request: BiasRequest, draw: int) -> dict[str, An
     }
     truth["thrust_common_n"] = float(level.mean())
     truth["thrust_individual_n"] = {
-        name: float(level[k] - level.mean()) for k, name in enumerate(model.stack.thrusters)
+        name: float(level[k] - level.mean()) for k, name in enumerate(model.thrusters)
     }
     assert learned.mass is not None
     epoch = request.epoch or learned.last_epoch
@@ -98,7 +96,7 @@ def _document(learned: Learned, request: BiasRequest, draw: int) -> dict[str, An
         "truth": truth,
         "rcs": dict(RCS),
         "start": {"attitude_spread": 1.0, "rate_rad_s": START_RATE_RAD_S},
-        "propulsion": {"pulse_shape": model.pulse_shape.name},
+        "propulsion": {"pulse_shape": model.totals_rows.pulse_shape.name},
         "event": [
             {
                 "id": "bias",

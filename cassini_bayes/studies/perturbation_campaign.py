@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report.plots.perturbation_coverage import coverage_length_figure
 from cassini_bayes.studies.perturbation_coverage import (
     BOTH,
@@ -27,8 +27,6 @@ from cassini_bayes.studies.perturbation_coverage import (
     coverage_table,
 )
 from cassini_bayes.studies.study import Study
-
-Array = NDArray[np.float64]
 
 LEAST_TOLERANCE: Final = 0.03
 FULL: Final[Mapping[str, int]] = dict.fromkeys(READINGS, 60)

@@ -16,15 +16,15 @@ from typing import Final, Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import wheel_momentum
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.code import identity
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import TotalsModel, build_model, prior_centre
+from cassini_bayes.model.draws import draw, draw_prior
+from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.published import perturbations
@@ -35,13 +35,10 @@ from cassini_bayes.results.baselines import (
     correction_factor,
     perturbation_bars,
 )
-from cassini_bayes.results.record import draws_of, prior_draws
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import laplace, warm_start
-from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
-Array = NDArray[np.float64]
 Reading = Literal["one sigma", "maximum"]
 READINGS: Final[tuple[Reading, ...]] = ("one sigma", "maximum")
 
@@ -144,9 +141,9 @@ def covered_set(campaign: CoverageCampaign, index: int) -> dict[str, Array]:
     stream = (campaign.seed, READINGS.index(campaign.reading), index)
     rng = np.random.default_rng(np.random.SeedSequence(stream))
     model = build_model(template, priors)
-    parameters, truth = prior_draws(model, 1, rng)
-    simulated = simulate_totals(template, model, parameters, truth, rng)
-    return estimated(simulated, priors, truth.thrust_n[0], rng)
+    truth = draw_prior(model, 1, rng)
+    simulated = simulate_totals(template, model, truth, rng)
+    return estimated(simulated, priors, truth.thrusts.thrust_n[0], rng)
 
 
 def estimated(
@@ -172,12 +169,12 @@ def estimated(
     return {**found, "pareto_k": np.array(k), "by_chain": np.array(float(by_chain))}
 
 
-def estimands(model: TotalsModel, thrust_n: Array) -> dict[str, Array]:
+def estimands(model: Model, thrust_n: Array) -> dict[str, Array]:
     """What is estimated, of thrusts (n, E, K): means weighted by on-time, and thrusts themselves.
 
     ``EVENT_MEAN`` (n, E), ``THRUSTER`` (n, K), ``THRUSTER_EVENT`` (n, E K).
     """
-    on_time = model.stack.on_time_s
+    on_time = model.totals_rows.stack.on_time_s
     weighted = thrust_n * on_time
     return {
         EVENT_MEAN: weighted.sum(-1) / on_time.sum(-1),
@@ -186,9 +183,7 @@ def estimands(model: TotalsModel, thrust_n: Array) -> dict[str, Array]:
     }
 
 
-def _bayesian_draws(
-    model: TotalsModel, rng: np.random.Generator
-) -> tuple[dict[str, Array], float, bool]:
+def _bayesian_draws(model: Model, rng: np.random.Generator) -> tuple[dict[str, Array], float, bool]:
     """Thrusts (n, E, K) from the Laplace normal and from the posterior; k̂, and if by a chain."""
     density = partial(log_posterior, model)
     d = model.space.dimension
@@ -202,15 +197,15 @@ def _bayesian_draws(
     mode, factor = laplace(density, warm.mode)
     normal = mode + rng.standard_normal((DRAWS, d)) @ factor.T
     thrusts = {
-        LAPLACE: draws_of(model, normal, rng)[1].thrust_n,
-        POSTERIOR: draws_of(model, z, rng)[1].thrust_n,
+        LAPLACE: draw(model, normal, rng).thrusts.thrust_n,
+        POSTERIOR: draw(model, z, rng).thrusts.thrust_n,
     }
     return thrusts, warm.draws.pareto_k, by_chain
 
 
-def _squares(model: TotalsModel) -> dict[str, Array]:
+def _squares(model: Model) -> dict[str, Array]:
     """The papers' least squares: intervals from perturbations and from the fit's own scatter."""
-    nominal = prior_centre(model)
+    nominal = model.space.centre()
     table = perturbation_bars(model, nominal)
     errors = squares_errors(model, nominal)
     found: dict[str, Array] = {}
@@ -236,22 +231,19 @@ def _squares(model: TotalsModel) -> dict[str, Array]:
     return found
 
 
-def squares_errors(
-    model: TotalsModel, nominal: Mapping[str, float]
-) -> dict[str, tuple[Array, int]]:
+def squares_errors(model: Model, nominal: Mapping[str, float]) -> dict[str, tuple[Array, int]]:
     """Standard errors of the papers' least squares, and their degrees of freedom.
 
     σ̂² (UᵀU)⁻¹ with σ̂² the residual variance: the mean thrust of an event has three equations for
     one unknown, the couples of all events together three per event; a single event leaves no
     residual for its own thrusters. Errors are divided by the correction factor like the estimates.
     """
-    stack = model.stack
-    full = {k: np.asarray(v) for k, v in {**nominal, **model.absent_wheel_parameters}.items()}
-    axes, inertias = wheel_axes(model.spacecraft, full), wheel_inertias(model.spacecraft, full)
+    stack = model.totals_rows.stack
+    physics = model.points_at(nominal, 1).physics(())
+    axes, inertias, arms = physics.wheel_axes[0], physics.wheel_inertia_kg_m2[0], physics.arms_m[0]
     change = wheel_momentum(axes, inertias, stack.wheel_end_rad_s) - wheel_momentum(
         axes, inertias, stack.wheel_start_rad_s
     )
-    arms = lever_arms(model.spacecraft, model.branch, full)
     columns = (arms * stack.on_time_s[:, None, :]) @ stack.couples.T
     batch = {name: np.array([value]) for name, value in nominal.items()}
     means = []

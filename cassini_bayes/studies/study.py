@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from cassini_bayes.computing.workers import Workers
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.pieces import finished, run_pieces
-from cassini_bayes.report.page import Made, write_page
 from cassini_bayes.report.plots import Figure
+from cassini_bayes.report.study_page import Made, write_page
 
 Arrays = dict[str, NDArray[np.generic]]
 Progress = Callable[[str, int, int], None]
@@ -79,7 +79,7 @@ class Study:
         tables: Mapping[str, pd.DataFrame | str],
         figures: Mapping[str, Figure | bytes],
     ) -> None:
-        """Write the page; see :func:`cassini_bayes.report.page.write_page`."""
+        """Write the page; see :func:`cassini_bayes.report.study_page.write_page`."""
         made = Made(self.command, self.seed, module)
         write_page(self.page, title, body, made, tables, figures)
 

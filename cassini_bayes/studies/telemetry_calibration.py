@@ -18,26 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.physics import physics_of
-from cassini_bayes.balance.statistics import (
-    EventStatistics,
-    Layout,
-    Samples,
-    Sampling,
-    reduce_chunks,
-)
+from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.model.joint import (
-    JointModel,
-    build_joint_model,
-    collapse_joint,
-    draw_joint,
-    full_parameters,
-    joint_log_posterior,
-    joint_physics,
-    sampling_of,
-)
+from cassini_bayes.model.draws import draw
+from cassini_bayes.model.event_reduction import reduce_samples, sampling_of
+from cassini_bayes.model.posterior import Model, build_model, log_posterior, shared_of
+from cassini_bayes.model.telemetry import telemetry_parameters
+from cassini_bayes.model.terms import TORQUE
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.ranks import rank
@@ -158,7 +147,7 @@ class TelemetryCampaign:
         rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
         priors = self.priors()
         simulation = self.simulate(priors, rng)
-        model = joint_model_of(simulation, self.variant, priors, rng)
+        model = model_of(simulation, self.variant, priors, rng)
         z, pareto_k, by_chain = _posterior_draws(log_density_of(model, self.variant), model, rng)
         drawn = flat_draws(model, z, rng)
         truth = flat_truth(simulation)
@@ -182,30 +171,13 @@ def _fires(event: str) -> bool:
 
 def _walked(priors: Priors, fires: bool) -> tuple[str, ...]:
     """Names of the walked parameters, in order, for events with or without thrusters."""
-    sampling = sampling_of(priors, (), 1.0, "first_order")
-    layout = Layout(priors.wheels, (), ())
-    silent = build_joint_model([(_made_up(layout), sampling)], priors).space.names
-    if not fires:
-        return silent
-    names = priors.spacecraft.thruster_names(priors.branch)
-    sampling = sampling_of(priors, names, 1.0, "first_order")
-    layout = Layout(priors.wheels, names, sampling.couples)
-    return build_joint_model([(_made_up(layout), sampling)], priors).space.names
+    shared = shared_of(priors, priors.wheels, fires=fires)
+    return priors.space(telemetry_parameters(shared, priors.wheels, fires=fires)).names
 
 
-def _made_up(layout: Layout) -> EventStatistics:
-    """Statistics of nothing in particular, to ask a model for its parameters."""
-    size = layout.size
-    gram = np.tile(np.eye(size), (3, 3, 1, 1))
-    cuts = np.zeros(layout.cut.stop - layout.cut.start)
-    return EventStatistics(
-        "none", "slew", layout, 1.0, 1, gram, np.zeros((1, 3, size)), np.eye(1), cuts, 0.0
-    )
-
-
-def joint_model_of(
+def model_of(
     simulation: Simulation, variant: Variant, priors: Priors, rng: np.random.Generator
-) -> JointModel:
+) -> Model:
     """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
     reduced = []
     for event in simulation.events:
@@ -215,15 +187,10 @@ def joint_model_of(
         sampling = sampling_of(priors, thrusters, duration, "first_order")
         if variant.control == "pulse-blind":
             sampling = replace(sampling, guard_s=0.0)
-        reduced.append((_statistics(event, samples, thrusters, sampling), sampling))
-    return build_joint_model(reduced, priors)
-
-
-def _statistics(
-    event: SimulatedEvent, samples: Samples, thrusters: tuple[str, ...], sampling: Sampling
-) -> EventStatistics:
-    layout = Layout(tuple(event.plan.wheel_numbers), thrusters, sampling.couples)
-    return reduce_chunks(event.plan.event.id, event.plan.event.kind, [samples], layout, sampling)
+        plan, wheels = event.plan, event.plan.wheel_numbers
+        own = reduce_samples(plan.event.id, plan.event.kind, wheels, thrusters, samples, sampling)
+        reduced.append(own)
+    return build_model(reduced, priors)
 
 
 def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Generator) -> Samples:
@@ -266,26 +233,25 @@ def _taken_over(momentum: Array, steps: Array) -> Array:
     return taken
 
 
-def log_density_of(model: JointModel, variant: Variant) -> LogDensity:
+def log_density_of(model: Model, variant: Variant) -> LogDensity:
     """The log posterior; for the balance-residual control without its Jacobian."""
     if variant.control == "balance-residual":
         return partial(without_jacobian, model)
-    return partial(joint_log_posterior, model)
+    return partial(log_posterior, model)
 
 
-def without_jacobian(model: JointModel, z: Array) -> Array:
+def without_jacobian(model: Model, z: Array) -> Array:
     """The naive likelihood: a density of the balance residual, which shrinks with everything.
 
     Takes N log det I off again (docs/telemetry-likelihood.md §2).
     """
-    physics = joint_physics(model, full_parameters(model, z))
-    rows = sum(terms.statistics.rows for terms in model.telemetry)
-    lost = rows * np.linalg.slogdet(physics.inertia_kg_m2)[1]
-    return np.asarray(joint_log_posterior(model, z) - lost)
+    rows = sum(term.event.statistics.rows for term in model.telemetry)
+    inertia = model.points(z).physics(()).inertia_kg_m2
+    return np.asarray(log_posterior(model, z) - rows * np.linalg.slogdet(inertia)[1])
 
 
 def _posterior_draws(
-    log_density: LogDensity, model: JointModel, rng: np.random.Generator
+    log_density: LogDensity, model: Model, rng: np.random.Generator
 ) -> tuple[Array, float, bool]:
     """Importance draws where k̂ allows, else draws of a chain."""
     dimension = len(model.space.names)
@@ -302,19 +268,16 @@ def _posterior_draws(
     return flat[rng.permutation(len(flat))[:RANK_DRAWS]], warm.draws.pareto_k, True
 
 
-def flat_draws(model: JointModel, z: Array, rng: np.random.Generator) -> dict[str, Array]:
+def flat_draws(model: Model, z: Array, rng: np.random.Generator) -> dict[str, Array]:
     """Every inferred scalar as name → (n,)."""
-    parameters = model.space.to_parameters(z)
-    draws = draw_joint(model, collapse_joint(model, z), rng)
-    flat = {name: np.asarray(parameters[name]) for name in model.space.names}
-    if draws.thrusts is not None:
-        names = model.spacecraft.thruster_names(model.branch)
-        for e, event in enumerate(model.fired_ids):
-            for k, thruster in enumerate(names):
-                flat[f"thrust_n[{event},{thruster}]"] = draws.thrusts.thrust_n[:, e, k]
-    for terms, own in zip(model.telemetry, draws.own, strict=True):
+    draws = draw(model, z, rng)
+    flat = {name: np.asarray(draws.parameters[name]) for name in model.space.names}
+    for e, event in enumerate(model.fired_ids):
+        for k, thruster in enumerate(model.thrusters):
+            flat[f"thrust_n[{event},{thruster}]"] = draws.thrusts.thrust_n[:, e, k]
+    for term, own in zip(model.telemetry, draws.own, strict=True):
         for c, axis in enumerate("xyz"):
-            flat[f"external_torque_n_m[{terms.id},{axis}]"] = own[:, 3 + c]
+            flat[f"external_torque_n_m[{term.id},{axis}]"] = own[TORQUE][:, 0, c]
     return flat
 
 

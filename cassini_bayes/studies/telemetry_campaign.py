@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from cassini_bayes.report.plots.envelopes import envelope_figure
 from cassini_bayes.results.ranks import (
@@ -27,7 +25,6 @@ from cassini_bayes.studies.telemetry_calibration import (
     Variant,
 )
 
-Array = NDArray[np.float64]
 LEVEL: Final = 0.01
 FULL: Final[Mapping[str, int]] = {
     **{variant.name: 100 for variant in VARIANTS},

@@ -15,30 +15,25 @@ from functools import partial
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import kstest, norm
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, wheel_momentum
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.code import identity
-from cassini_bayes.model.posterior import LinearDraws, log_posterior
-from cassini_bayes.model.totals import SOFTWARE, TotalsModel, build_model
+from cassini_bayes.model.draws import Draws, draw, draw_prior
+from cassini_bayes.model.posterior import Model, build_model, log_posterior
+from cassini_bayes.model.totals import software_of
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.ranks import Ranks, rank
-from cassini_bayes.results.record import draws_of, prior_draws
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.spacecraft import (
-    inertia_tensor,
-    lever_arms,
     thruster_directions,
-    wheel_axes,
-    wheel_inertias,
 )
 from cassini_bayes.spacecraft.pulses import effective_on_time
 
-Array = NDArray[np.float64]
 Control = Literal["none", "hold-rates-ignored", "rectangular-pulses"]
 CONTROLS: Final[tuple[Control, ...]] = ("none", "hold-rates-ignored", "rectangular-pulses")
 
@@ -76,7 +71,7 @@ class Campaign:
     def names(self) -> tuple[str, ...]:
         """Names of the ranked scalars, in the order of the ranks."""
         model = build_model(self._template(), read_priors(self.priors_path))
-        return tuple(_flatten(*prior_draws(model, 1, np.random.default_rng(0)), model))
+        return tuple(_flatten(draw_prior(model, 1, np.random.default_rng(0)), model))
 
     def _template(self) -> tuple[TotalsEvent, ...]:
         spacecraft = read_priors(self.priors_path).spacecraft
@@ -87,26 +82,26 @@ class Campaign:
         priors, template = read_priors(self.priors_path), self._template()
         rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
         model = build_model(template, priors)
-        parameters, truth = prior_draws(model, 1, rng)
-        simulated = simulate_totals(template, model, parameters, truth, rng)
+        truth = draw_prior(model, 1, rng)
+        simulated = simulate_totals(template, model, truth, rng)
         fitted = build_model(
             simulated,
             _controlled(priors, self.control),
             pulse_shape="rectangular" if self.control == "rectangular-pulses" else "first_order",
         )
         dimension = len(fitted.space.names)
-        warm = warm_start(partial(log_posterior, fitted), dimension, rng, pilots=1, draws=2_000)
+        density = partial(log_posterior, fitted)
+        warm = warm_start(density, dimension, rng, pilots=1, draws=2_000)
         by_chain = not warm.draws.pareto_k < TRUSTED_K
         if by_chain:
             settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
-            chains = sample(partial(log_posterior, fitted), warm.proposal, settings)
+            chains = sample(density, warm.proposal, settings)
             z, _ = chains.thinned(4 * RANK_DRAWS)
             z = rng.permutation(z.reshape(-1, dimension))[:RANK_DRAWS]
         else:
             z = warm.draws.resample(rng, RANK_DRAWS)
-        found, draws = draws_of(fitted, z, rng)
-        true_values = _flatten(parameters, truth, model)
-        drawn = _flatten(found, draws, fitted)
+        drawn = _flatten(draw(fitted, z, rng), fitted)
+        true_values = _flatten(truth, model)
         ranks = [
             rank(drawn[name], true_values[name][0], rng) if name in drawn else np.nan
             for name in true_values
@@ -174,12 +169,11 @@ def with_room(event: TotalsEvent) -> TotalsEvent:
 
 def simulate_totals(
     template: tuple[TotalsEvent, ...],
-    model: TotalsModel,
-    parameters: Mapping[str, Array | float],
-    truth: LinearDraws,
+    model: Model,
+    truth: Draws,
     rng: np.random.Generator,
 ) -> tuple[TotalsEvent, ...]:
-    """Fly the template's wheel biases with given true parameters (batch of one).
+    """Fly the template's wheel biases with given true values (a batch of one).
 
     Wheel rates are those of the template up to their printed step; body rates and attitude errors
     at both ends are drawn; the on-times of the responding pairs are solved for by iteration on the
@@ -191,12 +185,12 @@ def simulate_totals(
     CassiniBayesError
         An on-time came out negative (the template needs more room).
     """
-    stack = model.stack
-    full = {**parameters, **{k: np.asarray(v) for k, v in model.absent_wheel_parameters.items()}}
-    one = {name: np.asarray(value).reshape(-1)[0] for name, value in full.items()}
-    axes, inertias = wheel_axes(model.spacecraft, one), wheel_inertias(model.spacecraft, one)
-    arms = lever_arms(model.spacecraft, model.branch, one)
-    inertia = inertia_tensor(one)
+    stack = model.totals_rows.stack
+    points = model.points_at(truth.parameters, 1)
+    one = {name: value[0] for name, value in points.parameters.items()}
+    physics = points.physics(())
+    axes, inertias = physics.wheel_axes[0], physics.wheel_inertia_kg_m2[0]
+    arms, inertia = physics.arms_m[0], physics.inertia_kg_m2[0]
     half_step = 0.5 * one["wheel_resolution_rpm"] * RAD_S_PER_RPM * stack.wheel_is_prime
     shape = stack.wheel_start_rad_s.shape
     start = wheel_momentum(
@@ -210,18 +204,20 @@ def simulate_totals(
     attitude = rng.normal(0.0, one["hold_attitude_rad"], (2, n_events, 3))
     body = (rates[1] - rates[0]) @ inertia.T
     held = np.cross(attitude[1], end) - np.cross(attitude[0], start)
-    torque = truth.external_torque_n_m[0] * stack.duration_s[:, None]
+    torque = truth.torque_n_m[0] * stack.duration_s[:, None]
     impulse = end - start + body + held - torque
     shape_values = (one["tau_delay_s"], one["tau_rise_s"], one["tau_fall_s"])
     width = stack.on_time_s / stack.pulses
-    force = arms[None] * truth.thrust_n[0][:, None, :]
+    force = arms[None] * truth.thrusts.thrust_n[0][:, None, :]
 
     matrix = force @ stack.response
 
     def solve(on_time: Array, pulses: Array) -> Array:
         # with the number of pulses given, a second more on-time is a second more of steady thrust
         for _ in range(50):
-            effective = effective_on_time(model.pulse_shape, on_time, pulses, *shape_values)
+            effective = effective_on_time(
+                model.totals_rows.pulse_shape, on_time, pulses, *shape_values
+            )
             missing = impulse - (force @ effective[..., None])[..., 0]
             step = np.linalg.solve(matrix, missing[..., None])
             on_time = on_time + (stack.response @ step)[..., 0]
@@ -238,7 +234,7 @@ def simulate_totals(
         raise CassiniBayesError(f"a simulated on-time is negative: {on_time.min():.2f} s")
     step = float(one["on_time_resolution_s"])
     printed = np.rint(on_time / step) * step
-    computed = _on_board_delta_v(model, printed, pulses, one, truth.software[0], rng)
+    computed = _on_board_delta_v(model, printed, pulses, one, truth, rng)
     return tuple(
         replace(event, on_time_s=u, pulses=n, delta_v_m_s=v, source="simulation")
         for event, u, n, v in zip(template, printed, pulses, computed, strict=True)
@@ -246,20 +242,21 @@ def simulate_totals(
 
 
 def _on_board_delta_v(
-    model: TotalsModel,
+    model: Model,
     on_time: Array,
     pulses: Array,
     parameters: Mapping[str, Array],
-    software: Array,
+    truth: Draws,
     rng: np.random.Generator,
 ) -> list[Array | None]:
     """What the flight software would print: its own thrust, mass and tail-off in it."""
-    stack = model.stack
-    if model.computed is None:
+    stack = model.totals_rows.stack
+    if model.totals_rows.computed is None:
         return [None] * len(on_time)
     directions = thruster_directions(model.spacecraft, model.branch)
     impulse = on_time @ directions.T
     along = impulse / np.linalg.norm(impulse, axis=-1, keepdims=True)
+    software = software_of(truth.own[0])[0]
     counted = software[0] * on_time + software[1] * pulses
     size = ((counted @ directions.T) * along).sum(-1) * stack.thrust_predicted_n / stack.mass_kg
     size = size + rng.normal(0.0, parameters["delta_v_noise_m_s"], len(size))
@@ -274,20 +271,18 @@ def _controlled(priors: Priors, control: Control) -> Priors:
     return priors
 
 
-def _flatten(
-    parameters: Mapping[str, Array | float], draws: LinearDraws, model: TotalsModel
-) -> dict[str, Array]:
+def _flatten(draws: Draws, model: Model) -> dict[str, Array]:
     """Every inferred scalar as name → (n,)."""
-    stack = model.stack
-    flat = {name: np.asarray(parameters[name]) for name in model.space.names}
-    if model.computed is not None:
-        flat |= {name: draws.software[:, i] for i, name in enumerate(SOFTWARE)}
-    flat["thrust_common_n"] = draws.common_n
-    for k, thruster in enumerate(stack.thrusters):
-        flat[f"thrust_level_n[{thruster}]"] = draws.level_n[:, k]
-    for e, event in enumerate(stack.event_ids):
-        for k, thruster in enumerate(stack.thrusters):
-            flat[f"thrust_n[{event},{thruster}]"] = draws.thrust_n[:, e, k]
+    names = [*model.space.names, *model.totals_rows.integrated]
+    values = {**draws.parameters, **draws.own[0]}
+    flat = {name: np.asarray(values[name]) for name in names}
+    thrusts, torque = draws.thrusts, draws.torque_n_m
+    flat["thrust_common_n"] = thrusts.common_n
+    for k, thruster in enumerate(model.thrusters):
+        flat[f"thrust_level_n[{thruster}]"] = thrusts.level_n[:, k]
+    for e, event in enumerate(model.event_ids):
+        for k, thruster in enumerate(model.thrusters):
+            flat[f"thrust_n[{event},{thruster}]"] = thrusts.thrust_n[:, e, k]
         for c, axis in enumerate("xyz"):
-            flat[f"external_torque_n_m[{event},{axis}]"] = draws.external_torque_n_m[:, e, c]
+            flat[f"external_torque_n_m[{event},{axis}]"] = torque[:, e, c]
     return flat

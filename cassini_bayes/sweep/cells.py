@@ -20,6 +20,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
@@ -37,7 +38,6 @@ from cassini_bayes.sweep.weights import (
     smoothed_weights,
 )
 
-Array = NDArray[np.float64]
 Refit = Literal["auto", "always", "never"]
 
 REFIT_DRAWS: Final = 4_000

@@ -1,38 +1,25 @@
-"""What a sweep needs of a model, and how totals and telemetry give it."""
+"""What a sweep needs of a model: its likelihood, the priors that act, draws of every quantity."""
 
 from __future__ import annotations
 
 import fnmatch
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.checks import nearest
-from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.joint import JointModel, build_joint_model, joint_log_likelihood
-from cassini_bayes.model.posterior import log_likelihood
-from cassini_bayes.model.totals import (
-    SOFTWARE,
-    THRUST_COMMON,
-    THRUST_LEVELS,
-    TORQUES,
-    DeltaVUse,
-    TotalsModel,
-    build_model,
-)
+from cassini_bayes.model.posterior import Event, Model, build_model, log_likelihood
+from cassini_bayes.model.thrusts import THRUST_COMMON
+from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.results.joint_record import build_joint_fit
-from cassini_bayes.results.record import build_fit
+from cassini_bayes.results.groups import build_fit
 from cassini_bayes.spacecraft import Spacecraft
-
-Array = NDArray[np.float64]
 
 
 class SweepModel(Protocol):
@@ -73,10 +60,10 @@ class ModelFactory(Protocol):
 
 
 @dataclass(frozen=True)
-class TotalsSweepModel:
-    """Totals rows as a :class:`SweepModel`."""
+class SweptModel:
+    """A model as a :class:`SweepModel`."""
 
-    model: TotalsModel
+    model: Model
 
     @property
     def space(self) -> ParameterSpace:
@@ -86,9 +73,7 @@ class TotalsSweepModel:
     @property
     def collapsed(self) -> tuple[str, ...]:
         """Parameters whose priors act although they are integrated out."""
-        software = SOFTWARE if self.model.computed is not None else ()
-        names = (THRUST_COMMON, *THRUST_LEVELS, *TORQUES, *software)
-        return tuple(name for name in names if name not in self.space.names)
+        return self.model.integrated
 
     @property
     def walkable(self) -> tuple[str, ...]:
@@ -101,14 +86,16 @@ class TotalsSweepModel:
 
     def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
         """Every quantity of the posterior at z (n, d)."""
-        return build_fit(self.model, z[None], np.zeros((1, len(z))), rng, {}, 1).posterior
+        density = np.zeros((1, len(z)))
+        fit = build_fit(self.model, z[None], density, rng, {}, 1, replicate_rows=False)
+        return fit.posterior
 
 
 @dataclass(frozen=True)
-class TotalsFactory:
-    """Totals rows with the choices of a run file."""
+class Factory:
+    """The events of a run with the choices of its run file."""
 
-    events: tuple[TotalsEvent, ...]
+    events: tuple[Event, ...]
     priors: Priors
     pulse_shape: str = "first_order"
     delta_v: DeltaVUse = "as-declared"
@@ -118,78 +105,12 @@ class TotalsFactory:
         """Ids of all events."""
         return tuple(event.id for event in self.events)
 
-    def build(self, priors: Priors, without: str = "") -> TotalsSweepModel:
+    def build(self, priors: Priors, without: str = "") -> SweptModel:
         """The model with these priors, leaving out the event named ``without``."""
-        kept = tuple(event for event in self.events if event.id != without)
-        return TotalsSweepModel(
+        kept = [event for event in self.events if event.id != without]
+        return SweptModel(
             build_model(kept, priors, pulse_shape=self.pulse_shape, delta_v=self.delta_v)
         )
-
-
-@dataclass(frozen=True)
-class JointSweepModel:
-    """Telemetry, with totals rows or without, as a :class:`SweepModel`."""
-
-    model: JointModel
-    events: tuple[ReducedEvent, ...]
-
-    @property
-    def space(self) -> ParameterSpace:
-        """The walked parameters."""
-        return self.model.space
-
-    @property
-    def collapsed(self) -> tuple[str, ...]:
-        """Parameters whose priors act although they are integrated out."""
-        thrusts = (THRUST_COMMON, *THRUST_LEVELS) if self.model.fired_ids else ()
-        totals = self.model.totals
-        software = SOFTWARE if totals is not None and totals.computed is not None else ()
-        names = (*thrusts, *TORQUES, *software)
-        return tuple(name for name in names if name not in self.space.names)
-
-    @property
-    def walkable(self) -> tuple[str, ...]:
-        """The common thrust."""
-        return tuple(name for name in self.collapsed if name == THRUST_COMMON)
-
-    def log_likelihood(self, z: Array) -> Array:
-        """Collapsed log likelihood (n,) at z (n, d)."""
-        return joint_log_likelihood(self.model, z)
-
-    def quantities(self, z: Array, rng: np.random.Generator) -> xr.Dataset:
-        """Every quantity of the posterior at z (n, d)."""
-        density = np.zeros((1, len(z)))
-        fit, _ = build_joint_fit(
-            self.model, self.events, z[None], density, rng, {}, 1, replicate=False
-        )
-        return fit.posterior
-
-
-@dataclass(frozen=True)
-class JointFactory:
-    """Reduced telemetry events, with the totals rows of the same run (None without any)."""
-
-    telemetry: tuple[ReducedEvent, ...]
-    priors: Priors
-    totals: TotalsFactory | None
-
-    @property
-    def event_ids(self) -> tuple[str, ...]:
-        """Ids of all events, totals rows first."""
-        rows = self.totals.event_ids if self.totals is not None else ()
-        return (*rows, *(reduced.event.id for reduced in self.telemetry))
-
-    def build(self, priors: Priors, without: str = "") -> SweepModel:
-        """The model with these priors, leaving out the event named ``without``."""
-        kept = tuple(reduced for reduced in self.telemetry if reduced.event.id != without)
-        rows = None
-        if self.totals is not None and set(self.totals.event_ids) != {without}:
-            rows = replace(self.totals, priors=priors).build(priors, without)
-        if not kept and rows is not None:
-            return rows
-        statistics = [(reduced.statistics, reduced.sampling) for reduced in kept]
-        totals = None if rows is None else rows.model
-        return JointSweepModel(build_joint_model(statistics, priors, totals), kept)
 
 
 def scalar_names(dataset: xr.Dataset) -> tuple[str, ...]:

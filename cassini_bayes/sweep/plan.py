@@ -12,12 +12,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.workers import Workers
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.files.pieces import finished, run_pieces
-from cassini_bayes.model.totals import THRUST_COMMON
+from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.cells import Baseline, cell_arrays
@@ -33,8 +34,6 @@ from cassini_bayes.sweep.scaling import LIKELIHOOD, components
 from cassini_bayes.sweep.specification import EVENTS, SweepFile
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of
 from cassini_bayes.sweep.weights import BATCHES, batch_labels, moments
-
-Array = NDArray[np.float64]
 
 SAME_DENSITY: Final = 1e-5
 _CHECKED: Final = 20

@@ -14,13 +14,13 @@ from cassini_bayes.balance.computed_delta_v import (
     event_channel_log_likelihood,
     predicted_delta_v,
 )
-from cassini_bayes.model.totals import build_model
+from cassini_bayes.model import build_model
 
 
 @pytest.fixture(scope="module")
 def channel() -> ComputedDeltaV:
     """The channel of the eight flight events."""
-    found = build_model(*flight()).computed
+    found = build_model(*flight()).totals_rows.computed
     assert found is not None
     return found
 

@@ -15,7 +15,7 @@ from cassini_bayes.balance.measured_delta_v import (
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.errors import InputError
-from cassini_bayes.model.joint import sampling_of
+from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.spacecraft import thruster_directions
 
 MASS, NOISE = 2380.0, 3e-5

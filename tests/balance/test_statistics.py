@@ -23,7 +23,7 @@ from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.reduction import MODES, local_waves
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.errors import InputError
-from cassini_bayes.model.joint import sampling_of
+from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 ARRAYS = ("gram", "projection", "mode_gram", "close_pairs")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -24,13 +24,12 @@ from cassini_bayes.diagnosis.refit import fit_extended
 from cassini_bayes.diagnosis.summaries import weigh_summaries
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.results.record import read_fit
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.blind.flights import source_of
 from cassini_bayes.studies.published_cases import flight_2004
-from cassini_bayes.studies.scenario import Simulation, simulate_file, write_simulation
+from cassini_bayes.studies.scenario import Simulation, simulate_file
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
@@ -138,9 +137,7 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     own = verdict(True)
     leak = next(w for w in own.weighed if w.name == "thruster_leak:z3")
     diagnosis = cast(Diagnosis, SimpleNamespace(extended=leak))
-    write_simulation(flight(True), tmp_path)
-    events = reduced(own, tmp_path)
-    fit_extended(diagnosis, events, tmp_path / "fit", 1, lambda _: None, target_ess=200)
+    fit_extended(diagnosis, tmp_path / "fit", 1, lambda _: None, target_ess=200)
     fit = read_fit(tmp_path / "fit" / "fit.nc")
     found = fit.groups["posterior"]["thruster_leak_z3_leak_n"]
     assert found.attrs["units"] == "N"
@@ -188,28 +185,3 @@ def test_bad_estimates_are_refused(tmp_path: Path, old: str, new: str, told: str
     with pytest.raises(InputError, match=told) as caught:
         read_estimates(path, ("z1a",))
     assert "\n" not in str(caught.value)
-
-
-def reduced(own: Verdict, folder: Path) -> list[Any]:
-    """What a fit records of simulated events, their folders below ``folder``."""
-    records = []
-    for source, (statistics, sampling) in zip(own.case.sources, own.case.statistics, strict=True):
-        samples = source.samples
-        has_counters = bool(source.thrusters)
-        reading = SimpleNamespace(
-            on_time_s=samples.on_time_s[-1] if has_counters else [],
-            pulses=samples.pulses[-1] if has_counters else [],
-            start_s=0.0,
-            end_s=source.duration_s,
-            rows=len(samples.time_s),
-        )
-        records.append(
-            SimpleNamespace(
-                event=read_event(folder / source.id, PRIORS.spacecraft),
-                fires=has_counters,
-                sampling=sampling,
-                statistics=statistics,
-                reading=reading,
-            )
-        )
-    return records

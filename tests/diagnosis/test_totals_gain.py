@@ -17,8 +17,7 @@ from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.totals_gain import held_out_totals
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import build_model
+from cassini_bayes.model import build_model, log_posterior
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.report.diagnosis import gain_sentence
 from cassini_bayes.sampling.warmstart import warm_start
@@ -36,7 +35,7 @@ def three() -> tuple[TotalsEvent, ...]:
 
 def scored(rows: tuple[TotalsEvent, ...]) -> HeldOut:
     """The baseline's scores of rows held out in turn."""
-    case: Case = prepare((), PRIORS, build_model(rows, PRIORS))
+    case: Case = prepare((), PRIORS, rows)
     catalogue: Catalogue = catalogue_of(case)
     none = none_hypothesis(case, catalogue)
     d = none.dimension
@@ -79,7 +78,7 @@ def test_a_row_of_another_spacecraft_scores_badly() -> None:
 @pytest.mark.parametrize("has_rows", [True, False])
 def test_a_diagnosis_holds_its_rows_out(has_rows: bool) -> None:
     """With its rows a diagnosis has the scores of these; without them its gain is not measured."""
-    case = prepare((), PRIORS, build_model(three(), PRIORS))
+    case = prepare((), PRIORS, three())
     catalogue = catalogue_of(case)
     few = replace(catalogue, effects=(catalogue.effect("thrust_scale"),))
     rows = three() if has_rows else ()

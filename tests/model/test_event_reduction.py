@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import copy
 import shutil
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from event_cases import events, priors, simulated
 
+from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.errors import InputError
-from cassini_bayes.model import event_reduction
-from cassini_bayes.model.event_reduction import last_time, reduce_event, store_reduction
+from cassini_bayes.events.telemetry import Chunk
+from cassini_bayes.model import event_reduction, reduce_event, reduce_samples
+from cassini_bayes.model.event_reduction import last_time, store_reduction
 
 
 def test_the_cache_gives_the_same_and_is_used(
@@ -40,11 +46,11 @@ def test_a_damaged_or_foreign_cache_is_not_used(tmp_path: Path) -> None:
     assert np.array_equal(again.statistics.gram, fresh.statistics.gram)
     other = reduce_event(simulated() / "bias", priors(), "rectangular")
     assert other.key != fresh.key
-    copy = tmp_path / "bias"
-    shutil.copytree(simulated() / "bias", copy)
-    text = (copy / "telemetry.csv").read_text()
-    (copy / "telemetry.csv").write_text("\n".join(text.splitlines()[:-5]) + "\n")
-    assert reduce_event(copy, priors(), "first_order").key != fresh.key
+    other_place = tmp_path / "bias"
+    shutil.copytree(simulated() / "bias", other_place)
+    text = (other_place / "telemetry.csv").read_text()
+    (other_place / "telemetry.csv").write_text("\n".join(text.splitlines()[:-5]) + "\n")
+    assert reduce_event(other_place, priors(), "first_order").key != fresh.key
 
 
 def test_a_wrong_guess_of_the_last_time_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,6 +70,46 @@ def test_long_reading_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> No
     assert lines[-2].startswith(f"bias: {reduced.reading.rows:,} rows read, 100% of the time, 0 s")
 
 
+@pytest.mark.parametrize(("kept", "passes"), [(200_000, 1), (10, 3)])
+def test_a_file_is_parsed_once_unless_it_is_long(
+    monkeypatch: pytest.MonkeyPatch, kept: int, passes: int
+) -> None:
+    """Whoever asks for rows gets those that are kept; a long file is streamed anew, the same."""
+    original, opened = event_reduction.read_chunks, []
+
+    def counted(*arguments: Any, **options: Any) -> Iterator[Chunk]:
+        opened.append(1)
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(event_reduction, "read_chunks", counted)
+    monkeypatch.setattr(event_reduction, "MOST_KEPT", kept)
+    event = reduce_event(simulated() / "bias", priors(), "first_order")
+    first, second = ([own.time_s for own in event.rows] for _ in range(2))
+    assert len(opened) == passes
+    assert np.array_equal(np.concatenate(first), np.concatenate(second))
+    assert sum(map(len, first)) == event.reading.rows
+
+
+def test_rows_do_not_travel_with_an_event() -> None:
+    """A copy for another process is small, and reads the file itself."""
+    (event,) = events("bias")
+    read = [len(own) for own in event.rows]
+    kept = copy.deepcopy(event.rows)  # by the same protocol as pickle
+    assert kept._kept is None
+    assert [len(own) for own in kept] == read
+
+
+def test_samples_in_memory_reduce_like_those_of_the_file() -> None:
+    """The same rows, the same Gram matrices and counters gained, without a folder."""
+    (event,) = events("bias")
+    samples = Samples.joined(list(event.rows))
+    layout = event.statistics.layout
+    again = reduce_samples("bias", "bias", layout.wheels, layout.thrusters, samples, event.sampling)
+    assert again.statistics.gram == pytest.approx(event.statistics.gram, rel=1e-12)
+    assert again.reading == replace(event.reading, mends=())
+    assert (again.id, again.kind, again.fires) == (event.id, event.kind, event.fires)
+
+
 def test_last_time_of_a_tail(tmp_path: Path) -> None:
     """The last row's time; 1 where the tail does not tell."""
     path = tmp_path / "telemetry.csv"
@@ -79,7 +125,7 @@ def test_counters_gained_are_those_of_the_file() -> None:
     (event,) = events("bias")
     lines = (simulated() / "bias" / "telemetry.csv").read_text().splitlines()
     header, last = lines[0].split(","), lines[-1].split(",")
-    for k, name in enumerate(event.event.thrusters):
+    for k, name in enumerate(event.statistics.layout.thrusters):
         assert event.reading.on_time_s[k] == float(last[header.index(f"on_time_{name}_s")])
         assert event.reading.pulses[k] == float(last[header.index(f"pulses_{name}")])
     assert event.reading.rows == len(lines) - 1
@@ -87,9 +133,9 @@ def test_counters_gained_are_those_of_the_file() -> None:
 
 def test_another_branch_is_refused(tmp_path: Path) -> None:
     """Priors of one branch say nothing of the other's thrusters."""
-    copy = tmp_path / "bias"
-    shutil.copytree(simulated() / "bias", copy)
-    text = (copy / "event.toml").read_text().replace('branch = "B"', 'branch = "A"')
-    (copy / "event.toml").write_text(text)
+    other_place = tmp_path / "bias"
+    shutil.copytree(simulated() / "bias", other_place)
+    text = (other_place / "event.toml").read_text().replace('branch = "B"', 'branch = "A"')
+    (other_place / "event.toml").write_text(text)
     with pytest.raises(InputError, match="branch"):
-        reduce_event(copy, priors(), "first_order")
+        reduce_event(other_place, priors(), "first_order")

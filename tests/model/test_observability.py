@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from event_cases import PRIORS, events, model
 
-from cassini_bayes.model.joint import build_joint_model, joint_log_posterior
+from cassini_bayes.model import build_model, log_posterior
 from cassini_bayes.model.observability import observability
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.sampling.warmstart import warm_start
@@ -22,7 +22,7 @@ def test_expected_widths_come_true(names: tuple[str, ...]) -> None:
     joint = model(*names)
     table = observability(joint).table.set_index("quantity")
     warm = warm_start(
-        partial(joint_log_posterior, joint), joint.space.dimension, np.random.default_rng(3)
+        partial(log_posterior, joint), joint.space.dimension, np.random.default_rng(3)
     )
     weights = np.exp(warm.draws.log_weights)
     mean = weights @ warm.draws.z
@@ -59,8 +59,7 @@ def test_fixed_departures_of_thrust_change_nothing_of_what_is_shared(tmp_path: P
     def seen(width: str) -> pd.Series[float]:
         path = tmp_path / "priors.toml"
         path.write_text(priors_with_departures(width), encoding="utf-8")
-        events_ = [(e.statistics, e.sampling) for e in events("bias")]
-        joint = build_joint_model(events_, read_priors(path))
+        joint = build_model(events("bias"), read_priors(path))
         return observability(joint).table.set_index("quantity")["ratio"]
 
     fixed = seen("fixed = 0.0")

@@ -1,277 +1,241 @@
-"""The collapsed posterior against plain, dense and brute-force versions of itself."""
+"""The model of telemetry: equal to a plain likelihood, right about evidence and draws."""
 
 from __future__ import annotations
 
-from dataclasses import Field, fields, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.stats import multivariate_normal
-from totals_cases import flight, plain_log_likelihood, point
-
-from cassini_bayes.balance.totals_terms import ResponseJacobian
-from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.posterior import (
-    collapse,
-    draw_linear,
-    log_likelihood,
-    log_posterior,
-    thrust_moments,
+from telemetry_cases import (
+    event_of,
+    made_up_samples,
+    model_of,
+    plain_log_likelihood,
+    telemetry_priors,
 )
-from cassini_bayes.model.predictive import event_log_likelihood, jacobian_expansion_error
-from cassini_bayes.model.totals import LinearSystem, TotalsModel, build_model, linear_system
+
+from cassini_bayes.balance.bands import is_sparse, motion_table
+from cassini_bayes.balance.kernel import estimated_wheels
+from cassini_bayes.balance.physics import physical_inertia
+from cassini_bayes.errors import InputError
+from cassini_bayes.model import build_model, collapse, draw, log_likelihood, log_posterior
+from cassini_bayes.model.posterior import with_equal_bands_merged
+from cassini_bayes.model.telemetry import unknowns_of
+from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.results.record import draws_of, prior_draws
-
-Array = NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def case() -> tuple[tuple[TotalsEvent, ...], Priors, TotalsModel]:
-    """The eight flight events, their priors and the model without ΔV."""
-    events, priors = flight()
-    return events, priors, build_model(events, priors, delta_v="ignore")
+from cassini_bayes.sampling.warmstart import warm_start
+from cassini_bayes.studies.telemetry_calibration import without_jacobian
 
 
-def dense_thrust_prior(model: TotalsModel) -> tuple[Array, Array]:
-    """Mean and covariance of all events' thrusts stacked, written out densely."""
-    linear, n_events = model.linear, len(model.stack.event_ids)
-    shared = linear.shared @ linear.shared.T
-    own = linear.own @ linear.own.T
-    covariance = np.kron(np.ones((n_events, n_events)), shared) + np.kron(np.eye(n_events), own)
-    return np.full(len(covariance), linear.common_mean_n), covariance
+@pytest.mark.parametrize("seed", range(4))
+def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
+    """Gram matrices and elimination give what a dense normal over all raw rows gives, to 1e-9."""
+    rng = np.random.default_rng(seed)
+    events = [
+        made_up_samples(rng, 60),
+        made_up_samples(rng, 50, fires=False),
+        made_up_samples(rng, 300),  # enough for all bands
+        made_up_samples(rng, 110, every_s=4.0),  # sparse: as many modes as rows
+    ]
+    model = model_of(events)
+    assert [is_sparse(term.event.statistics) for term in model.telemetry] == [False] * 3 + [True]
+    for z in 0.5 * model.space.sample(rng, 2):
+        parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
+        plain = plain_log_likelihood(model, events, parameters)
+        assert log_likelihood(model, z[None])[0] == pytest.approx(plain, rel=1e-9)
 
 
-def test_collapsed_likelihood_equals_dense_gaussian_integral(
-    case: tuple[tuple[TotalsEvent, ...], Priors, TotalsModel],
-) -> None:
-    """Block elimination agrees with one dense integral over all 64 thrusts to 1e-8."""
-    _, _, model = case
-    rng = np.random.default_rng(1)
-    for z in 0.5 * model.space.sample(rng, 5):
-        system = linear_system(model, model.space.to_parameters(z[None]))
-        mean, prior = dense_thrust_prior(model)
-        n_events, k = model.stack.on_time_s.shape
-        size = n_events * k
-        precision, linear_term = np.linalg.inv(prior), np.linalg.solve(prior, mean)
-        constant = -0.5 * mean @ linear_term - 0.5 * np.linalg.slogdet(2 * np.pi * prior)[1]
-        for e in range(n_events):
-            at = slice(e * k, (e + 1) * k)
-            noise = system.covariance[0, e] + system.torque_covariance[e]
-            design, target = system.design[0, e], system.target[0, e]
-            gradient, hessian = system.jacobian.gradient[0, e], system.jacobian.hessian[0, e]
-            base = mean[at]
-            precision[at, at] += design.T @ np.linalg.solve(noise, design) - hessian
-            linear_term[at] += design.T @ np.linalg.solve(noise, target) + gradient - hessian @ base
-            constant += -0.5 * target @ np.linalg.solve(noise, target)
-            constant += -0.5 * np.linalg.slogdet(2 * np.pi * noise)[1]
-            constant += system.jacobian.value[0, e] - gradient @ base + 0.5 * base @ hessian @ base
-        integral = constant + 0.5 * linear_term @ np.linalg.solve(precision, linear_term)
-        integral += 0.5 * size * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(precision)[1]
-        assert log_likelihood(model, z[None])[0] == pytest.approx(integral, rel=1e-8)
+def test_bands_alike_are_merged_without_a_change() -> None:
+    """Without torque noise a slew's bands as one give the plain likelihood; with it they stay."""
+    rng = np.random.default_rng(14)
+    events = [made_up_samples(rng, 60), made_up_samples(rng, 300, fires=False)]
+    free = telemetry_priors()
+    priors = free.with_fixed("torque_noise_n_m_s05", 0.0)
+    reduced = [event_of(samples, priors, f"e{i}") for i, samples in enumerate(events)]
+    model = build_model(reduced, priors)
+    merged = with_equal_bands_merged(model)
+    fast = len(model.telemetry[0].balance.fast)
+    assert [len(term.balance.fast) for term in merged.telemetry] == [fast, 1]
+    z = 0.5 * model.space.sample(rng, 1)
+    parameters = {name: float(v) for name, v in model.space.to_parameters(z[0]).items()}
+    plain = plain_log_likelihood(merged, events, parameters)
+    assert log_likelihood(merged, z)[0] == pytest.approx(plain, rel=1e-9)
+    noisy = build_model(reduced, free)
+    assert with_equal_bands_merged(noisy) is noisy
 
 
-def test_collapsed_likelihood_equals_plain_likelihood_by_bayes_identity() -> None:
-    """log p(y) = log p(y|F,τ) + log p(F,τ) − log p(F,τ|y) with the plain likelihood, any F, τ."""
-    events, priors = flight(3)
-    model = build_model(events, priors, delta_v="ignore")
-    n_events = len(events)
-    rng = np.random.default_rng(2)
-    for z in 0.5 * model.space.sample(rng, 3):
-        values = point(model, z[None])
-        system = linear_system(model, model.space.to_parameters(z[None]))
-        evidence = []
-        for _ in range(3):
-            _, draws = prior_draws(model, 1, rng)
-            thrust, torque = draws.thrust_n[0], draws.external_torque_n_m[0]
-            plain = plain_log_likelihood(
-                events, values, thrust, torque, model.linear.common_mean_n, expand_jacobian=True
-            )
-            mean, prior = dense_thrust_prior(model)
-            log_prior = multivariate_normal(mean, prior).logpdf(thrust.reshape(-1))
-            sd = model.linear.torque_sd_n_m
-            white = (torque - model.linear.torque_mean_n_m) / sd
-            log_prior += -0.5 * (white**2).sum() - n_events * np.log(sd * np.sqrt(2 * np.pi)).sum()
-            evidence.append(plain + log_prior - dense_conditional(model, system, thrust, torque))
-        assert evidence == pytest.approx([log_likelihood(model, z[None])[0]] * 3, rel=1e-8)
+def test_draws_have_the_conditional_moments() -> None:
+    """Draws of an event's own unknowns scatter about a mean with the precision of its equations."""
+    rng = np.random.default_rng(8)
+    model = model_of([made_up_samples(rng, 60, fires=False)])
+    z = np.repeat(model.space.sample(rng, 1), 4_000, axis=0)
+    (event,) = collapse(model, z[:1]).terms
+    draws = draw(model, z, rng)
+    own = unknowns_of(draws.thrusts.thrust_n, draws.own[0])
+    normal, mean, sd = event.system.normal[0], event.system.own_mean, event.system.own_sd[0]
+    precision = normal[:-1, :-1] + np.diag(sd**-2)
+    covariance = np.linalg.inv(precision)
+    expected = covariance @ (normal[:-1, -1] + mean / sd**2)
+    error = (own.mean(0) - expected) / np.sqrt(np.diag(covariance) / len(own))
+    assert np.abs(error).max() < 4.0
+    assert np.cov(own.T) == pytest.approx(covariance, rel=0.2, abs=0.1 * covariance.max())
 
 
-def dense_conditional(
-    model: TotalsModel, system: LinearSystem, thrust: Array, torque: Array
-) -> float:
-    """Log density of the conditional normal of all thrusts and torques, assembled densely."""
-    mean, prior = dense_thrust_prior(model)
-    n_events, k = model.stack.on_time_s.shape
-    sd = model.linear.torque_sd_n_m
-    size = n_events * (k + 3)
-    precision = np.zeros((size, size))
-    precision[: n_events * k, : n_events * k] = np.linalg.inv(prior)
-    linear_term = np.zeros(size)
-    linear_term[: n_events * k] = np.linalg.solve(prior, mean)
-    for e in range(n_events):
-        at = np.r_[e * k : (e + 1) * k, n_events * k + 3 * e : n_events * k + 3 * e + 3]
-        columns = np.hstack([system.design[0, e], system.torque_design[e]])
-        noise = np.linalg.inv(system.covariance[0, e])
-        precision[np.ix_(at, at)] += columns.T @ noise @ columns
-        linear_term[at] += columns.T @ noise @ system.target[0, e]
-        gradient = system.jacobian.gradient[0, e]
-        hessian = system.jacobian.hessian[0, e]
-        precision[np.ix_(at[:k], at[:k])] -= hessian
-        linear_term[at[:k]] += gradient - hessian @ mean[:k]
-        precision[np.ix_(at[k:], at[k:])] += np.diag(sd**-2.0)
-    x = np.concatenate([thrust.reshape(-1), (torque - model.linear.torque_mean_n_m).reshape(-1)])
-    centre = np.linalg.solve(precision, linear_term)
-    log_det = np.linalg.slogdet(precision)[1]
-    return float(
-        0.5 * log_det
-        - 0.5 * size * np.log(2 * np.pi)
-        - 0.5 * (x - centre) @ precision @ (x - centre)
+def test_a_shared_prior_counts_once() -> None:
+    """The prior of a parameter is in the posterior once, however many events share it."""
+    rng = np.random.default_rng(5)
+    events = [made_up_samples(rng, 40), made_up_samples(rng, 40)]
+    model = model_of(events)
+    z = model.space.sample(rng, 3)
+    prior = -0.5 * (z**2).sum(1) - 0.5 * z.shape[1] * np.log(2 * np.pi)
+    assert log_posterior(model, z) - log_likelihood(model, z) == pytest.approx(prior)
+
+
+def test_walked_dimension_does_not_grow_with_events() -> None:
+    """One event and four walk in the same parameters; only what is integrated out grows."""
+    rng = np.random.default_rng(6)
+    one = model_of([made_up_samples(rng, 40)])
+    four = model_of([made_up_samples(rng, 40) for _ in range(4)])
+    assert one.space.names == four.space.names
+
+
+def test_a_common_thrust_that_is_not_normal_is_walked() -> None:
+    """Its prior cannot be integrated out; nearly normal it gives what the normal one gives."""
+    rng = np.random.default_rng(11)
+    priors = telemetry_priors()
+    samples = made_up_samples(rng, 40)
+    normal = build_model([event_of(samples, priors)], priors)
+    wide = replace_with_student(priors)
+    walked = build_model([event_of(samples, wide)], wide)
+    assert set(walked.space.names) - set(normal.space.names) == {"thrust_common_n"}
+    z = walked.space.sample(rng, 1)
+    others = [walked.space.names.index(name) for name in normal.space.names]
+    place = walked.space.names.index("thrust_common_n")
+    # the level on a grid, with its prior, against the integral that the model does itself
+    levels = np.linspace(-8.0, 8.0, 4_001)
+    points = np.repeat(z, len(levels), axis=0)
+    points[:, place] = levels
+    log_p = log_likelihood(walked, points) - 0.5 * levels**2 - 0.5 * np.log(2 * np.pi)
+    top = log_p.max()
+    integral = top + np.log(np.exp(log_p - top).sum() * (levels[1] - levels[0]))
+    assert integral == pytest.approx(log_likelihood(normal, z[:, others])[0], abs=1e-2)
+
+
+def replace_with_student(priors: Priors) -> Priors:
+    """The common thrust with a Student-t prior of so many degrees of freedom that it is normal."""
+    prior = priors.parameters["thrust_common_n"].distribution
+    assert prior is not None
+    student = Distribution("t", {"df": 1e7, "loc": prior.mean(), "scale": prior.sd()})
+    return priors.with_distribution("thrust_common_n", student)
+
+
+def test_the_same_event_twice_is_refused() -> None:
+    """Two events of one name would count the data twice."""
+    rng = np.random.default_rng(7)
+    priors = telemetry_priors()
+    event = event_of(made_up_samples(rng, 40), priors)
+    with pytest.raises(InputError, match="each event once"):
+        build_model([event, event], priors)
+    with pytest.raises(InputError, match="at least one event"):
+        build_model([], priors)
+
+
+def test_a_parameter_that_is_missing_is_named() -> None:
+    """Priors without the noise of the channels are refused by name."""
+    rng = np.random.default_rng(9)
+    priors = telemetry_priors()
+    event = event_of(made_up_samples(rng, 40), priors)
+    lacking = replace(
+        priors,
+        parameters={k: v for k, v in priors.parameters.items() if k != "wheel_noise_rpm"},
     )
+    with pytest.raises(InputError, match="wheel_noise_rpm"):
+        build_model([event], lacking)
 
 
-def test_collapsed_likelihood_equals_brute_force_marginalisation() -> None:
-    """With one number for all thrusts, summing the plain likelihood over a grid gives the same."""
-    events, priors = flight(1)
-    for name in ("thrust_individual_n", "thrust_jitter_n"):
-        priors = priors.with_fixed(name, 0.0)
-    for axis in "xyz":
-        priors = priors.with_fixed(f"external_torque_{axis}_n_m", 1e-6)
-    model = build_model(events, priors, delta_v="ignore")
-    z = np.full((1, len(model.space.names)), 0.3)
-    values = point(model, z)
-    torque = np.full((1, 3), 1e-6)
-    # the thrust is one number here: integrate over its total, N(0.76, 0.05² + 0.01²)
-    sd = float(np.hypot(0.05, 0.01))
-    t = np.linspace(-9, 9, 181)
-    curve = np.array(
+def test_evidence_of_a_linear_gaussian_case_is_exact() -> None:
+    """With only lever arms free the evidence is a Gaussian integral; importance draws find it."""
+    rng = np.random.default_rng(12)
+    priors = telemetry_priors()
+    free = ("cm_x_m", "cm_y_m", "thruster_lx_m")
+    for name, prior in priors.parameters.items():
+        if prior.distribution is not None and name not in free:
+            linear = name.startswith(("thrust_", "external_torque"))
+            value = 0.0 if linear and name != "thrust_common_n" else prior.distribution.mean()
+            priors = priors.with_fixed(name, value)
+    # tails as long as the rise: nothing to cut, so that lever arms enter linearly
+    priors = priors.with_fixed("tau_fall_s", 0.02).with_fixed("tau_rise_s", 0.02)
+    samples = made_up_samples(rng, 40)
+    model = build_model([event_of(samples, priors)], priors)
+    assert model.space.names == free
+
+    def plain(z: np.ndarray) -> float:
+        values = {name: float(v) for name, v in model.space.to_parameters(z).items()}
+        return plain_log_likelihood(model, [samples], values) - 0.5 * float(z @ z)
+
+    unit = np.eye(3)
+    centre = plain(np.zeros(3))
+    gradient = np.array([(plain(e) - plain(-e)) / 2 for e in unit])
+    curvature = np.array(
         [
-            plain_log_likelihood(
-                events,
-                values,
-                np.full((1, 8), 0.76 + sd * s),
-                torque,
-                model.linear.common_mean_n,
-                expand_jacobian=True,
-            )
-            for s in t
+            [(plain(a + b) - plain(a - b) - plain(b - a) + plain(-a - b)) / 4 for b in unit]
+            for a in unit
         ]
     )
-    integrand = curve - 0.5 * t**2 - 0.5 * np.log(2 * np.pi)
-    brute = np.logaddexp.reduce(integrand) + np.log(t[1] - t[0])
-    assert log_likelihood(model, z)[0] == pytest.approx(brute, rel=1e-8)
+    # ∫ exp(c + gᵀz + ½ zᵀHz) dz (2π)^(-3/2)
+    exact = (
+        centre
+        - 0.5 * gradient @ np.linalg.solve(curvature, gradient)
+        - 0.5 * np.linalg.slogdet(-curvature)[1]
+    )
+    warm = warm_start(partial(log_posterior, model), 3, rng)
+    assert warm.draws.log_evidence_se < 0.05
+    assert abs(warm.draws.log_evidence - exact) < 3 * warm.draws.log_evidence_se
 
 
-def test_conditional_draws_have_the_conditional_moments(
-    case: tuple[tuple[TotalsEvent, ...], Priors, TotalsModel],
-) -> None:
-    """Thrusts drawn back at one point have the closed-form mean and variance (4.5 s.e.)."""
-    _, _, model = case
-    n = 10_000
-    z = np.repeat(0.3 * model.space.sample(np.random.default_rng(3), 1), n, axis=0)
-    system = linear_system(model, model.space.to_parameters(z))
-    draws = draw_linear(model, system, collapse(model, system), np.random.default_rng(4))
-    mean, variance = thrust_moments(model, z[:1])
-    error = (draws.thrust_n.mean(0) - mean[0]) / np.sqrt(variance[0] / n)
-    ratio = draws.thrust_n.var(0) / variance[0]
-    assert np.abs(error).max() < 4.5
-    assert np.abs(ratio - 1).max() < 4.5 * np.sqrt(2 / n)
-    assert np.abs(draws.level_n.mean(1) - draws.common_n).std() < 0.05
+def test_the_naive_balance_residual_pulls_inertia_down() -> None:
+    """A density of the balance residual rewards small inertias; that of the channels does not."""
+    rng = np.random.default_rng(3)
+    priors = telemetry_priors()
+    samples = made_up_samples(rng, 800, fires=False)
+    model = build_model([event_of(samples, priors)], priors)
+    place = model.space.names.index("rwa1_inertia_kg_m2")
+    shrunk = np.zeros((2, len(model.space.names)))
+    for name in model.space.names:
+        if "inertia" in name:
+            shrunk[1, model.space.names.index(name)] = -2.0
+    assert place >= 0
+    right = log_posterior(model, shrunk)
+    naive = without_jacobian(model, shrunk)
+    assert right[1] < right[0] - 5.0
+    assert naive[1] - naive[0] > right[1] - right[0] + 20.0
 
 
-def test_common_level_is_recovered_from_levels_when_data_say_nothing() -> None:
-    """With the likelihood switched off the prior of every level comes back from the draws."""
-    events, priors = flight(1)
-    blind = priors.with_fixed("hold_rate_rad_s", 1e3)
-    model = build_model(events, blind, delta_v="ignore")
-    n = 40_000
-    z = model.space.sample(np.random.default_rng(5), n)
-    _, draws = draws_of(model, z, np.random.default_rng(6))
-    expected = {"common_n": 0.05, "level_n": np.hypot(0.05, 0.02)}
-    for name, sd in expected.items():
-        values = getattr(draws, name)
-        # the Jacobian still tilts thrust upwards by 3 σ²/F, a tenth of a standard deviation
-        assert np.abs(values.mean(0) - 0.76 - 3 * 0.05**2 / 0.76).max() < 0.15 * 0.05
-        assert np.abs(values.std(0) / sd - 1).max() < 0.05
+def test_inertia_is_physical_or_said_not_to_be() -> None:
+    """A tensor that breaks the triangle inequality is told apart from one that does not."""
+    good = np.diag([3.0, 4.0, 5.0])
+    bad = np.diag([1.0, 1.0, 3.0])
+    assert physical_inertia(np.stack([good, bad, -good])).tolist() == [True, False, False]
 
 
-def test_shared_prior_counts_once_over_eight_events(
-    case: tuple[tuple[TotalsEvent, ...], Priors, TotalsModel],
-) -> None:
-    """log posterior − log likelihood is one unit normal per walked parameter, not per event."""
-    _, _, model = case
-    z = model.space.sample(np.random.default_rng(7), 4)
-    once = multivariate_normal(np.zeros(z.shape[1])).logpdf(z)
-    assert log_posterior(model, z) - log_likelihood(model, z) == pytest.approx(once)
-
-
-def test_expansion_of_the_jacobian_is_accurate_over_the_prior(
-    case: tuple[tuple[TotalsEvent, ...], Priors, TotalsModel],
-) -> None:
-    """The neglected cubic term is of order E (δF/F)³: hundredths of a nat over the prior."""
-    _, _, model = case
-    rng = np.random.default_rng(8)
-    parameters, draws = prior_draws(model, 500, rng)
-    error = jacobian_expansion_error(model, parameters, draws.thrust_n)
-    relative = np.abs(draws.thrust_n / 0.76 - 1).max((1, 2))
-    assert (np.abs(error) < 8 * 3 * relative**3).all()
-    assert np.abs(error).max() > 0
-
-
-def test_event_log_likelihood_is_the_plain_one_with_exact_jacobian() -> None:
-    """Pointwise log likelihoods sum to the plain likelihood with the Jacobian not expanded."""
-    events, priors = flight()
-    model = build_model(events, priors, delta_v="ignore")
-    rng = np.random.default_rng(9)
-    z = 0.5 * model.space.sample(rng, 3)
-    parameters, draws = draws_of(model, z, rng)
-    ours = event_log_likelihood(model, parameters, draws).sum(-1)
-    for i in range(3):
-        plain = plain_log_likelihood(
-            events,
-            point(model, z[i : i + 1]),
-            draws.thrust_n[i],
-            draws.external_torque_n_m[i],
-            model.linear.common_mean_n,
-            expand_jacobian=False,
+def test_wheels_that_show_nothing_leave_the_density_finite() -> None:
+    """Fewer rows than directions leave mean squares of zero: the density is flat there."""
+    spline = motion_table(3)
+    nodes, coefficients = spline.x, np.ascontiguousarray(spline.c)
+    found = [
+        estimated_wheels(
+            3.0,
+            nodes,
+            coefficients,
+            square * np.diag([0.0] * 3 + [1.0, 1.0, 0.0]),
+            np.eye(3),
+            np.eye(3),
+            1.0,
+            np.empty((3, 3)),
         )
-        assert ours[i] == pytest.approx(plain, rel=1e-8)
-
-
-def _batched(field: Field[object]) -> bool:
-    """Whether a field of the linear system carries the batch axis."""
-    return field.name not in ("jacobian", "torque_design", "torque_covariance", "offset_n")
-
-
-def _tiled(jacobian: ResponseJacobian, n: int) -> ResponseJacobian:
-    """The same Jacobian at n points."""
-    return ResponseJacobian(
-        np.repeat(jacobian.value, n, 0),
-        np.repeat(jacobian.gradient, n, 0),
-        np.repeat(jacobian.hessian, n, 0),
-    )
-
-
-def test_naive_likelihood_without_jacobian_differs(
-    case: tuple[tuple[TotalsEvent, ...], Priors, TotalsModel],
-) -> None:
-    """Negative control: dropping the Jacobian moves the common thrust by Cov(common, F) · g."""
-    _, _, model = case
-    z = np.zeros((1, len(model.space.names)))
-    system = linear_system(model, model.space.to_parameters(z))
-    flat = replace(
-        system.jacobian,
-        gradient=np.zeros_like(system.jacobian.gradient),
-        hessian=np.zeros_like(system.jacobian.hessian),
-    )
-    n, levels, covariance = 20_000, [], np.zeros(0)
-    for one in (system, replace(system, jacobian=flat)):
-        many = {f.name: np.repeat(getattr(one, f.name), n, 0) for f in fields(one) if _batched(f)}
-        tiled = replace(one, **many, jacobian=_tiled(one.jacobian, n))
-        draws = draw_linear(model, tiled, collapse(model, tiled), np.random.default_rng(1))
-        levels.append(draws.common_n.mean())
-        centred = draws.common_n - draws.common_n.mean()
-        covariance = np.tensordot(centred, draws.thrust_n, 1) / n
-    # a tilt exp(g·F) of a normal shifts its mean by the covariance with F times g
-    predicted = (system.jacobian.gradient[0] * covariance).sum()
-    assert levels[0] - levels[1] == pytest.approx(predicted, rel=0.35)  # 13 % Monte Carlo error
+        for square in (1.0, 1e-6, 1e-12, 1e-24, 0.0)
+    ]
+    assert np.all(np.isfinite(found))
+    assert found[2:] == pytest.approx([found[2]] * 3, abs=1e-4)
+    assert found[0] < found[1] <= found[2] + 1e-4

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import same_color
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.report.plots import Figure, encode, is_corner, make_figures, save_figures
-from cassini_bayes.report.plots.budget import budget_blocks
+from cassini_bayes.report import figures_of, sections_of
+from cassini_bayes.report.page import Section
+from cassini_bayes.report.plots import Figure, encode, is_corner, save_figures
 from cassini_bayes.report.plots.checks import balance_figure
 from cassini_bayes.report.plots.corners import corner_figure
 from cassini_bayes.report.plots.quantities import (
@@ -30,7 +32,12 @@ from cassini_bayes.report.plots.quantities import (
     short_name,
 )
 from cassini_bayes.report.plots.style import PRIOR_LINE, thruster_styles
-from cassini_bayes.report.plots.tables import Column, nuisance_column, thrust_grid
+from cassini_bayes.report.plots.tables import (
+    Column,
+    budget_blocks,
+    nuisance_column,
+    thrust_grid,
+)
 from cassini_bayes.results.review import Review
 
 WITHOUT_UNIT = ("event", "thruster", "parameter", "quantity")
@@ -51,8 +58,8 @@ def figures() -> dict[str, Figure]:
 def test_all_figures_of_a_full_review_are_there_in_the_report_s_order(figures) -> None:
     """Nuisances are spread over corner plots of at most nine parameters."""
     assert list(figures) == [
-        "thrusts", "corner_thrusts", "nuisances", "torques", "corner_nuisances_1",
-        "corner_nuisances_2", "corner_nuisances_3", "budget", "predictive", "balance", "delta_v",
+        "thrusts", "corner_thrusts", "nuisances", "corner_nuisances_1", "corner_nuisances_2",
+        "corner_nuisances_3", "torques", "budget", "predictive", "balance", "delta_v",
         "delta_v_thrusts", "convergence",
     ]  # fmt: skip
 
@@ -174,6 +181,12 @@ def test_thrusters_keep_their_colour_and_twelve_differ() -> None:
     assert len({(s.colour, s.marker) for s in repeated.values()}) == 24
 
 
+def without_corners(section: Section) -> Section:
+    """A section without the corner plots of nuisances."""
+    kept = (b for b in section.blocks if not getattr(b, "name", "").startswith("corner_nuisances"))
+    return replace(section, blocks=tuple(kept))
+
+
 @pytest.mark.parametrize(
     "shape",
     [
@@ -186,13 +199,12 @@ def test_thrusters_keep_their_colour_and_twelve_differ() -> None:
     ],
     ids=str,
 )
-def test_other_shapes_of_run_draw_too(shape, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_shapes_of_run_draw_too(shape) -> None:
     """One event, twelve thrusters, no baseline, no ΔV, missing cells: labelled and unclipped.
 
     The nuisances are the same in all of them: their corner plots, slow to draw, are left out.
     """
-    monkeypatch.setattr("cassini_bayes.report.plots.nuisance_corners", lambda _: [])
-    figures = make_figures(made_up_review(draws=60, **shape))
+    figures = figures_of([*map(without_corners, sections_of(made_up_review(draws=60, **shape)))])
     assert ("delta_v" in figures) == shape.get("delta_v", True)
     for name, figure in figures.items():
         assert unlabelled(figure) == [], name
@@ -286,10 +298,10 @@ def test_making_figures_leaves_no_global_state(review: Review) -> None:
     program = (
         "import matplotlib; before = dict(matplotlib.rcParams)\n"
         "from made_up_review import made_up_review\n"
-        "from cassini_bayes.report import plots\n"
-        "plots.nuisance_corners = lambda _: []\n"
-        "from cassini_bayes.report.plots import make_figures, encode\n"
-        "encode(make_figures(made_up_review(n_events=2, draws=40))['balance'], 'svg')\n"
+        "from cassini_bayes.report import figures_of, sections_of\n"
+        "from cassini_bayes.report.plots import encode\n"
+        "sections = sections_of(made_up_review(n_events=2, draws=40))\n"
+        "encode(figures_of(sections)['balance'], 'svg')\n"
         "import matplotlib.pyplot as plt\n"
         "changed = [k for k in before if k != 'backend' and matplotlib.rcParams[k] != before[k]]\n"
         "print(plt.get_fignums(), changed)"

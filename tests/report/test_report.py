@@ -5,15 +5,25 @@ from __future__ import annotations
 import base64
 import dataclasses
 import re
+import subprocess
+import sys
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from made_up_review import full_figures, full_review, made_up_review
+from made_up_review import full_figures, full_review, made_up_review, page_of
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.report import render_report, write_report
-from cassini_bayes.report.plots.thrusts import thrust_figure
+from cassini_bayes.report import (
+    figures_of,
+    render_report,
+    sections_of,
+    write_report,
+    write_tables,
+)
+from cassini_bayes.report import sections as registry
+from cassini_bayes.report.page import THRUSTS, Paragraph, Section
 from cassini_bayes.results.review import Review
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "col", "wbr"}
@@ -68,7 +78,7 @@ def review() -> Review:
 @pytest.fixture(scope="module")
 def html(review: Review) -> str:
     """Its report, with all figures."""
-    return render_report(review, full_figures())
+    return page_of(review, full_figures())
 
 
 def test_the_page_is_well_formed(html: str) -> None:
@@ -160,7 +170,7 @@ def test_a_conflict_is_flagged_and_a_computed_delta_v_explained(html: str) -> No
 
 def test_on_times_the_model_does_not_predict_raise_no_alarm(review: Review) -> None:
     """A replicate that cannot vary has no tail probability, and is left out of the count."""
-    html = render_report(review, {})
+    html = page_of(review, {})
     fixed = int((review.predictive["sd_s"] == 0).sum())
     assert fixed > 0
     assert html.count("set by the limit cycle</td>") == fixed
@@ -171,10 +181,12 @@ def test_malicious_names_are_escaped() -> None:
     """Markup in an event id, a thruster's note, a fact or a warning stays text."""
     evil = '<script>alert("x")</script>'
     review = made_up_review(event_ids=[evil, 'b"><img src=x onerror=y>'], draws=40)
-    review = dataclasses.replace(
-        review, name=evil, warnings=(evil,), facts={evil: evil, "Stop rule": evil}
-    )
-    html = render_report(review, {"thrusts": thrust_figure(review)})
+    frames = {**vars(review), "warnings": (evil,)}
+    review = dataclasses.replace(review, name=evil, facts={evil: evil, "Stop rule": evil})
+    fields = {field.name for field in dataclasses.fields(review)}
+    vars(review).update({name: own for name, own in frames.items() if name not in fields})
+    thrusts = [own for own in sections_of(review) if own.chapter is THRUSTS]
+    html = page_of(review, figures_of(thrusts))
     page = Page(html)
     assert page.faults == []
     assert "script" not in page.tags
@@ -197,7 +209,7 @@ def test_malicious_names_are_escaped() -> None:
 def test_other_shapes_of_run_give_a_whole_report(shape) -> None:
     """Tables without figures: well formed, no NaN in sight."""
     review = made_up_review(draws=40, **shape)
-    page = Page(render_report(review, {}))
+    page = Page(page_of(review, {}))
     assert page.faults == []
     assert re.search(r"\bnan\b|\binf\b|\bNone\b", page.text) is None
     if not shape.get("baseline", True):
@@ -208,13 +220,53 @@ def test_other_shapes_of_run_give_a_whole_report(shape) -> None:
 
 def test_writing_is_atomic_and_refusal_is_one_line(review: Review, tmp_path: Path) -> None:
     """The file holds what was rendered; a folder in its place is an input error."""
-    write_report(review, {}, tmp_path / "report.html")
-    assert (tmp_path / "report.html").read_text(encoding="utf-8") == render_report(review, {})
+    sections = sections_of(review)
+    write_report(review, sections, {}, tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == page_of(review, {})
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError) as caught:
-        write_report(review, {}, tmp_path / "folder")
+        write_report(review, sections, {}, tmp_path / "folder")
     assert "\n" not in str(caught.value)
+
+
+def test_a_table_is_one_function_in_the_registry(
+    review: Review, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One more function gives a file, a section, a line of text; tables have distinct files."""
+
+    def added(own: Review) -> Iterator[Section]:
+        frame = own.summary[["name", "mean"]]
+        yield Section(THRUSTS, (Paragraph("one more"),), "Added", "added", frame)
+
+    before = [own.name for own in sections_of(review) if own.frame is not None]
+    assert len(before) == len(set(before)) >= 7
+    monkeypatch.setattr(registry, "SECTIONS", (*registry.SECTIONS[:4], added))
+    sections = sections_of(review)
+    write_tables(sections, tmp_path)
+    assert (tmp_path / "added.csv").read_text().startswith("name,mean")
+    page = Page(render_report(review, sections, {}))
+    assert "Added one more" in page.text
+    assert page.faults == []
+
+
+def test_tables_without_figures_load_no_plotting_library(tmp_path: Path) -> None:
+    """A fit without a report writes its tables and never imports matplotlib."""
+    program = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from cassini_bayes.report import sections_of, write_tables\n"
+        "import made_up_review as m\n"
+        "sections = sections_of(m.made_up_review(n_events=2, draws=40))\n"
+        f"write_tables(sections, Path({str(tmp_path)!r}))\n"
+        "print([name for name in ('matplotlib', 'corner') if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True,
+        cwd=Path(__file__).parents[1], timeout=120,
+    )  # fmt: skip
+    assert done.stdout.strip() == "[]"
+    assert (tmp_path / "nuisances.csv").exists()
 
 
 def test_the_headline_is_big_enough_for_a_phone_only_when_enlarged(html: str) -> None:

@@ -9,8 +9,9 @@ import pytest
 from totals_cases import flight
 
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.posterior import LinearDraws
-from cassini_bayes.model.totals import TotalsModel, build_model, prior_centre
+from cassini_bayes.model import Draws, Model, build_model
+from cassini_bayes.model.terms import TORQUE
+from cassini_bayes.model.thrusts import ThrustDraws
 from cassini_bayes.results.baselines import (
     MEAN,
     PER_EVENT,
@@ -27,7 +28,7 @@ def equal_pulses(event: TotalsEvent) -> TotalsEvent:
     return replace(event, pulses=pulses, on_time_s=0.125 * pulses)
 
 
-def exact_events(thrust: float) -> tuple[TotalsModel, dict[str, float]]:
+def exact_events(thrust: float) -> tuple[Model, dict[str, float]]:
     """Eight biases flown by thrusters of one level, without noise, at the nominal parameters."""
     events, priors = flight()
     for name in ("hold_rate_rad_s", "hold_attitude_rad", "wheel_resolution_rpm"):
@@ -35,17 +36,15 @@ def exact_events(thrust: float) -> tuple[TotalsModel, dict[str, float]]:
     priors = priors.with_fixed("on_time_resolution_s", 1e-6)
     template = tuple(equal_pulses(with_room(event)) for event in events)
     model = build_model(template, priors, delta_v="ignore")
-    nominal = prior_centre(model)
-    n_events, k = model.stack.on_time_s.shape
-    truth = LinearDraws(
+    nominal = model.space.centre()
+    n_events, k = model.totals_rows.stack.on_time_s.shape
+    thrusts = ThrustDraws(
         thrust_n=np.full((1, n_events, k), thrust),
         common_n=np.full(1, thrust),
         level_n=np.full((1, k), thrust),
-        external_torque_n_m=np.zeros((1, n_events, 3)),
-        software=np.zeros((1, 2)),
     )
-    rng = np.random.default_rng(1)
-    simulated = simulate_totals(template, model, nominal, truth, rng)
+    truth = Draws(nominal, thrusts, ({TORQUE: np.zeros((1, n_events, 3))},))
+    simulated = simulate_totals(template, model, truth, np.random.default_rng(1))
     return build_model(simulated, priors, delta_v="ignore"), nominal
 
 
@@ -61,7 +60,8 @@ def test_pooled_and_mean_estimates_return_the_thrust_of_noise_free_events() -> N
 def test_uncorrected_rectangular_estimate_is_high() -> None:
     """Negative control: the factor matters; without it thrust comes out some 24 % too high."""
     model, nominal = exact_events(0.7)
-    factor = correction_factor(model.stack.on_time_s[0], model.stack.pulses[0], nominal)
+    stack = model.totals_rows.stack
+    factor = correction_factor(stack.on_time_s[0], stack.pulses[0], nominal)
     assert factor == pytest.approx(1 + (0.050 - 0.020) / 0.125, abs=0.06)
     found = perturbation_bars(model, nominal)
     pooled = found[found["method"] == POOLED]["estimate_n"]
@@ -91,7 +91,7 @@ def test_bars_combine_one_at_a_time_perturbations() -> None:
     """RSS is below the worst case; removing the tail-off perturbation leaves smaller bars."""
     events, priors = flight()
     model = build_model(events, priors, delta_v="ignore")
-    nominal = prior_centre(model)
+    nominal = model.space.centre()
     table = perturbation_bars(model, nominal)
     assert (table["bar_rss_n"] <= table["bar_worst_n"] + 1e-12).all()
     no_tail = {**nominal, "tau_fall_s": 1e-9}
@@ -106,7 +106,7 @@ def test_short_on_times_are_marked_invalid() -> None:
     """The 5 s rule of paper 003 marks thrusters with less on-time, in totals per event."""
     events, priors = flight()
     model = build_model(events, priors, delta_v="ignore")
-    table = perturbation_bars(model, prior_centre(model))
+    table = perturbation_bars(model, model.space.centre())
     per_event = table[table["method"] == PER_EVENT]
     assert (per_event["valid"] == (per_event["on_time_s"] >= 5.0)).all()
     assert 0 < per_event["valid"].sum() < len(per_event)
@@ -121,7 +121,7 @@ def test_thruster_that_did_not_fire_has_no_estimate() -> None:
         pulses=events[0].pulses * (np.arange(8) != 2),
     )
     model = build_model((silent, events[1]), priors, delta_v="ignore")
-    table = perturbation_bars(model, prior_centre(model))
+    table = perturbation_bars(model, model.space.centre())
     row = table[
         (table["method"] == PER_EVENT) & (table["event"] == silent.id) & (table["thruster"] == "z3")
     ]

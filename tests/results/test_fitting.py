@@ -7,9 +7,9 @@ import pytest
 from totals_cases import flight
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.model.totals import build_model
+from cassini_bayes.model import build_model
 from cassini_bayes.results.fitting import Sampled, fit_model
-from cassini_bayes.results.review import summarise
+from cassini_bayes.results.tables import summarise
 from cassini_bayes.sampling.ensembles import SamplerSettings, stored_ess
 
 SILENT = SamplerSettings(ensembles=2, target_ess=800, seed=5)

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from event_cases import model
 
-from cassini_bayes.model.joint import full_parameters, joint_physics
-from cassini_bayes.results.inertia import (
+from cassini_bayes.balance.inertia import (
     WITH_WHEELS,
     elements_of,
-    inertia_draws,
     physicality,
     tensor_of,
     without_wheels,
 )
+from cassini_bayes.results.inertia import inertia_draws
 
 
 def test_both_conventions_give_the_same_momentum() -> None:
@@ -22,7 +21,7 @@ def test_both_conventions_give_the_same_momentum() -> None:
     rng = np.random.default_rng(1)
     joint = model("slews")
     z = joint.space.sample(rng, 3)
-    physics = joint_physics(joint, full_parameters(joint, z))
+    physics = joint.points(z).physics(())
     hub = without_wheels(physics, joint.spacecraft, (1, 2, 4))
     rate, spin = rng.standard_normal(3), rng.standard_normal(3)
     axes, weights = physics.wheel_axes[..., [0, 1, 3]], physics.wheel_weights[..., [0, 1, 3]]

@@ -17,17 +17,17 @@ from run_cases import B_BRANCH, FLIGHT
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files import storage
-from cassini_bayes.model.posterior import log_posterior
-from cassini_bayes.model.totals import TotalsModel, build_model
+from cassini_bayes.model import Model, build_model, draw_prior, log_posterior
 from cassini_bayes.priors.reader import read_priors
-from cassini_bayes.results.record import GROUPS, Fit, build_fit, prior_draws, read_fit, save_fit
+from cassini_bayes.results.groups import build_fit
+from cassini_bayes.results.record import GROUPS, Fit, read_fit, save_fit
 from cassini_bayes.spacecraft import thruster_directions
 
 DIMS = {"chain", "draw", "event", "thruster", "wheel", "axis"}
 UNITS = ("1", "N", "s", "m", "kg", "kg m2", "N m", "N m s", "rad", "rad/s", "rpm", "m/s", "m s-1")
 
 
-def make_fit(priors_file: Path = B_BRANCH, **fixed: float) -> tuple[TotalsModel, Fit]:
+def make_fit(priors_file: Path = B_BRANCH, **fixed: float) -> tuple[Model, Fit]:
     """A fit of two flight events to prior draws taken as posterior ones: quick, and complete."""
     priors = read_priors(priors_file)
     for name, value in fixed.items():
@@ -139,7 +139,7 @@ def test_prior_draws_have_the_priors_moments() -> None:
     """Thrusts before the data: mean and spread of common + individual + event + jitter."""
     model, _ = make_fit()
     n = 4_000
-    _, draws = prior_draws(model, n, np.random.default_rng(1))
+    draws = draw_prior(model, n, np.random.default_rng(1))
     priors = read_priors(B_BRANCH)
     scales = {
         name: priors.parameters[name].distribution
@@ -153,7 +153,7 @@ def test_prior_draws_have_the_priors_moments() -> None:
     variance = sum(d.sd() ** 2 for d in scales.values() if d is not None)
     common = scales["thrust_common_n"]
     assert common is not None
-    thrust = draws.thrust_n
+    thrust = draws.thrusts.thrust_n
     assert thrust.shape == (n, 2, thruster_directions(model.spacecraft, "B").shape[1])
     assert thrust.mean(0) == pytest.approx(common.mean(), abs=5 * np.sqrt(variance / n))
     assert thrust.var(0) == pytest.approx(variance, rel=5 * np.sqrt(2 / n))

@@ -8,18 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from event_cases import events, model, simulated
-from numpy.typing import NDArray
+from event_cases import model, simulated
 
-from cassini_bayes.model.joint import joint_log_posterior
-from cassini_bayes.results.joint_draws import draw_all
-from cassini_bayes.results.joint_record import build_joint_fit
+from cassini_bayes.arrays import Array
+from cassini_bayes.model import draw, log_posterior
+from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, read_fit, save_fit
 from cassini_bayes.results.replicates import REPLICATED_ROWS, Replicates, replicated
-from cassini_bayes.results.time_series import DRAWS, Balance, balances, shown_places
+from cassini_bayes.results.time_series import DRAWS, BalanceRows, balances, shown_places
 from cassini_bayes.sampling.warmstart import warm_start
 
-Array = NDArray[np.float64]
 NAMES = ("bias", "slews")
 INNER = 0.9  # nominal share of the measured values inside
 
@@ -29,28 +27,28 @@ def draws() -> Array:
     """Posterior points (2, 300, d) of both events, importance-sampled."""
     joint = model(*NAMES)
     start = warm_start(
-        lambda z: joint_log_posterior(joint, z), len(joint.space.names), np.random.default_rng(2)
+        lambda z: log_posterior(joint, z), len(joint.space.names), np.random.default_rng(2)
     )
     assert start.draws.pareto_k < 0.7
     return start.draws.resample(np.random.default_rng(3), 600).reshape(2, 300, -1)
 
 
 @cache
-def rows() -> tuple[Balance, ...]:
+def rows() -> tuple[BalanceRows, ...]:
     """Balances of both events at the draws that are shown."""
     flat = draws().reshape(600, -1)
     z = flat[shown_places(600)]
-    sample = draw_all(model(*NAMES), z, np.random.default_rng(4))
-    return tuple(balances(model(*NAMES), events(*NAMES), z, sample, REPLICATED_ROWS))
+    drawn = draw(model(*NAMES), z, np.random.default_rng(4))
+    return tuple(balances(model(*NAMES), z, drawn, REPLICATED_ROWS))
 
 
 @cache
 def fit() -> Fit:
     """The record of a fit, with all groups."""
     joint, z = model(*NAMES), draws()
-    density = joint_log_posterior(joint, z.reshape(600, -1)).reshape(2, 300)
+    density = log_posterior(joint, z.reshape(600, -1)).reshape(2, 300)
     rng = np.random.default_rng(5)
-    return build_joint_fit(joint, events(*NAMES), z, density, rng, {}, 200)[0]
+    return build_fit(joint, z, density, rng, {}, 200)
 
 
 def inside(measured: Array, replicates: Array) -> Array:
@@ -158,7 +156,5 @@ def test_a_fit_can_do_without() -> None:
     """Sweeps ask for quantities alone: the telemetry is not read again, and there is no channel."""
     joint, z = model(*NAMES), draws()[:, :5]
     rng = np.random.default_rng(5)
-    found, _ = build_joint_fit(
-        joint, events(*NAMES), z, np.zeros((2, 5)), rng, {}, 5, replicate=False
-    )
+    found = build_fit(joint, z, np.zeros((2, 5)), rng, {}, 5, replicate_rows=False)
     assert "rate_rad_s" not in found.groups["posterior_predictive"]

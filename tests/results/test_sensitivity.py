@@ -7,15 +7,13 @@ import pandas as pd
 import pytest
 from totals_cases import flight
 
-from cassini_bayes.model.posterior import log_posterior, thrust_moments
-from cassini_bayes.model.totals import TotalsModel, build_model
-from cassini_bayes.results.record import draws_of
+from cassini_bayes.model import Model, build_model, conditional_thrusts, draw, log_posterior
 from cassini_bayes.results.sensitivity import error_budget, prior_against_posterior
 from cassini_bayes.sampling.warmstart import warm_start
 
 
 @pytest.fixture(scope="module")
-def fitted() -> tuple[TotalsModel, np.ndarray]:
+def fitted() -> tuple[Model, np.ndarray]:
     """The flight model without ΔV and posterior draws of its nuisances."""
     events, priors = flight()
     model = build_model(events, priors, delta_v="ignore")
@@ -25,7 +23,7 @@ def fitted() -> tuple[TotalsModel, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def budget(fitted: tuple[TotalsModel, np.ndarray]) -> pd.DataFrame:
+def budget(fitted: tuple[Model, np.ndarray]) -> pd.DataFrame:
     """The flight events' error budget."""
     return error_budget(*fitted)
 
@@ -38,12 +36,12 @@ def test_shares_of_the_variance_sum_to_one(budget: pd.DataFrame) -> None:
 
 
 def test_full_sd_is_that_of_the_draws(
-    fitted: tuple[TotalsModel, np.ndarray], budget: pd.DataFrame
+    fitted: tuple[Model, np.ndarray], budget: pd.DataFrame
 ) -> None:
     """The budget's total standard deviation is that of thrusts drawn back (Monte Carlo error)."""
     model, z = fitted
-    _, draws = draws_of(model, z, np.random.default_rng(2))
-    sd = draws.thrust_n.std(0).reshape(-1)
+    draws = draw(model, z, np.random.default_rng(2))
+    sd = draws.thrusts.thrust_n.std(0).reshape(-1)
     assert budget["full_sd_n"].to_numpy() == pytest.approx(sd, rel=4.5 / np.sqrt(2 * len(z)))
 
 
@@ -54,7 +52,7 @@ def test_tail_off_dominates_the_flight_thrusts(budget: pd.DataFrame) -> None:
 
 
 def test_consider_contribution_is_the_shift_from_one_prior_sd(
-    fitted: tuple[TotalsModel, np.ndarray], budget: pd.DataFrame
+    fitted: tuple[Model, np.ndarray], budget: pd.DataFrame
 ) -> None:
     """Moving tau_fall by one prior standard deviation shifts the estimate by its contribution."""
     model, z = fitted
@@ -63,7 +61,7 @@ def test_consider_contribution_is_the_shift_from_one_prior_sd(
     step = 0.2
     shifted = np.tile(centre, (2, 1))
     shifted[:, names.index("tau_fall_s")] += [step, -step]
-    mean, _ = thrust_moments(model, shifted)
+    mean, _ = conditional_thrusts(model, shifted)
     slope = np.abs(mean[0] - mean[1]).reshape(-1) / (2 * step)
     fall = budget["tail-off|consider_n"].to_numpy()
     assert (fall >= slope * 0.98).all()
@@ -71,7 +69,7 @@ def test_consider_contribution_is_the_shift_from_one_prior_sd(
 
 
 def test_conflict_is_flagged_when_a_prior_is_moved_away(
-    fitted: tuple[TotalsModel, np.ndarray],
+    fitted: tuple[Model, np.ndarray],
 ) -> None:
     """A tail-off prior far from what the data want is a conflict; the real one is not."""
     events, priors = flight()

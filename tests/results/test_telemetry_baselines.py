@@ -6,15 +6,14 @@ import json
 
 import numpy as np
 import pytest
-from event_cases import events, model, simulated
+from event_cases import model, simulated
 
 from cassini_bayes.balance.statistics import Sampling
-from cassini_bayes.results.baselines import MEAN, PER_EVENT
+from cassini_bayes.results.baselines import MEAN, PER_EVENT, assumed_points
 from cassini_bayes.results.inertia_baselines import all_axes, axis_by_axis, inertia_methods
 from cassini_bayes.results.telemetry_baselines import (
     UNCORRECTED,
     PlainRows,
-    assumed_physics,
     drift_torque,
     individual_and_paired,
     mean_thrust,
@@ -102,7 +101,7 @@ def test_one_slew_leaves_elements_undetermined() -> None:
 def test_simulated_slews_give_the_true_moments_within_the_bars() -> None:
     """Moments within three bars of the truth; bars are hand-picked, wheel inertia drives them."""
     truth = json.loads((simulated() / "truth.json").read_text())["parameters"]
-    table = inertia_methods(model("bias", "slews"), events("bias", "slews"))
+    table = inertia_methods(model("bias", "slews"))
     assert list(dict.fromkeys(table["event"])) == ["slews"]
     for _, row in table[table["element"].isin(["xx", "yy", "zz"])].iterrows():
         error = row["estimate_kg_m2"] - truth[f"inertia_{row['element']}_kg_m2"]
@@ -111,7 +110,7 @@ def test_simulated_slews_give_the_true_moments_within_the_bars() -> None:
 
 def test_simulated_bias_needs_the_correction_and_short_on_times_are_not_valid() -> None:
     """Rectangular pulses overestimate by the tail-off; below 5 s of on-time nothing is valid."""
-    table = thrust_methods(model("bias", "slews"), events("bias", "slews"))
+    table = thrust_methods(model("bias", "slews"))
     assert list(dict.fromkeys(table["event"])) == ["bias"]
     by_method = table.set_index(["method", "thruster"])["estimate_n"]
     raw, divided = by_method[MEAN + UNCORRECTED, "z1"], by_method[MEAN, "z1"]
@@ -128,12 +127,13 @@ def test_torque_from_the_drift_of_the_wheels() -> None:
     """
     joint = model("slews")
     published = 1e-6 * np.array([-0.53, -2.11, 1.83])
-    _, physics = assumed_physics(joint)
-    weights = physics.wheel_weights[0][:, list(joint.telemetry[0].wheel_places)]
+    (term,) = joint.telemetry
+    physics = assumed_points(joint, joint.space.centre()).physics(())
+    weights = term.balance.wheel_weights(physics)[0]
     drift = np.linalg.solve(weights, published)
     time = np.arange(0.0, 7200.0, 4.0)
     data = PlainRows(
         time, np.empty(0), np.empty(0), 50.0 + np.outer(time, drift), np.empty(0), np.empty(0)
     )
-    found = drift_torque(physics, joint.telemetry[0].wheel_places, data)
+    found = drift_torque(term, physics, data)
     assert found[0] == pytest.approx(published, rel=1e-9)

@@ -10,17 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from numpy.typing import NDArray
 from spacecraft_cases import CASSINI, FILES, PRIORS, TWELVE, balanced_events, priors_of, table
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
-from cassini_bayes.model.posterior import collapse, draw_linear, log_posterior
-from cassini_bayes.model.totals import TotalsModel, build_model, linear_system
+from cassini_bayes.model import Model, build_model, draw, log_posterior
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.spacecraft import AXIS_DEMANDS, Spacecraft, lever_arms, load_spacecraft
 
-Array = NDArray[np.float64]
 TEXT = TWELVE.read_text(encoding="utf-8")
 
 # what is changed: (old, new) in the made-up file, and what the message must name
@@ -317,14 +315,13 @@ def made_up(name: str, seed: int) -> tuple[tuple[TotalsEvent, ...], Array]:
     return balanced_events(name, priors.branch, values, thrust, rng, n), thrust
 
 
-def posterior_thrust(model: TotalsModel) -> tuple[Array, Array]:
+def posterior_thrust(model: Model) -> tuple[Array, Array]:
     """Mean and standard deviation (E, K) of every thrust, all nuisances integrated over."""
     rng = np.random.default_rng(5)
     warm = warm_start(lambda z: log_posterior(model, z), len(model.space.names), rng)
     assert warm.draws.pareto_k < 0.7
     z = warm.draws.resample(rng, 1500)
-    system = linear_system(model, model.space.to_parameters(z))
-    thrust = draw_linear(model, system, collapse(model, system), rng).thrust_n
+    thrust = draw(model, z, rng).thrusts.thrust_n
     return thrust.mean(0), thrust.std(0)
 
 
@@ -344,9 +341,10 @@ def test_thrusts_of_any_spacecraft_are_recovered(name: str, tmp_path: Path) -> N
     # the scores share one common scale: their mean scatters like a single standard normal
     assert 0.3 < np.sqrt(np.mean(score**2)) < 2.5
     prior_sd = np.hypot(
-        model.linear.common_sd_n, np.sqrt(np.diag(model.linear.own @ model.linear.own.T))
+        model.thrust_prior.common_sd_n,
+        np.sqrt(np.diag(model.thrust_prior.own @ model.thrust_prior.own.T)),
     )
-    assert np.median(sd / np.hypot(prior_sd, model.linear.individual_sd_n)) < 0.6
+    assert np.median(sd / np.hypot(prior_sd, model.thrust_prior.individual_sd_n)) < 0.6
     # negative control: on-times recorded half again too long cannot pass for these thrusts
     longer = tuple(replace(event, on_time_s=1.5 * event.on_time_s) for event in events)
     wrong, spread = posterior_thrust(build_model(longer, priors))

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import curve_fit
 from totals_cases import B_BRANCH, FLIGHT, cassini_arm, cassini_wheel_axis, flight, point
 
-from cassini_bayes.model.totals import build_model, prior_centre
+from cassini_bayes.model import build_model
 from cassini_bayes.studies.perturbation_campaign import holds_claim, verdict
 from cassini_bayes.studies.perturbation_coverage import (
     CLAIMS,
@@ -54,7 +54,7 @@ def test_standard_errors_are_those_of_a_least_squares_program() -> None:
     """scipy's curve_fit on balances written out by hand gives the same errors, pooled and mean."""
     rows, priors = flight()
     model = build_model(rows, priors, delta_v="ignore")
-    nominal = prior_centre(model)
+    nominal = model.space.centre()
     values = point(model, np.zeros((1, model.space.dimension))) | nominal
     errors = squares_errors(model, nominal)
     couples = (("z1",), ("z2",), ("z3",), ("z4",), ("y1", "y3"), ("y2", "y4"))

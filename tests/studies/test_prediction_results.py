@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import run_cases
-from numpy.typing import NDArray
 from prediction_cases import SIZE, beliefs, flights, folds, learned, model, write_run_folder
 from totals_cases import B_BRANCH, FLIGHT
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.prediction.ground_software import (
@@ -60,7 +60,6 @@ from cassini_bayes.studies.prediction.findings import (
     table_csv,
 )
 
-Array = NDArray[np.float64]
 LINE = "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"
 
 
@@ -183,7 +182,7 @@ def test_a_fit_gives_its_own_draws_back(fit: Path) -> None:
 
 def test_a_fit_of_other_events_is_refused(fit: Path, tmp_path: Path) -> None:
     """Ids or on-times that differ, and files that are no fit."""
-    from cassini_bayes.model.totals import build_model
+    from cassini_bayes.model import build_model
 
     events, priors = flights()
     rng = np.random.default_rng(1)
@@ -202,8 +201,7 @@ def test_importance_draws_are_those_of_the_posterior() -> None:
     """Means of the walked parameters against the self-normalised weights of other draws."""
     from functools import partial
 
-    from cassini_bayes.model.posterior import log_posterior
-    from cassini_bayes.model.totals import build_model
+    from cassini_bayes.model import build_model, log_posterior
     from cassini_bayes.sampling.warmstart import warm_start
 
     events, priors = flights(3)

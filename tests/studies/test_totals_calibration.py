@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from totals_cases import B_BRANCH, FLIGHT, flight, plain_log_likelihood, point
 
-from cassini_bayes.model.totals import build_model
+from cassini_bayes.model import build_model, draw_prior
 from cassini_bayes.results.ranks import Ranks
-from cassini_bayes.results.record import prior_draws
 from cassini_bayes.studies import totals_calibration as calibration
 from cassini_bayes.studies.totals_calibration import (
     Campaign,
@@ -39,18 +38,18 @@ def test_simulated_events_close_their_momentum_balance() -> None:
     template = tuple(with_room(event) for event in events)
     model = build_model(template, priors, delta_v="ignore")
     rng = np.random.default_rng(2)
-    parameters, truth = prior_draws(model, 1, rng)
-    simulated = simulate_totals(template, model, parameters, truth, rng)
-    truth_z = np.atleast_2d(model.space.to_standard(parameters))
+    truth = draw_prior(model, 1, rng)
+    simulated = simulate_totals(template, model, truth, rng)
+    truth_z = np.atleast_2d(model.space.to_standard(truth.parameters))
     loose = {**point(model, truth_z), "hold_rate_rad_s": 1e-7}
 
     def density(scale: float) -> float:
         return plain_log_likelihood(
             simulated,
             loose,
-            truth.thrust_n[0] * scale,
-            truth.external_torque_n_m[0],
-            model.linear.common_mean_n,
+            truth.thrusts.thrust_n[0] * scale,
+            truth.torque_n_m[0],
+            model.thrust_prior.common_mean_n,
             expand_jacobian=False,
         )
 
@@ -65,10 +64,10 @@ def test_simulated_on_times_respond_and_stay_positive() -> None:
     model = build_model(template, priors, delta_v="ignore")
     rng = np.random.default_rng(4)
     for _ in range(50):
-        parameters, truth = prior_draws(model, 1, rng)
-        simulated = simulate_totals(template, model, parameters, truth, rng)
+        truth = draw_prior(model, 1, rng)
+        simulated = simulate_totals(template, model, truth, rng)
         for row, event in enumerate(simulated):
-            answers = np.abs(model.stack.response[row]).sum(-1) > 0
+            answers = np.abs(model.totals_rows.stack.response[row]).sum(-1) > 0
             assert event.on_time_s[~answers] == pytest.approx(template[row].on_time_s[~answers])
             assert (event.on_time_s > 0).all()
             assert event.pulses is not None

@@ -6,29 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from sweep_cases import TOY_NAMES, small_fit, toy_baseline, toy_exact
-from telemetry_cases import made_up_samples, reduced, telemetry_priors
+from telemetry_cases import event_of, made_up_samples, telemetry_priors
 from totals_cases import flight
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.model.joint import build_joint_model
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.cells import BY_CHAIN, REFITTED, REWEIGHTED, cell_arrays
-from cassini_bayes.sweep.models import JointSweepModel, TotalsFactory, chosen_names
+from cassini_bayes.sweep.models import Factory, chosen_names
 from cassini_bayes.sweep.plan import plan
 from cassini_bayes.sweep.specification import GridTable, GroupTable, SweepFile
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of, with_family
 from cassini_bayes.sweep.weights import Weights, smoothed_weights
 
-Array = NDArray[np.float64]
-
 CENTRE = "centre of mass"
 
 
 @pytest.fixture(scope="module")
-def fitted() -> tuple[TotalsFactory, Fit]:
+def fitted() -> tuple[Factory, Fit]:
     """Two flight events, fitted by importance draws."""
     return small_fit()
 
@@ -108,7 +105,7 @@ def test_cells_do_not_depend_on_the_order_they_are_worked_out_in() -> None:
 
 @pytest.mark.statistical
 def test_weighted_and_fitted_anew_agree_where_the_weights_are_good(
-    fitted: tuple[TotalsFactory, Fit],
+    fitted: tuple[Factory, Fit],
 ) -> None:
     """Flight events: every trusted cell agrees with its own fit within Monte Carlo error."""
     factory, fit = fitted
@@ -138,7 +135,7 @@ def test_weighted_and_fitted_anew_agree_where_the_weights_are_good(
     assert np.sqrt((every**2).mean()) < 1.4
 
 
-def test_wrong_weights_would_be_seen(fitted: tuple[TotalsFactory, Fit]) -> None:
+def test_wrong_weights_would_be_seen(fitted: tuple[Factory, Fit]) -> None:
     """Negative control: weights of another change than the one fitted are many errors off."""
     factory, fit = fitted
     sweep = SweepFile(quantities=["thrust_level_n"], blocks=["tail-off"])
@@ -152,7 +149,7 @@ def test_wrong_weights_would_be_seen(fitted: tuple[TotalsFactory, Fit]) -> None:
     assert (np.abs(weighted["0.shift"] - anew["1.shift"]) > 8 * error).all()
 
 
-def test_fits_of_other_priors_are_refused(fitted: tuple[TotalsFactory, Fit]) -> None:
+def test_fits_of_other_priors_are_refused(fitted: tuple[Factory, Fit]) -> None:
     """A fit whose log density the model does not give back is not swept."""
     factory, fit = fitted
     other = replace(factory, priors=factory.priors.scaled(["hold_rate_rad_s"], shift=0.1))
@@ -161,7 +158,7 @@ def test_fits_of_other_priors_are_refused(fitted: tuple[TotalsFactory, Fit]) -> 
 
 
 def test_fits_without_the_log_prior_of_a_block_are_refused(
-    fitted: tuple[TotalsFactory, Fit],
+    fitted: tuple[Factory, Fit],
 ) -> None:
     """A fit of an older version would lose a block's power scaling without a word."""
     factory, fit = fitted
@@ -170,7 +167,7 @@ def test_fits_without_the_log_prior_of_a_block_are_refused(
         plan(factory, replace(fit, groups={**fit.groups, "log_prior": older}), SweepFile(), "test")
 
 
-def test_groups_that_would_share_a_file_are_refused(fitted: tuple[TotalsFactory, Fit]) -> None:
+def test_groups_that_would_share_a_file_are_refused(fitted: tuple[Factory, Fit]) -> None:
     """Names that differ only in signs a file name cannot have: no cell replaces another."""
     factory, fit = fitted
     groups = [
@@ -181,7 +178,7 @@ def test_groups_that_would_share_a_file_are_refused(fitted: tuple[TotalsFactory,
         plan(factory, fit, SweepFile(group=groups), "test")
 
 
-def test_priors_beyond_arithmetic_are_one_line(fitted: tuple[TotalsFactory, Fit]) -> None:
+def test_priors_beyond_arithmetic_are_one_line(fitted: tuple[Factory, Fit]) -> None:
     """A width under which a matrix cannot be factored is an input error that names the cell."""
     factory, fit = fitted
     study = plan(factory, fit, SweepFile(blocks=["thrust"]), "test")
@@ -192,7 +189,7 @@ def test_priors_beyond_arithmetic_are_one_line(fitted: tuple[TotalsFactory, Fit]
 
 
 def test_quantities_are_chosen_by_name_element_and_star(
-    fitted: tuple[TotalsFactory, Fit],
+    fitted: tuple[Factory, Fit],
 ) -> None:
     """A quantity means all its elements, * any part; what is fixed or unknown is refused."""
     posterior = fitted[1].posterior
@@ -205,7 +202,7 @@ def test_quantities_are_chosen_by_name_element_and_star(
         chosen_names(posterior, ["tau_fal_s"], "t")
 
 
-def test_every_block_is_swept_by_default(fitted: tuple[TotalsFactory, Fit]) -> None:
+def test_every_block_is_swept_by_default(fitted: tuple[Factory, Fit]) -> None:
     """The grid covers the blocks the model has, and changes something in every cell."""
     factory, fit = fitted
     study = plan(factory, fit, SweepFile(), "test")
@@ -223,8 +220,8 @@ def test_every_block_is_swept_by_default(fitted: tuple[TotalsFactory, Fit]) -> N
 def test_every_cell_of_telemetry_alone_can_be_computed() -> None:
     """No change of the default grid asks a telemetry model for a parameter it cannot walk."""
     priors = telemetry_priors()
-    statistics = [reduced(made_up_samples(np.random.default_rng(1)), priors)]
-    model = JointSweepModel(build_joint_model(statistics, priors), ())
+    factory = Factory((event_of(made_up_samples(np.random.default_rng(1)), priors),), priors)
+    model = factory.build(priors)
     grid = GridTable()
     cells = grid_of(
         blocks_of(model, priors),
@@ -236,7 +233,7 @@ def test_every_cell_of_telemetry_alone_can_be_computed() -> None:
     )
     assert {cell.group for cell in cells} >= {"thrust", "inertia", "torque", "tail-off"}
     for cell in cells:
-        changed = JointSweepModel(build_joint_model(statistics, cell.applied(priors)), ())
+        changed = factory.build(cell.applied(priors))
         middle = np.zeros((1, changed.space.dimension))
         assert np.isfinite(changed.log_likelihood(middle)).all(), cell.key
 
@@ -244,7 +241,7 @@ def test_every_cell_of_telemetry_alone_can_be_computed() -> None:
 def test_groups_of_unknown_or_fixed_parameters_are_refused() -> None:
     """A parameter the model does not use, or a group with nothing free, is an input error."""
     rows, priors = flight(1)
-    model = TotalsFactory(rows, priors, delta_v="ignore").build(priors)
+    model = Factory(rows, priors, delta_v="ignore").build(priors)
     options = {"widths": [2.0], "shifts": [], "families": []}
     with pytest.raises(InputError, match="mass_factor"):
         grid_of([Group("own", ("mass_factor",))], model, priors, **options)

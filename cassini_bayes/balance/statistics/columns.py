@@ -13,18 +13,18 @@ derivatives with respect to τ_r and τ_f there (exact in τ_f for ``first_order
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.statistics.rows import Samples, quiet_rows
 from cassini_bayes.balance.statistics.turning import turned_into_body
 from cassini_bayes.spacecraft.pulses import PulseShape
 
-Array = NDArray[np.float64]
 AXES = "xyz"
 PULSE_COLUMNS = ("reference", "rise", "fall")
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
@@ -209,6 +209,21 @@ class Rows:
     time_s: Array  # (n,)
     vector: Array  # (n, 3, V) component, column
     scalar: Array  # (n, S)
+    cosines: Array  # (n, 3, 3) inertial to body
+
+    def part(self, places: slice) -> Rows:
+        """Some of the rows."""
+        return Rows(*(getattr(self, field.name)[places] for field in fields(self)))
+
+    @staticmethod
+    def joined(parts: Sequence[Rows]) -> Rows:
+        """Several stretches of rows, one after the other."""
+        return Rows(
+            *(
+                np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(Rows)
+            )
+        )
 
 
 def direction_cosines(attitude: Array) -> Array:
@@ -249,7 +264,7 @@ def settle(
 
 def _no_rows(layout: Layout) -> Rows:
     scalars = np.empty((0, len(layout.scalar)))
-    return Rows(np.empty(0), np.empty((0, 3, len(layout.vector))), scalars)
+    return Rows(np.empty(0), np.empty((0, 3, len(layout.vector))), scalars, np.empty((0, 3, 3)))
 
 
 def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> tuple[Rows, Carry]:
@@ -302,7 +317,7 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
         last_attitude=attitude[-1],
         torque=torque[-1],
     )
-    return Rows(time[keep], vector, scalar), after
+    return Rows(time[keep], vector, scalar, body), after
 
 
 class _Counted:
@@ -343,7 +358,7 @@ def _context(now: Samples, guard_s: float) -> int:
     return int(counted[before][-1]) if before.any() else len(now) - 1
 
 
-def _usable(samples: Samples, time: Array, sampling: Sampling) -> NDArray[np.bool_]:
+def _usable(samples: Samples, time: Array, sampling: Sampling) -> Flags:
     if samples.on_time_s.shape[1] == 0:
         return np.ones(len(time), dtype=bool)
     counted = samples.has_counters

@@ -23,10 +23,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, solveh_banded
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
+
 # Least step that counts as rounding, s: what is finer leaves a hundredth of a rate sample's noise.
 LEAST_STEP_S: Final = 5e-4
 # Widths' variances tried, in units of the rounding's: from none to no rounding at all.
@@ -112,7 +112,7 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, fl
         return on_time_s, 0.0
     # a pulse may run over a reading: what follows without a pause belongs together
     run = np.concatenate([[0], np.cumsum(np.diff(active) > 1)])
-    seconds = np.bincount(run, change[active])
+    seconds = np.asarray(np.bincount(run, change[active]), dtype=np.float64)
     count = np.maximum(np.bincount(run, np.diff(pulses)[active]), 1.0)
     if len(seconds) < LEAST_RUNS:
         return on_time_s, step_s**2 / 12.0
@@ -157,4 +157,4 @@ def _log_likelihood(seconds: Array, count: Array, spread: float, rounding: float
     by_count = _solve(count, count, spread, rounding)
     missed = seconds - count * _mean_width(seconds, count, spread, rounding)
     square = float(missed @ _solve(missed, count, spread, rounding))
-    return -0.5 * (square + log_det + np.log(float(by_count @ count)))
+    return float(-0.5 * (square + log_det + np.log(by_count @ count)))

@@ -1,33 +1,22 @@
-"""Figures of a review, as matplotlib objects outside any plotting session."""
+"""Figures as matplotlib objects outside any plotting session, and their files.
+
+Importing this loads no matplotlib: it is loaded when a figure is drawn.
+"""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal
-
-import matplotlib
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from cassini_bayes.files.storage import write_bytes
-from cassini_bayes.report.plots.budget import budget_figure
-from cassini_bayes.report.plots.checks import (
-    balance_figure,
-    convergence_figure,
-    predictive_figure,
-)
-from cassini_bayes.report.plots.corners import nuisance_corners, thrust_corner
-from cassini_bayes.report.plots.delta_v import delta_v_figure, delta_v_thrust_figure
-from cassini_bayes.report.plots.inertia import inertia_figure, observability_figure
-from cassini_bayes.report.plots.nuisances import nuisance_figure, torque_figure
-from cassini_bayes.report.plots.style import STYLE
-from cassini_bayes.report.plots.thrusts import thrust_figure
-from cassini_bayes.report.plots.time_series import series_figures
-from cassini_bayes.results.review import Review
 
-__all__ = ["Figure", "encode", "is_corner", "make_figures", "save_figures", "settle"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Figure", "draw", "encode", "is_corner", "save_figures", "settle"]
 
 DOTS_PER_INCH: Final = 150
 CORNER: Final = "corner"
@@ -42,34 +31,14 @@ _NO_LAYOUT: Final[Mapping[Any, object]] = {
 }
 
 
-def make_figures(review: Review) -> dict[str, Figure]:
-    """Every figure of a review by name, in the order of the report.
+def draw(drawings: Mapping[str, Callable[[], Figure | None]]) -> dict[str, Figure]:
+    """Figures by name, in order, in the house style; one that has nothing to show is absent."""
+    import matplotlib
 
-    Names: ``thrusts``, ``corner_thrusts``, ``nuisances``, ``torques``, ``corner_nuisances_1`` …,
-    ``budget``, ``predictive``, ``balance``, ``delta_v``, ``delta_v_thrusts``, ``convergence``; with
-    telemetry also ``inertia``, ``observability`` and ``series_1`` …. A figure that has nothing to
-    show (no ΔV, fewer than two free parameters) is absent.
-    """
+    from cassini_bayes.report.plots.style import STYLE
+
     with matplotlib.rc_context(dict(STYLE)):
-        found: dict[str, Figure | None] = {
-            "thrusts": thrust_figure(review),
-            "corner_thrusts": thrust_corner(review),
-            "inertia": inertia_figure(review),
-            "observability": observability_figure(review),
-            "nuisances": nuisance_figure(review),
-            "torques": torque_figure(review),
-        }
-        for i, page in enumerate(nuisance_corners(review), start=1):
-            found[f"corner_nuisances_{i}"] = page
-        found |= {
-            "budget": budget_figure(review),
-            "predictive": predictive_figure(review),
-            "balance": balance_figure(review),
-            "delta_v": delta_v_figure(review),
-            "delta_v_thrusts": delta_v_thrust_figure(review),
-            "convergence": convergence_figure(review),
-            **series_figures(review),
-        }
+        found = {name: make() for name, make in drawings.items()}
         figures = {name: figure for name, figure in found.items() if figure is not None}
         for figure in figures.values():
             settle(figure)
@@ -84,6 +53,10 @@ def settle(figure: Figure, solutions: int = 2) -> None:
     settings. A figure that keeps an engine, even one that does nothing, is drawn twice for every
     file.
     """
+    import matplotlib
+
+    from cassini_bayes.report.plots.style import STYLE
+
     engine = figure.get_layout_engine()
     if engine is not None:
         for axes in figure.axes:
@@ -101,6 +74,10 @@ def is_corner(name: str) -> bool:
 
 def encode(figure: Figure, kind: Kind) -> bytes:
     """The figure as PNG (150 dpi) or SVG (text as outlines, no fonts needed), reproducibly."""
+    import matplotlib
+
+    from cassini_bayes.report.plots.style import STYLE
+
     stream = io.BytesIO()
     with matplotlib.rc_context(dict(STYLE)):
         figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata=dict(_METADATA[kind]))
@@ -124,3 +101,12 @@ def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
             write_bytes(path, encode(figure, kind))
             written.append(path)
     return written
+
+
+def __getattr__(name: str) -> Any:
+    """matplotlib's class of figures, for those who ask for it here."""
+    if name != "Figure":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from matplotlib.figure import Figure
+
+    return Figure

@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
-from cassini_bayes.report.plots.style import BLOCK_FILLS, INK, new_figure
-from cassini_bayes.report.plots.tables import grid, thrusters_of
+from cassini_bayes.arrays import Array
+from cassini_bayes.report.plots.style import (
+    BLOCK_FILLS,
+    INK,
+    headline,
+    new_figure,
+    patch,
+)
+from cassini_bayes.report.plots.tables import (
+    NOISE_ONLY,
+    NONLINEAR,
+    SHARE,
+    budget_blocks,
+    grid,
+    thrusters_of,
+)
 from cassini_bayes.results.review import Review
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-SHARE: Final = "|share"
+
 LEAST_SHOWN: Final = 0.003  # a share too thin to be seen is not in the legend
-NOISE_ONLY: Final = "noise-only"
-NONLINEAR: Final = "nonlinear"
-NOT_BLOCKS: Final = (NOISE_ONLY, NONLINEAR)  # what is left besides the blocks of nuisances
-
-
-def budget_blocks(budget: pd.DataFrame) -> list[str]:
-    """Blocks of the error budget, largest mean share first; noise and the rest last."""
-    columns = [c for c in budget.columns if c.endswith(SHARE)]
-    names = [c.removesuffix(SHARE) for c in columns]
-    blocks = [n for n in names if n not in NOT_BLOCKS]
-    blocks.sort(key=lambda n: -float(np.nanmean(np.abs(budget[n + SHARE]))) if len(budget) else 0.0)
-    return blocks + [n for n in NOT_BLOCKS if n in names]
 
 
 def block_label(block: str) -> str:
@@ -43,13 +43,8 @@ def block_label(block: str) -> str:
     }.get(block, block)
 
 
-def budget_figure(review: Review) -> Figure | None:
-    """Shares of each thrust's variance by block, and the three standard deviations, in mN.
-
-    None without thrusts.
-    """
-    if review.budget.empty:
-        return None
+def budget_figure(review: Review) -> Figure:
+    """Shares of each thrust's variance by block, and the three standard deviations, in mN."""
     thrusters, budget = thrusters_of(review), review.budget
     events = int(budget["event"].nunique())
     figure = new_figure(11.4, 0.40 * len(thrusters) + 2.6)
@@ -62,16 +57,14 @@ def budget_figure(review: Review) -> Figure | None:
     shares.set_ylabel("thruster")
     sigmas.set_ylabel("thruster")
     sigmas.yaxis.label.set_visible(False)
-    figure.suptitle(
+    headline(
+        figure,
         "Error budget of the thrusts" + (f", mean over {events} events" if events > 1 else ""),
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
     )
     blocks = budget_blocks(budget)
     figure.legend(
         handles=[
-            Patch(facecolor=fill, hatch=hatch, edgecolor="white", label=block_label(block))
+            patch(facecolor=fill, hatch=hatch, edgecolor="white", label=block_label(block))
             for block, (fill, hatch) in _fills(blocks).items()
             if (budget[block + SHARE].abs() >= LEAST_SHOWN).any()
         ],

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from cassini_bayes.report.plots.panels import (
     bars,
@@ -17,23 +15,31 @@ from cassini_bayes.report.plots.panels import (
     thruster_panels,
 )
 from cassini_bayes.report.plots.quantities import INTERVAL, NORMAL_90, NORMAL_INTERVAL, short_events
-from cassini_bayes.report.plots.style import INK, POSTERIOR, event_axis, new_figure
-from cassini_bayes.report.plots.tables import events_of, grid, thrusters_of
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    event_axis,
+    headline,
+    line,
+    new_figure,
+)
+from cassini_bayes.report.plots.tables import grid, thrusters_of
 from cassini_bayes.results.review import Review
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CHANNEL_NOISE: Final = "delta_v_noise_m_s"
 MM_PER_M: Final = 1e3
 
 
-def delta_v_figure(review: Review) -> Figure | None:
-    """Printed ΔV against the fit of the on-board computation; None when no event declares one.
+def delta_v_figure(review: Review) -> Figure:
+    """Printed ΔV against the fit of the on-board computation.
 
     The thick bar is what is known of the computed value, the thin one adds the channel's own noise,
     as fitted: the printed value belongs in the thin one.
     """
     table = review.delta_v
-    if table.empty:
-        return None
     events = [str(e) for e in table["event"]]
     printed, mean, sd = (
         table[c].to_numpy(dtype=float)
@@ -55,33 +61,12 @@ def delta_v_figure(review: Review) -> Figure | None:
     values.set_ylabel("ΔV [mm/s]")
     values.set_ylim(bottom=0.0)
     differences.set_ylabel("ΔV minus the fit's mean [mm/s]")
-    figure.suptitle(
-        "ΔV: printed, and the on-board computation as fitted",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, "ΔV: printed, and the on-board computation as fitted")
     figure.legend(
         handles=[
-            Line2D(
-                [],
-                [],
-                ls="",
-                marker="D",
-                ms=5,
-                mfc="white",
-                color=INK,
-                label="printed with the event",
-            ),
-            Line2D(
-                [],
-                [],
-                color=POSTERIOR,
-                lw=6,
-                alpha=0.4,
-                label="computed value",
-            ),
-            Line2D([], [], color=POSTERIOR, lw=1.2, label="with the channel's own noise"),
+            line(ls="", marker="D", ms=5, mfc="white", color=INK, label="printed with the event"),
+            line(color=POSTERIOR, lw=6, alpha=0.4, label="computed value"),
+            line(color=POSTERIOR, lw=1.2, label="with the channel's own noise"),
         ],
         loc="outside lower center",
         ncols=3,
@@ -99,17 +84,15 @@ def _channel_noise_mm_s(review: Review) -> float:
     return 0.0
 
 
-def delta_v_thrust_figure(review: Review) -> Figure | None:
-    """Thrust under the uses of ΔV, one panel per thruster; None when there are no variants."""
-    table = review.variants
-    if table.empty:
-        return None
-    events, thrusters = events_of(review), thrusters_of(review)
+def delta_v_thrust_figure(review: Review) -> Figure:
+    """Thrust under the uses of ΔV, one panel per thruster."""
+    table, thrusters = review.variants, thrusters_of(review)
+    events = list(dict.fromkeys(table["event"].astype(str)))
     variants = list(dict.fromkeys(table["variant"]))
     labels = short_events(events)
     grids = {
         variant: [
-            grid(table[table["variant"] == variant], column, review)
+            grid(table[table["variant"] == variant], column, review, events=events)
             for column in ("mean_n", "hdi_90_low_n", "hdi_90_high_n")
         ]
         for variant in variants
@@ -123,16 +106,11 @@ def delta_v_thrust_figure(review: Review) -> Figure | None:
             bars(axes, mean[:, k], low[:, k], high[:, k], colour, marker, offset=offset, width=2.4)
         finish(axes, name, labels, limits)
     outer_labels(panels)
-    figure.suptitle(
-        f"Thrust under the uses of ΔV – posterior mean and {INTERVAL}",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, f"Thrust under the uses of ΔV – posterior mean and {INTERVAL}")
     legend_below(
         figure,
         [
-            Line2D([], [], color=colour, marker=marker, lw=2.4, ms=5, mfc="white", label=variant)
+            line(color=colour, marker=marker, lw=2.4, ms=5, mfc="white", label=variant)
             for variant, (colour, marker, _) in zip(variants, looks, strict=True)
         ],
     )

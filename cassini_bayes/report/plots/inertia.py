@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
-from cassini_bayes.report.plots.quantities import INTERVAL_SHORT
-from cassini_bayes.report.plots.style import BASELINE, INK, POSTERIOR, PRIOR, new_figure
+from cassini_bayes.balance.inertia import ELEMENTS, WITH_WHEELS
+from cassini_bayes.report.plots.quantities import INTERVAL_SHORT, observed_name
+from cassini_bayes.report.plots.style import (
+    BASELINE,
+    INK,
+    POSTERIOR,
+    PRIOR,
+    headline,
+    line,
+    new_figure,
+    patch,
+)
 from cassini_bayes.report.plots.tables import flat_draws
-from cassini_bayes.results.review import Review, hdi
+from cassini_bayes.results.review import Review
+from cassini_bayes.results.tables import hdi
 
-ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
 VERDICT_FILLS: Final = {
     "seen well": "#22558c",
     "seen": "#6699CC",
@@ -29,14 +41,12 @@ WIDEST_SD: Final = 6.0
 def inertia_figure(review: Review) -> Figure | None:
     """Every element: prior, posterior, and the papers' least squares with their bars.
 
-    None without telemetry or where no element was walked.
+    None where no element was walked.
     """
-    if review.telemetry is None:
-        return None
-    walked = [e for e in ELEMENTS if f"inertia_{e}_kg_m2" in review.fit.posterior]
+    walked = [e for e in ELEMENTS if WITH_WHEELS.format(e) in review.fit.posterior]
     if not walked:
         return None
-    methods = review.telemetry.inertia_methods
+    methods = review.inertia_methods
     labels = [] if methods.empty else list(dict.fromkeys(methods["label"]))
     figure = new_figure(11.6, 2 * (0.17 * len(labels) + 1.5) + 0.9)
     panels = figure.subplots(2, 3, sharey=True, squeeze=False).ravel()
@@ -44,18 +54,13 @@ def inertia_figure(review: Review) -> Figure | None:
         _element(axes, review, element, labels)
     for axes in panels[len(walked) :]:
         axes.remove()
-    figure.suptitle(
-        "Inertia about the centre of mass, wheels included as if not spinning",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, "Inertia about the centre of mass, wheels included as if not spinning")
     figure.legend(handles=_inertia_legend(bool(labels)), loc="outside lower center", ncols=3)
     return figure
 
 
 def _element(axes: Axes, review: Review, element: str, labels: list[str]) -> None:
-    name = f"inertia_{element}_kg_m2"
+    name = WITH_WHEELS.format(element)
     posterior = flat_draws(review.fit.posterior, name)
     prior = flat_draws(review.fit.prior, name)
     low, high = hdi(posterior)
@@ -65,8 +70,7 @@ def _element(axes: Axes, review: Review, element: str, labels: list[str]) -> Non
     axes.plot([posterior.mean()], [0], "o", mfc="white", mec=POSTERIOR, ms=5, zorder=4)
     ends = [float(before[0]), float(before[1]), float(low), float(high)]
     if labels:
-        assert review.telemetry is not None  # labels come from it
-        table = review.telemetry.inertia_methods
+        table = review.inertia_methods
         rows = table[table["element"] == element].set_index("label")
         for place, label in enumerate(labels, start=1):
             if label in rows.index and np.isfinite(float(rows.loc[label, "estimate_kg_m2"])):
@@ -91,28 +95,24 @@ def _method(axes: Axes, place: int, row: pd.Series) -> None:
 
 def _inertia_legend(methods: bool) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
-        Line2D(
-            [],
-            [],
+        line(
             color=POSTERIOR,
             marker="o",
             lw=5,
             mfc="white",
             label=f"posterior mean and {INTERVAL_SHORT}",
         ),
-        Patch(facecolor="#ececec", edgecolor=PRIOR, label="prior, 90 % equal-tailed interval"),
+        patch(facecolor="#ececec", edgecolor=PRIOR, label="prior, 90 % equal-tailed interval"),
     ]
     if methods:
         label = "least squares ± perturbations (rss)"
-        handles.append(Line2D([], [], color=BASELINE, marker="D", ms=4.2, lw=1.0, label=label))
+        handles.append(line(color=BASELINE, marker="D", ms=4.2, lw=1.0, label=label))
     return handles
 
 
-def observability_figure(review: Review) -> Figure | None:
-    """Expected posterior over prior width, and the width that came out; None without telemetry."""
-    if review.telemetry is None:
-        return None
-    table = review.telemetry.observability.table
+def observability_figure(review: Review) -> Figure:
+    """Expected posterior over prior width, and the width that came out."""
+    table = review.observability.table
     rows = table[~table["quantity"].str.contains("thrust[", regex=False)]
     levels = table[table["quantity"].str.startswith("thrust[all events")]
     shown = pd.concat([levels, rows], ignore_index=True)
@@ -132,28 +132,14 @@ def observability_figure(review: Review) -> Figure | None:
     axes.axvline(1.0, color="#999999", lw=0.8)
     axes.grid(axis="x")
     axes.set_xlabel("posterior over prior standard deviation (1: the prior is returned)")
-    figure.suptitle(
-        "What these events can see: expected before sampling, and what came out",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, "What these events can see: expected before sampling, and what came out")
     handles: list[Line2D | Patch] = [
-        Patch(facecolor=fill, label=f"expected: {verdict}")
+        patch(facecolor=fill, label=f"expected: {verdict}")
         for verdict, fill in VERDICT_FILLS.items()
     ]
-    handles.append(
-        Line2D([], [], ls="", marker="o", mfc="white", mec=INK, ms=5, label="came out (sd ratio)")
-    )
+    handles.append(line(ls="", marker="o", mfc="white", mec=INK, ms=5, label="came out (sd ratio)"))
     figure.legend(handles=handles, loc="outside lower center", ncols=5)
     return figure
-
-
-def observed_name(quantity: str) -> str:
-    """``thrust[all events,z1]`` → ``z1 level``; other quantities keep their name."""
-    if quantity.startswith("thrust[all events,"):
-        return f"{quantity.removeprefix('thrust[all events,').rstrip(']')} level"
-    return quantity
 
 
 def _came_out(review: Review) -> dict[str, float]:

@@ -120,3 +120,10 @@ def short_events(events: Sequence[str], longest: int = 14) -> list[str]:
         words = [w[:-1] for w in words]
     labels = ["-".join(w) for w in words]
     return [label if len(label) <= longest else f"{label[: longest - 1]}…" for label in labels]
+
+
+def observed_name(quantity: str) -> str:
+    """``thrust[all events,z1]`` → ``z1 level``; other quantities keep their name."""
+    if quantity.startswith("thrust[all events,"):
+        return f"{quantity.removeprefix('thrust[all events,').rstrip(']')} level"
+    return quantity

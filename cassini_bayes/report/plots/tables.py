@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_name
 from cassini_bayes.results.review import Review
 
-Array = NDArray[np.float64]
+SHARE: Final = "|share"
+NOISE_ONLY: Final = "noise-only"
+NONLINEAR: Final = "nonlinear"
+NOT_BLOCKS: Final = (NOISE_ONLY, NONLINEAR)  # what is left besides the blocks of nuisances
+MOST_COLUMNS: Final = 9
+"""Parameters of one corner plot."""
 
 
 @dataclass(frozen=True)
@@ -135,3 +141,31 @@ def parameter_scale(review: Review, name: str) -> Scale:
     return display_scale(
         str(row["unit"]), float(row["mean"]), float(row["prior_mean"]), float(row["prior_sd"])
     )
+
+
+def budget_blocks(budget: pd.DataFrame) -> list[str]:
+    """Blocks of the error budget, largest mean share first; noise and the rest last."""
+    columns = [c for c in budget.columns if c.endswith(SHARE)]
+    names = [c.removesuffix(SHARE) for c in columns]
+    blocks = [n for n in names if n not in NOT_BLOCKS]
+    blocks.sort(key=lambda n: -float(np.nanmean(np.abs(budget[n + SHARE]))) if len(budget) else 0.0)
+    return blocks + [n for n in NOT_BLOCKS if n in names]
+
+
+def nuisance_pages(review: Review) -> list[tuple[list[str], str]]:
+    """Walked parameters per corner plot, and its title: by block, on as few pages as labels allow.
+
+    A block is split only where it is larger than a page.
+    """
+    table = review.nuisances
+    pages: list[tuple[list[str], list[str]]] = []
+    for block in dict.fromkeys(table["block"]):
+        members = list(table[table["block"] == block]["name"])
+        for start in range(0, len(members), MOST_COLUMNS):
+            part = members[start : start + MOST_COLUMNS]
+            if pages and len(pages[-1][0]) + len(part) <= MOST_COLUMNS:
+                pages[-1][0].extend(part)
+                pages[-1][1].append(str(block))
+            else:
+                pages.append((part, [str(block)]))
+    return [(names, f"Nuisances: {', '.join(dict.fromkeys(blocks))}") for names, blocks in pages]

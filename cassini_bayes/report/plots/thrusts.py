@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report.plots.panels import (
     bars,
     finish,
@@ -22,7 +18,15 @@ from cassini_bayes.report.plots.panels import (
     thruster_panels,
 )
 from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT, short_events
-from cassini_bayes.report.plots.style import BASELINE, INK, PRIOR, thruster_styles
+from cassini_bayes.report.plots.style import (
+    BASELINE,
+    INK,
+    PRIOR,
+    headline,
+    line,
+    patch,
+    thruster_styles,
+)
 from cassini_bayes.report.plots.tables import (
     events_of,
     flat_draws,
@@ -30,9 +34,15 @@ from cassini_bayes.report.plots.tables import (
     thrust_grid,
     thrusters_of,
 )
-from cassini_bayes.results.review import Review, hdi
+from cassini_bayes.results.review import Review
+from cassini_bayes.results.tables import hdi
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
 
 ALL_EVENTS: Final = "all events"
 
@@ -57,17 +67,15 @@ BASELINES: Final = (
 )
 
 
-def thrust_figure(review: Review) -> Figure | None:
+def thrust_figure(review: Review) -> Figure:
     """Credible interval of every thruster in every event, one panel per thruster.
 
     Grey band: prior. Thick bar and marker: posterior. Black symbols: the least-squares methods of
     the papers with their perturbation bars, hollow where the papers call the estimate not valid.
     Dashed: the thrust printed with the event. Estimates outside the axes are carets at the edge
-    with their value. The last column is the thruster's level over all events. None without thrusts.
+    with their value. The last column is the thruster's level over all events.
     """
     events, thrusters = events_of(review), thrusters_of(review)
-    if not events:
-        return None
     styles = thruster_styles(thrusters)
     labels = [*short_events(events), ALL_EVENTS]
     mean = _with_level(review, "mean")
@@ -95,12 +103,7 @@ def thrust_figure(review: Review) -> Figure | None:
         axes.axvline(len(events) - 0.5, color="#777777", lw=0.8, zorder=1)
         finish(axes, name, labels, limits)
     outer_labels(panels)
-    figure.suptitle(
-        f"Thrust of every thruster in every bias – posterior mean and {INTERVAL}",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, f"Thrust of every thruster in every bias – posterior mean and {INTERVAL}")
     legend_below(figure, _thrust_legend(review, printed))
     return figure
 
@@ -227,9 +230,7 @@ def _caret(axes: Axes, x: float, value: float, limits: tuple[float, float], *, v
 
 def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
-        Line2D(
-            [],
-            [],
+        line(
             color="#332288",
             marker="o",
             lw=5,
@@ -237,17 +238,13 @@ def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
             mfc="white",
             label=f"posterior, {INTERVAL_SHORT}",
         ),
-        Patch(facecolor="#e9e9e9", edgecolor=PRIOR, label=f"prior, {INTERVAL_SHORT}"),
+        patch(facecolor="#e9e9e9", edgecolor=PRIOR, label=f"prior, {INTERVAL_SHORT}"),
     ]
     if np.isfinite(printed).any():
-        handles.append(
-            Line2D([], [], color=INK, lw=1.1, ls=(0, (3, 1.5)), label="printed with the event")
-        )
+        handles.append(line(color=INK, lw=1.1, ls=(0, (3, 1.5)), label="printed with the event"))
     if not review.baseline.empty:
         handles += [
-            Line2D(
-                [],
-                [],
+            line(
                 color=BASELINE,
                 marker=look.marker,
                 lw=0.9,
@@ -257,9 +254,7 @@ def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
             for look in BASELINES
         ]
         handles += [
-            Line2D(
-                [],
-                [],
+            line(
                 color=BASELINE,
                 marker="D",
                 lw=0,
@@ -267,14 +262,6 @@ def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
                 mfc="white",
                 label="hollow: on-time < 5 s, not valid",
             ),
-            Line2D(
-                [],
-                [],
-                color=BASELINE,
-                marker="^",
-                lw=0,
-                ms=4.5,
-                label="beyond the axes: value printed",
-            ),
+            line(color=BASELINE, marker="^", lw=0, ms=4.5, label="beyond the axes: value printed"),
         ]
     return handles

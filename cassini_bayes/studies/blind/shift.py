@@ -65,20 +65,20 @@ def _known(none: Hypothesis, case: Case, truth: Truth, width: int) -> Array:
     """
     model = none.model
     shared = len(none.model.space.names)
-    shared += model.linear.shared.shape[1] if model.linear.shared.size else 0
+    shared += model.thrust_prior.shared.shape[1] if model.thrust_prior.shared.size else 0
     known, place = np.zeros(width), shared
-    for source, terms in zip(case.sources, model.telemetry, strict=True):
-        own = model.linear.own if terms.pattern.thrusters else np.zeros((0, 0))
+    for source, term in zip(case.sources, model.telemetry, strict=True):
+        own = model.thrust_prior.own if term.event.fires else np.zeros((0, 0))
         if own.size:
             thrusts = truth.thrust_n(source.id, source.thrusters)
             departure = np.array([thrusts[k] for k in source.thrusters])
-            departure = departure - model.linear.common_mean_n
+            departure = departure - model.thrust_prior.common_mean_n
             known[place : place + own.shape[1]] = np.linalg.solve(own, departure)
         place += own.shape[1]
         values = truth.of(source.id)
         torque = np.array([values[f"external_torque_{axis}_n_m"] for axis in "xyz"])
         known[place + 3 : place + 6] = torque - model.torque_mean_n_m
-        place += 6 + len(terms.pattern.cuts)
+        place += 6 + len(term.balance.pattern.cuts)
     return known
 
 

@@ -1,0 +1,279 @@
+"""Trials: fly a scene, hide something or nothing, let the command line diagnose it, keep what it
+said.
+
+One JSON file per trial, named by its number; a trial that has one is not done again, so that a
+campaign can be stopped, gone on with, and shared out by ranges of numbers. A trial depends on seed,
+number and the conditions given, on nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from closed_loop.hidden import Effect, Growth
+    from closed_loop.scene import Flown, Scene
+
+STRATA = ("empty", "clear", "empty", "clear", "empty", "clear", "empty", "clear", "uncatalogued")
+"""What trials hide, over and over: 225 trials are 100 empty, 100 clear and 25 uncatalogued."""
+CLEAR_SIGMA = (6.0, 14.0)
+ACCEPTED_SIGMA = (5.0, 20.0)
+MOST_STEPS = 3.0
+"""Of a growth: beyond that an effect is no longer believable."""
+_MOST_FLIGHTS = 4
+_MOST_NAMES = 30
+_KEPT_CAUSES = 8
+_LAST_LINES = 15
+_PATIENCE_S = 3 * 3600
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A campaign: seed and conditions of its trials, where they go, what diagnoses them."""
+
+    seed: int
+    given: Mapping[str, Any]
+    out: Path
+    command: str
+    fit: bool = False
+    keep: bool = False
+
+
+class NothingClearError(Exception):
+    """No effect of a believable size stands out on a flight."""
+
+
+def run(setting: Setting, index: int, say: Callable[[str], None]) -> None:
+    """Do one trial, unless it has been done."""
+    from closed_loop.scene import draw_scene, write_scene
+
+    record_file = setting.out / f"{index:05d}.json"
+    if record_file.exists():
+        return
+    began = time.monotonic()
+    rng = np.random.default_rng([setting.seed, index])
+    scene = draw_scene(int(rng.integers(2**31)), setting.given)
+    stratum = STRATA[index % len(STRATA)]
+    folder = setting.out / f"{index:05d}"
+    shutil.rmtree(folder, ignore_errors=True)  # of a trial that was cut off
+    record: dict[str, Any] = {
+        "index": index,
+        "seed": setting.seed,
+        "scene_seed": scene.seed,
+        "given": dict(setting.given),
+        "package": _output([setting.command, "--version"]),
+        "stratum": stratum,
+        "conditions": scene.record(),
+        "hidden": [],
+        "diagnosis": {"causes": []},
+    }
+    try:
+        effects, flown = choose(stratum, scene, rng)
+    except NothingClearError as nothing:
+        _keep(record | {"not_flown": str(nothing)}, record_file, say)
+        return
+    write_scene(folder / "record", scene, effects, flown)
+    record["flight_s"] = time.monotonic() - began
+    record["hidden"] = [
+        {"name": e.name, "parameters": dict(e.parameters), "sigma": e.sigma} for e in effects
+    ]
+    record["truth"] = {"parameters": dict(flown[1].parameters), "thrust_n": dict(flown[1].thrust_n)}
+    events = [str(folder / "record" / event.name) for event in scene.events]
+    inputs = [*events, "--priors", str(folder / "record" / "priors.toml"), "--seed", "1"]
+    said = _called([setting.command, "diagnose", *inputs, "--out", str(folder / "diagnosis")])
+    record["diagnosis"] = said | read_diagnosis(folder / "diagnosis" / "diagnosis.json")
+    if setting.fit:
+        fitted = _called([setting.command, "fit", *inputs, "--out", str(folder / "fit")])
+        summary = folder / "fit" / "summary.csv"
+        table = summary.read_text("utf-8") if summary.exists() else None
+        record["fit"] = fitted | {"summary": table}
+    _keep(record, record_file, say)
+    if not setting.keep:
+        shutil.rmtree(folder)
+
+
+def _keep(record: Mapping[str, Any], path: Path, say: Callable[[str], None]) -> None:
+    """Write a trial's record whole or not at all, and say it in a line."""
+    part = path.with_suffix(".part")
+    part.parent.mkdir(parents=True, exist_ok=True)
+    part.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+    part.replace(path)
+    say(line(record))
+
+
+def choose(
+    stratum: str, scene: Scene, rng: np.random.Generator
+) -> tuple[tuple[Effect, ...], Flown]:
+    """What a trial hides, and its flight: nothing, or one effect of 5 to 20 σ (wanted: 6 to 14)."""
+    from closed_loop.cassini import spread
+    from closed_loop.hidden import CLEAR, NEEDS_FIRING, UNCATALOGUED, draw_growth, targets
+    from closed_loop.scene import fly_scene
+
+    if stratum == "empty":
+        return (), fly_scene(scene, ())
+    tables = scene.priors["parameters"]
+    widths = {k: spread(t) for k, t in tables.items() if "fixed" in t or t["dist"] == "norm"}
+    fires = any(event.kind == "bias" for event in scene.events)
+    kinds = [
+        kind
+        for kind in (UNCATALOGUED if stratum == "uncatalogued" else CLEAR)
+        if (fires or kind not in NEEDS_FIRING) and targets(kind, scene.truth.wheels)
+    ]
+    plain = fly_scene(scene, ())
+    for _ in range(_MOST_NAMES):
+        kind = str(rng.choice(kinds))
+        target = str(rng.choice(targets(kind, scene.truth.wheels)))
+        name = f"{kind}:{target}" if target else kind
+        growth = draw_growth(name, scene.truth, widths, rng)
+        wanted = float(np.exp(rng.uniform(*np.log(CLEAR_SIGMA))))
+        found = _sized(scene, growth, wanted, plain)
+        if found is not None:
+            return (found[0],), found[1]
+    raise NothingClearError(f"nothing clear to hide in {_MOST_NAMES} draws")
+
+
+def _sized(
+    scene: Scene, growth: Growth, wanted: float, plain: Flown
+) -> tuple[Effect, Flown] | None:
+    """The effect that stands out by about so many σ, flown; None where no believable size does."""
+    from closed_loop.hidden import ON_RECORD, Effect, applied
+    from closed_loop.scene import fly_scene
+    from closed_loop.sizes import sigma
+
+    size = _first_size(scene, growth, wanted, plain)
+    for _ in range(_MOST_FLIGHTS):
+        effect = None if size is None else growth.effect(size, scene.truth)
+        if effect is None or size is None:
+            return None
+        if effect.kind in ON_RECORD:
+            flown = (plain[0], *applied(scene.truth, (effect,)))
+        else:
+            flown = fly_scene(scene, (effect,))
+        own = sigma(flown[0], scene.truth, (effect,), flown[2], scene.channels, scene.priors)
+        if ACCEPTED_SIGMA[0] <= own <= ACCEPTED_SIGMA[1] and 0.7 <= own / wanted <= 1.4:
+            return Effect(effect.name, effect.parameters, own), flown
+        following = min(size * min(max(wanted / max(own, 1e-3), 0.05), 20.0), MOST_STEPS)
+        if following == size:
+            return None
+        size = following
+    return None
+
+
+def _first_size(scene: Scene, growth: Growth, wanted: float, plain: Flown) -> float | None:
+    """Where to begin: what the balance of the flight without it would take the effect for.
+
+    Only for what acts on parameters and thrusts; None where no believable size would be enough.
+    """
+    from closed_loop.hidden import ON_PARAMETERS, ON_THRUSTS, applied
+    from closed_loop.sizes import sigma
+
+    effect = growth.effect(0.5, scene.truth)
+    if effect is None or effect.kind not in (*ON_PARAMETERS, *ON_THRUSTS):
+        return 1.0
+    changed, departures = applied(scene.truth, (effect,))
+    own = sigma(plain[0], changed, (effect,), departures, scene.channels, scene.priors)
+    size = 0.5 * wanted / max(own, 1e-6)
+    return size if size <= MOST_STEPS else None
+
+
+def _called(arguments: Sequence[str]) -> dict[str, Any]:
+    """Run a command: its exit status, the time it took, the last lines of what it said."""
+    began = time.monotonic()
+    try:
+        done = subprocess.run(  # noqa: S603 - the command is the caller's own
+            arguments, capture_output=True, text=True, check=False, timeout=_PATIENCE_S
+        )
+        status, said = done.returncode, done.stderr
+    except subprocess.TimeoutExpired:
+        status, said = None, f"no end after {_PATIENCE_S} s"
+    return {
+        "exit_status": status,
+        "wall_s": time.monotonic() - began,
+        "last_lines": said.splitlines()[-_LAST_LINES:],
+    }
+
+
+def _output(arguments: Sequence[str]) -> str:
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True)  # noqa: S603
+    return done.stdout.strip()
+
+
+def read_diagnosis(path: Path) -> dict[str, Any]:
+    """What is kept of ``diagnosis.json``; nothing where there is none."""
+    if not path.exists():
+        return {"causes": []}
+    document = json.loads(path.read_text("utf-8"))
+    causes = document["causes"]
+    return {
+        "discrepant": document["discrepant"],
+        "p_value": document["p_value"],
+        "extended": document["extended"]["causes"],
+        "gain": document["gain"],
+        "causes": causes[:_KEPT_CAUSES],
+        "probabilities": {cause["name"]: cause["probability"] for cause in causes},
+    }
+
+
+def line(record: Mapping[str, Any]) -> str:
+    """A trial in one line."""
+    hidden = ", ".join(f"{h['name']} ({h['sigma']:.1f} σ)" for h in record["hidden"]) or "nothing"
+    said = record["diagnosis"]
+    if not said["causes"]:
+        problem = record.get("not_flown") or f"exit status {said['exit_status']}"
+        return f"{record['index']:5d} {hidden}: {problem}"
+    first = said["causes"][0]
+    answer = f"{first['name']} {first['probability']:.2f} in {said['wall_s']:.0f} s"
+    return f"{record['index']:5d} {hidden}: {answer}"
+
+
+def verdict(record: Mapping[str, Any]) -> str:
+    """How a trial was answered: right, group, unknown, none, wrong, failed or not flown."""
+    causes = record["diagnosis"]["causes"]
+    if not causes:
+        return "not flown" if "not_flown" in record else "failed"
+    first = causes[0]
+    expected = [hidden["name"] for hidden in record["hidden"]] or ["none"]
+    if record["stratum"] == "uncatalogued":
+        expected = ["unknown"]
+    if first["name"] in expected:
+        return "right"
+    if set(expected) & set(first.get("confounded_with", ())):
+        return "group"
+    return first["name"] if first["name"] in ("none", "unknown") else "wrong"
+
+
+def summary(out: Path) -> str:
+    """Counts of verdicts by stratum and by condition, and the trials that were not right."""
+    records = [json.loads(path.read_text("utf-8")) for path in sorted(out.glob("[0-9]*.json"))]
+    if not records:
+        return f"no trials in {out}"
+    lines = [f"{len(records)} trials, {records[0]['package']}"]
+    for stratum in dict.fromkeys(STRATA):
+        own = [record for record in records if record["stratum"] == stratum]
+        lines.append(f"{stratum}: {_counted(own)}")
+        for key in ("controller", "row_every_s", "counter_every_s", "counter_step_s",
+                    "rate_noise_rad_s", "wheel_step_rpm", "branch"):  # fmt: skip
+            for value in sorted({record["conditions"][key] for record in own}):
+                part = [record for record in own if record["conditions"][key] == value]
+                lines.append(f"  {key} {value}: {_counted(part)}")
+    lines += [line(record) for record in records if verdict(record) not in ("right", "group")]
+    return "\n".join(lines)
+
+
+def _counted(records: Sequence[Mapping[str, Any]]) -> str:
+    counts = Counter(verdict(record) for record in records)
+    texts = [f"{count} {name}" for name, count in counts.most_common()]
+    spent = [record["diagnosis"]["wall_s"] for record in records if "not_flown" not in record]
+    median = sorted(spent)[len(spent) // 2] if spent else math.nan
+    return f"{len(records)}: {', '.join(texts)}; median {median:.0f} s"

@@ -1,0 +1,111 @@
+"""Draws of everything in a model, walked or integrated out, and the density of data given them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cassini_bayes.arrays import Array, Places
+from cassini_bayes.balance.physics import Parameters
+from cassini_bayes.model.posterior import Collapsed, Model, collapse
+from cassini_bayes.model.terms import TORQUE, TermDraws
+from cassini_bayes.model.thrusts import ThrustDraws, draw_thrusts, prior_thrusts
+
+
+@dataclass(frozen=True)
+class Draws:
+    """One draw of everything per parameter point.
+
+    ``parameters`` are the walked and fixed ones, ``thrusts`` those of the events that fire, ``own``
+    per term what it has of its own.
+    """
+
+    parameters: Parameters
+    thrusts: ThrustDraws
+    own: tuple[TermDraws, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of draws n."""
+        return len(self.thrusts.common_n)
+
+    @property
+    def torque_n_m(self) -> Array:
+        """Steady external torque (n, E, 3) of all events."""
+        return np.concatenate([own[TORQUE] for own in self.own], axis=1)
+
+    def at(self, places: Places | slice) -> Draws:
+        """Some of the draws, by their places among the n."""
+        thrusts = self.thrusts
+        return Draws(
+            {
+                name: values[places] if isinstance(values, np.ndarray) else values
+                for name, values in self.parameters.items()
+            },
+            ThrustDraws(
+                thrusts.thrust_n[places], thrusts.common_n[places], thrusts.level_n[places]
+            ),
+            tuple({name: values[places] for name, values in own.items()} for own in self.own),
+        )
+
+
+def draw(model: Model, z: Array, rng: np.random.Generator) -> Draws:
+    """Draw all that is integrated out from its exact conditional at z (n, d)."""
+    parts = [_drawn(model, collapse(model, z[rows]), rng) for rows in model.batches(len(z))]
+    thrusts, own = zip(*parts, strict=True)
+    return Draws(
+        model.space.to_parameters(z),
+        ThrustDraws(
+            np.concatenate([part.thrust_n for part in thrusts]),
+            np.concatenate([part.common_n for part in thrusts]),
+            np.concatenate([part.level_n for part in thrusts]),
+        ),
+        tuple(_joined(batches) for batches in zip(*own, strict=True)),
+    )
+
+
+def _drawn(
+    model: Model, collapsed: Collapsed, rng: np.random.Generator
+) -> tuple[ThrustDraws, list[TermDraws]]:
+    """Thrusts, then every term's own unknowns given its thrusts."""
+    thrusts = draw_thrusts(model.thrust_prior, collapsed.thrusts, rng)
+    pairs = zip(collapsed.terms, model.fired_of_term, strict=True)
+    return thrusts, [term.draw(thrusts.thrust_n[:, fired], rng) for term, fired in pairs]
+
+
+def _joined(batches: Sequence[Mapping[str, Array]]) -> TermDraws:
+    return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
+
+
+def draw_prior(model: Model, n: int, rng: np.random.Generator) -> Draws:
+    """Everything drawn from its prior, before any data."""
+    parameters = model.space.to_parameters(model.space.sample(rng, n))
+    shape = (n, len(model.fired_ids))
+    thrusts = prior_thrusts(model.thrust_prior, parameters, shape, rng)
+    normals = rng.standard_normal((n, len(model.event_ids), 3))
+    torque = model.torque_mean_n_m + model.torque_sd_n_m * normals
+    own = tuple(
+        term.draw_prior(torque[:, events], rng)
+        for term, events in zip(model.terms, model.events_of_term, strict=True)
+    )
+    return Draws(parameters, thrusts, own)
+
+
+def event_log_density(model: Model, z: Array, draws: Draws) -> Array:
+    """Log density (n, E) of each event's data given everything, its thrusts and torque included."""
+    found = []
+    for rows in model.batches(len(z)):
+        points, some = model.points(z[rows]), draws.at(rows)
+        parts = zip(model.terms, model.fired_of_term, some.own, strict=True)
+        found.append(
+            np.concatenate(
+                [
+                    term.at(points).log_density(some.thrusts.thrust_n[:, fired], own)
+                    for term, fired, own in parts
+                ],
+                axis=1,
+            )
+        )
+    return np.concatenate(found)

@@ -1,0 +1,420 @@
+"""A telemetry event as a term of a model: its momentum balance and its measured velocity change.
+
+Everything about rows is in the event's Gram matrices, so a call costs the same for any number of
+rows. Initial momentum, steady torque and cut tails are integrated out given the thrusts
+(docs/telemetry-likelihood.md §5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.inertia import ELEMENTS, WITHOUT_WHEELS, elements_of, without_wheels
+from cassini_bayes.balance.kernel import without_own
+from cassini_bayes.balance.measured_delta_v import (
+    DELTA_V_PARAMETERS,
+    DeltaVStatistics,
+    delta_v_columns,
+    delta_v_information,
+)
+from cassini_bayes.balance.physics import (
+    CENTRE_PARAMETERS,
+    INERTIA_PARAMETERS,
+    PULSE_PARAMETERS,
+    Modifier,
+    Physics,
+    delta_v_variance,
+)
+from cassini_bayes.balance.telemetry_information import row_information
+from cassini_bayes.balance.telemetry_system import EventSystem, event_system
+from cassini_bayes.balance.telemetry_terms import (
+    INITIAL_SD_N_M_S,
+    TelemetryBalance,
+    make_balance,
+    merged_bands,
+    without_idle_columns,
+)
+from cassini_bayes.errors import InputError
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.terms import (
+    TORQUE,
+    Points,
+    Shared,
+    TermDraws,
+    TermEvent,
+    Variable,
+)
+from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
+from cassini_bayes.model.unknowns import Unknowns
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.spacecraft import thruster_directions
+from cassini_bayes.spacecraft.pulses import effective_on_time
+
+INITIAL: Final = "initial_momentum_n_m_s"
+TAILS: Final = "cut_tails"
+TORQUE_NOISE: Final = "torque_noise_n_m_s05"
+_CHANNELS: Final = ("rate_noise_rad_s", "wheel_noise_rpm", "attitude_noise_rad", TORQUE_NOISE)
+_MOST_POINTS: Final = 1_000  # worked up at a time: normal equations take 10 kB each
+
+
+@dataclass(frozen=True)
+class TelemetryTerm:
+    """One telemetry event as a term."""
+
+    event: ReducedEvent
+    balance: TelemetryBalance
+    parameters: tuple[str, ...]
+    modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
+    density_name: str = "event_data"
+    most_points: int = _MOST_POINTS
+    integrated: tuple[str, ...] = ()
+
+    @property
+    def id(self) -> str:
+        """Id of the event."""
+        return self.event.id
+
+    @property
+    def events(self) -> tuple[TermEvent, ...]:
+        """The event."""
+        own = self.balance.unknowns.own
+        return (TermEvent(self.id, self.event.kind, self.event.fires, own.stop - own.start),)
+
+    def physics(self, points: Points) -> Physics:
+        """The event's physics."""
+        return points.physics(self.modifiers)
+
+    def at(self, points: Points) -> TelemetryAt:
+        """The event at n points."""
+        return TelemetryAt(self, points)
+
+    def draw_prior(self, torque_n_m: Array, rng: np.random.Generator) -> TermDraws:
+        """The initial momentum from its prior; of tails nothing is known beforehand."""
+        normals = rng.standard_normal((len(torque_n_m), 3))
+        initial = self.balance.initial_mean_n_m_s + INITIAL_SD_N_M_S * normals
+        return {TORQUE: torque_n_m, INITIAL: initial}
+
+    def log_prior(self, draws: TermDraws) -> Mapping[str, Array]:
+        """That of the initial momentum."""
+        shift = draws[INITIAL] - self.balance.initial_mean_n_m_s
+        return {"initial momentum": normal_log_density(shift, INITIAL_SD_N_M_S).sum(-1)}
+
+    def observed(self) -> Mapping[str, Variable]:
+        """On-times and pulses from the first to the last reading."""
+        reading, each = self.event.reading, ("event", "thruster")
+        fired = np.array([reading.on_time_s, reading.pulses])
+        if not self.event.fires:
+            fired = np.full((2, 1), np.nan)
+        return {
+            "on_time_s": (each, fired[:1], "s", "commanded on-time"),
+            "pulses": (each, fired[1:], "1", "number of pulses"),
+            "delta_v_m_s": (("event", "axis"), _UNKNOWN, "m s-1", "velocity change, body axes"),
+        }
+
+    def constants(self) -> Mapping[str, Variable]:
+        """Duration, rows read and used."""
+        reading, each = self.event.reading, ("event",)
+        used = np.array([float(self.event.statistics.rows)])
+        duration = np.array([reading.end_s - reading.start_s])
+        read = np.array([float(reading.rows)])
+        return {
+            "duration_s": (each, duration, "s", "duration of the event"),
+            "rows_read": (each, read, "1", "rows of telemetry read"),
+            "rows_used": (each, used, "1", "rows of telemetry in the momentum balance"),
+            "thrust_predicted_n": (each, _UNKNOWN[0], "N", "thrust printed with the event"),
+        }
+
+    def without_idle_columns(self, points: Points) -> TelemetryTerm:
+        """The same without columns that no point gives weight."""
+        thrust = points.shared.thrust_prior.common_mean_n
+        balance = without_idle_columns(self.balance, self.physics(points), thrust)
+        return replace(self, balance=balance)
+
+    def with_bands_merged(self) -> TelemetryTerm:
+        """The same with equal bands as one."""
+        return replace(self, balance=merged_bands(self.balance))
+
+
+_UNKNOWN: Final = np.full((1, 1), np.nan)
+
+
+@dataclass(frozen=True)
+class OwnFactors:
+    """Conditional normal of an event's own unknowns given its thrusts.
+
+    In standardised coordinates v = (u − mean)/sd: precision with the lower ``factor``, mean
+    factor⁻ᵀ (shift − coupling F).
+    """
+
+    factor: Array  # (n, U, U)
+    shift: Array  # (n, U)
+    coupling: Array  # (n, U, K)
+
+
+@dataclass(frozen=True)
+class TelemetryAt:
+    """A telemetry event at n points."""
+
+    term: TelemetryTerm
+    points: Points
+
+    @property
+    def physics(self) -> Physics:
+        """The event's physics."""
+        return self.term.physics(self.points)
+
+    @cached_property
+    def system(self) -> EventSystem:
+        """Normal equations, worked out when they are asked for."""
+        shared = self.points.shared
+        return event_system(
+            self.term.balance,
+            self.physics,
+            self.points.parameters,
+            shared.thrust_prior.common_mean_n,
+            shared.torque_mean_n_m,
+            shared.torque_sd_n_m,
+        )
+
+    @cached_property
+    def _collapsed(self) -> tuple[OwnFactors, Array, Array, Array]:
+        """Own unknowns integrated out: their factors, and matrix, vector, constant of the thrusts.
+
+        With M the normal equations and v the standardised own unknowns, their precision is
+        1 + s M_vv s.
+        """
+        system = self.system
+        factor, shift, coupling, matrix, vector, constant = without_own(
+            system.normal,
+            self.term.balance.pattern.thrusters,
+            system.own_mean,
+            system.own_sd,
+            np.ascontiguousarray(self.points.common_n),
+        )
+        return OwnFactors(factor, shift, coupling), matrix, vector, system.log_scale + constant
+
+    @property
+    def log_likelihood(self) -> Array:
+        """That of an event that does not fire, (n,)."""
+        _, _, _, constant = self._collapsed
+        return np.zeros(self.points.n) if self.term.event.fires else constant
+
+    @property
+    def information(self) -> ThrustInformation:
+        """What momentum and a measured velocity change say of the event's thrusts."""
+        _, matrix, vector, constant = self._collapsed
+        if not self.term.event.fires:
+            return ThrustInformation.nothing(
+                self.points.n, len(self.points.shared.thrust_prior.shared)
+            )
+        for part in self._delta_v(self.points.common_n):
+            matrix, vector, constant = matrix + part[0], vector + part[1], constant + part[2]
+        return ThrustInformation(matrix[:, None], vector[:, None], constant[:, None])
+
+    def _delta_v(self, reference_n: Array) -> Iterator[tuple[Array, Array, Array]]:
+        """Information of the measured velocity change, if there is one."""
+        if self.term.event.delta_v is not None:
+            yield delta_v_information(
+                self.term.event.delta_v,
+                self.physics,
+                self._directions,
+                self.points.parameters,
+                reference_n,
+            )
+
+    @property
+    def _directions(self) -> Array:
+        shared = self.points.shared
+        return thruster_directions(shared.spacecraft, shared.branch)
+
+    @property
+    def stretch(self) -> Array:
+        """Effective over commanded on-time (n, 1, K), from the counters' totals."""
+        event, n = self.term.event, self.points.n
+        if not event.fires:
+            return np.zeros((n, 0, len(self.points.shared.thrust_prior.shared)))
+        on_time, pulses = np.array(event.reading.on_time_s), np.array(event.reading.pulses)
+        fired = (on_time > 0) & (pulses > 0)
+        safe = np.where(fired, on_time, 1.0)
+        effective = effective_on_time(
+            event.sampling.pulse_shape,
+            safe,
+            np.where(fired, pulses, 1.0),
+            *(np.broadcast_to(tau, (n,))[:, None] for tau in self.physics.tau_s),
+        )
+        return np.where(fired, effective / safe, 1.0)[:, None]
+
+    def draw(self, thrust_n: Array, rng: np.random.Generator) -> TermDraws:
+        """Initial momentum, torque and cut tails given the thrusts."""
+        factors = self._collapsed[0]
+        thrusts = thrust_n.reshape(self.points.n, -1, 1)
+        pull = factors.shift - (factors.coupling @ thrusts)[..., 0]
+        white = pull + rng.standard_normal(pull.shape)
+        v = np.linalg.solve(np.swapaxes(factors.factor, -1, -2), white[..., None])[..., 0]
+        own = self.system.own_mean + self.system.own_sd * v
+        places = self.term.balance.unknowns.at(0)
+        return {
+            INITIAL: own[:, places.initial],
+            TORQUE: own[:, None, places.torque],
+            TAILS: own[:, places.tails],
+        }
+
+    def log_density(self, thrust_n: Array, draws: TermDraws) -> Array:
+        """Log density (n, 1) of the event's data given everything, its thrusts included.
+
+        The torque noise is integrated out: it has no value of its own in the fit.
+        """
+        unknowns = unknowns_of(thrust_n, draws)
+        vector = np.concatenate([-unknowns, np.ones((self.points.n, 1))], axis=1)
+        square = np.einsum("ni,nij,nj->n", vector, self.system.normal, vector)
+        density = self.system.log_scale - 0.5 * square
+        for matrix, linear, constant in self._delta_v(np.zeros(self.points.n)):
+            thrusts = thrust_n[:, 0]
+            square = np.einsum("nk,nkl,nl->n", thrusts, matrix, thrusts)
+            density = density + constant + (linear * thrusts).sum(-1) - 0.5 * square
+        return np.asarray(density[:, None])
+
+    def expected_information(
+        self, unknowns: Unknowns, first: int, step: float
+    ) -> Iterator[tuple[int, Array]]:
+        """Of the rows' balance, and of a measured velocity change."""
+        shared, d = self.points.shared, unknowns.walked.stop
+        prior = shared.thrust_prior
+        mean = np.concatenate(
+            [
+                np.full(self.term.balance.pattern.thrusters, prior.common_mean_n),
+                self.system.own_mean,
+            ]
+        )
+        total = row_information(
+            self.term.balance,
+            self.physics,
+            self.points.parameters,
+            self.system.kept[0],
+            mean=mean,
+            own_sd=self.system.own_sd[0],
+            levels=np.concatenate([prior.shared, prior.own], axis=1),
+            step=step,
+        )
+        if self.term.event.delta_v is not None:
+            columns = self._delta_v_columns(self.term.event.delta_v, d, step)
+            size = len(columns)
+            gram = self.term.event.delta_v.centred_gram
+            noise = delta_v_variance(self.points.parameters)[0]
+            total[:size, :size] += (
+                np.einsum("uca,ab,vcb->uv", columns, gram, columns, optimize=True) / noise
+            )
+        yield first, total
+
+    def _delta_v_columns(self, statistics: DeltaVStatistics, d: int, step: float) -> Array:
+        """Slopes (unknown, 3, 4 K) of the velocity change: walked, levels, departures."""
+        prior = self.points.shared.thrust_prior
+        each = delta_v_columns(statistics, self.physics, self._directions, self.points.parameters)
+        total = prior.common_mean_n * each.sum(1)
+        walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * step)
+        levels = np.einsum("kca,kq->qca", each[0], prior.shared)
+        own = np.einsum("kca,kq->qca", each[0], prior.own)
+        return np.concatenate([walked, levels, own])
+
+    def variables(self, draws: TermDraws) -> Mapping[str, Variable]:
+        """Initial momentum, inertia without the wheels' spin, and the mass where ΔV needs it."""
+        n = self.points.n
+        found: dict[str, Variable] = {
+            INITIAL: (
+                ("event", "axis"),
+                draws[INITIAL][:, None],
+                "N m s",
+                "total angular momentum at the first row, body axes",
+            )
+        }
+        shared = self.points.shared
+        hub = without_wheels(self.physics, shared.spacecraft, shared.wheels)
+        values = np.broadcast_to(elements_of(hub), (n, len(ELEMENTS)))
+        label = "inertia about the centre of mass less the wheels' spin inertia, Σ I_w a aᵀ"
+        for i, element in enumerate(ELEMENTS):
+            name = WITHOUT_WHEELS.format(element)
+            found[name] = ((), values[:, i], "kg m2", f"{element} element of the {label}")
+        if self.term.event.delta_v is not None:
+            mass = self.points.parameters["mass_kg"][:, None]
+            found["mass_kg"] = (("event",), mass, "kg", "wet mass")
+        return found
+
+    def replicates(
+        self, _thrust_n: Array, _draws: TermDraws, _rng: np.random.Generator
+    ) -> Mapping[str, Variable]:
+        """None: channels are replicated row by row (:mod:`cassini_bayes.results.replicates`)."""
+        return {}
+
+    def statistics(self, _thrust_n: Array) -> Mapping[str, Variable]:
+        """None."""
+        return {}
+
+
+def unknowns_of(thrust_n: Array, draws: TermDraws) -> Array:
+    """All unknowns of an event (n, P) in the order of its normal equations.
+
+    thrust_n (n, 1, K), or (n, 0, K) where nothing fires.
+    """
+    own = (draws[INITIAL], draws[TORQUE][:, 0], draws[TAILS])
+    return np.concatenate([thrust_n.reshape(len(thrust_n), -1), *own], axis=1)
+
+
+def telemetry_parameters(
+    shared: Shared, wheels: Sequence[int], *, fires: bool, has_delta_v: bool = False
+) -> tuple[str, ...]:
+    """Names of the parameters that an event needs, in the order in which they are walked.
+
+    ``has_delta_v``: its velocity change was measured.
+    """
+    names = [*INERTIA_PARAMETERS, *_CHANNELS]
+    names += shared.spacecraft.wheel_parameters(wheels)
+    if fires:
+        names += [*PULSE_PARAMETERS, *CENTRE_PARAMETERS]
+        names += [*shared.spacecraft.geometry[shared.branch].parameters]
+        names += shared.thrust_prior.walked
+    if has_delta_v:
+        names += DELTA_V_PARAMETERS
+    return tuple(names)
+
+
+def telemetry_terms(
+    events: Sequence[ReducedEvent], priors: Priors, shared: Shared
+) -> tuple[TelemetryTerm, ...]:
+    """One term per event.
+
+    Raises
+    ------
+    InputError
+        Wheels or parameters that the priors file lacks, or a walked valve delay where events fire.
+    """
+    used = {number for event in events for number in event.wheels}
+    if not used <= set(priors.wheels):
+        raise InputError(
+            f"{priors.path}: spacecraft.wheels",
+            f"every wheel the events use, {sorted(used)}",
+            str(list(priors.wheels)),
+            "list them, with their priors",
+        )
+    return tuple(_term(event, priors, shared) for event in events)
+
+
+def _term(event: ReducedEvent, priors: Priors, shared: Shared) -> TelemetryTerm:
+    has_delta_v, spacecraft = event.delta_v is not None, shared.spacecraft
+    names = telemetry_parameters(shared, event.wheels, fires=event.fires, has_delta_v=has_delta_v)
+    priors.require(names, "the model of these events")
+    if event.fires and priors.parameters["tau_delay_s"].distribution is not None:
+        raise InputError(
+            f"{priors.path}: parameters.tau_delay_s",
+            "a fixed value (telemetry sees pulses only after they are over)",
+            "a distribution",
+            "fix it; the delay cancels in first_order pulses",
+        )
+    nominal = {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **priors.means()}
+    balance = make_balance(event.statistics, event.sampling, spacecraft, nominal)
+    return TelemetryTerm(event, balance, names)
