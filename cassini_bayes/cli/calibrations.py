@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Dask, Jobs, Quiet
+from cassini_bayes.cli.options import ConsoleReporter, Dask, Jobs, Quiet, Seed
 from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ Trials = Annotated[
 Quick = Annotated[
     bool, typer.Option("--quick", help="Few repetitions: only gross faults would show.")
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Random seed.")]
 Work = Annotated[Path, typer.Option("--work", help="Folder of finished repetitions.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder of the results page.")]
 Totals = Annotated[Path, typer.Option("--events", help="Template totals CSV.")]

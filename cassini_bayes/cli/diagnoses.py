@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Seed
+from cassini_bayes.cli.options import ConsoleReporter, Force, Json, OwnSeed, Quiet
 from cassini_bayes.errors import InputError
 
 DEFAULT_SEED = 1
@@ -29,7 +29,7 @@ def diagnose_command(
     then_fit: Annotated[
         bool, typer.Option("--then-fit", help="Sample the extended model with emcee.")
     ] = False,
-    seed: Seed = None,
+    seed: OwnSeed = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,

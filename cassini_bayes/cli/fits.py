@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Resume, Seed
+from cassini_bayes.cli.options import ConsoleReporter, Force, Json, OwnSeed, Quiet, Resume
 
 if TYPE_CHECKING:
     from cassini_bayes.pipeline.run import Outcome
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def run_command(
     run_file: Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the run.")] = None,
-    seed: Seed = None,
+    seed: OwnSeed = None,
     force: Force = False,
     resume: Resume = False,
     as_json: Json = False,
@@ -47,7 +47,7 @@ def fit_command(
     priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
-    seed: Seed = None,
+    seed: OwnSeed = None,
     force: Force = False,
     resume: Resume = False,
     as_json: Json = False,

@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from cassini_bayes.files.checks import LARGEST_SEED
+
 if TYPE_CHECKING:
     from cassini_bayes.sampling.ensembles import ProgressReport
 
-Seed = Annotated[
-    int | None, typer.Option("--seed", min=0, help="Random seed (overrides the run file).")
+OwnSeed = Annotated[
+    int | None,
+    typer.Option("--seed", min=0, max=LARGEST_SEED, help="Random seed (overrides the run file)."),
 ]
+Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST_SEED, help="Random seed.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]

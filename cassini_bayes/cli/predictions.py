@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import Json, Quiet
+from cassini_bayes.cli.options import Json, Quiet, Seed
 from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ Events = Annotated[
 PriorsFile = Annotated[
     Path | None, typer.Option("--priors", help="Priors file of the fit, if it has moved.")
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Random seed.")]
 
 
 def predict_command(

@@ -18,6 +18,7 @@ from cassini_bayes.diagnosis.extended import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
 from cassini_bayes.effects.catalogue import Effect, EffectParameter
 from cassini_bayes.files.storage import write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, save_fit
@@ -140,5 +141,5 @@ def fit_extended(
             }
         )
     table = pd.DataFrame(rows)
-    write_text(folder / "summary.csv", table.to_csv(index=False))
+    write_text(folder / "summary.csv", frame_csv(table))
     return table

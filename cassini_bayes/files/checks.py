@@ -12,6 +12,7 @@ from typing import Final
 from cassini_bayes.errors import InputError
 
 LONGEST_NUMBER: Final = 400  # characters
+LARGEST_SEED: Final = 2**63 - 1  # what TOML and NetCDF can hold
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 

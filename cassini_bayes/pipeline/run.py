@@ -20,6 +20,7 @@ from cassini_bayes.computing.workers import cores
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.model.observability import observability
 from cassini_bayes.pipeline.inputs import STATISTICS, Inputs, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
@@ -189,7 +190,7 @@ def execute(
     )
     converged = _converged(review, sampled)
     sections = sections_of(review)
-    write_text(folder / "summary.csv", review.summary.to_csv(index=False))
+    write_text(folder / "summary.csv", frame_csv(review.summary))
     write_tables(sections, folder / "tables")
     if run.output.report:
         from cassini_bayes.report import write_report

@@ -21,6 +21,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.results.record import Fit, read_fit
@@ -105,7 +106,7 @@ def execute_sweep(
     reporter.say("tables")
     tables = tables_of(planned, store, factory, fit)
     for name, table in tables.files().items():
-        write_text(target / f"{name}.csv", table.to_csv(index=False))
+        write_text(target / f"{name}.csv", frame_csv(table))
     if report or page is not None:
         reporter.say("figures")
         figures = _figures(planned, store, tables)

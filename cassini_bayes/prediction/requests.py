@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 WHEEL_LIMIT_RPM: Final = 2000.0
 LOW_RPM: Final = 300.0
-_NUMBER: Final = r"[+-]?\d+(?:\.\d*)?"
+_NUMBER: Final = r"[+-]?\d{1,9}(?:\.\d{0,9})?"
 _PART: Final = re.compile(rf"^\s*(\w+)\s*:\s*({_NUMBER})\s*(?:->|→|to)\s*({_NUMBER})\s*$")
 _FORM: Final = 'write e.g. "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"'
 

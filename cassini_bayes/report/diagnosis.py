@@ -22,6 +22,7 @@ from cassini_bayes.diagnosis.correlations import POINTWISE, Shown
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.discrepancy import Curve, verdict_curves
 from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report.plots import Figure, encode, settle
 from cassini_bayes.report.plots.criticism import (
     cause_figure,
@@ -125,9 +126,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, name: str, processes: in
     """
     curves = verdict_curves(diagnosis.verdict, np.random.default_rng(diagnosis.record["seed"]))
     if diagnosis.shown is not None:
-        write_text(folder / "discrepancy.csv", curve_table(curves).to_csv(index=False))
+        write_text(folder / "discrepancy.csv", frame_csv(curve_table(curves)))
         table = driver_table(*diagnosis.shown)
-        write_text(folder / "correlation.csv", table.to_csv(index=False))
+        write_text(folder / "correlation.csv", frame_csv(table))
     pictures = drawn(diagnosis_pictures(diagnosis, curves), processes)
     write_record(diagnosis.record, pictures, folder, name, curves)
 

@@ -18,6 +18,7 @@ import pandas as pd
 from cassini_bayes import __version__
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report.plots import Figure, encode
 
 LIBRARIES: Final = ("numpy", "scipy", "numba")
@@ -65,7 +66,7 @@ def write_page(
         content = figure if isinstance(figure, bytes) else encode(figure, "png")
         write_bytes(page.with_name(f"{page.stem}{name}.png"), content)
     for name, table in tables.items():
-        text = table if isinstance(table, str) else table.to_csv(index=False, float_format="%.6g")
+        text = table if isinstance(table, str) else frame_csv(table, digits=6)
         write_text(page.with_name(f"{page.stem}{name}.csv"), text)
     write_text(page, f"# {title}\n\n{body.strip()}\n\n{made.line()}\n")
 

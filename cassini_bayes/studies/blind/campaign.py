@@ -13,6 +13,7 @@ from cassini_bayes.files.checkpoint import RecordStore
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.pieces import run_pieces
 from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report.plots import encode
 from cassini_bayes.report.plots.blind import blind_figure, confusion_figure
 from cassini_bayes.studies.blind.flights import Blind
@@ -72,7 +73,7 @@ def write_results(study: Study) -> dict[str, Any]:
         ("timing", timing_table(records), False),
         ("confusion", matrix, True),
     ):
-        write_text(study.page.with_name(f"{name}.csv"), frame.to_csv(index=index))
+        write_text(study.page.with_name(f"{name}.csv"), frame_csv(frame, index))
     for name, figure in (
         ("blind", blind_figure(table, stated, headline)),
         ("confusion", confusion_figure(matrix)),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.firing import NAMES
 from cassini_bayes.prediction.leave_one_out import HeldOut, Skill, leave_one_out, skill
@@ -91,10 +90,8 @@ def scaled_firing(beliefs: Beliefs, width: float) -> Beliefs:
 
 def table_csv(findings: Findings) -> str:
     """Every on-time: event, unit, flight, the columns, predicted median and 90 % interval."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     header = ["event", "unit", "flight_s", *(f"{source}_s" for source in COLUMNS)]
-    writer.writerow([*header, "median_s", "low_90_s", "high_90_s"])
+    table = [[*header, "median_s", "low_90_s", "high_90_s"]]
     for held in findings.folds:
         prediction = held.prediction
         draws = prediction.unit_on_time_s()
@@ -108,8 +105,8 @@ def table_csv(findings: Findings) -> str:
                 for rows in findings.columns.values()
             ]
             values = (held.event.on_time_s[unit[0]], *others, median[i], low[i], high[i])
-            writer.writerow([held.event.id, name, *(f"{value:.3f}" for value in values)])
-    return stream.getvalue()
+            table.append([held.event.id, name, *(f"{value:.3f}" for value in values)])
+    return rows_csv(table)
 
 
 def hydrazine_floor(findings: Findings) -> dict[str, float]:

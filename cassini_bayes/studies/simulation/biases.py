@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.published import wheel_bias_tables
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.plots.simulation import OnTimePanel, comparison_figure, motion_figure
@@ -25,7 +26,7 @@ from cassini_bayes.studies.bias_comparison import (
     simulate_biases,
 )
 from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated, with_settings
-from cassini_bayes.studies.simulation.tables import csv_text, markdown
+from cassini_bayes.studies.simulation.tables import markdown
 
 TAIL_OFFS_S: Final = (0.032, 0.040, 0.044)
 
@@ -73,9 +74,9 @@ def bias_sections(
     scan_header = ["settings", *_KIND_NAMES.values(), *_HALVES, *_SIGNATURE_NAMES]
     event_header = ["event", "row", *PRINTED, "simulated_mean", "simulated_sd"]
     files = {
-        "_biases": csv_text([event_header, *_event_rows(full)]),
-        "_skill": csv_text([header, *skill]),
-        "_scan": csv_text([scan_header, *scan_rows]),
+        "_biases": rows_csv([event_header, *_event_rows(full)]),
+        "_skill": rows_csv([header, *skill]),
+        "_scan": rows_csv([scan_header, *scan_rows]),
     }
     figures = {
         "_biases": comparison_figure(_panels(full), UNITS),

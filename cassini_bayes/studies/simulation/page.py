@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.studies.simulation.biases import bias_sections
 from cassini_bayes.studies.simulation.fsds import fsds_section
 from cassini_bayes.studies.simulation.mechanics import momentum_section
 from cassini_bayes.studies.simulation.propellant import propellant_section
-from cassini_bayes.studies.simulation.tables import csv_text
 from cassini_bayes.studies.study import Study
 
 FULL: Final[Mapping[str, int]] = {"eight wheel biases": 24, "scan of settings": 4}
@@ -95,5 +95,5 @@ def simulation_results(study: Study, numbers: Mapping[str, int]) -> None:
         propellant=propellant,
         scan=scan,
     )
-    tables |= {"_fsds": csv_text(fsds_rows), "_propellant": csv_text(propellant_rows)}
+    tables |= {"_fsds": rows_csv(fsds_rows), "_propellant": rows_csv(propellant_rows)}
     study.publish("The simulation: results", body, "studies.simulation", tables, figures)
