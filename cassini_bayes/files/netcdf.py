@@ -1,7 +1,13 @@
-"""NetCDF of this package: groups read whole, once their declared size has been looked at."""
+"""NetCDF of this package: groups read whole, once seal and declared size have been looked at.
+
+The HDF5 library may run for ever on a damaged file, and holds the process meanwhile. So a file of
+this package ends with a seal, the digest of all before it, which NetCDF readers pass over.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +19,13 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.reading import open_file
 
 MOST_BYTES: Final = 4 << 30  # of one group in memory; compressed, a small file may declare any size
+_SEAL: Final = b"\ncassini_bayes sha256 "
+_LENGTH: Final = len(_SEAL) + hashlib.sha256().digest_size
+
+
+def sealed(content: bytes) -> bytes:
+    """A NetCDF file's content with the seal behind it."""
+    return content + _SEAL + hashlib.sha256(content).digest()
 
 
 def read_groups(
@@ -30,11 +43,10 @@ def read_groups(
     Raises
     ------
     InputError
-        The file cannot be read, is not NetCDF, is truncated, lacks a group or variable, or declares
-        more than :data:`MOST_BYTES`.
+        The file cannot be read, is not NetCDF, is truncated, is not what was sealed, lacks a group
+        or variable, or declares more than :data:`MOST_BYTES`.
     """
-    with open_file(path, what):
-        pass  # a regular file: the library opens it by name
+    _check_seal(path, what)
     try:
         with h5py.File(path):  # xarray's engine complains when it is thrown away half open
             pass
@@ -47,6 +59,24 @@ def read_groups(
         raise InputError(
             str(path), what, reason, "run the fit again, or restore the file"
         ) from None
+
+
+def _check_seal(path: Path, what: str) -> None:
+    """Refuse what was changed since it was sealed; files of earlier versions have no seal."""
+    with open_file(path, what) as stream:
+        size = stream.seek(0, io.SEEK_END)
+        stream.seek(max(0, size - _LENGTH))
+        mark, found = (tail := stream.read())[: len(_SEAL)], tail[len(_SEAL) :]
+        if mark != _SEAL:
+            return
+        stream.seek(0)
+        digest, left = hashlib.sha256(), size - _LENGTH
+        while left and (block := stream.read(min(left, 1 << 20))):
+            digest.update(block)
+            left -= len(block)
+    if digest.digest() != found:
+        fix = "run the fit again, or restore the file"
+        raise InputError(str(path), what, "one that was damaged after it was written", fix)
 
 
 def _loaded(path: Path, group: str, needed: Sequence[str]) -> xr.Dataset:

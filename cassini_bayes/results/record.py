@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.files.netcdf import read_groups
+from cassini_bayes.files.netcdf import read_groups, sealed
 from cassini_bayes.files.storage import write_bytes
 from cassini_bayes.model.terms import Variable
 
@@ -92,7 +92,7 @@ def save_fit(fit: Fit, path: Path) -> None:
         for group, dataset in groups.items()
     }
     content = tree.to_netcdf(engine="h5netcdf", encoding=encoding)
-    write_bytes(path, bytes(content))
+    write_bytes(path, sealed(bytes(content)))
 
 
 def read_fit(path: Path) -> Fit:

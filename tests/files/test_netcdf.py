@@ -10,7 +10,7 @@ import xarray as xr
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files import netcdf
-from cassini_bayes.files.netcdf import read_groups
+from cassini_bayes.files.netcdf import read_groups, sealed
 
 WHAT = "a fit.nc"
 
@@ -60,3 +60,18 @@ def test_a_group_of_any_size_is_not_loaded(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(netcdf, "MOST_BYTES", 100)
     with pytest.raises(InputError, match="declares 8,000 bytes"):
         read_groups(stored(tmp_path), {"posterior": ()}, WHAT)
+
+
+def test_a_sealed_file_is_read_and_any_changed_byte_is_found(tmp_path: Path) -> None:
+    """NetCDF readers pass over the seal; a flipped bit anywhere before it is refused unread."""
+    path = stored(tmp_path)
+    content = path.read_bytes()
+    path.write_bytes(sealed(content))
+    groups, _ = read_groups(path, {"posterior": ("a",)}, WHAT)
+    np.testing.assert_array_equal(groups["posterior"]["a"], np.arange(1000.0))
+    for at in np.random.default_rng(4).integers(len(content), size=100):
+        damaged = bytearray(sealed(content))
+        damaged[at] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="damaged after it was written"):
+            read_groups(path, {"posterior": ("a",)}, WHAT)
