@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,11 @@ import pytest
 import run_cases
 from run_cases import B_BRANCH, EVENTS, FLIGHT
 
+from cassini_bayes.diagnosis.estimates import read_estimates
+from cassini_bayes.errors import InputError
 from cassini_bayes.files import storage
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.results.record import read_fit
 
 Captured = pytest.CaptureFixture[str]
 DIGITS = "9" * 27
@@ -110,28 +115,10 @@ def test_an_epoch_out_of_range_is_refused(capsys: Captured, tmp_path: Path, epoc
     assert "line 2, column epoch" in one_line(capsys, "fit", str(tmp_path / "t.csv"), *place)
 
 
-@pytest.mark.parametrize("epoch", ["0001-01-01T00:00:00Z", "9999-12-31T23:59:59Z"])
-def test_the_first_and_the_last_epoch_are_fitted(
-    capsys: Captured, tmp_path: Path, epoch: str
-) -> None:
-    """Negative control: times that no library of nanoseconds can hold go through a whole run."""
-    header, *rows = FLIGHT.read_text().splitlines()
-    at = header.split(",").index("epoch")
-    chosen = [row.split(",") for row in rows if row.startswith(EVENTS) and row.endswith("flight")]
-    lines = [",".join([*cells[:at], epoch, *cells[at + 1 :]]) for cells in chosen]
-    (tmp_path / "t.csv").write_text("\n".join([header, *lines]) + "\n")
-    table = run_cases.small_table() | {"events": [str(tmp_path / "t.csv")]}
-    path = run_cases.write_run(tmp_path, table)
-    assert run_cases.command(["run", str(path), "--quiet"]) in (0, 1)
-    assert "Traceback" not in capsys.readouterr().err
-
-
 def test_estimates_with_blank_lines_are_read_and_latin_ones_refused(
     capsys: Captured, tmp_path: Path
 ) -> None:
     """Blank lines at the start, between rows and at the end; a byte of Latin-1 by its line."""
-    from cassini_bayes.diagnosis.estimates import read_estimates
-
     lines = ESTIMATES.read_text().splitlines()
     spread = tmp_path / "spread.csv"
     spread.write_text("\n\n" + "\n\n".join(lines) + "\n\n\n")
@@ -153,35 +140,30 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "small"
 
 
-def test_a_damaged_fit_is_one_line_or_harmless(
+def test_a_damaged_fit_is_one_line_at_once(
     capsys: Captured, tmp_path: Path, finished: Path
 ) -> None:
-    """Bytes flipped, cut out, or zeroed at 40 places of a fit.nc that a prediction starts from."""
-    folder = tmp_path / "small"
-    shutil.copytree(finished, folder)
-    whole = (folder / "fit.nc").read_bytes()
+    """Bytes flipped, cut out, or zeroed at 300 places; a prediction says it in one line.
+
+    The library that reads NetCDF runs for ever on some of them.
+    """
+    whole = (finished / "fit.nc").read_bytes()
+    path = tmp_path / "fit.nc"
     rng = np.random.default_rng(18)
-    arguments = ["predict", "--fit", str(folder / "fit.nc"), "--bias", "rwa1: 0 -> 500", "--json"]
-    said = 0
-    for trial in range(40):
+    for trial in range(300):
         content = bytearray(whole)
         # every other time within the first 8 kB, where the structure is
-        at = int(rng.integers(8_192 if trial % 2 else len(whole)))
-        length = int(rng.integers(1, 64))
+        at = int(rng.integers(8_192 if trial % 2 else len(whole) - 200))
         if trial % 3 == 0:
-            del content[at : at + length]
+            del content[at : at + int(rng.integers(1, 64))]
         else:
-            content[at : at + length] = bytes(length) if trial % 3 == 1 else rng.bytes(length)
-        (folder / "fit.nc").write_bytes(content)
-        capsys.readouterr()
-        status = run_cases.command([*arguments, "--events", str(FLIGHT), "--priors", str(B_BRANCH)])
-        error = capsys.readouterr().err
-        assert status in (0, 2), error
-        if status == 2:
-            said += 1
-            assert error.startswith("error: ")
-            assert error.count("\n") == 1
-    assert said > 5
+            content[at] ^= int(rng.integers(1, 256))
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="damaged"):
+            read_fit(path)
+    arguments = ["predict", "--fit", str(path), "--bias", "rwa1: 0 -> 500"]
+    where = ["--events", str(FLIGHT), "--priors", str(B_BRANCH)]
+    assert "damaged" in one_line(capsys, *arguments, *where)
 
 
 RECORDS = [b"", b"{", b"[1]", b'{"sha256": 3}', b"\xff\xfe", b"[" * 99_999]
@@ -199,27 +181,19 @@ def test_a_damaged_record_is_one_line(
     assert "provenance.json" in one_line(capsys, "predict", "--fit", fit, "--bias", "rwa1: 0 -> 5")
 
 
-def test_a_bomb_as_checkpoint_counts_as_none(capsys: Captured, tmp_path: Path) -> None:
-    """A small archive that unpacks to a gigabyte: --resume does its block again."""
-    import zipfile
-
-    path = run_cases.write_run(tmp_path)
-    assert run_cases.command(["run", str(path), "--quiet"]) in (0, 1)
-    before = (tmp_path / "small" / "fit.nc").read_bytes()
-    blocks = sorted((tmp_path / "small" / "checkpoint").glob("*.npz"))
-    with zipfile.ZipFile(blocks[-1], "w", zipfile.ZIP_DEFLATED) as archive:
+def test_a_bomb_as_checkpoint_counts_as_none(tmp_path: Path) -> None:
+    """A small archive that unpacks to 64 MB: its block is done again."""
+    with zipfile.ZipFile(tmp_path / "block.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("header.npy", bytes(1 << 26))
-    (tmp_path / "small" / "fit.nc").unlink()
-    assert run_cases.command(["run", str(path), "--resume", "--quiet"]) in (0, 1)
-    assert "Traceback" not in capsys.readouterr().err
-    assert len((tmp_path / "small" / "fit.nc").read_bytes()) == len(before)
+    assert (tmp_path / "block.npz").stat().st_size < 1 << 17
+    assert CheckpointStore(tmp_path, "own").load("block") is None
 
 
-@pytest.mark.parametrize("at", ["resolved.toml", "block", "fit.nc", "summary.csv", "prov"])
+@pytest.mark.parametrize("at", ["resolved.toml", "fit.nc"])
 def test_an_interrupt_while_a_file_is_saved(
     capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str
 ) -> None:
-    """Ctrl-C between writing and moving into place: 130, one line, no half file; it goes on."""
+    """Ctrl-C between writing and moving into place: 130, one line, no half file."""
     path = run_cases.write_run(tmp_path)
     sync = storage._sync
     hit = []
@@ -237,20 +211,27 @@ def test_an_interrupt_while_a_file_is_saved(
     assert error.startswith("stopped")
     assert error.count("\n") == 1
     assert not [p for p in tmp_path.rglob("*") if p.name.startswith(".")]
-    again = ["--resume"] if (tmp_path / "small" / "resolved.toml").exists() else []
-    assert run_cases.command(["run", str(path), "--quiet", *again]) in (0, 1)
 
 
-def test_an_event_named_by_a_dollar_goes_through(capsys: Captured, tmp_path: Path) -> None:
-    """The run ends in its tables, where a formula as an id is text."""
-    text = FLIGHT.read_text().splitlines()
-    rows = [text[0], *[row for row in text if row.startswith(EVENTS) and row.endswith("flight")]]
-    content = "\n".join(rows).replace(EVENTS[0], "=cmd|'/C calc'!A0").replace(EVENTS[1], "$x_$")
-    (tmp_path / "t.csv").write_text(content + "\n")
+def test_strange_names_and_times_go_through_a_run(capsys: Captured, tmp_path: Path) -> None:
+    """Ids that are broken mathematics or a formula, the first and the last epoch there are.
+
+    Tables hold the formula as text. (A figure's names: tests/report/test_plots.py.)
+    """
+    header, *rows = FLIGHT.read_text().splitlines()
+    at = header.split(",").index("epoch")
+    chosen = [row.split(",") for row in rows if row.startswith(EVENTS) and row.endswith("flight")]
+    names = (("=cmd|'/C calc'!A0", "0001-01-01T00:00:00Z"), ("$x_$", "9999-12-31T23:59:59Z"))
+    for row, (name, epoch) in zip(chosen, names, strict=True):
+        row[0], row[at] = name, epoch
+    (tmp_path / "t.csv").write_text("\n".join([header, *map(",".join, chosen)]) + "\n")
     table = run_cases.small_table() | {"events": [str(tmp_path / "t.csv")]}
-    path = run_cases.write_run(tmp_path, table)
-    assert run_cases.command(["run", str(path), "--quiet"]) in (0, 1)
-    tables = [p.read_text() for p in (tmp_path / "small").rglob("*.csv")]
-    cells = {cell for table in tables for cell in re.split("[,\n]", table)}
+    assert run_cases.command(["run", str(run_cases.write_run(tmp_path, table)), "--quiet"]) in (
+        0,
+        1,
+    )
+    assert "Traceback" not in capsys.readouterr().err
+    tables = [path.read_text() for path in (tmp_path / "small").rglob("*.csv")]
+    cells = [cell for table in tables for cell in re.split("[,\n]", table)]
     assert any(cell.startswith("'=cmd") for cell in cells)
     assert not any(cell.startswith("=") for cell in cells)
