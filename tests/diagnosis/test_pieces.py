@@ -196,7 +196,8 @@ def test_long_events_have_the_columns_of_the_whole_event() -> None:
     samples = Samples(time_s, attitude, *rates, 0.125 * pulses, pulses)
     thrusters = PRIORS.spacecraft.thruster_names(PRIORS.branch)
     source = TelemetrySource("long", "bias", (1, 2, 4), thrusters, samples)
-    whole, sampling = reduce_source(source, PRIORS, telemetry_columns(thrusters))
+    reduced = reduce_source(source, PRIORS, telemetry_columns(thrusters))
+    whole, sampling = reduced.statistics, reduced.sampling
     rows, _ = settle(samples, Carry.start(whole.layout), whole.layout, sampling, final=True)
     place = whole.layout.scalar.index(warmup_tail_column("z1", 32.0))
     wanted = float((rows.scalar[:, place] ** 2).sum())
