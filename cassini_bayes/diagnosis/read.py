@@ -2,39 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.diagnosis.extended import Case, TelemetrySource, prepare
+from cassini_bayes.diagnosis.case import Log, silent
+from cassini_bayes.diagnosis.estimate_case import EstimateCase, estimate_case
+from cassini_bayes.diagnosis.estimates import estimates_of, is_estimates, read_estimates
+from cassini_bayes.diagnosis.events import Events, prepare
+from cassini_bayes.effects.registry import Kinds
+from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import (
     STRICT,
-    Plausibility,
     Policy,
-    TelemetryCheck,
     content_of_totals,
     refuse_duplicates,
 )
-from cassini_bayes.events.telemetry import read_chunks, read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.event_reduction import (
-    check_rows,
-    is_event_folder,
-    nominal_values,
-    require_branch,
-    samples_of,
-)
-from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.model.event_reduction import check_rows, is_event_folder, reduce_event
+from cassini_bayes.priors.reader import read_priors
 
 
-def read_case(
+def read_events(
     references: Sequence[str],
     priors_path: Path,
     source: str = "flight",
-    say: Callable[[str], None] | None = None,
+    log: Log = silent,
+    kinds: Kinds | None = None,
     policy: Policy = STRICT,
-) -> Case:
+) -> Events:
     """Read event folders and totals rows.
 
     Parameters
@@ -45,8 +41,10 @@ def read_case(
         The priors file.
     source
         Which rows of a totals CSV.
-    say
+    log
         Told what was read.
+    kinds
+        The effects that there are; those of the package by default.
     policy
         Mistakes in the data that the user accepts.
 
@@ -57,42 +55,38 @@ def read_case(
     """
     priors = read_priors(priors_path)
     folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
-    findings: list[str] = []
-    contents: list[tuple[str, str]] = []
-    sources = []
-    for folder in folders:
-        telemetry, plausible = read_source(folder, priors, policy)
-        sources.append(telemetry)
-        findings += plausible.findings
-        contents.append((str(folder), plausible.content))
-    rows = totals_rows(references, priors, source)
-    tables = [reference for reference in references if not is_event_folder(Path(reference))]
-    findings += check_rows(rows, priors, ", ".join(tables), policy)
-    contents += [(f"totals row {row.id}", content_of_totals(row)) for row in rows]
+    telemetry = [reduce_event(folder, priors, "first_order", policy=policy) for folder in folders]
+    findings = [finding for event in telemetry for finding in event.reading.findings]
+    contents = [
+        (str(folder), event.reading.content)
+        for folder, event in zip(folders, telemetry, strict=True)
+    ]
+    rows: list[TotalsEvent] = []
+    for table in references:
+        if not is_event_folder(Path(table)):
+            own = read_totals(table, priors.spacecraft, source)
+            findings += check_rows(own, priors, table, policy)
+            contents += [(f"{table}: {row.id}", content_of_totals(row)) for row in own]
+            rows += own
     findings += refuse_duplicates(contents, policy)
-    if say is not None:
-        say(f"read {len(sources)} telemetry events and {len(rows)} totals rows")
-    return replace(prepare(sources, priors, rows), findings=tuple(findings))
+    log(f"read {len(telemetry)} telemetry events and {len(rows)} totals rows")
+    return replace(prepare(telemetry, priors, rows, kinds), findings=tuple(findings))
 
 
-def totals_rows(
-    references: Sequence[str], priors: Priors, source: str = "flight"
-) -> tuple[TotalsEvent, ...]:
-    """Totals rows among the references, in order, as :func:`read_case` has them."""
-    tables = [reference for reference in references if not is_event_folder(Path(reference))]
-    return tuple(row for table in tables for row in read_totals(table, priors.spacecraft, source))
+def read_estimate_case(
+    references: Sequence[str], priors_path: Path, kinds: Kinds | None = None
+) -> EstimateCase:
+    """Read CSV files of printed thrusts, which are diagnosed on their own.
 
-
-def read_source(
-    folder: Path, priors: Priors, policy: Policy = STRICT
-) -> tuple[TelemetrySource, Plausibility]:
-    """One event folder as rows, checked as for a fit; a diagnosis keeps them in memory."""
-    event = read_event(folder, priors.spacecraft)
-    require_branch(event, priors)
-    check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
-    chunks = read_chunks(event, priors.spacecraft)
-    samples = [samples_of(check.take(chunk)) for chunk in chunks]
-    telemetry = TelemetrySource(
-        event.id, event.kind, event.wheels, event.thrusters, Samples.joined(samples)
-    )
-    return telemetry, check.verdict()
+    Raises
+    ------
+    InputError
+        Another input among them, or bad data or priors.
+    """
+    other = [reference for reference in references if not is_estimates(Path(reference))]
+    if other:
+        raise InputError(other[0], "estimates alone", "another input", "diagnose it on its own")
+    priors = read_priors(priors_path)
+    thrusters = priors.spacecraft.thruster_names(priors.branch)
+    rows = [row for reference in references for row in read_estimates(Path(reference), thrusters)]
+    return estimate_case(estimates_of(rows, priors), priors, kinds)

@@ -6,20 +6,20 @@ key being the hash of the telemetry, of how it is reduced and of the code that r
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
 from cassini_bayes.balance.physics import INERTIA_PARAMETERS, PULSE_PARAMETERS
+from cassini_bayes.balance.rate_information import RateInformation, rate_information
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     ExtraColumn,
@@ -30,8 +30,9 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
     save_statistics,
 )
-from cassini_bayes.balance.statistics.reduction import BLOCK_ROWS
+from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import (
     STRICT,
@@ -45,7 +46,10 @@ from cassini_bayes.events.plausibility import (
 )
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
 from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.files.cells import cells_of
 from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.json_file import read_json
+from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import Spacecraft, couples
@@ -57,8 +61,8 @@ DESCRIPTION: Final = "event.toml"
 _TAIL_BYTES: Final = 65_536
 WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
 FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
-REDUCED_BY: Final = ("events.telemetry", "balance.statistics")
-"""Packages whose code, with all that they import, turns telemetry into Gram matrices."""
+REDUCED_BY: Final = ("events.telemetry", "events.plausibility", "balance.statistics")
+"""Packages whose code, with all that they import, checks telemetry and reduces it."""
 _SAME_S: Final = 1e-9
 _TELL_S: Final = 5.0  # between lines of progress
 _TAIL_SPAN: Final = 5.0
@@ -110,9 +114,38 @@ class ReducedEvent:
         return self.statistics.layout.wheels
 
     @property
+    def thrusters(self) -> tuple[str, ...]:
+        """Names of its thrusters; none without counters."""
+        return self.statistics.layout.thrusters
+
+    @property
     def fires(self) -> bool:
         """Whether the event has thruster counters."""
-        return bool(self.statistics.layout.thrusters)
+        return bool(self.thrusters)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """All rows at once."""
+        return Samples.joined(list(self.rows))
+
+    @cached_property
+    def usable_rows(self) -> Rows:
+        """The columns of all rows that enter the balance."""
+        layout = self.statistics.layout
+        return settle(self.samples, Carry.start(layout), layout, self.sampling, final=True)[0]
+
+    @cached_property
+    def rates(self) -> RateInformation:
+        """What attitudes against integrated rates say of the gyros."""
+        return rate_information(self.samples)
+
+    def with_columns(self, extra: Sequence[ExtraColumn]) -> ReducedEvent:
+        """The event reduced with columns that effects need, which see all of it at once."""
+        sampling = replace(self.sampling, extra=tuple(extra))
+        layout = replace(self.statistics.layout, extra=tuple(column.name for column in extra))
+        samples = self.samples
+        statistics = reduce_chunks(self.id, self.kind, [samples], layout, sampling, len(samples))
+        return replace(self, statistics=statistics, sampling=sampling, rows=(samples,), key="")
 
 
 class EventRows:
@@ -156,7 +189,7 @@ class EventRows:
 
 def is_event_folder(path: Path) -> bool:
     """Whether a path given as an event is a folder of telemetry, not a totals file."""
-    return path.is_dir()
+    return exists(path) and path.is_dir()
 
 
 def samples_of(chunk: Chunk) -> Samples:
@@ -176,7 +209,6 @@ def sampling_of(
     thrusters: Sequence[str],
     duration_s: float,
     pulse_shape: str,
-    extra: Sequence[ExtraColumn] = (),
 ) -> Sampling:
     """How an event's telemetry is reduced, from the priors of the pulse parameters.
 
@@ -196,7 +228,6 @@ def sampling_of(
         guard,
         tuple(tuple(list(thrusters).index(name) for name in group) for group in groups),
         duration_s,
-        tuple(extra),
     )
 
 
@@ -208,14 +239,9 @@ def reduce_samples(
     samples: Samples,
     sampling: Sampling,
 ) -> ReducedEvent:
-    """Reduce telemetry that is in memory, as from a simulation.
-
-    Columns that effects bring see the whole event at once.
-    """
-    extra = tuple(column.name for column in sampling.extra)
-    layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples, extra)
-    block = len(samples) if extra else BLOCK_ROWS
-    statistics = reduce_chunks(event_id, kind, [samples], layout, sampling, block)
+    """Reduce telemetry that is in memory, as from a simulation."""
+    layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples)
+    statistics = reduce_chunks(event_id, kind, [samples], layout, sampling)
     counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
     gained = np.zeros((2, len(thrusters)))
     if len(counted):
@@ -277,7 +303,7 @@ def reduce_event(
     rows = EventRows(event, priors.spacecraft, search)
     guess = last_time(event.telemetry)
     sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
-    key = reduction_key(event, sampling)
+    key = reduction_key(event, sampling, policy)
     cached = _cached(cache, key)
     if cached is None:
         statistics, reading = _reduced(event, rows, priors, sampling, say, policy)
@@ -328,10 +354,12 @@ def store_reduction(reduced: ReducedEvent, cache: Path) -> None:
         write_text(record, json.dumps(asdict(reduced.reading), indent=1) + "\n")
 
 
-def reduction_key(event: TelemetryEvent, sampling: Sampling) -> str:
-    """Hash of all that a reduction depends on: data, columns, guard time, pulses, code."""
+def reduction_key(event: TelemetryEvent, sampling: Sampling, policy: Policy = STRICT) -> str:
+    """Hash of all that a reduction depends on: data, mistakes accepted, columns, pulses, code."""
     depends_on = {
         "telemetry": event.digest,
+        "accepted": sorted(policy.accepted),
+        "leave_out": policy.leave_out,
         "pulse_shape": sampling.pulse_shape.name,
         "reference": sampling.pulse_reference_s,
         "guard_s": sampling.guard_s,
@@ -360,7 +388,7 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
         return None
     statistics = load_statistics(cache / f"{key}.npz")
     try:
-        fields = json.loads((cache / f"{key}.json").read_bytes())
+        fields = read_json(cache / f"{key}.json", "the record of a reduction")
         reading = ReadingRecord(
             rows=int(fields["rows"]),
             start_s=float(fields["start_s"]),
@@ -371,7 +399,7 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
             findings=tuple(str(line) for line in fields["findings"]),
             content=str(fields["content"]),
         )
-    except (OSError, ValueError, TypeError, KeyError):
+    except (InputError, ValueError, TypeError, KeyError):
         return None
     return None if statistics is None else (statistics, reading)
 
@@ -496,15 +524,15 @@ def last_time(telemetry: Path) -> float:
             return _last_time_of_parquet(telemetry)
         with telemetry.open("rb") as stream:
             header = stream.readline().decode("utf-8-sig")
-            place = [name.strip() for name in next(csv.reader([header]))].index("time_s")
+            place = next(cells_of("", header))[1].index("time_s")
             stream.seek(0, 2)
             stream.seek(max(stream.tell() - _TAIL_BYTES, 0))
             lines = stream.read().decode("utf-8", "replace").splitlines()
         for line in reversed(lines):
             if line.strip():
-                value = float(next(csv.reader([line]))[place])
+                value = float(next(cells_of("", line))[1][place])
                 return value if np.isfinite(value) and value > 0 else 1.0
-    except (OSError, ValueError, IndexError, StopIteration):
+    except (OSError, ValueError, IndexError, StopIteration, InputError):
         return 1.0
     return 1.0
 

@@ -7,27 +7,30 @@ pass; with each mistake of :data:`MISTAKEN` it should be refused under its name.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MISTAKES, TelemetryCheck
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
-from cassini_bayes.files.storage import write_text
+from cassini_bayes.files.code import identity
 from cassini_bayes.model.event_reduction import nominal_values
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.studies.scenario import draw_wheel_rates, simulate_file, simulated_samples
+from cassini_bayes.studies.study import Arrays, Study
 
+MODULE: Final = "studies.mistakes"
+FULL: Final[Mapping[str, int]] = {"honest": 240, "mistaken": 3}
+QUICK: Final[Mapping[str, int]] = {"honest": 12, "mistaken": 1}
 KINDS: Final = ("bias", "slew", "quiescent")
 EFFECTS: Final[Mapping[str, Mapping[str, float]]] = {
     "thrust_scale": {"thrust_factor": 0.85},
@@ -264,18 +267,20 @@ MISTAKEN: Final[Mapping[str, Mistaken]] = {
 }
 
 
-@dataclass(frozen=True)
-class Campaign:
-    """Priors that truths are drawn from, seed, sets, and how many of them get mistakes too."""
+CASES: Final = tuple((name, kind) for name, each in MISTAKEN.items() for kind in each.kinds)
+"""Every mistake with every kind of event that it is for."""
 
-    priors: Path
-    seed: int
-    sets: int
-    mistaken_sets: int
+
+# ---- sets ----------------------------------------------------------------------------------------
+
+VERDICTS: Final = ("passed", "flagged", "refused", *MISTAKES)
+"""``refused`` is under no name that can be accepted."""
+
+NO_EFFECT: Final = -1
 
 
 def judge(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> tuple[str, float]:
-    """``passed``, ``flagged`` or the name it was refused under, and the misfit."""
+    """One of :data:`VERDICTS`, the name if it was refused under one, and the misfit."""
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors))
     check.take(chunk)
     try:
@@ -286,86 +291,132 @@ def judge(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> tuple[str, flo
     return ("flagged" if found.findings else "passed"), found.misfit
 
 
-def fly(campaign: Campaign, number: int) -> Iterator[dict[str, Any]]:
-    """One set: every event as recorded, and with every mistake if it is among the first sets."""
-    priors = read_priors(campaign.priors)
-    rng = np.random.default_rng([campaign.seed, number])
-    # sets with mistakes have none of the catalogue's effects: one thing at a time
-    clean = number < campaign.mistaken_sets or number % 2 == 0
-    effect = None if clean else str(rng.choice(list(EFFECTS)))
-    scene = document(campaign.priors, rng, effect)
+def fly(
+    priors: Priors, path: Path, rng: np.random.Generator, effect: str | None
+) -> Iterator[tuple[TelemetryEvent, Chunk]]:
+    """The events of one set, one of each of :data:`KINDS`."""
+    scene = document(path, rng, effect)
     flight = simulate_file(scenario_of(scene), int(rng.integers(2**31)), priors=priors)
-    for simulated in flight.events:
-        event, chunk = recorded(simulated)
-        verdict, misfit = judge(event, chunk, priors)
-        base = {"set": number, "kind": event.kind, "effect": effect, **scene["telemetry"]}
-        yield base | {"mistake": None, "verdict": verdict, "misfit": misfit}
-        if number >= campaign.mistaken_sets:
-            continue
-        for name, mistaken in MISTAKEN.items():
-            if event.kind in mistaken.kinds:
-                copy = replace(chunk, **{f.name: getattr(chunk, f.name) for f in fields(chunk)})
-                verdict, misfit = judge(event, mistaken.change(copy), priors)
-                yield base | {"mistake": name, "verdict": verdict, "misfit": misfit}
+    yield from map(recorded, flight.events)
 
 
-def run_campaign(campaign: Campaign, work: Path) -> Iterator[int]:
-    """Fly what has not been flown yet; one file per set."""
-    for number in range(campaign.sets):
-        path = work / f"{number:04}.json"
-        if not path.exists():
-            write_text(path, json.dumps(list(fly(campaign, number))) + "\n")
-        yield number + 1
+@dataclass(frozen=True)
+class Honest:
+    """Sets as recorded, every second one with a clear effect of the catalogue."""
+
+    priors: Path
+    seed: int
+    per_file: int = 4
+
+    def identity(self) -> str:
+        """Hash of all that a repetition depends on."""
+        return identity(["honest", self.seed], [self.priors], MODULE)
+
+    def repetition(self, index: int) -> Mapping[str, NDArray[Any] | float]:
+        """Place of the effect in :data:`EFFECTS`; verdict and misfit of each kind."""
+        priors, rng = read_priors(self.priors), np.random.default_rng([self.seed, index])
+        names = list(EFFECTS)
+        effect = int(rng.integers(len(names))) if index % 2 else NO_EFFECT
+        hidden = None if effect == NO_EFFECT else names[effect]
+        events = fly(priors, self.priors, rng, hidden)
+        judged = [judge(event, chunk, priors) for event, chunk in events]
+        return {
+            "effect": effect,
+            "verdict": np.array([VERDICTS.index(verdict) for verdict, _ in judged]),
+            "misfit": np.array([misfit for _, misfit in judged]),
+        }
 
 
-def write_page(work: Path, page: Path, command: Sequence[str]) -> None:
+@dataclass(frozen=True)
+class WithMistakes:
+    """Sets without effects, one thing at a time: every mistake in turn."""
+
+    priors: Path
+    seed: int
+    per_file: int = 1
+
+    def identity(self) -> str:
+        """Hash of all that a repetition depends on."""
+        return identity(["mistaken", self.seed], [self.priors], MODULE)
+
+    def repetition(self, index: int) -> Mapping[str, NDArray[Any]]:
+        """Verdict on each of :data:`CASES`."""
+        priors, rng = read_priors(self.priors), np.random.default_rng([self.seed, index])
+        flown = dict(zip(KINDS, fly(priors, self.priors, rng, None), strict=True))
+        verdicts = []
+        for name, kind in CASES:
+            event, chunk = flown[kind]
+            verdicts.append(judge(event, MISTAKEN[name].change(chunk), priors)[0])
+        return {"verdict": np.array([VERDICTS.index(verdict) for verdict in verdicts])}
+
+
+def run_mistakes(study: Study, priors: Path, numbers: Mapping[str, int]) -> None:
+    """Fly, judge and write the page; ``numbers`` are sets by part, as in :data:`FULL`."""
+    honest = study.repeat("honest", "honest sets", Honest(priors, study.seed), numbers["honest"])
+    mistaken = study.repeat(
+        "mistaken", "sets with mistakes", WithMistakes(priors, study.seed), numbers["mistaken"]
+    )
+    study.publish("Mistakes in telemetry", _body(honest, mistaken), MODULE, {}, {})
+
+
+def _body(honest: Arrays, mistaken: Arrays) -> str:
     """Rates as a page: honest events by kind, and every mistake by kind of event."""
-    rows = [row for path in sorted(work.glob("*.json")) for row in json.loads(path.read_text())]
-    honest = [row for row in rows if row["mistake"] is None]
+    return "\n".join(
+        [
+            "What the checks of `cassini_bayes.events.plausibility` say of simulated events:",
+            "honest ones under varied conditions, every second set with a clear effect of the",
+            "catalogue, and events with one mistake each. Derivation:",
+            "[Mistakes in data](../plausibility.md).",
+            "",
+            *_honest_lines(honest),
+            "",
+            *_mistaken_lines(mistaken),
+        ]
+    )
+
+
+def _honest_lines(honest: Arrays) -> Sequence[str]:
+    names, hides = list(EFFECTS), honest["effect"] != NO_EFFECT
     lines = [
-        "# Mistakes in telemetry",
-        "",
-        "What the checks of `cassini_bayes.events.plausibility` say of simulated events: honest",
-        "ones under varied conditions, every second set with a clear effect of the catalogue, and",
-        "events with one mistake each. Derivation: [Mistakes in data](../plausibility.md).",
-        "",
-        f"`{' '.join(command)}`, {datetime.now(UTC):%Y-%m-%d};"
-        f" {len({row['set'] for row in rows})} sets.",
-        "",
-        "## Honest events",
+        f"## Honest events ({len(hides)} sets)",
         "",
         "| kind | effect hidden | events | refused | flagged | largest misfit |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    for kind in KINDS:
+    for k, kind in enumerate(KINDS):
         for hidden in (False, True):
-            own = [r for r in honest if r["kind"] == kind and (r["effect"] is not None) == hidden]
-            verdicts = Counter(row["verdict"] for row in own)
-            refused = len(own) - verdicts["passed"] - verdicts["flagged"]
-            misfits = [row["misfit"] for row in own if np.isfinite(row["misfit"])]
+            counts = _counted(honest["verdict"][hides == hidden, k])
+            misfits = honest["misfit"][hides == hidden, k]
+            refused = counts.total() - counts["passed"] - counts["flagged"]
             lines.append(
-                f"| {kind} | {'yes' if hidden else 'no'} | {len(own)} | {refused} |"
-                f" {verdicts['flagged']} | {max(misfits, default=0.0):.1f} |"
+                f"| {kind} | {'yes' if hidden else 'no'} | {counts.total()} | {refused} |"
+                f" {counts['flagged']} | {np.max(misfits[np.isfinite(misfits)], initial=0.0):.1f} |"
             )
-    odd = [row for row in honest if row["verdict"] != "passed"]
-    for row in odd:
-        lines += ["", f"Not passed: set {row['set']}, {row['kind']}, {row['effect']}:"]
-        lines.append(f"{row['verdict']} (misfit {row['misfit']:.1f}).")
-    lines += [
-        "",
+    for row, k in np.argwhere(honest["verdict"] != VERDICTS.index("passed")):
+        effect = names[honest["effect"][row]] if hides[row] else "no effect"
+        verdict = VERDICTS[honest["verdict"][row, k]]
+        said = f"{verdict} (misfit {honest['misfit'][row, k]:.1f})"
+        lines += ["", f"Not passed: set {row}, {KINDS[k]}, {effect}: {said}."]
+    return lines
+
+
+def _mistaken_lines(mistaken: Arrays) -> Sequence[str]:
+    lines = [
         "## Mistakes",
         "",
         "| mistake | event | sets | named | refused otherwise | flagged | passed |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for name, mistaken in MISTAKEN.items():
-        for kind in mistaken.kinds:
-            own = [r for r in rows if r["mistake"] == name and r["kind"] == kind]
-            verdicts = Counter(row["verdict"] for row in own)
-            named = sum(verdicts[each] for each in mistaken.names)
-            others = len(own) - named - verdicts["flagged"] - verdicts["passed"]
-            lines.append(
-                f"| {name} | {kind} | {len(own)} | {named} | {others} | {verdicts['flagged']} |"
-                f" {verdicts['passed']} |"
-            )
-    write_text(page, "\n".join(lines) + "\n")
+    for (name, kind), verdicts in zip(CASES, mistaken["verdict"].T, strict=True):
+        counts = _counted(verdicts)
+        named = sum(counts[each] for each in MISTAKEN[name].names)
+        others = counts.total() - named - counts["flagged"] - counts["passed"]
+        lines.append(
+            f"| {name} | {kind} | {counts.total()} | {named} | {others} | {counts['flagged']} |"
+            f" {counts['passed']} |"
+        )
+    return lines
+
+
+def _counted(verdicts: NDArray[Any]) -> Counter[str]:
+    return Counter(VERDICTS[verdict] for verdict in verdicts)

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 _CONJUGATE: Final = np.array([-1.0, -1.0, -1.0, 1.0])
 

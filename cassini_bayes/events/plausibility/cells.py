@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
 from cassini_bayes.events.plausibility.momentum import RPM_RAD_S, Nominal
 from cassini_bayes.events.telemetry import Chunk

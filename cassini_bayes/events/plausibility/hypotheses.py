@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import read_as
 from cassini_bayes.events.plausibility.momentum import (
     RPM_RAD_S,

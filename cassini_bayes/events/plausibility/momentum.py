@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
 from cassini_bayes.events.plausibility.rows import Rows
 from cassini_bayes.spacecraft import (
