@@ -252,10 +252,13 @@ def read_priors(path: str | Path) -> Priors:
                 nearest(name, specs),
             )
         parameters[name] = _read_parameter(where, specs[name], _table(where, entry))
+    wheels = _read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft)
+    turned = spacecraft.with_platforms(parameters)
+    turned.check_platforms(wheels, f"{path}: parameters")
     priors = Priors(
-        spacecraft=spacecraft,
+        spacecraft=turned,
         branch=_read_branch(f"{path}: spacecraft.branch", own.get("branch"), spacecraft),
-        wheels=_read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft),
+        wheels=wheels,
         parameters=parameters,
         path=str(path),
         digest=hashlib.sha256(content).hexdigest(),

@@ -112,6 +112,7 @@ def scenario_of(
     for index, appendage in enumerate(scenario.appendage):
         _check_direction(f"{where}: appendage.{index}.axis", appendage.axis)
     _check_truth(where, scenario, spacecraft)
+    _check_platforms(where, scenario, spacecraft)
     record_interval_s(scenario.telemetry)
     effects = _effects(where, scenario, spacecraft, ids)
     return ScenarioFile(where, folder, scenario, spacecraft, effects)
@@ -316,6 +317,14 @@ def _check_truth(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None
     for index, event in enumerate(scenario.event):
         for key, value in event.truth.items():
             _check_value(f"{where}: event.{index}.truth.{key}", key, value, names)
+
+
+def _check_platforms(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:
+    wheels = scenario.spacecraft.wheels
+    spacecraft.with_platforms(scenario.truth).check_platforms(wheels, f"{where}: truth")
+    for index, event in enumerate(scenario.event):
+        place = f"{where}: event.{index}.truth"
+        spacecraft.with_platforms(event.truth).check_platforms(wheels, place)
 
 
 def _check_value(place: str, key: str, value: object, names: list[str]) -> None:
