@@ -23,9 +23,9 @@ HELD_AXES: Final[Mapping[str, tuple[int, int]]] = MappingProxyType({"ors": (0, 2
 """Body axes that two wheels hold: remote sensing X and Z (§VII), downlink and fields X and Y (§VIII).
 The thrusters have the third."""
 
-LEAST_SINGULAR_VALUE: Final = 0.01
-"""Of the two wheels' directions on the held axes. Below it (half a degree of articulation from a
-singular angle) one newton metre about the worst axis takes more than a hundred of the wheels."""
+LEAST_SINGULAR_VALUE: Final = 0.003
+"""Of the two wheels' directions on the held axes. Below it (about a degree of articulation from a
+singular angle) a torque about the worst axis takes more than three hundred times that of wheels."""
 
 
 def free_axis(controller: str) -> int:
