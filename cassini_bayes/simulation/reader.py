@@ -257,6 +257,9 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
                 "give one rate per prime wheel",
             )
     needed = {"bias": "to_rpm", "slew": "slew", "delta_v": "delta_v_m_s"}.get(event.kind)
+    if event.hybrid is not None:
+        _check_hybrid(where, event)
+        needed = None
     if needed is not None and not getattr(event, needed):
         raise InputError(
             f"{where}.{needed}", f"a value for a {event.kind} event", "nothing", f"add {needed}"
@@ -286,6 +289,30 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
             "a quaternion of unit norm, scalar last",
             str(event.attitude),
             "divide it by its norm",
+        )
+
+
+def _check_hybrid(where: str, event: EventSettings) -> None:
+    if event.kind not in ("slew", "bias"):
+        raise InputError(
+            f"{where}.hybrid",
+            "a slew (two wheels alone) or a bias (thrusters hold the third axis)",
+            f"a {event.kind} event",
+            "change kind, or leave hybrid out",
+        )
+    if event.to_rpm is not None:
+        raise InputError(
+            f"{where}.to_rpm",
+            "nothing: the wheels go where holding the attitude takes them",
+            str(list(event.to_rpm)),
+            "leave to_rpm out, or hybrid",
+        )
+    if not event.slew and event.duration_s is None:
+        raise InputError(
+            f"{where}.duration_s",
+            "the duration of an event without slews",
+            "nothing",
+            "add duration_s = …",
         )
 
 

@@ -48,9 +48,9 @@ class Wheel:
 
     ``name`` is the prefix of its telemetry columns, ``axis`` its nominal spin axis (3,), a unit
     vector in body axes. ``tilt_parameters`` are the names of (u, v), or None for a wheel whose axis
-    is taken as known. ``platform`` is what can turn the wheel, None where it is bolted down. Its angle
-    is a parameter only where ``is_turned`` (:meth:`Spacecraft.with_platforms`); else it stays where
-    the file has it.
+    is taken as known. ``platform`` is what can turn the wheel, None where it is bolted down. Its
+    angle is a parameter only where ``is_turned`` (:meth:`Spacecraft.with_platforms`); else it stays
+    where the file has it.
     """
 
     number: int

@@ -20,8 +20,8 @@ from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 
 HELD_AXES: Final[Mapping[str, tuple[int, int]]] = MappingProxyType({"ors": (0, 2), "dfpw": (0, 1)})
-"""Body axes that two wheels hold: remote sensing X and Z (§VII), downlink and fields X and Y (§VIII).
-The thrusters have the third."""
+"""Body axes that two wheels hold: X and Z in remote sensing (§VII), X and Y in downlink and fields
+(§VIII). The thrusters have the third."""
 
 LEAST_SINGULAR_VALUE: Final = 0.003
 """Of the two wheels' directions on the held axes. Below it (about a degree of articulation from a
@@ -34,7 +34,7 @@ def free_axis(controller: str) -> int:
 
 
 def wheel_torques(axes: Array, controller: str, where: str) -> Array:
-    """Torque of each wheel per torque about the held axes (2, 2): the inverse of paper 004's A or B.
+    """Torque of each wheel per torque about the held axes (2, 2), the inverse of 004's A or B.
 
     Parameters
     ----------
@@ -228,5 +228,5 @@ def peak_wheel_momentum(axes: Array, momentum_n_m_s: ArrayLike, where: str = "wh
 def spin_propellant_kg(
     inertia_kg_m2: float, rate_rad_s: float, lever_m: float, exhaust_velocity_m_s: float
 ) -> float:
-    """Propellant to spin up by a thruster couple and down again, 2 I Ω/(L v) (004 Table 3 note c)."""
+    """Propellant to spin up by a couple and down again, 2 I Ω/(L v) (paper 004 Table 3 note c)."""
     return 2.0 * inertia_kg_m2 * rate_rad_s / (lever_m * exhaust_velocity_m_s)

@@ -263,7 +263,7 @@ def test_momentum_about_z_is_conserved() -> None:
 )
 def test_singular_angles_are_refused(controller: str, angle: float) -> None:
     """At the angles of section VII and VIII one line says why; two degrees beside they work."""
-    with pytest.raises(InputError, match="one plane with [YZ].*singular angle"):
+    with pytest.raises(InputError, match=r"one plane with [YZ].*singular angle"):
         torque_coupling(axes_of(angle), controller, "scenario")
     assert np.abs(torque_coupling(axes_of(angle + 2.0), controller)).max() > 5.0 or angle == 120.0
 
