@@ -69,7 +69,7 @@ class Simulation:
         return truth_text(self.seed, plans, self.file.effects)
 
     def totals(self) -> tuple[TotalsEvent, ...]:
-        """Totals of the biases among the events, hybrid ones apart: their rates are not commanded."""
+        """Totals of the biases among the events but hybrid ones, whose rates nobody commands."""
         settings = self.file.scenario.telemetry
         return tuple(
             TotalsEvent(**totals_row(event.plan, event.motion, settings, self.seed))
