@@ -227,6 +227,7 @@ def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
         pairs=np.ascontiguousarray(pairs),
         burn=burn,
         burn_delta_v_m_s=plan.event.delta_v_m_s,
+        burn_start_s=plan.event.start_s,
         burn_acceleration_m_s2=acceleration,
     )
 

@@ -109,6 +109,7 @@ class RcsLaw(NamedTuple):
     pairs: Array  # (6, K): +x −x +y −y +z −z
     burn: Array  # (K,) 1 for thrusters of a ΔV burn
     burn_delta_v_m_s: float
+    burn_start_s: float
     burn_acceleration_m_s2: float  # assumed by the flight software, per thruster
 
 
@@ -818,7 +819,7 @@ def advance(
                     time,
                     memory,
                 )
-                burning = burned < rcs.burn_delta_v_m_s
+                burning = burned < rcs.burn_delta_v_m_s and time >= rcs.burn_start_s
                 thruster_widths(rcs, memory[0], burning, widths)
                 log_pulses(pulses, time, widths)
                 for k in range(n_thrusters):

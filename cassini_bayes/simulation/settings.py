@@ -150,7 +150,8 @@ class HybridSettings(Table):
 
 class EventSettings(Table):
     """One event. A bias drives the wheels from ``from_rpm`` to ``to_rpm`` under thruster control;
-    slews and quiescent periods start at ``from_rpm`` under wheel control; ``delta_v`` burns. With
+    slews and quiescent periods start at ``from_rpm`` under wheel control; ``delta_v`` burns,
+    from ``start_s`` on. With
     ``hybrid`` two wheels share the control with the thrusters (bias), or have it alone (slew).
 
     Without ``duration_s`` a bias ends ``settle_s`` after its last wheel has arrived (T of paper
@@ -187,6 +188,7 @@ class TelemetrySettings(Table):
     wheel_every_s: Positive = 1.0
     counter_every_s: Positive = 1.0
     delta_v_every_s: Positive = 10.0
+    accelerometer_every_s: Positive = 1.0
     pressure_every_s: Positive = 60.0
     attitude_noise_rad: NotNegative | None = None
     rate_noise_rad_s: NotNegative | None = None
@@ -197,6 +199,7 @@ class TelemetrySettings(Table):
     delta_v: Literal["measured", "computed", "none"] = "none"
     delta_v_noise_m_s: NotNegative | None = None
     delta_v_resolution_m_s: NotNegative | None = None
+    accelerometer: Flag = False
     pressure: Flag = False
     pressure_noise_kpa: NotNegative = 0.0
     drop_out: Fraction = 0.0
