@@ -57,9 +57,7 @@ class AccelerometerStatistics:
         """Inner products (4K + 1, 4K + 1) of on-times and time, the constant eliminated."""
         others = np.delete(np.arange(len(self.gram)), len(self.gram) - 2)
         one = self.gram[others, -2]
-        return np.asarray(
-            self.gram[others[:, None], others] - np.outer(one, one) / self.readings
-        )
+        return np.asarray(self.gram[others[:, None], others] - np.outer(one, one) / self.readings)
 
 
 def accelerometer_statistics(
@@ -113,9 +111,7 @@ def accelerometer_information(
     gram, cross = statistics.gram, statistics.cross
     # inner products with κ N + b t, of columns and constant, then of itself
     velocity = scale[:, None] * cross[:-1] + bias[:, None] * gram[:-1, -1]
-    square = (
-        scale**2 * statistics.square + 2.0 * scale * bias * cross[-1] + bias**2 * gram[-1, -1]
-    )
+    square = scale**2 * statistics.square + 2.0 * scale * bias * cross[-1] + bias**2 * gram[-1, -1]
     matrix, vector, constant = velocity_information(
         on_time_weights(statistics.sampling, physics, n, k),
         gram[:-1, :-1],

@@ -15,8 +15,8 @@ class Chunk:
     """n rows of telemetry in file order, checked and mended; arrays are read-only.
 
     NaN means "not sampled at this time"; a channel is sampled as a whole or not at all in a row. A
-    channel that the file does not have is 0 wide, tank pressure and counts then all NaN. Attitudes are
-    unit quaternions J2000 → body, scalar last, with the sign that continues the one before.
+    channel that the file does not have is 0 wide, tank pressure and counts then all NaN. Attitudes
+    are unit quaternions J2000 → body, scalar last, with the sign that continues the one before.
     Counters only grow: a wrap has been undone. ``first_row`` is the line of the file (for Parquet
     the row, counted from 1) that the first row came from.
     """
