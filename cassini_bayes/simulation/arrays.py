@@ -99,6 +99,7 @@ def make_thrusters(plan: Plan) -> kernel.Thrusters:
         directions=np.ascontiguousarray(directions),
         thrust_n=floats([plan.thrust_n[name] for name in names]),
         leak_n=floats([plan.leaks_n.get(name, 0.0) for name in names]),
+        leak_start_s=plan.leak_start_s,
         parasitic_m=parasitic,
         start_delay_s=start - min(plan.impulse_offset_s, 0.0),
         rise_end_delay_s=rise_end,

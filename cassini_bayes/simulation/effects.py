@@ -94,7 +94,8 @@ def _misalignment(plan: Plan, target: str, values: Values) -> Plan:
 
 
 def _leak(plan: Plan, target: str, values: Values) -> Plan:
-    return replace(plan, leaks_n=frozen_mapping({**plan.leaks_n, target: values["leak_n"]}))
+    leaks = frozen_mapping({**plan.leaks_n, target: values["leak_n"]})
+    return replace(plan, leaks_n=leaks, leak_start_s=values["start_s"])
 
 
 def _time_offset(plan: Plan, _: str, values: Values) -> Plan:
@@ -173,7 +174,13 @@ _ALL: Final = (
     Effect(
         "external_torque", tuple(f"external_torque_{axis}_n_m" for axis in AXES), None, _parameters
     ),
-    Effect("thruster_leak", ("leak_n",), "thruster", _leak),
+    Effect(
+        "thruster_leak",
+        ("leak_n",),
+        "thruster",
+        _leak,
+        optional=MappingProxyType({"start_s": 0.0}),
+    ),
     Effect("inertia", ("inertia_{target}_kg_m2",), "element", _parameters),
     Effect("time_offset", ("time_offset_s",), None, _time_offset),
     Effect("rate_bias", ("rate_bias_{target}_rad_s",), "axis", _parameters),

@@ -73,6 +73,7 @@ class Thrusters(NamedTuple):
     directions: Array  # (3, K)
     thrust_n: Array  # (K,) steady, at the start of the event
     leak_n: Array  # (K,)
+    leak_start_s: float
     parasitic_m: Array  # (3, K) extra torque per newton (plume)
     start_delay_s: float
     rise_end_delay_s: float
@@ -702,7 +703,9 @@ def deliver(
         if thrusters.warmup_deficit[k] != 0.0:
             cold = math.exp(-on_time[k] / thrusters.warmup_time_s)
             strength *= 1.0 - thrusters.warmup_deficit[k] * cold
-        newton_seconds = strength * delivered + thrusters.leak_n[k] * step
+        newton_seconds = strength * delivered
+        if time >= thrusters.leak_start_s:
+            newton_seconds += thrusters.leak_n[k] * step
         isp = specific_impulse(thrusters.isp_s, on_time[k] / (time + step))
         gained += newton_seconds / (STANDARD_GRAVITY_M_S2 * isp)
         mean = newton_seconds / step
