@@ -99,13 +99,16 @@ def judged(flown: Sequence[Trial]) -> pd.DataFrame:
                     "named": found and int(track.thruster[row or 0]) == trial.thruster,
                 }
             )
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    labels = [monitor.label for monitor in MONITORS]
+    table["monitor"] = pd.Categorical(table["monitor"], labels, ordered=True)
+    return table
 
 
 def by_size(table: pd.DataFrame) -> pd.DataFrame:
     """Per monitor and bin of sizes: leaks, share found, median delay, share of found ones named."""
     bins = pd.cut(table["leak_n"], BINS_N, include_lowest=True)
-    groups = table.groupby(["monitor", bins], observed=True, sort=False)
+    groups = table.groupby(["monitor", bins], observed=True)
     found = groups["found"].mean()
     return pd.DataFrame(
         {
@@ -149,10 +152,10 @@ knows of no uncertainty; the odds know which part of a residual the thrusts expl
 
 ## A leak and a steady torque
 
-At one attitude a leak and a steady torque are the same: both add momentum in one fixed direction. So
-they are after any turn, if the torque turns with the body. A torque fixed in inertial axes parts from
-the leak after a turn by ψ across it, by 2 τ t sin(ψ/2) over a time t. A leak of 0.1 mN (lever 1.6 m)
-makes 0.16 mN m; after 1,000 s the two have parted by
+At one attitude a leak and a steady torque are the same: both add momentum in one fixed direction.
+So they are after any turn, if the torque turns with the body. A torque fixed in inertial axes parts
+from the leak after a turn by ψ across it, by 2 τ t sin(ψ/2) over a time t. A leak of 0.1 mN (lever
+1.6 m) makes 0.16 mN m; after 1,000 s the two have parted by
 
 | turn | 0° | 5° | 30° | 90° | 180° |
 | --- | --- | --- | --- | --- | --- |
@@ -165,7 +168,7 @@ against some 0.01 N m s of noise in a row of telemetry.
 def page(table: pd.DataFrame, quiet: int) -> str:
     """The page of a judged campaign."""
     overall, sizes = [], []
-    for label, own in table.groupby("monitor", sort=False):
+    for label, own in table.groupby("monitor", observed=True):
         found = own["found"].mean()
         named = own["named"].sum() / max(own["found"].sum(), 1)
         first = own.iloc[0]
@@ -173,7 +176,9 @@ def page(table: pd.DataFrame, quiet: int) -> str:
             f"| {label} | {first['threshold']:.3g} | {first['false_alarms']:.1%} | {found:.1%}"
             f" | {named:.1%} |"
         )
-    for row in by_size(table).to_dict(orient="records"):
+    patient = [monitor.label for monitor in MONITORS if monitor.persistence == max(PERSISTENCE)]
+    shown = by_size(table)
+    for row in shown[shown["monitor"].isin(patient)].to_dict(orient="records"):
         low, high = 1e3 * row["leak_n"].left, 1e3 * row["leak_n"].right
         delay = "" if np.isnan(row["delay_s"]) else f"{row['delay_s']:.0f}"
         named = "" if np.isnan(row["named"]) else f"{row['named']:.0%}"

@@ -1,11 +1,11 @@
 """Two leak monitors on one event: residual momentum with a threshold, and sequential odds.
 
-Paper 000 section IV has one on board (*excessive thruster commanding*): what Euler's equation leaves
-is integrated over time, and a residual momentum beyond a threshold within a set time is a leak; the
-signs of its three components name the thruster. It prints neither threshold nor time. Beside it
-stands the posterior: the same residual is Gaussian with a covariance of channel noise, torque noise
-and every uncertain parameter, a leak adds a known column from its start on, and the odds of a leak
-are updated row by row. Both see the same rows, those at which no thruster delivers.
+Paper 000 section IV has one on board (*excessive thruster commanding*): what Euler's equation
+leaves is integrated over time, and a residual momentum beyond a threshold within a set time is a
+leak; the signs of its three components name the thruster. It prints neither threshold nor time.
+Beside it stands the posterior: the same residual is Gaussian with a covariance of channel noise,
+torque noise and every uncertain parameter, a leak adds a known column from its start on, and the
+odds of a leak are updated row by row. Both see the same rows, at which no thruster delivers.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.balance.telemetry_terms import pulse_weights
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.priors.reader import Priors
 
@@ -74,7 +75,12 @@ def residual_of(
     kept = np.flatnonzero(np.diff(samples.time_s[rows] // ROWS_EVERY_S, prepend=-1.0) > 0.0)
     rows = rows[kept]
     if len(rows) < _LEAST_ROWS:
-        raise ValueError(f"only {len(rows)} rows at rest")
+        raise InputError(
+            "telemetry",
+            f"at least {_LEAST_ROWS} rows at rest, {ROWS_EVERY_S:g} s apart",
+            str(len(rows)),
+            "use a longer event",
+        )
     columns = on_time_columns(samples, rows, sampling).reshape(len(rows), len(thrusters), 4)[
         ..., :3
     ]

@@ -18,7 +18,7 @@ def leak_figure(table: pd.DataFrame) -> Figure:
     with matplotlib.rc_context(dict(STYLE)):
         figure = Figure(figsize=(10.0, 4.0), layout="constrained")
         left, right = figure.subplots(1, 2)
-        for label, own in table.groupby("monitor", sort=False):
+        for label, own in table.groupby("monitor", observed=True):
             middle = [1e3 * np.sqrt(max(each.left, 1e-5) * each.right) for each in own["leak_n"]]
             style = "-" if str(label).startswith("sequential") else "--"
             left.plot(middle, own["found"], style, marker="o", ms=3, label=str(label))
