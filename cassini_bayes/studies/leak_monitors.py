@@ -71,7 +71,7 @@ def residual_of(
     known = np.isfinite(
         np.column_stack([samples.attitude, samples.rate_rad_s, samples.wheel_rad_s])
     ).all(axis=1)
-    rows = rows_at_rest(samples, known, sampling.guard_s)
+    rows = rows_at_rest(samples, np.asarray(known), sampling.guard_s)
     kept = np.flatnonzero(np.diff(samples.time_s[rows] // ROWS_EVERY_S, prepend=-1.0) > 0.0)
     rows = rows[kept]
     if len(rows) < _LEAST_ROWS:
@@ -219,7 +219,7 @@ def threshold_track(residual: Residual, window_s: float) -> Track:
     The whole residual where the event is younger than the window.
     """
     time, momentum = residual.time_s, residual.momentum_n_m_s
-    before = np.searchsorted(time, time - window_s + 1e-9)
+    before = np.searchsorted(time, time - window_s - 1e-9)
     gained = momentum - momentum[before]
     named = np.array([_by_polarity(row, residual.arms_m) for row in gained])
     return Track(np.linalg.norm(gained, axis=1), named)

@@ -19,9 +19,14 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.simulation import scenario_of
+from cassini_bayes.simulation import make_plan, scenario_of
 from cassini_bayes.studies.leak_monitors import SIZES_N, Odds, Track, residual_of, threshold_track
-from cassini_bayes.studies.scenario import draw_wheel_rates, simulate_file, simulated_samples
+from cassini_bayes.studies.scenario import (
+    draw_truth,
+    draw_wheel_rates,
+    simulate_file,
+    simulated_samples,
+)
 from cassini_bayes.studies.telemetry_calibration import with_torque_noise
 
 SEED: Final = 20_050_128
@@ -63,12 +68,15 @@ def fly_trial(priors: Priors, document: dict[str, Any], index: int) -> Trial:
     if index % 10 >= LEAKS_OF_TEN:
         size, thruster = 0.0, -1
     seed = int(rng.integers(2**62))
-    event = simulate_file(scenario_of(own), seed, priors=priors).events[0]
-    start = share * event.motion.duration_s
+    file = scenario_of(own)
+    truth = draw_truth(file, seed, priors)
+    plan = make_plan(file.scenario, file.spacecraft, file.scenario.event[0], truth)
+    start = share * float(plan.event.duration_s or 0.0)
     if thruster >= 0:
         values = {"leak_n": size, "start_s": start}
         own["effect"] = [{"name": f"thruster_leak:{names[thruster]}", "parameters": values}]
-        event = simulate_file(scenario_of(own), seed, priors=priors).events[0]
+        file = scenario_of(own)
+    event = simulate_file(file, seed, truth=truth).events[0]
     samples, thrusters = simulated_samples(event)
     samples = with_torque_noise(samples, event, rng)
     residual = residual_of(samples, thrusters, event.plan.wheel_numbers, priors)
