@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,7 @@ Array = NDArray[np.float64]
 NAMES = ("z1", "z2", "z3", "z4", "y1", "y2", "y3", "y4")
 
 
+@cache
 def arms() -> Array:
     """Torque per newton of the B branch at the prior means."""
     priors = read_priors(PRIORS)
