@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -281,3 +283,28 @@ def test_a_spin_that_stops_is_refused() -> None:
     with pytest.raises(InputError, match="falls to zero before a turn"):
         spin((4.0, 4.0))
     spin((-4.0, -4.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("about = [0.0, 0.0, 1.0]", "about = [0.0, 0.0, 1.1]"), ["about", "unit vector"]),
+        (('parameter = "rwa4_articulation_rad"', 'parameter = "rwa4_angle"'), ["'rwa4_angle'"]),
+        (
+            ('parameter = "rwa4_articulation_rad"', 'parameter = "rwa4_inertia_kg_m2"'),
+            ["in rad", "kg m2"],
+        ),
+        (("axis_at_rad = -2.0943951023931953", 'axis_at_rad = "-120"'), ["axis_at_rad"]),
+    ],
+)
+def test_a_bad_platform_is_refused(
+    tmp_path: Path, change: tuple[str, str], words: list[str]
+) -> None:
+    """A slanted axis, an angle that is not declared or has another unit, text for a number."""
+    source = (files("cassini_bayes.spacecraft") / "cassini.toml").read_text(encoding="utf-8")
+    assert change[0] in source
+    path = tmp_path / "craft.toml"
+    path.write_text(source.replace(*change), encoding="utf-8")
+    with pytest.raises(InputError) as raised:
+        load_spacecraft(path)
+    assert all(word in str(raised.value) for word in ["wheel.rwa4.articulation", *words])
