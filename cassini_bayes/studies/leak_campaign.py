@@ -147,8 +147,10 @@ pass; *false alarms* is what the other half says.
 {sizes}
 
 Thresholds are in N m s for the residual, in nats for the odds. The residual's threshold has to
-stand above what thrusts that are off by their prior widths leave in a whole bias, for the monitor
-knows of no uncertainty; the odds know which part of a residual the thrusts explain.
+stand above what thrusts and tails that are off by their prior widths leave in a whole bias (up to
+4 N m s), for the monitor knows of no uncertainty; the odds know which part of a residual the thrusts
+explain. That is the hardest place for the threshold: with thrusts calibrated, or at rest between
+biases, where little fires, it can stand far lower. Neither is simulated here.
 
 ## A leak and a steady torque
 
