@@ -40,6 +40,18 @@ NOISE: Final = (
     "attitude_noise_rad",
     "torque_noise_n_m_s05",
 )
+CALIBRATED: Final = (
+    "thrust_common_n",
+    "thrust_individual_n",
+    "thrust_event_n",
+    "thrust_jitter_n",
+    "tau_rise_s",
+    "tau_fall_s",
+    "cm_x_m",
+    "cm_y_m",
+    "cm_z_m",
+)
+CALIBRATED_WIDTH: Final = 0.1  # of the prior widths, where thrusters are calibrated
 SCENARIO: Final = Path("runs/scenarios/calibration.toml")
 PRIORS: Final = Path("priors/cassini_b_branch_telemetry.toml")
 
@@ -84,12 +96,18 @@ def fly_trial(priors: Priors, document: dict[str, Any], index: int) -> Trial:
     return Trial(size, thruster, start, residual.time_s, tracks)
 
 
-def trials(folder: Path, number: int) -> list[Trial]:
-    """All trials, those that are not in the folder yet flown and kept."""
+def trials(folder: Path, number: int, *, calibrated: bool = False) -> list[Trial]:
+    """All trials, those that are not in the folder yet flown and kept.
+
+    ``calibrated``: thrusts, pulses and centre of mass are known to a tenth of their prior widths,
+    and drawn as closely.
+    """
     priors = read_priors(PRIORS)
+    if calibrated:
+        priors = priors.scaled(CALIBRATED, CALIBRATED_WIDTH)
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     code = code_digest("studies.leak_trials")
-    identity = f"leaks/{SEED}/{digest(SCENARIO)}/{digest(PRIORS)}/{code}"
+    identity = f"leaks/{SEED}/{calibrated}/{digest(SCENARIO)}/{digest(PRIORS)}/{code}"
     store = CheckpointStore(folder, identity)
     found: list[Trial] = []
     for first in range(0, number, BATCH):
