@@ -120,7 +120,7 @@ def by_size(table: pd.DataFrame) -> pd.DataFrame:
     ).reset_index()
 
 
-PAGE: Final = """# Leaks: the residual-momentum monitor beside sequential odds
+PAGE: Final = """# {title}
 
 Written by `python -m cassini_bayes.studies.leak_campaign` from {leaks} wheel biases with a leak and
 {quiet} without (seed {seed}). Each has wheel rates within ±1,000 rev/min and parameters drawn from
@@ -166,6 +166,10 @@ against some 0.01 N m s of noise in a row of telemetry.
 """
 
 
+TITLE: Final = {
+    False: "Leaks: the residual-momentum monitor beside sequential odds",
+    True: "Leaks with calibrated thrusters",
+}
 KNOWN: Final = {
     False: "Thrusts, pulses and centre of mass have the widths of the priors file: nothing has been"
     " calibrated, the hardest place for the threshold.",
@@ -202,6 +206,7 @@ def page(table: pd.DataFrame, quiet: int, name: str = "leaks", calibrated: bool 
         priors=PRIORS,
         rate=FALSE_ALARMS,
         name=name,
+        title=TITLE[calibrated],
         known=KNOWN[calibrated],
         overall="\n".join(overall),
         sizes="\n".join(sizes),
