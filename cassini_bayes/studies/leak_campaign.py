@@ -134,7 +134,8 @@ threshold for one or three rows in a row, the thruster named by the signs of its
 *Sequential odds*: log Bayes factor of a leak (sizes log-uniform, starts even) with thrusts, centre
 of mass, inertias, geometry and pulse shape uncertain. The paper prints neither threshold nor
 window: each monitor's threshold is the one that {rate:.0%} of half of the events without a leak
-pass; *false alarms* is what the other half says.
+pass; *false alarms* is what the other half
+({half} events) says.
 
 | monitor | threshold | false alarms | found | named of found |
 | --- | --- | --- | --- | --- |
@@ -202,6 +203,7 @@ def page(table: pd.DataFrame, quiet: int, name: str = "leaks", calibrated: bool 
     return PAGE.format(
         leaks=len(table) // len(MONITORS),
         quiet=quiet,
+        half=quiet - quiet // 2,
         seed=SEED,
         priors=PRIORS,
         rate=FALSE_ALARMS,
