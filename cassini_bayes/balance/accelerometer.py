@@ -19,7 +19,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.measured_delta_v import (
     on_time_columns,
     on_time_weights,
@@ -28,6 +27,7 @@ from cassini_bayes.balance.measured_delta_v import (
 )
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, Sampling
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 
 LEAST_READINGS: Final = 2

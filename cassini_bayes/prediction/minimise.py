@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import minimize
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.checks import nearest

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 
 HELD_AXES: Final[Mapping[str, tuple[int, int]]] = MappingProxyType({"ors": (0, 2), "dfpw": (0, 1)})

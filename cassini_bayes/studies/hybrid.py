@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import argparse
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.storage import write_text
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.published.constants import published_constants
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.simulation.arrays import prime_wheels
@@ -216,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/results"))
     parser.add_argument("--seeds", type=int, default=SEEDS)
     chosen = parser.parse_args(arguments)
-    document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    document = read_toml(SCENARIO, "a scenario file")
     flown = [fly(each, chosen.seeds) for each in (document, with_products(document))]
     write_text(chosen.out / "hybrid.md", page(flown, chosen.seeds))
 

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.report.plots import encode
 from cassini_bayes.report.plots.leaks import leak_figure

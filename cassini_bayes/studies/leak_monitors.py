@@ -17,13 +17,13 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.measured_delta_v import on_time_columns, rows_at_rest
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.balance.telemetry_terms import pulse_weights
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.priors.reader import Priors

@@ -6,7 +6,6 @@ Trials are kept in batches: an interrupted campaign goes on where it stopped.
 from __future__ import annotations
 
 import copy
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +13,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import make_plan, scenario_of
 from cassini_bayes.studies.leak_monitors import SIZES_N, Odds, Track, residual_of, threshold_track
@@ -105,7 +105,7 @@ def trials(folder: Path, number: int, *, calibrated: bool = False) -> list[Trial
     priors = read_priors(PRIORS)
     if calibrated:
         priors = priors.scaled(CALIBRATED, CALIBRATED_WIDTH)
-    document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    document = read_toml(SCENARIO, "a scenario file")
     code = code_digest("studies.leak_trials")
     identity = f"leaks/{SEED}/{calibrated}/{digest(SCENARIO)}/{digest(PRIORS)}/{code}"
     store = CheckpointStore(folder, identity)
