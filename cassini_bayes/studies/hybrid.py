@@ -1,12 +1,11 @@
 """Paper 004's hybrid controllers flown: its closed-loop figures beside ours, over seeds.
 
-``python -m cassini_bayes.studies.hybrid`` flies ``runs/scenarios/hybrid_2012.toml`` and writes
+``cassini-bayes calibrate hybrid`` flies ``runs/scenarios/hybrid_2012.toml`` and writes
 ``docs/results/hybrid.md``. Nothing is tuned: the controllers have their default settings.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.files.storage import write_text
+from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.published.constants import published_constants
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
@@ -24,9 +23,12 @@ from cassini_bayes.simulation.motion import Motion
 from cassini_bayes.spacecraft import wheel_axes, wheel_inertias
 from cassini_bayes.spacecraft.two_wheels import SpinModulation, torque_coupling
 from cassini_bayes.studies.scenario import simulate_file
+from cassini_bayes.studies.study import Study
 
-SEEDS: Final = 24
-SCENARIO: Final = Path("runs/scenarios/hybrid_2012.toml")
+MODULE: Final = "studies.hybrid"
+"""Whose code, with all that it imports, a flight runs through."""
+FULL: Final[Mapping[str, int]] = {"seeds": 24}
+QUICK: Final[Mapping[str, int]] = {"seeds": 4}
 MOSAIC, SPIN_UP, SPIN = "mosaic", "spin-up", "spin"
 PRODUCTS: Final[Mapping[str, float]] = {
     "inertia_xy_kg_m2": -164.0,
@@ -129,15 +131,32 @@ def flown_figures(event: SimulatedEvent) -> dict[str, float]:
     }
 
 
-def fly(document: Mapping[str, Any], seeds: int) -> dict[tuple[str, str], Array]:
-    """Figures (n,) of every event of a scenario over seeds, by event and key."""
-    rows: dict[tuple[str, str], list[float]] = {}
-    file = scenario_of(document)
-    for seed in range(seeds):
-        for event in simulate_file(file, seed).events:
-            for key, value in flown_figures(event).items():
-                rows.setdefault((event.plan.event.id, key), []).append(value)
-    return {key: np.array(values) for key, values in rows.items()}
+@dataclass(frozen=True)
+class HybridFlights:
+    """Flights of a scenario over seeds, as the repetitions of a study."""
+
+    scenario: Path
+    seed: int  # of the first one
+    products: bool  # of inertia, as paper 000 estimated them
+
+    @property
+    def per_file(self) -> int:
+        """Flights that one file keeps."""
+        return 4
+
+    def identity(self) -> str:
+        """Hash of seed, products, scenario and code."""
+        return identity(["hybrid", self.seed, self.products], [self.scenario], MODULE)
+
+    def repetition(self, index: int) -> dict[str, float]:
+        """Figures of every event of the scenario, as ``event.key``."""
+        document = read_toml(self.scenario, "a scenario file")
+        file = scenario_of(with_products(document) if self.products else document)
+        return {
+            f"{event.plan.event.id}.{key}": value
+            for event in simulate_file(file, self.seed + index).events
+            for key, value in flown_figures(event).items()
+        }
 
 
 def with_products(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -145,10 +164,8 @@ def with_products(document: Mapping[str, Any]) -> dict[str, Any]:
     return {**document, "truth": {**document["truth"], **PRODUCTS}}
 
 
-PAGE: Final = """# Hybrid controllers: results
-
-Written by `python -m cassini_bayes.studies.hybrid` ({seeds} seeds) from
-`runs/scenarios/hybrid_2012.toml`. Mean ± standard deviation over seeds (start in the dead-band,
+BODY: Final = """\
+{seeds} flights of `{scenario}`. Mean ± standard deviation over seeds (start in the dead-band,
 the thruster controller's knowledge of rate); the controllers have their default settings, nothing
 is tuned. *Published* is paper 004's closed-loop simulation. The second column of ours has the
 products of inertia that paper 000 estimated after the Probe had left; paper 004 prints none. The
@@ -181,24 +198,25 @@ By the formulas the spin has a period of {period:.0f} s and peaks of {peak:.0f} 
 """
 
 
-def page(flown: Sequence[Mapping[tuple[str, str], Array]], seeds: int) -> str:
-    """The page, of the flights as printed and with products of inertia."""
+def body(scenario: Path, flown: Sequence[Mapping[str, Array]]) -> str:
+    """Text of the page, of the flights as printed and with products of inertia."""
     lines = [
         "| event | figure | published | ours | with products |",
         "| --- | --- | --- | --- | --- |",
     ]
     for figure in FIGURES:
-        cells = [_cell(rows[figure.event, figure.key]) for rows in flown]
+        cells = [_cell(rows[f"{figure.event}.{figure.key}"]) for rows in flown]
         lines.append(
             f"| {figure.event} | {figure.label} | {figure.published} | {' | '.join(cells)} |"
         )
     printed = published_constants()
-    return PAGE.format(
-        seeds=seeds,
+    return BODY.format(
+        seeds=len(flown[0][f"{SPIN}.period_s"]),
+        scenario=scenario,
         table="\n".join(lines),
         period=printed.value("paper_004_spin", "period_s"),
         peak=printed.value("paper_004_spin", "wheel_peak_rpm"),
-        with_products=float(flown[1][SPIN, "period_s"].mean()),
+        with_products=float(flown[1][f"{SPIN}.period_s"].mean()),
     )
 
 
@@ -210,16 +228,11 @@ def _cell(values: Array) -> str:
     return f"{values.mean():.4g} ± {values.std():.2g}".replace("-", "−")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Fly and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs/results"))
-    parser.add_argument("--seeds", type=int, default=SEEDS)
-    chosen = parser.parse_args(arguments)
-    document = read_toml(SCENARIO, "a scenario file")
-    flown = [fly(each, chosen.seeds) for each in (document, with_products(document))]
-    write_text(chosen.out / "hybrid.md", page(flown, chosen.seeds))
-
-
-if __name__ == "__main__":
-    main()
+def fly_hybrid(study: Study, scenario: Path, numbers: Mapping[str, int]) -> None:
+    """Fly what is missing and write the page; ``numbers`` of seeds as in :data:`FULL`."""
+    flown = []
+    for name, products in (("as-printed", False), ("with-products", True)):
+        flights = HybridFlights(scenario, study.seed, products)
+        flown.append(study.repeat(name, f"flights {name}", flights, numbers["seeds"]))
+    floats = [{key: np.asarray(v, dtype=np.float64) for key, v in one.items()} for one in flown]
+    study.publish("Hybrid controllers: results", body(scenario, floats), MODULE, {}, {})

@@ -1,15 +1,12 @@
 """Simulated leaks before two monitors: delay, misses and names at equal false-alarm rates.
 
-``python -m cassini_bayes.studies.leak_campaign`` flies wheel biases with parameters drawn from the
-priors and with or without a leak (any thruster, 0.01 to 5 mN, any start), and writes
-``docs/results/leaks.md``. Trials are kept in batches under ``--folder``: an interrupted campaign
-goes on where it stopped.
+``cassini-bayes calibrate leaks`` flies wheel biases with parameters drawn from the priors and with
+or without a leak (any thruster, 0.01 to 5 mN, any start), and writes ``docs/results/leaks.md``.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,13 +15,14 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.files.storage import write_bytes, write_text
-from cassini_bayes.report.plots import encode
 from cassini_bayes.report.plots.leaks import leak_figure
 from cassini_bayes.studies.leak_monitors import Track, alarm_row, separating_momentum
-from cassini_bayes.studies.leak_trials import PRIORS, SEED, WINDOWS_S, Trial, trials
+from cassini_bayes.studies.leak_trials import MODULE, WINDOWS_S, LeakTrials, Trial, trials_of
+from cassini_bayes.studies.study import Study
 
-TRIALS: Final = 800
+FULL: Final[Mapping[str, int]] = {"trials": 800}
+QUICK: Final[Mapping[str, int]] = {"trials": 60}
+"""Numbers of biases, seven of ten with a leak."""
 PERSISTENCE: Final = (1, 3)  # rows, ten seconds apart
 FALSE_ALARMS: Final = 0.05  # per event
 BINS_N: Final = np.array([1e-5, 1e-4, 3e-4, 1e-3, 5e-3])
@@ -120,13 +118,11 @@ def by_size(table: pd.DataFrame) -> pd.DataFrame:
     ).reset_index()
 
 
-PAGE: Final = """# {title}
-
-Written by `python -m cassini_bayes.studies.leak_campaign` from {leaks} wheel biases with a leak and
-{quiet} without (seed {seed}). Each has wheel rates within ±1,000 rev/min and parameters drawn from
-`{priors}`; the leak is of any of the eight thrusters, log-uniform from 0.01 to 5 mN, and begins
-anywhere in the first four fifths. Noise levels are taken as known. Sequential means a replay of
-the file, row by row; nothing here runs on board.
+BODY: Final = """\
+{leaks} wheel biases with a leak and {quiet} without. Each has wheel rates within ±1,000 rev/min and
+parameters drawn from `{priors}`; the leak is of any of the eight thrusters, log-uniform from 0.01
+to 5 mN, and begins anywhere in the first four fifths. Noise levels are taken as known. Sequential
+means a replay of the file, row by row; nothing here runs on board.
 
 Both monitors see the same residual momentum, at rows where no thruster delivers, ten seconds
 apart. *Threshold*: paper 000 section IV, an alarm when the residual gained within a window passes a
@@ -166,7 +162,6 @@ from the leak after a turn by ψ across it, by 2 τ t sin(ψ/2) over a time t. A
 against some 0.01 N m s of noise in a row of telemetry.
 """
 
-
 TITLE: Final = {
     False: "Leaks: the residual-momentum monitor beside sequential odds",
     True: "Leaks with calibrated thrusters",
@@ -178,8 +173,8 @@ KNOWN: Final = {
 }
 
 
-def page(table: pd.DataFrame, quiet: int, name: str = "leaks", calibrated: bool = False) -> str:
-    """The page of a judged campaign."""
+def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: bool) -> str:
+    """Text of the page ``name`` of a judged campaign; ``quiet`` events had no leak."""
     overall, sizes = [], []
     for label, own in table.groupby("monitor", observed=True):
         found = own["found"].mean()
@@ -200,15 +195,13 @@ def page(table: pd.DataFrame, quiet: int, name: str = "leaks", calibrated: bool 
             f" | {row['found']:.0%} | {delay} | {named} |"
         )
     parted = [separating_momentum(1.6e-4, 1000.0, np.radians(a)) for a in (0, 5, 30, 90, 180)]
-    return PAGE.format(
+    return BODY.format(
         leaks=len(table) // len(MONITORS),
         quiet=quiet,
         half=quiet - quiet // 2,
-        seed=SEED,
-        priors=PRIORS,
+        priors=priors,
         rate=FALSE_ALARMS,
         name=name,
-        title=TITLE[calibrated],
         known=KNOWN[calibrated],
         overall="\n".join(overall),
         sizes="\n".join(sizes),
@@ -216,21 +209,23 @@ def page(table: pd.DataFrame, quiet: int, name: str = "leaks", calibrated: bool 
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Fly what is missing, judge, write page, table and figure."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=TRIALS)
-    parser.add_argument("--folder", type=Path, default=Path("runs/leaks"))
-    parser.add_argument("--out", type=Path, default=Path("docs/results"))
-    parser.add_argument("--calibrated", action="store_true")
-    chosen = parser.parse_args(arguments)
-    flown = trials(chosen.folder, chosen.trials, calibrated=chosen.calibrated)
-    table, name = judged(flown), "leaks-calibrated" if chosen.calibrated else "leaks"
+def compare_leak_monitors(
+    study: Study, scenario: Path, priors: Path, numbers: Mapping[str, int], *, calibrated: bool
+) -> None:
+    """Fly what is missing, judge, write page, table and figure; ``numbers`` as :data:`FULL`.
+
+    ``calibrated``: the thrusters are known, see :class:`LeakTrials`.
+    """
+    campaign = LeakTrials(scenario, priors, study.seed, calibrated)
+    name = study.page.stem
+    flown = trials_of(study.repeat(name, "biases", campaign, numbers["trials"]))
     quiet = sum(trial.thruster < 0 for trial in flown)
-    write_text(chosen.out / f"{name}.md", page(table, quiet, name, chosen.calibrated))
-    write_text(chosen.out / f"{name}.csv", by_size(table).to_csv(index=False, float_format="%.4g"))
-    write_bytes(chosen.out / f"{name}.png", encode(leak_figure(by_size(table)), "png"))
-
-
-if __name__ == "__main__":
-    main()
+    table = judged(flown)
+    sizes = by_size(table)
+    study.publish(
+        TITLE[calibrated],
+        body(table, quiet, priors, name, calibrated),
+        MODULE,
+        {"": sizes},
+        {"": leak_figure(sizes)},
+    )

@@ -1,26 +1,31 @@
-"""Wheel biases with and without a simulated leak, and what the monitors' statistics did in them.
-
-Trials are kept in batches: an interrupted campaign goes on where it stopped.
-"""
+"""Wheel biases with and without a simulated leak, and what the monitors' statistics did in them."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import digest
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import make_plan, scenario_of
-from cassini_bayes.studies.leak_monitors import SIZES_N, Odds, Track, residual_of, threshold_track
+from cassini_bayes.studies.leak_monitors import (
+    ROWS_EVERY_S,
+    SIZES_N,
+    Odds,
+    Track,
+    residual_of,
+    threshold_track,
+)
 from cassini_bayes.studies.scenario import (
     draw_truth,
     draw_wheel_rates,
@@ -29,9 +34,10 @@ from cassini_bayes.studies.scenario import (
 )
 from cassini_bayes.studies.telemetry_calibration import with_torque_noise
 
-SEED: Final = 20_050_128
+MODULE: Final = "studies.leak_trials"
+"""Whose code, with all that it imports, a trial runs through."""
 LEAKS_OF_TEN: Final = 7  # the other three of ten trials have none
-BATCH: Final = 10
+MOST_ROWS: Final = 400  # ten seconds apart: an hour and more
 WINDOWS_S: Final = (60.0, 200.0, 600.0)
 EVENT: Final = "bias-1"
 NOISE: Final = (
@@ -52,8 +58,6 @@ CALIBRATED: Final = (
     "cm_z_m",
 )
 CALIBRATED_WIDTH: Final = 0.1  # of the prior widths, where thrusters are calibrated
-SCENARIO: Final = Path("runs/scenarios/calibration.toml")
-PRIORS: Final = Path("priors/cassini_b_branch_telemetry.toml")
 
 
 @dataclass(frozen=True)
@@ -67,17 +71,18 @@ class Trial:
     tracks: tuple[Track, ...]  # sequential odds, then one per window
 
 
-def fly_trial(priors: Priors, document: dict[str, Any], index: int) -> Trial:
-    """Draw wheel rates, parameters and a leak, fly the bias, follow all monitors."""
-    rng = np.random.default_rng(np.random.SeedSequence((SEED, index)))
-    own = copy.deepcopy(document)
+def fly_trial(
+    priors: Priors, document: Mapping[str, Any], leaks: bool, rng: np.random.Generator
+) -> Trial:
+    """Draw wheel rates, parameters and perhaps a leak, fly the bias, follow all monitors."""
+    own = copy.deepcopy(dict(document))
     own["event"] = [event for event in own["event"] if event["id"] == EVENT]
     draw_wheel_rates(own["event"], rng)
     own["truth"] = {"mass_kg": 2380.0, **{n: priors.parameters[n].mean for n in NOISE}}
     names = priors.spacecraft.thruster_names(priors.branch)
     size = float(np.exp(rng.uniform(np.log(SIZES_N[0]), np.log(SIZES_N[-1]))))
     thruster, share = int(rng.integers(len(names))), float(rng.uniform(0.0, 0.8))
-    if index % 10 >= LEAKS_OF_TEN:
+    if not leaks:
         size, thruster = 0.0, -1
     seed = int(rng.integers(2**62))
     file = scenario_of(own)
@@ -96,59 +101,80 @@ def fly_trial(priors: Priors, document: dict[str, Any], index: int) -> Trial:
     return Trial(size, thruster, start, residual.time_s, tracks)
 
 
-def trials(folder: Path, number: int, *, calibrated: bool = False) -> list[Trial]:
-    """All trials, those that are not in the folder yet flown and kept.
+@dataclass(frozen=True)
+class LeakTrials:
+    """Trials as the repetitions of a study: seven of ten have a leak.
 
     ``calibrated``: thrusts, pulses and centre of mass are known to a tenth of their prior widths,
     and drawn as closely.
     """
-    priors = read_priors(PRIORS)
-    if calibrated:
-        priors = priors.scaled(CALIBRATED, CALIBRATED_WIDTH)
-    document = read_toml(SCENARIO, "a scenario file")
-    code = code_digest("studies.leak_trials")
-    identity = f"leaks/{SEED}/{calibrated}/{digest(SCENARIO)}/{digest(PRIORS)}/{code}"
-    store = CheckpointStore(folder, identity)
-    found: list[Trial] = []
-    for first in range(0, number, BATCH):
-        name = f"trials_{first:05d}"
-        arrays = store.load(name)
-        if arrays is None:
-            batch = [fly_trial(priors, document, first + i) for i in range(BATCH)]
-            store.save(name, _packed(batch))
-        else:
-            batch = _unpacked(arrays)
-        found += batch
-    return found[:number]
+
+    scenario: Path
+    priors: Path
+    seed: int
+    calibrated: bool = False
+
+    @property
+    def per_file(self) -> int:
+        """Trials that one file keeps."""
+        return 20
+
+    def identity(self) -> str:
+        """Hash of seed, knowledge, scenario, priors and code."""
+        settings = ["leaks", self.seed, self.calibrated]
+        return identity(settings, [self.scenario, self.priors], MODULE)
+
+    @cached_property
+    def _known(self) -> tuple[Priors, Mapping[str, Any]]:
+        """Priors as wide as they are drawn, and the scenario's tables."""
+        priors = read_priors(self.priors)
+        if self.calibrated:
+            priors = priors.scaled(CALIBRATED, CALIBRATED_WIDTH)
+        return priors, read_toml(self.scenario, "a scenario file")
+
+    def repetition(self, index: int) -> dict[str, Array]:
+        """One trial, its tracks padded to :data:`MOST_ROWS`; :func:`trials_of` takes them back."""
+        rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
+        return padded(fly_trial(*self._known, index % 10 < LEAKS_OF_TEN, rng))
 
 
-def _packed(batch: Sequence[Trial]) -> dict[str, Any]:
-    arrays: dict[str, Any] = {
-        "leak": np.array([[t.leak_n, t.thruster, t.start_s] for t in batch]),
-        "rows": np.array([len(t.time_s) for t in batch]),
-        "time": np.concatenate([t.time_s for t in batch]),
-    }
-    for i in range(len(batch[0].tracks)):
-        arrays[f"statistic_{i}"] = np.concatenate([t.tracks[i].statistic for t in batch])
-        arrays[f"thruster_{i}"] = np.concatenate([t.tracks[i].thruster for t in batch])
-    return arrays
+def padded(trial: Trial) -> dict[str, Array]:
+    """A trial as arrays that have the same shapes for all trials.
+
+    Raises
+    ------
+    InputError
+        The event has more than :data:`MOST_ROWS` rows at rest.
+    """
+    rows = len(trial.time_s)
+    if rows > MOST_ROWS:
+        raise InputError(
+            f"event {EVENT}",
+            f"at most {MOST_ROWS} rows at rest, {ROWS_EVERY_S:g} s apart",
+            str(rows),
+            "use a scenario with a shorter bias",
+        )
+    along = np.full((1 + 2 * len(trial.tracks), MOST_ROWS), np.nan)
+    along[:, :rows] = [trial.time_s, *(t.statistic for t in trial.tracks), *_named(trial)]
+    return {"leak": np.array([trial.leak_n, trial.thruster, trial.start_s]), "along": along}
 
 
-def _unpacked(arrays: dict[str, Any]) -> list[Trial]:
-    edges = np.cumsum(arrays["rows"])[:-1]
-    times = np.split(arrays["time"], edges)
-    tracks = [
-        [
-            Track(s, k)
-            for s, k in zip(
-                np.split(arrays[f"statistic_{i}"], edges),
-                np.split(arrays[f"thruster_{i}"], edges),
-                strict=True,
-            )
-        ]
-        for i in range(1 + len(WINDOWS_S))
-    ]
+def _named(trial: Trial) -> list[Array]:
+    return [track.thruster.astype(np.float64) for track in trial.tracks]
+
+
+def trials_of(arrays: Mapping[str, NDArray[Any]]) -> list[Trial]:
+    """Trials of the arrays that :meth:`Study.repeat` gives of :class:`LeakTrials`."""
     return [
-        Trial(float(leak), int(thruster), float(start), times[row], tuple(t[row] for t in tracks))
-        for row, (leak, thruster, start) in enumerate(arrays["leak"])
+        _trial(leak, along) for leak, along in zip(arrays["leak"], arrays["along"], strict=True)
     ]
+
+
+def _trial(leak: Array, along: Array) -> Trial:
+    known = along[:, np.isfinite(along[0])]
+    statistics, named = np.split(known[1:], 2)
+    tracks = tuple(
+        Track(statistic, thruster.astype(np.int64))
+        for statistic, thruster in zip(statistics, named, strict=True)
+    )
+    return Trial(float(leak[0]), int(leak[1]), float(leak[2]), known[0], tracks)

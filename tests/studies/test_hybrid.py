@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from study_cases import study_in
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import reduce_samples, sampling_of
@@ -19,11 +20,12 @@ from cassini_bayes.model.posterior import build_model, log_posterior
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
-from cassini_bayes.studies.hybrid import FIGURES, SPIN_UP, page, with_products
+from cassini_bayes.studies.hybrid import FIGURES, SPIN_UP, HybridFlights, fly_hybrid, with_products
 from cassini_bayes.studies.scenario import simulate_file, simulated_samples
 
 Array = NDArray[np.float64]
-DOCUMENT = tomllib.loads(Path("runs/scenarios/hybrid_2012.toml").read_text(encoding="utf-8"))
+SCENARIO = Path("runs/scenarios/hybrid_2012.toml")
+DOCUMENT = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
 PRIORS = Path("priors/cassini_hybrid_2012.toml")
 ANGLE = "rwa4_articulation_rad"
 INERTIA = "inertia_zz_kg_m2"
@@ -75,10 +77,17 @@ def test_a_platform_without_its_wheel_is_refused(tmp_path: Path) -> None:
         read_priors(path)
 
 
-def test_page_has_every_figure() -> None:
+def test_page_has_every_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every row of the table has the published and our figure; products change the scenario."""
-    rows = {(figure.event, figure.key): np.array([1.0, 2.0]) for figure in FIGURES}
-    text = page([rows, rows], 2)
+    figures = {f"{figure.event}.{figure.key}": 1.5 for figure in FIGURES}
+
+    def flown(flights: HybridFlights, index: int) -> dict[str, float]:
+        return {key: value + 0.5 * (-1) ** index for key, value in figures.items()}
+
+    monkeypatch.setattr(HybridFlights, "repetition", flown)
+    study = study_in(tmp_path, tmp_path / "hybrid.md")
+    fly_hybrid(study, SCENARIO, {"seeds": 4})
+    text = study.page.read_text(encoding="utf-8")
     for figure in FIGURES:
         assert f"| {figure.event} | {figure.label} | {figure.published} | 1.5 ± 0.5 |" in text
     assert with_products(DOCUMENT)["truth"]["inertia_xy_kg_m2"] == -164.0

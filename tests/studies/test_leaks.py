@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,11 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
+from study_cases import study_in
 
+from cassini_bayes.errors import InputError
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.spacecraft import lever_arms
 from cassini_bayes.studies import leak_trials
-from cassini_bayes.studies.leak_campaign import MONITORS, by_size, judged, page
+from cassini_bayes.studies.leak_campaign import MONITORS, by_size, compare_leak_monitors, judged
 from cassini_bayes.studies.leak_monitors import (
     SIZES_N,
     STARTS_EVERY_S,
@@ -28,15 +30,16 @@ from cassini_bayes.studies.leak_monitors import (
     threshold_track,
 )
 from cassini_bayes.studies.leak_trials import (
-    BATCH,
-    PRIORS,
-    SCENARIO,
+    MOST_ROWS,
+    LeakTrials,
     Trial,
-    fly_trial,
-    trials,
+    padded,
+    trials_of,
 )
 
 Array = NDArray[np.float64]
+SCENARIO = Path("runs/scenarios/calibration.toml")
+PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 NAMES = ("z1", "z2", "z3", "z4", "y1", "y2", "y3", "y4")
 
 
@@ -107,8 +110,7 @@ def test_an_alarm_needs_rows_in_a_row() -> None:
 
 def test_the_residual_is_as_wide_as_it_says() -> None:
     """Whitened, the residual of flown events without a leak has χ²/n near one; a leak is seen."""
-    priors = read_priors(PRIORS)
-    document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    campaign = LeakTrials(SCENARIO, PRIORS, 20_050_128)
     squares = []
     seen: list[Residual] = []
 
@@ -118,7 +120,8 @@ def test_the_residual_is_as_wide_as_it_says() -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(leak_trials, "residual_of", kept)
-        flown = [fly_trial(priors, document, index) for index in (7, 8, 9)]
+        found = [campaign.repetition(index) for index in (7, 8, 9)]
+    flown = trials_of({key: np.stack([one[key] for one in found]) for key in found[0]})
     for trial, residual in zip(flown, seen, strict=True):
         assert trial.thruster == -1
         lower = np.linalg.cholesky(residual.covariance)
@@ -150,26 +153,43 @@ def synthetic(index: int) -> Trial:
     return Trial(size, thruster, 100.0, time, tracks)
 
 
-def test_a_campaign_goes_on_where_it_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Batches that are there are not flown again, and come back as they were."""
-    flights: list[int] = []
-
-    def flown(_priors: object, _document: object, index: int) -> Trial:
-        flights.append(index)
-        return synthetic(index)
-
-    monkeypatch.setattr(leak_trials, "fly_trial", flown)
-    first = trials(tmp_path, BATCH)
-    assert flights == list(range(BATCH))
-    both = trials(tmp_path, 2 * BATCH)
-    assert flights == list(range(2 * BATCH))
-    for before, after in zip(first, both, strict=False):
+def test_padded_trials_come_back() -> None:
+    """Rows, thrusters and statistics are those that went in; more rows than fit are refused."""
+    flown = [synthetic(index) for index in range(10)]
+    arrays = [padded(trial) for trial in flown]
+    back = trials_of({key: np.stack([one[key] for one in arrays]) for key in arrays[0]})
+    for before, after in zip(flown, back, strict=True):
         assert (before.leak_n, before.thruster) == (after.leak_n, after.thruster)
         np.testing.assert_array_equal(before.time_s, after.time_s)
         for old, new in zip(before.tracks, after.tracks, strict=True):
             np.testing.assert_array_equal(old.statistic, new.statistic)
+            np.testing.assert_array_equal(old.thruster, new.thruster)
+    with pytest.raises(InputError, match="rows at rest"):
+        padded(replace(flown[0], time_s=np.arange(MOST_ROWS + 1.0)))
+
+
+def test_a_study_of_leaks_writes_its_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seven of ten biases get a leak; the page names every monitor and has table and figure."""
+    asked: list[bool] = []
+
+    def flown(_priors: object, _document: object, leaks: bool, rng: np.random.Generator) -> Trial:
+        asked.append(leaks)
+        return synthetic(int(rng.integers(7)) if leaks else 7)
+
+    monkeypatch.setattr(leak_trials, "fly_trial", flown)
+    study = study_in(tmp_path, tmp_path / "leaks.md")
+    compare_leak_monitors(study, SCENARIO, PRIORS, {"trials": 40}, calibrated=True)
+    assert asked == [index % 10 < 7 for index in range(40)]
+    text = study.page.read_text(encoding="utf-8")
+    assert text.startswith(
+        "# Leaks with calibrated thrusters\n\n28 wheel biases with a leak and 12"
+    )
+    assert all(monitor.label in text for monitor in MONITORS)
+    assert {path.name for path in tmp_path.glob("leaks.*")} == {
+        "leaks.md",
+        "leaks.csv",
+        "leaks.png",
+    }
 
 
 def test_false_alarms_set_the_thresholds() -> None:
@@ -180,6 +200,4 @@ def test_false_alarms_set_the_thresholds() -> None:
     assert table["false_alarms"].max() < 0.2
     found = table.groupby("monitor", observed=True)["found"].mean()
     assert found["sequential odds, 1 row"] > found["threshold, 200 s, 1 row"] + 0.1
-    text = page(table, 120)
-    assert all(monitor.label in text for monitor in MONITORS)
     assert by_size(table)["leaks"].sum() == len(table)
