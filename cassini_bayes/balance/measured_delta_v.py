@@ -20,7 +20,7 @@ from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.balance.telemetry_terms import pulse_weights
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.errors import InputError
 
 OFFSET_SD_M_S: Final = 0.1
@@ -66,14 +66,7 @@ def delta_v_statistics(
     stretches = list(parts)
     samples = Samples.joined([part for part, _ in stretches])
     measured = np.concatenate([values for _, values in stretches])
-    counted = np.flatnonzero(samples.has_counters)
-    time = samples.time_s[counted]
-    counters = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
-    rows = np.flatnonzero(np.isfinite(measured).all(1))
-    quiet = quiet_rows(samples.time_s[rows], time, counters, sampling.guard_s)
-    # the first reading is where on-times and velocity change begin to be counted
-    quiet |= samples.time_s[rows] == time[0]
-    rows = rows[quiet]
+    rows = rows_at_rest(samples, np.isfinite(measured).all(1), sampling.guard_s)
     if len(rows) < LEAST_ROWS:
         raise InputError(
             f"event {event_id}: telemetry",
@@ -81,13 +74,7 @@ def delta_v_statistics(
             str(len(rows)),
             "let the telemetry begin before the burn and end after it",
         )
-    on_time, pulses = samples.on_time_s[counted], samples.pulses[counted]
-    gained = effective_increments(np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling)
-    columns = np.concatenate([gained, np.diff(pulses, axis=0)[..., None]], axis=2)
-    flat = columns.reshape(len(columns), -1)
-    total = np.concatenate([np.zeros((1, flat.shape[1])), np.cumsum(flat, axis=0)])
-    place = np.searchsorted(time, samples.time_s[rows] + 1e-6, side="right") - 1
-    table = np.concatenate([total[place], np.ones((len(rows), 1))], axis=1)
+    table = np.concatenate([on_time_columns(samples, rows, sampling), np.ones((len(rows), 1))], 1)
     values = measured[rows]
     return DeltaVStatistics(
         sampling,
@@ -97,6 +84,33 @@ def delta_v_statistics(
         float((values**2).sum()),
         values[-1] - values[0],
     )
+
+
+def rows_at_rest(samples: Samples, measured: Flags, guard_s: float) -> Places:
+    """Rows (R,) among the ``measured`` ones at which no thruster delivers, and the first reading.
+
+    The first reading is where on-times and velocity change begin to be counted.
+    """
+    counted = np.flatnonzero(samples.has_counters)
+    time = samples.time_s[counted]
+    counters = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
+    rows = np.flatnonzero(measured)
+    quiet = quiet_rows(samples.time_s[rows], time, counters, guard_s)
+    quiet |= samples.time_s[rows] == time[0]
+    return np.asarray(rows[quiet])
+
+
+def on_time_columns(samples: Samples, rows: Places, sampling: Sampling) -> Array:
+    """Pulse columns and pulse counts of every thruster up to some rows, (R, 4 K)."""
+    counted = np.flatnonzero(samples.has_counters)
+    time = samples.time_s[counted]
+    on_time, pulses = samples.on_time_s[counted], samples.pulses[counted]
+    gained = effective_increments(np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling)
+    columns = np.concatenate([gained, np.diff(pulses, axis=0)[..., None]], axis=2)
+    flat = columns.reshape(len(columns), -1)
+    total = np.concatenate([np.zeros((1, flat.shape[1])), np.cumsum(flat, axis=0)])
+    place = np.searchsorted(time, samples.time_s[rows] + 1e-6, side="right") - 1
+    return np.asarray(total[place])
 
 
 def delta_v_information(
@@ -112,28 +126,57 @@ def delta_v_information(
     thrusters' force directions, ``parameters`` has those of :data:`DELTA_V_PARAMETERS`, (n,) each.
     """
     n, k = len(common_n), directions.shape[1]
-    variance = delta_v_variance(parameters)
-    weights = on_time_weights(statistics, physics, n, k)
-    gram, cross = statistics.gram, statistics.cross
+    return velocity_information(
+        on_time_weights(statistics.sampling, physics, n, k),
+        statistics.gram,
+        np.broadcast_to(statistics.cross, (n, *statistics.cross.shape)),
+        np.full(n, statistics.square),
+        delta_v_variance(parameters),
+        parameters["mass_kg"],
+        directions,
+        common_n,
+    )
+
+
+def velocity_information(
+    weights: Array,
+    gram: Array,
+    cross: Array,
+    square: Array,
+    variance: Array,
+    mass_kg: Array,
+    directions: Array,
+    common_n: Array,
+) -> tuple[Array, Array, Array]:
+    """Information on the thrusts of velocities along A axes, their constants eliminated.
+
+    As :func:`delta_v_information`, for any velocities: ``weights`` (n, K, 4K) of
+    :func:`on_time_weights`, ``gram`` (4K + 1, 4K + 1) of the columns and the constant, ``cross``
+    (n, 4K + 1, A) with the velocities, ``square`` (n,) their sum of squares, ``variance`` (n,) of
+    each, (m/s)², ``directions`` (A, K) of the forces along the axes.
+    """
+    k, axes = directions.shape[1], len(directions)
+    rows = gram[-1, -1]
     fired = weights @ gram[: 4 * k, : 4 * k] @ np.swapaxes(weights, 1, 2)
     to_one = weights @ gram[: 4 * k, -1]
-    with_data = weights @ cross[: 4 * k]
-    scale = 1.0 / (parameters["mass_kg"] ** 2 * variance)
+    with_data = weights @ cross[:, : 4 * k]
+    of_one = cross[:, -1]
+    scale = 1.0 / (mass_kg**2 * variance)
     # the offset of each axis, eliminated: its precision is rows/σ² + 1/sd²
-    ones = statistics.rows / variance + OFFSET_SD_M_S**-2
+    ones = rows / variance + OFFSET_SD_M_S**-2
     lost = scale / (variance * ones)
     inner = directions.T @ directions
     matrix = inner * (
         scale[:, None, None] * fired - lost[:, None, None] * to_one[:, :, None] * to_one[:, None, :]
     )
-    by_mass = 1.0 / (parameters["mass_kg"] * variance)
-    shifted = with_data - to_one[:, :, None] * (cross[-1] / (variance * ones)[:, None])[:, None, :]
+    by_mass = 1.0 / (mass_kg * variance)
+    shifted = with_data - to_one[:, :, None] * (of_one / (variance * ones)[:, None])[:, None, :]
     vector = by_mass[:, None] * np.einsum("ck,nkc->nk", directions, shifted)
-    square = statistics.square / variance - (cross[-1] ** 2).sum() / (variance**2 * ones)
+    left = square / variance - (of_one**2).sum(-1) / (variance**2 * ones)
     constant = (
-        -0.5 * square
-        - 1.5 * statistics.rows * np.log(2.0 * np.pi * variance)
-        - 1.5 * np.log(ones * OFFSET_SD_M_S**2)
+        -0.5 * left
+        - 0.5 * axes * rows * np.log(2.0 * np.pi * variance)
+        - 0.5 * axes * np.log(ones * OFFSET_SD_M_S**2)
     )
     by_common = matrix.sum(-1)
     return (
@@ -151,14 +194,14 @@ def delta_v_columns(
 ) -> Array:
     """Velocity change per newton of every thruster on the columns, (n, K, 3, 4 K)."""
     n, k = len(parameters["mass_kg"]), directions.shape[1]
-    weights = on_time_weights(statistics, physics, n, k)
+    weights = on_time_weights(statistics.sampling, physics, n, k)
     per_newton = weights / parameters["mass_kg"][:, None, None]
     return np.asarray(directions.T[None, :, :, None] * per_newton[:, :, None, :])
 
 
-def on_time_weights(statistics: DeltaVStatistics, physics: Physics, n: int, k: int) -> Array:
+def on_time_weights(sampling: Sampling, physics: Physics, n: int, k: int) -> Array:
     """Weights (n, K, 4 K) that make each thruster's effective on-time out of the columns."""
-    pulse = np.broadcast_to(pulse_weights(statistics.sampling, physics), (n, 3))
+    pulse = np.broadcast_to(pulse_weights(sampling, physics), (n, 3))
     factor = np.broadcast_to(physics.thrust_factor, (n, k))
     offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
     weights = np.zeros((n, k, 4 * k))

@@ -42,6 +42,7 @@ FLIGHT = Path("cassini_bayes/published/flight_2009_2010.csv")
 TOTALS_PRIORS = Path("priors/cassini_b_branch_2010.toml")
 TELEMETRY_PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 SCENARIO = Path("runs/scenarios/calibration.toml")
+HYBRID_SCENARIO = Path("runs/scenarios/hybrid_2012.toml")
 
 
 @contextmanager
@@ -229,6 +230,54 @@ def calibrate_simulation_command(
     page = out / "simulation.md"
     with _study(page, seed, WORK, quiet) as study:
         simulation_results(study, numbers)
+    _end(page)
+
+
+@app.command("leaks")
+def calibrate_leaks_command(
+    scenario: ScenarioFile = SCENARIO,
+    priors: PriorsFile = TELEMETRY_PRIORS,
+    calibrated: Annotated[
+        bool, typer.Option("--calibrated", help="Thrusters known to a tenth of their priors.")
+    ] = False,
+    trials: Trials = None,
+    quick: Quick = False,
+    seed: Seed = 20_050_128,
+    jobs: Jobs = None,
+    dask: Dask = None,
+    work: Work = WORK,
+    out: Out = OUT,
+    quiet: Quiet = False,
+) -> None:
+    """Hide leaks in simulated biases: two monitors at equal false-alarm rates."""
+    from cassini_bayes.studies.leak_campaign import FULL, QUICK, compare_leak_monitors
+
+    numbers = _numbers(FULL, QUICK, trials, quick)
+    page = out / ("leaks-calibrated.md" if calibrated else "leaks.md")
+    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
+        compare_leak_monitors(study, scenario, priors, numbers, calibrated=calibrated)
+    _end(page)
+
+
+@app.command("hybrid")
+def calibrate_hybrid_command(
+    scenario: ScenarioFile = HYBRID_SCENARIO,
+    trials: Trials = None,
+    quick: Quick = False,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    dask: Dask = None,
+    work: Work = WORK,
+    out: Out = OUT,
+    quiet: Quiet = False,
+) -> None:
+    """Fly the controllers of two wheels, and compare with the published closed-loop figures."""
+    from cassini_bayes.studies.hybrid import FULL, QUICK, fly_hybrid
+
+    numbers = _numbers(FULL, QUICK, trials, quick)
+    page = out / "hybrid.md"
+    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
+        fly_hybrid(study, scenario, numbers)
     _end(page)
 
 

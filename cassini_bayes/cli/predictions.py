@@ -87,8 +87,19 @@ def predict_command(
 def plan_command(
     fit: Fit,
     quantity: Annotated[
-        str, typer.Option("--quantity", help="E.g. thrust_level_z1_n, tau_fall_s, cm_x_m.")
-    ],
+        str | None, typer.Option("--quantity", help="E.g. thrust_level_z1_n, tau_fall_s, cm_x_m.")
+    ] = None,
+    minimise: Annotated[
+        str | None,
+        typer.Option("--minimise", help="z_throughput or hydrazine: the cheapest end rates."),
+    ] = None,
+    to: Annotated[
+        str | None,
+        typer.Option("--to", help='With --minimise: ends that are given, "rwa4: -729".'),
+    ] = None,
+    limit: Annotated[
+        float | None, typer.Option("--limit", help="With --minimise: most on-time a thruster, s.")
+    ] = None,
     start: Annotated[
         str | None,
         typer.Option("--from", help='Rates before the bias, "rwa1: -526, …" (default: last end).'),
@@ -108,14 +119,27 @@ def plan_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Rank wheel biases by what they would teach about a quantity, with their hydrazine."""
+    """Rank wheel biases by what they teach of a quantity, or find the one that costs least."""
     from cassini_bayes.prediction.planning import plan, plan_csv, plan_dictionary, plan_text
     from cassini_bayes.prediction.sources import learn_from_fit, read_sources
 
+    if (quantity is None) == (minimise is None):
+        raise InputError(
+            "plan",
+            "either --quantity or --minimise",
+            "neither" if quantity is None else "both",
+            "write e.g. --minimise z_throughput",
+        )
     sources = read_sources(fit, events, priors, accept=accept or [])
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(fit, sources, seed)
     _warn(learned)
+    if quantity is None:
+        assert minimise is not None
+        text, document = _cheapest(sources, learned, minimise, (wheels, rates), to, limit, seed)
+        if as_json or not quiet:
+            typer.echo(json.dumps(document) if as_json else text)
+        return
     found = plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
     if out is not None:
         from cassini_bayes.files.storage import write_text
@@ -126,6 +150,29 @@ def plan_command(
         typer.echo(json.dumps(plan_dictionary(found, top)))
     elif not quiet:
         typer.echo(plan_text(found, top))
+
+
+def _cheapest(
+    sources: Sources,
+    learned: Learned,
+    objective: str,
+    start: tuple[tuple[int, ...], list[float]],
+    to: str | None,
+    limit_s: float | None,
+    seed: int,
+) -> tuple[str, dict[str, Any]]:
+    from cassini_bayes.prediction.minimise import (
+        accumulated_throughput,
+        cheapest_bias,
+        cheapest_dictionary,
+        cheapest_text,
+    )
+    from cassini_bayes.prediction.requests import parse_rates
+
+    wanted = {} if to is None else parse_rates(to, sources.model.spacecraft, "--to")
+    found = cheapest_bias(learned, objective, *start, wanted, _stream(seed, 0))
+    throughput = accumulated_throughput(sources.events, found.prediction, limit_s)
+    return cheapest_text(found, throughput), cheapest_dictionary(found, throughput)
 
 
 def _warn(learned: Learned) -> None:

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.accelerometer import AccelerometerStatistics, accelerometer_statistics
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
 from cassini_bayes.balance.physics import INERTIA_PARAMETERS, PULSE_PARAMETERS
 from cassini_bayes.balance.rate_information import RateInformation, rate_information
@@ -97,6 +98,7 @@ class ReducedEvent:
     digest: str = ""  # of the files; none of telemetry that was never in one
     key: str = ""  # of the reduction in the cache
     delta_v: DeltaVStatistics | None = None  # of a measured velocity change
+    accelerometer: AccelerometerStatistics | None = None
 
     @property
     def id(self) -> str:
@@ -332,6 +334,7 @@ def reduce_event(
         event.digest,
         key,
         _delta_v(event, rows, sampling),
+        _accelerometer(event, rows, sampling),
     )
 
 
@@ -344,6 +347,16 @@ def _delta_v(event: TelemetryEvent, rows: EventRows, sampling: Sampling) -> Delt
         return None
     parts = ((samples_of(chunk), chunk.delta_v_m_s) for chunk in rows.chunks())
     return delta_v_statistics(event.id, parts, sampling)
+
+
+def _accelerometer(
+    event: TelemetryEvent, rows: EventRows, sampling: Sampling
+) -> AccelerometerStatistics | None:
+    """The accelerometer's counts in a burn or a wheel bias; None without them."""
+    if event.kind not in WITH_DELTA_V or not event.has_accelerometer:
+        return None
+    parts = ((samples_of(chunk), chunk.accelerometer_counts) for chunk in rows.chunks())
+    return accelerometer_statistics(event.id, parts, sampling)
 
 
 def store_reduction(reduced: ReducedEvent, cache: Path) -> None:

@@ -14,6 +14,12 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.accelerometer import (
+    ACCELEROMETER_PARAMETERS,
+    ROUNDING_COUNTS_2,
+    accelerometer_information,
+    count_columns,
+)
 from cassini_bayes.balance.inertia import ELEMENTS, WITHOUT_WHEELS, elements_of, without_wheels
 from cassini_bayes.balance.kernel import without_own
 from cassini_bayes.balance.measured_delta_v import (
@@ -213,15 +219,23 @@ class TelemetryAt:
             return ThrustInformation.nothing(
                 self.points.n, len(self.points.shared.thrust_prior.shared)
             )
-        for part in self._delta_v(self.points.common_n):
+        for part in self._velocity(self.points.common_n):
             matrix, vector, constant = matrix + part[0], vector + part[1], constant + part[2]
         return ThrustInformation(matrix[:, None], vector[:, None], constant[:, None])
 
-    def _delta_v(self, reference_n: Array) -> Iterator[tuple[Array, Array, Array]]:
-        """Information of the measured velocity change, if there is one."""
+    def _velocity(self, reference_n: Array) -> Iterator[tuple[Array, Array, Array]]:
+        """Information of a measured velocity change and of an accelerometer, where there are."""
         if self.term.event.delta_v is not None:
             yield delta_v_information(
                 self.term.event.delta_v,
+                self.physics,
+                self._directions,
+                self.points.parameters,
+                reference_n,
+            )
+        if self.term.event.accelerometer is not None:
+            yield accelerometer_information(
+                self.term.event.accelerometer,
                 self.physics,
                 self._directions,
                 self.points.parameters,
@@ -274,7 +288,7 @@ class TelemetryAt:
         vector = np.concatenate([-unknowns, np.ones((self.points.n, 1))], axis=1)
         square = np.einsum("ni,nij,nj->n", vector, self.system.normal, vector)
         density = self.system.log_scale - 0.5 * square
-        for matrix, linear, constant in self._delta_v(np.zeros(self.points.n)):
+        for matrix, linear, constant in self._velocity(np.zeros(self.points.n)):
             thrusts = thrust_n[:, 0]
             square = np.einsum("nk,nkl,nl->n", thrusts, matrix, thrusts)
             density = density + constant + (linear * thrusts).sum(-1) - 0.5 * square
@@ -310,7 +324,22 @@ class TelemetryAt:
             total[:size, :size] += (
                 np.einsum("uca,ab,vcb->uv", columns, gram, columns, optimize=True) / noise
             )
+        if self.term.event.accelerometer is not None:
+            counts = self._count_slopes(d, step)
+            inner = counts @ self.term.event.accelerometer.centred_gram @ counts.T
+            total[: len(counts), : len(counts)] += inner / ROUNDING_COUNTS_2
         yield first, total
+
+    def _count_slopes(self, d: int, step: float) -> Array:
+        """Slopes (unknown, 4 K + 1) of the accelerometer's counts: walked, levels, departures."""
+        prior, statistics = self.points.shared.thrust_prior, self.term.event.accelerometer
+        assert statistics is not None
+        each, drift = count_columns(
+            statistics, self.physics, self._directions, self.points.parameters
+        )
+        total = prior.common_mean_n * each.sum(1) + drift
+        walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * step)
+        return np.concatenate([walked, prior.shared.T @ each[0], prior.own.T @ each[0]])
 
     def _delta_v_columns(self, statistics: DeltaVStatistics, d: int, step: float) -> Array:
         """Slopes (unknown, 3, 4 K) of the velocity change: walked, levels, departures."""
@@ -340,7 +369,7 @@ class TelemetryAt:
         for i, element in enumerate(ELEMENTS):
             name = WITHOUT_WHEELS.format(element)
             found[name] = ((), values[:, i], "kg m2", f"{element} element of the {label}")
-        if self.term.event.delta_v is not None:
+        if self.term.event.delta_v is not None or self.term.event.accelerometer is not None:
             mass = self.points.parameters["mass_kg"][:, None]
             found["mass_kg"] = (("event",), mass, "kg", "wet mass")
         return found
@@ -366,11 +395,16 @@ def unknowns_of(thrust_n: Array, draws: TermDraws) -> Array:
 
 
 def telemetry_parameters(
-    shared: Shared, wheels: Sequence[int], *, fires: bool, has_delta_v: bool = False
+    shared: Shared,
+    wheels: Sequence[int],
+    *,
+    fires: bool,
+    has_delta_v: bool = False,
+    has_accelerometer: bool = False,
 ) -> tuple[str, ...]:
     """Names of the parameters that an event needs, in the order in which they are walked.
 
-    ``has_delta_v``: its velocity change was measured.
+    ``has_delta_v``: its velocity change was measured; ``has_accelerometer``: in counts.
     """
     names = [*INERTIA_PARAMETERS, *_CHANNELS]
     names += shared.spacecraft.wheel_parameters(wheels)
@@ -380,6 +414,8 @@ def telemetry_parameters(
         names += shared.thrust_prior.walked
     if has_delta_v:
         names += DELTA_V_PARAMETERS
+    if has_accelerometer:
+        names += [name for name in ACCELEROMETER_PARAMETERS if name not in names]
     return tuple(names)
 
 
@@ -405,8 +441,14 @@ def telemetry_terms(
 
 
 def _term(event: ReducedEvent, priors: Priors, shared: Shared) -> TelemetryTerm:
-    has_delta_v, spacecraft = event.delta_v is not None, shared.spacecraft
-    names = telemetry_parameters(shared, event.wheels, fires=event.fires, has_delta_v=has_delta_v)
+    spacecraft = shared.spacecraft
+    names = telemetry_parameters(
+        shared,
+        event.wheels,
+        fires=event.fires,
+        has_delta_v=event.delta_v is not None,
+        has_accelerometer=event.accelerometer is not None,
+    )
     priors.require(names, "the model of these events")
     if event.fires and priors.parameters["tau_delay_s"].distribution is not None:
         raise InputError(

@@ -152,14 +152,14 @@ def plan(
             "--from", f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min", f"{worst:g}", "check them"
         )
     judge = _Judge.of(learned, draws, wheels)
-    typical = _typical(learned)
+    one = typical(learned)
     found = []
     for ends in product(*(_ends_of_wheel(rate, levels) for rate in start)):
         end = np.array(ends)
         if np.all(end == start):
             continue
         request = BiasRequest("candidate", wheels, start, end)
-        candidate = judge.candidate(typical, request)
+        candidate = judge.candidate(one, request)
         if budget_g is None or candidate.hydrazine_g <= budget_g:
             found.append(candidate)
     if not found:
@@ -177,7 +177,7 @@ def plan(
     )
 
 
-def _typical(learned: Learned) -> Learned:
+def typical(learned: Learned) -> Learned:
     """The same knowledge as a single draw at its mean: for expected on-times."""
     one = np.zeros(1, dtype=np.int64)
     physics = learned.physics.at_mean().at(one)

@@ -42,7 +42,12 @@ _TABLES: Final = ("spacecraft", "parameters", "from_fit")
 _LEVELS: Final = ("thrust_common_n", "thrust_individual_n")  # what an earlier fit's levels replace
 _OWN_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
 _NEVER_NEGATIVE_BLOCKS: Final = ("tail-off", "wheel inertia", "mass", "noise")
-_BUT_SIGNED: Final = ("rate_bias_x_rad_s", "rate_bias_y_rad_s", "rate_bias_z_rad_s")
+_BUT_SIGNED: Final = (
+    "rate_bias_x_rad_s",
+    "rate_bias_y_rad_s",
+    "rate_bias_z_rad_s",
+    "accelerometer_bias_m_s2",
+)
 _NEVER_NEGATIVE: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
 # More prior probability of a negative value than this means that a bound was forgotten.
 _NEGATIVE_MASS: Final = 1e-3
@@ -252,10 +257,13 @@ def read_priors(path: str | Path) -> Priors:
                 nearest(name, specs),
             )
         parameters[name] = _read_parameter(where, specs[name], _table(where, entry))
+    wheels = _read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft)
+    turned = spacecraft.with_platforms(parameters)
+    turned.check_platforms(wheels, f"{path}: parameters")
     priors = Priors(
-        spacecraft=spacecraft,
+        spacecraft=turned,
         branch=_read_branch(f"{path}: spacecraft.branch", own.get("branch"), spacecraft),
-        wheels=_read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft),
+        wheels=wheels,
         parameters=parameters,
         path=str(path),
         digest=hashlib.sha256(content).hexdigest(),

@@ -25,10 +25,13 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
+from cassini_bayes.spacecraft.two_wheels import HELD_AXES, free_axis, wheel_torques
 
 Array = NDArray[np.float64]
 LEAST_SINGULAR_VALUE: Final = 0.1
 """Of the wheel axes (1 for orthogonal ones): less, and two wheels are all but parallel."""
+NEVER_REACHED_RAD: Final = 1e9
+"""Dead-band of an axis that is not the thrusters' to hold."""
 
 
 def prime_wheels(plan: Plan) -> Spacecraft:
@@ -96,6 +99,7 @@ def make_thrusters(plan: Plan) -> kernel.Thrusters:
         directions=np.ascontiguousarray(directions),
         thrust_n=floats([plan.thrust_n[name] for name in names]),
         leak_n=floats([plan.leaks_n.get(name, 0.0) for name in names]),
+        leak_start_s=plan.leak_start_s,
         parasitic_m=parasitic,
         start_delay_s=start - min(plan.impulse_offset_s, 0.0),
         rise_end_delay_s=rise_end,
@@ -154,9 +158,22 @@ def _canted_directions(plan: Plan) -> Array:
     return directions
 
 
+def uses_thrusters(plan: Plan) -> bool:
+    """Whether thrusters hold the attitude, or an axis of it: biases and burns."""
+    return plan.event.kind in ("bias", "delta_v")
+
+
 def uses_wheels(plan: Plan) -> bool:
-    """Whether the wheels hold the attitude: slews and quiescent periods."""
-    return plan.event.kind in ("slew", "quiescent")
+    """Whether the wheels hold the attitude, or two axes of it: slews, quiet periods, hybrids."""
+    return not uses_thrusters(plan) or plan.event.hybrid is not None
+
+
+def axes_by_thrusters(plan: Plan) -> Array:
+    """1 for every body axis (3,) that thrusters hold, 0 for the others."""
+    hybrid = plan.event.hybrid
+    if not uses_thrusters(plan) or hybrid is None:
+        return np.full(3, float(uses_thrusters(plan)))
+    return floats([float(axis == free_axis(hybrid.controller)) for axis in range(3)])
 
 
 def external_torque(plan: Plan) -> kernel.Torque:
@@ -170,8 +187,9 @@ def wheel_loop(plan: Plan) -> kernel.WheelLoop:
     """The wheel manager's speed loop as numbers."""
     actions = {"bias": kernel.BIAS_WHEELS, "delta_v": kernel.HOLD_WHEELS}
     target = plan.event.from_rpm if plan.event.to_rpm is None else plan.event.to_rpm
+    action = actions.get(plan.event.kind, kernel.TORQUE_WHEELS)
     return kernel.WheelLoop(
-        action=actions.get(plan.event.kind, kernel.TORQUE_WHEELS),
+        action=kernel.TORQUE_WHEELS if uses_wheels(plan) else action,
         target_rad_s=np.array(target, dtype=np.float64) / RPM_PER_RAD_S,
         start_s=plan.event.start_s,
         torque_limit_n_m=plan.wheels.torque_limit_n_m,
@@ -190,9 +208,10 @@ def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
         burn = np.ascontiguousarray((pairs[:4].sum(axis=0) > 0).astype(np.float64))
         mean = float(np.mean([plan.thrust_n[name] for name in plan.thrusters]))
         acceleration = mean * plan.parameters["fsw_acceleration_factor"] / body.mass_kg
+    held = axes_by_thrusters(plan) > 0.0
     return kernel.RcsLaw(
-        active=not uses_wheels(plan) and plan.event.thrusters_on,
-        dead_band_rad=floats(settings.dead_band_rad),
+        active=uses_thrusters(plan) and plan.event.thrusters_on,
+        dead_band_rad=np.where(held, floats(settings.dead_band_rad), NEVER_REACHED_RAD),
         rate_gain_s=settings.rate_gain_s,
         hysteresis=settings.hysteresis,
         rate_clamp_rad_s=settings.rate_clamp_rad_s,
@@ -209,8 +228,29 @@ def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
         pairs=np.ascontiguousarray(pairs),
         burn=burn,
         burn_delta_v_m_s=plan.event.delta_v_m_s,
+        burn_start_s=plan.event.start_s,
         burn_acceleration_m_s2=acceleration,
     )
+
+
+def _to_wheels(plan: Plan, axes: Array) -> Array:
+    """Torque of each wheel per torque about every body axis (W, 3)."""
+    hybrid, where = plan.event.hybrid, f"event {plan.event.id}: wheels"
+    if hybrid is not None:
+        shares = np.zeros((axes.shape[1], 3))
+        shares[:, list(HELD_AXES[hybrid.controller])] = wheel_torques(
+            axes, hybrid.controller, where
+        )
+        return shares
+    least = float(np.linalg.svd(axes, compute_uv=False)[-1])
+    if uses_wheels(plan) and (axes.shape[1] < 3 or least < LEAST_SINGULAR_VALUE):
+        raise InputError(
+            where,
+            f"three wheels whose axes span space, for a {plan.event.kind} event",
+            f"wheels {list(plan.wheel_numbers)}, too few or all but parallel",
+            "choose other prime wheels, or with two of them a hybrid controller",
+        )
+    return np.ascontiguousarray(np.linalg.pinv(axes), dtype=np.float64)
 
 
 def rwa_law(plan: Plan, body: kernel.Body) -> kernel.RwaLaw:
@@ -219,16 +259,14 @@ def rwa_law(plan: Plan, body: kernel.Body) -> kernel.RwaLaw:
     Raises
     ------
     InputError
-        The wheels are to hold the attitude, and cannot turn the body about every axis.
+        The wheels are to hold the attitude, or two axes of it, and cannot turn the body about them.
     """
-    least = float(np.linalg.svd(body.axes, compute_uv=False)[-1])
-    if uses_wheels(plan) and (body.axes.shape[1] < 3 or least < LEAST_SINGULAR_VALUE):
-        raise InputError(
-            f"event {plan.event.id}: wheels",
-            f"three wheels whose axes span space, for a {plan.event.kind} event",
-            f"wheels {list(plan.wheel_numbers)}, too few or all but parallel",
-            "choose other prime wheels",
-        )
+    hybrid = plan.event.hybrid
+    free_from = math.inf
+    if hybrid is not None and not uses_thrusters(plan):
+        free_from = 0.0
+    elif hybrid is not None and hybrid.free_from_s is not None:
+        free_from = hybrid.free_from_s
     slews = sorted(plan.event.slew, key=lambda slew: slew.start_s)
     base = [unit(plan.event.attitude)]
     for slew in slews:
@@ -236,7 +274,7 @@ def rwa_law(plan: Plan, body: kernel.Body) -> kernel.RwaLaw:
     return kernel.RwaLaw(
         active=uses_wheels(plan),
         inertia_kg_m2=body.inertia_kg_m2,
-        to_wheels=np.ascontiguousarray(np.linalg.pinv(body.axes), dtype=np.float64),
+        to_wheels=_to_wheels(plan, body.axes),
         bandwidth_rad_s=plan.rwa.bandwidth_rad_s,
         damping=plan.rwa.damping,
         torque_limit_n_m=plan.rwa.torque_limit_n_m,
@@ -247,6 +285,8 @@ def rwa_law(plan: Plan, body: kernel.Body) -> kernel.RwaLaw:
         slew_rate_rad_s=floats([slew.rate_rad_s for slew in slews]),
         slew_acceleration_rad_s2=floats([slew.acceleration_rad_s2 for slew in slews]),
         slew_base=np.array(base),
+        free_axis=0 if hybrid is None else free_axis(hybrid.controller),
+        free_from_s=free_from,
     )
 
 

@@ -44,7 +44,9 @@ class Effect:
     catalogued
         Whether a diagnosis knows it by name.
     optional
-        Parameters with defaults.
+        Parameters with defaults, told with the effect.
+    further
+        Parameters that may be given, and are told only then.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Effect:
     change: Change
     catalogued: bool = True
     optional: Mapping[str, float] = field(default_factory=dict)
+    further: tuple[str, ...] = ()
 
 
 def _axis_index(target: str) -> int:
@@ -94,7 +97,8 @@ def _misalignment(plan: Plan, target: str, values: Values) -> Plan:
 
 
 def _leak(plan: Plan, target: str, values: Values) -> Plan:
-    return replace(plan, leaks_n=frozen_mapping({**plan.leaks_n, target: values["leak_n"]}))
+    leaks = frozen_mapping({**plan.leaks_n, target: values["leak_n"]})
+    return replace(plan, leaks_n=leaks, leak_start_s=values.get("start_s", 0.0))
 
 
 def _time_offset(plan: Plan, _: str, values: Values) -> Plan:
@@ -173,7 +177,7 @@ _ALL: Final = (
     Effect(
         "external_torque", tuple(f"external_torque_{axis}_n_m" for axis in AXES), None, _parameters
     ),
-    Effect("thruster_leak", ("leak_n",), "thruster", _leak),
+    Effect("thruster_leak", ("leak_n",), "thruster", _leak, further=("start_s",)),
     Effect("inertia", ("inertia_{target}_kg_m2",), "element", _parameters),
     Effect("time_offset", ("time_offset_s",), None, _time_offset),
     Effect("rate_bias", ("rate_bias_{target}_rad_s",), "axis", _parameters),
@@ -289,7 +293,7 @@ def choose_effect(
             nearest(target, targets),
         )
     required = tuple(key.format(target=target) for key in effect.keys)
-    keys = (*required, *effect.optional)
+    keys = (*required, *effect.optional, *effect.further)
     for key in request.parameters:
         if key not in keys:
             raise InputError(

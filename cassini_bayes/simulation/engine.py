@@ -13,6 +13,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.arrays import (
+    axes_by_thrusters,
     external_torque,
     floats,
     make_body,
@@ -22,12 +23,12 @@ from cassini_bayes.simulation.arrays import (
     rwa_law,
     turned,
     unit,
-    uses_wheels,
     wheel_loop,
 )
 from cassini_bayes.simulation.motion import RPM_PER_RAD_S, Motion, PulseLog
 from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.spacecraft import wheel_inertias
+from cassini_bayes.spacecraft.two_wheels import free_axis
 
 RAMP_TIME_CONSTANTS = 6.0
 """Paper 001 section IV: a wheel has arrived n = 6 time constants after its linear ramp."""
@@ -91,9 +92,9 @@ def event_duration_s(plan: Plan, cycle_s: float) -> float:
     event = plan.event
     duration = event.duration_s
     if duration is None:
-        if event.kind == "bias":
+        if event.kind == "bias" and event.hybrid is None:
             duration = event.start_s + ramp_duration_s(plan) + event.settle_s
-        elif event.kind == "slew":
+        elif event.slew:
             duration = max(s.start_s + s.duration_s for s in event.slew) + event.settle_s
         else:
             raise InputError(
@@ -184,15 +185,18 @@ def simulate_motion(
 def _start_state(plan: Plan, body: kernel.Body, rng: Generator) -> Array:
     """y = (q, ω, ρ, η, η̇) at the start.
 
-    Under thruster control the attitude error is uniform within a part of the dead-band and the
-    rate normal; wheel-controlled events start at rest on target. The draws are made either way.
+    On axes under thruster control the attitude error is uniform within a part of the dead-band and
+    the rate normal; the wheels' start at rest on target, but for a hybrid's spin. The draws are
+    made either way.
     """
     error = (
         rng.uniform(-1.0, 1.0, 3) * plan.start.attitude_spread * np.array(plan.rcs.dead_band_rad)
     )
     rate = rng.standard_normal(3) * plan.start.rate_rad_s
-    if uses_wheels(plan):
-        error, rate = np.zeros(3), np.zeros(3)
+    held = axes_by_thrusters(plan)
+    error, rate = held * error, held * rate
+    if plan.event.hybrid is not None:
+        rate[free_axis(plan.event.hybrid.controller)] += plan.event.hybrid.spin_rad_s
     eta_dot = floats([math.sqrt(a.inertia_kg_m2) * a.initial_rate_rad_s for a in plan.appendages])
     rate = rate - np.linalg.solve(body.inertia_kg_m2, body.couplings @ eta_dot)
     base = unit(plan.event.attitude)
@@ -202,8 +206,10 @@ def _start_state(plan: Plan, body: kernel.Body, rng: Generator) -> Array:
 
 
 def _knowledge(plan: Plan, n_cycles: int, rng: Generator) -> tuple[Array, Array]:
-    law = plan.rwa if uses_wheels(plan) else plan.rcs
+    held = axes_by_thrusters(plan) > 0.0
+    rcs, rwa = plan.rcs, plan.rwa
     # time comes first, so that a longer event begins with the draws of a shorter one
     noise = rng.standard_normal((n_cycles, 2, 3))
-    attitude = np.ascontiguousarray(noise[:, 0] * law.attitude_knowledge_rad)
-    return attitude, np.ascontiguousarray(noise[:, 1] * law.rate_knowledge_rad_s)
+    attitude = np.where(held, rcs.attitude_knowledge_rad, rwa.attitude_knowledge_rad)
+    rate = np.where(held, rcs.rate_knowledge_rad_s, rwa.rate_knowledge_rad_s)
+    return np.ascontiguousarray(noise[:, 0] * attitude), np.ascontiguousarray(noise[:, 1] * rate)

@@ -37,13 +37,13 @@ def make_plan(
     The duration is settled before the effects: commands do not know of them, and events with and
     without an effect can be subtracted row by row.
     """
-    branch = scenario.spacecraft.branch
+    branch, parameters = scenario.spacecraft.branch, truth.of(event.id)
     plan = Plan(
-        spacecraft=spacecraft,
+        spacecraft=spacecraft.with_platforms(parameters),
         branch=branch,
         wheel_numbers=scenario.spacecraft.wheels,
         event=event,
-        parameters=frozen_mapping(truth.of(event.id)),
+        parameters=frozen_mapping(parameters),
         thrust_n=frozen_mapping(truth.thrust_n(event.id, spacecraft.thruster_names(branch))),
         rcs=event.rcs or scenario.rcs,
         rwa=event.rwa or scenario.rwa,

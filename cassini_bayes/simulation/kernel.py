@@ -73,6 +73,7 @@ class Thrusters(NamedTuple):
     directions: Array  # (3, K)
     thrust_n: Array  # (K,) steady, at the start of the event
     leak_n: Array  # (K,)
+    leak_start_s: float
     parasitic_m: Array  # (3, K) extra torque per newton (plume)
     start_delay_s: float
     rise_end_delay_s: float
@@ -109,6 +110,7 @@ class RcsLaw(NamedTuple):
     pairs: Array  # (6, K): +x −x +y −y +z −z
     burn: Array  # (K,) 1 for thrusters of a ΔV burn
     burn_delta_v_m_s: float
+    burn_start_s: float
     burn_acceleration_m_s2: float  # assumed by the flight software, per thruster
 
 
@@ -128,6 +130,8 @@ class RwaLaw(NamedTuple):
     slew_rate_rad_s: Array  # (S,)
     slew_acceleration_rad_s2: Array  # (S,)
     slew_base: Array  # (S + 1, 4) attitude at rest before each slew, and at the end
+    free_axis: int  # nobody holds it from this time on: its own direction is what is held
+    free_from_s: float
 
 
 class Pulses(NamedTuple):
@@ -390,6 +394,39 @@ def attitude_error(target: Array, y: Array, out: Array) -> None:
     es = ts * s + tx * x + ty * yy + tz * z
     sign = 2.0 if es >= 0.0 else -2.0
     out[0], out[1], out[2] = sign * ex, sign * ey, sign * ez
+
+
+@compiled
+def direction_error(target: Array, y: Array, axis: int, out: Array) -> None:
+    """Small-angle error of the direction of one body axis against the target's, into ``out``.
+
+    With t the target's axis in body axes (of C(y) C(target)ᵀ) it is t × axis: nothing along the
+    axis itself, about which the body may have turned by any angle.
+    """
+    tx, ty, tz, ts = target[0], target[1], target[2], target[3]
+    x, yy, z, s = y[0], y[1], y[2], y[3]
+    # the turn from target to body, as attitude_error has it
+    ex = ts * x - s * tx + (yy * tz - z * ty)
+    ey = ts * yy - s * ty + (z * tx - x * tz)
+    ez = ts * z - s * tz + (x * ty - yy * tx)
+    es = ts * s + tx * x + ty * yy + tz * z
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    turn = (ex, ey, ez)
+    # components of C[:, axis] across the axis, C = (s² − e·e) 1 + 2 e eᵀ − 2 s [e×]
+    on_first = 2.0 * turn[first] * turn[axis] + 2.0 * es * (-turn[second])
+    on_second = 2.0 * turn[second] * turn[axis] + 2.0 * es * turn[first]
+    out[axis] = 0.0
+    out[first] = on_second
+    out[second] = -on_first
+
+
+@compiled
+def control_error(law: RwaLaw, time: float, target: Array, y: Array, out: Array) -> None:
+    """Error of the attitude, or of the free axis' direction from its time on, into ``out``."""
+    if time >= law.free_from_s:
+        direction_error(target, y, law.free_axis, out)
+    else:
+        attitude_error(target, y, out)
 
 
 @compiled
@@ -666,7 +703,9 @@ def deliver(
         if thrusters.warmup_deficit[k] != 0.0:
             cold = math.exp(-on_time[k] / thrusters.warmup_time_s)
             strength *= 1.0 - thrusters.warmup_deficit[k] * cold
-        newton_seconds = strength * delivered + thrusters.leak_n[k] * step
+        newton_seconds = strength * delivered
+        if time >= thrusters.leak_start_s:
+            newton_seconds += thrusters.leak_n[k] * step
         isp = specific_impulse(thrusters.isp_s, on_time[k] / (time + step))
         gained += newton_seconds / (STANDARD_GRAVITY_M_S2 * isp)
         mean = newton_seconds / step
@@ -762,7 +801,7 @@ def advance(
         time = i * step
         if i % steps_per_cycle == 0:
             slew_target(rwa, time, target, rate_command, acceleration)
-            attitude_error(target, y, error)
+            control_error(rwa, time, target, y, error)
             cycle = i // steps_per_cycle
             for axis in range(3):
                 old_error[axis], old_rate[axis] = seen_error[axis], seen_rate[axis]
@@ -774,7 +813,7 @@ def advance(
                 wheel_command(
                     rwa, body, loop, y, seen_error, rate_command, acceleration, motor, wheel_work
                 )
-            if rcs.active and i < n_steps:
+            if rcs.active and i < n_steps and time < rwa.free_from_s:
                 late = rcs.latency_cycles > 0 and cycle > 0
                 demanded_widths(
                     rcs,
@@ -783,7 +822,7 @@ def advance(
                     time,
                     memory,
                 )
-                burning = burned < rcs.burn_delta_v_m_s
+                burning = burned < rcs.burn_delta_v_m_s and time >= rcs.burn_start_s
                 thruster_widths(rcs, memory[0], burning, widths)
                 log_pulses(pulses, time, widths)
                 for k in range(n_thrusters):
@@ -792,7 +831,7 @@ def advance(
             awake = leaking or can_thrust(time, thrusters, pulses, levels)
         if i % steps_per_record == 0:
             slew_target(rwa, time, target, rate_command, acceleration)
-            attitude_error(target, y, error)
+            control_error(rwa, time, target, y, error)
             record.time_s[kept] = time
             record.attitude[kept] = y[:4]
             record.rate_rad_s[kept] = y[4:7]

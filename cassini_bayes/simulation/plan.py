@@ -81,6 +81,7 @@ class Plan:
     appendages: tuple[Appendage, ...] = ()
     cants_rad: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     leaks_n: Mapping[str, float] = field(default_factory=frozen_mapping)
+    leak_start_s: float = 0.0
     warmup_deficit: Mapping[str, float] = field(default_factory=frozen_mapping)
     warmup_time_s: float = 1.0
     impulse_offset_s: float = 0.0

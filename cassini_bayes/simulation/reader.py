@@ -118,6 +118,7 @@ def scenario_of(
     for appendage in scenario.appendage:
         _check_direction(f"{where}: appendage.{appendage.name}.axis", appendage.axis)
     _check_truth(where, scenario, spacecraft)
+    _check_platforms(where, scenario, spacecraft)
     record_interval_s(scenario.telemetry)
     effects = _effects(where, scenario, spacecraft, ids, {**EFFECTS, **own})
     return ScenarioFile(where, folder, scenario, spacecraft, effects)
@@ -213,6 +214,9 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
                 "give one rate per prime wheel",
             )
     needed = {"bias": "to_rpm", "slew": "slew", "delta_v": "delta_v_m_s"}.get(event.kind)
+    if event.hybrid is not None:
+        _check_hybrid(where, event)
+        needed = None
     if needed is not None and not getattr(event, needed):
         raise InputError(
             f"{where}.{needed}", f"a value for a {event.kind} event", "nothing", f"add {needed}"
@@ -245,6 +249,30 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
         )
 
 
+def _check_hybrid(where: str, event: EventSettings) -> None:
+    if event.kind not in ("slew", "bias"):
+        raise InputError(
+            f"{where}.hybrid",
+            "a slew (two wheels alone) or a bias (thrusters hold the third axis)",
+            f"a {event.kind} event",
+            "change kind, or leave hybrid out",
+        )
+    if event.to_rpm is not None:
+        raise InputError(
+            f"{where}.to_rpm",
+            "nothing: the wheels go where holding the attitude takes them",
+            str(list(event.to_rpm)),
+            "leave to_rpm out, or hybrid",
+        )
+    if not event.slew and event.duration_s is None:
+        raise InputError(
+            f"{where}.duration_s",
+            "the duration of an event without slews",
+            "nothing",
+            "add duration_s = …",
+        )
+
+
 def _check_direction(where: str, axis: Vector) -> None:
     if math.hypot(*axis) < SMALLEST:
         raise InputError(where, "a direction", str(axis), "give an axis, of any length but zero")
@@ -273,6 +301,14 @@ def _check_truth(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None
     for event in scenario.event:
         for key, value in event.truth.items():
             _check_value(f"{where}: event.{event.id}.truth.{key}", key, value, names)
+
+
+def _check_platforms(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:
+    wheels = scenario.spacecraft.wheels
+    spacecraft.with_platforms(scenario.truth).check_platforms(wheels, f"{where}: truth")
+    for index, event in enumerate(scenario.event):
+        place = f"{where}: event.{index}.truth"
+        spacecraft.with_platforms(event.truth).check_platforms(wheels, place)
 
 
 def _check_value(place: str, key: str, value: object, names: list[str]) -> None:

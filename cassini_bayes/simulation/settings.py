@@ -136,9 +136,23 @@ class StartSettings(Table):
     rate_rad_s: NotNegative = 0.0
 
 
+class HybridSettings(Table):
+    """Two wheels hold two axes (paper 004): X and Z (``ors``), or X and Y (``dfpw``).
+
+    Thrusters hold the third in a bias, until ``free_from_s`` if it is given. A slew has no
+    thrusters: the third axis is free, and the body begins with ``spin_rad_s`` about it.
+    """
+
+    controller: Literal["ors", "dfpw"]
+    spin_rad_s: Number = 0.0
+    free_from_s: NotNegative | None = None
+
+
 class EventSettings(Table):
     """One event. A bias drives the wheels from ``from_rpm`` to ``to_rpm`` under thruster control;
-    slews and quiescent periods start at ``from_rpm`` under wheel control; ``delta_v`` burns.
+    slews and quiescent periods start at ``from_rpm`` under wheel control; ``delta_v`` burns,
+    from ``start_s`` on. With
+    ``hybrid`` two wheels share the control with the thrusters (bias), or have it alone (slew).
 
     Without ``duration_s`` a bias ends ``settle_s`` after its last wheel has arrived (T of paper
     001: six time constants after its linear ramp), a set of slews ``settle_s`` after the last one.
@@ -160,6 +174,7 @@ class EventSettings(Table):
     start: StartSettings | None = None
     rcs: RcsSettings | None = None
     rwa: RwaSettings | None = None
+    hybrid: HybridSettings | None = None
 
 
 class TelemetrySettings(Table):
@@ -173,6 +188,7 @@ class TelemetrySettings(Table):
     wheel_every_s: Positive = 1.0
     counter_every_s: Positive = 1.0
     delta_v_every_s: Positive = 10.0
+    accelerometer_every_s: Positive = 1.0
     pressure_every_s: Positive = 60.0
     attitude_noise_rad: NotNegative | None = None
     rate_noise_rad_s: NotNegative | None = None
@@ -183,6 +199,7 @@ class TelemetrySettings(Table):
     delta_v: Literal["measured", "computed", "none"] = "none"
     delta_v_noise_m_s: NotNegative | None = None
     delta_v_resolution_m_s: NotNegative | None = None
+    accelerometer: Flag = False
     pressure: Flag = False
     pressure_noise_kpa: NotNegative = 0.0
     drop_out: Fraction = 0.0

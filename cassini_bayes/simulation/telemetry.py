@@ -72,6 +72,8 @@ def observe(plan: Plan, motion: Motion, settings: TelemetrySettings, seed: int) 
         channels.counters()
     if has_delta_v(plan, settings):
         channels.delta_v()
+    if settings.accelerometer and plan.event.kind not in _WITHOUT_COUNTERS:
+        channels.accelerometer()
     if settings.pressure:
         channels.pressure()
     return channels.table()
@@ -155,6 +157,14 @@ class _Channels:
         values = stepped(values + noise, self._level("delta_v_resolution_m_s"))
         names = [f"delta_v_{axis}_m_s" for axis in "xyz"]
         self._keep("delta v", self._settings.delta_v_every_s, names, values)
+
+    def accelerometer(self) -> None:
+        """Whole counts N of (ΔV along Z − b t)/κ (paper 000 appendix D)."""
+        parameters, motion = self._plan.parameters, self._motion
+        drift = parameters["accelerometer_bias_m_s2"] * motion.time_s
+        counts = (motion.delta_v_body_m_s[:, 2] - drift) / parameters["accelerometer_scale_m_s"]
+        every, names = self._settings.accelerometer_every_s, ["accelerometer_counts"]
+        self._keep("accelerometer", every, names, np.round(counts)[:, None])
 
     def pressure(self) -> None:
         noise = self._noise("pressure", 1) * self._settings.pressure_noise_kpa

@@ -23,6 +23,8 @@ DEFAULTS: Final[Mapping[str, float]] = {
     "mass_factor": 1.0,
     "fsw_acceleration_factor": 1.0,
     "fsw_impulse_offset_s": 0.0,
+    "accelerometer_scale_m_s": 2.0202e-3,  # paper 000 appendix D
+    "accelerometer_bias_m_s2": 0.0,
 }
 """What a scenario may leave out: an effect that is not there."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
     BranchGeometry,
+    Platform,
     Spacecraft,
     Thruster,
     Wheel,
@@ -26,6 +27,7 @@ from cassini_bayes.spacecraft.reader import load_spacecraft
 __all__ = [
     "AXIS_DEMANDS",
     "BranchGeometry",
+    "Platform",
     "Spacecraft",
     "Thruster",
     "Wheel",

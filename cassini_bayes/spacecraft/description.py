@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Container, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Final
@@ -31,12 +31,26 @@ LEVI_CIVITA.setflags(write=False)
 
 
 @dataclass(frozen=True, eq=False)
+class Platform:
+    """A platform that turns a wheel about a body axis ``about`` (3,), a unit vector.
+
+    The wheel's axis in the file is that at ``file_angle_rad``; ``parameter`` names the angle.
+    """
+
+    parameter: str
+    about: Array
+    file_angle_rad: float
+
+
+@dataclass(frozen=True, eq=False)
 class Wheel:
     """A reaction wheel.
 
     ``name`` is the prefix of its telemetry columns, ``axis`` its nominal spin axis (3,), a unit
     vector in body axes. ``tilt_parameters`` are the names of (u, v), or None for a wheel whose axis
-    is taken as known.
+    is taken as known. ``platform`` is what can turn the wheel, None where it is bolted down. Its
+    angle is a parameter only where ``is_turned`` (:meth:`Spacecraft.with_platforms`); else it stays
+    where the file has it.
     """
 
     number: int
@@ -44,11 +58,15 @@ class Wheel:
     axis: Array
     inertia_parameter: str
     tilt_parameters: tuple[str, str] | None
+    platform: Platform | None = None
+    is_turned: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of its parameters: spin inertia, and the tilts of its axis if it has any."""
-        return (self.inertia_parameter, *(self.tilt_parameters or ()))
+        """Names of its parameters: spin inertia, tilts of its axis, angle of its platform."""
+        turned = self.platform if self.is_turned else None
+        angle = () if turned is None else (turned.parameter,)
+        return (self.inertia_parameter, *(self.tilt_parameters or ()), *angle)
 
     @cached_property
     def tilt_axes(self) -> Array:
@@ -156,6 +174,36 @@ class Spacecraft:
         values = (getattr(self, field.name) for field in fields(self))
         plain = tuple(dict(v) if isinstance(v, MappingProxyType) else v for v in values)
         return Spacecraft, plain
+
+    def with_platforms(self, given: Container[str]) -> Spacecraft:
+        """The spacecraft with the platforms turned whose angle is among the parameters ``given``.
+
+        The others stay where the file has them, and their angle is no parameter.
+        """
+        wheels = tuple(
+            replace(wheel, is_turned=wheel.platform.parameter in given)
+            if wheel.platform is not None
+            else wheel
+            for wheel in self.wheels
+        )
+        return replace(self, wheels=wheels)
+
+    def check_platforms(self, wheels: Collection[int], where: str) -> None:
+        """Check that every platform that is turned carries one of the prime ``wheels``.
+
+        Raises
+        ------
+        InputError
+            The angle of a platform is given, and its wheel is not in use.
+        """
+        for wheel in self.wheels:
+            if wheel.platform is not None and wheel.is_turned and wheel.number not in wheels:
+                raise InputError(
+                    f"{where}.{wheel.platform.parameter}",
+                    f"wheel {wheel.number}, which this platform turns, among the wheels",
+                    f"wheels {list(wheels)}",
+                    f"add {wheel.number} to spacecraft.wheels, or leave the angle out",
+                )
 
     def geometry_of(self, branch: str) -> BranchGeometry:
         """Arrays of a branch's thrusters.

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.spacecraft.description import AXIS_DEMANDS, CENTRE_OF_MASS, Spacecraft
+from cassini_bayes.spacecraft.description import AXIS_DEMANDS, CENTRE_OF_MASS, Platform, Spacecraft
 
 Parameters = Mapping[str, ArrayLike]
 
@@ -40,11 +40,12 @@ def wheel_axes(spacecraft: Spacecraft, parameters: Parameters) -> Array:
     """Spin axes of all wheels in file order, the columns of T (paper 000 eq. 2).
 
     A wheel with tilt parameters (u, v) spins about unit(a + u e1 + v e2), with a its nominal axis,
-    e1 = unit(ẑ × a), e2 = a × e1.
+    e1 = unit(ẑ × a), e2 = a × e1. A platform at θ turns that axis by θ − θ0 about its own axis, θ0
+    the angle at which the file has the wheel (paper 004 eq. 6).
 
     Returns
     -------
-    (..., 3, W) unit columns; no leading axes when no wheel can tilt.
+    (..., 3, W) unit columns; no leading axes when no wheel can tilt or be turned.
     """
     tilted = [(column, w) for column, w in enumerate(spacecraft.wheels) if w.tilt_parameters]
     tilts = _stack(parameters, tuple(n for _, w in tilted for n in w.tilt_parameters or ()))
@@ -54,7 +55,24 @@ def wheel_axes(spacecraft: Spacecraft, parameters: Parameters) -> Array:
     for i, (column, wheel) in enumerate(tilted):
         axis = wheel.axis + tilts[..., 2 * i : 2 * i + 2] @ wheel.tilt_axes
         axes[..., column] = axis / np.sqrt((axis * axis).sum(-1, keepdims=True))
+    for column, wheel in enumerate(spacecraft.wheels):
+        if wheel.platform is not None and wheel.is_turned:
+            angle = np.asarray(parameters[wheel.platform.parameter], dtype=np.float64)
+            axes = _with_turned(axes, column, wheel.platform, angle)
     return axes
+
+
+def _with_turned(axes: Array, column: int, platform: Platform, angle_rad: Array) -> Array:
+    """The axes (..., 3, W) with one column turned to a platform's angle (...) (Rodrigues)."""
+    turn = (angle_rad - platform.file_angle_rad)[..., None]
+    about, axis = platform.about, axes[..., column]
+    along = (axis @ about)[..., None] * about
+    across = np.cross(about, axis)
+    turned = along + np.cos(turn) * (axis - along) + np.sin(turn) * across
+    shape = (*turned.shape[:-1], *axes.shape[-2:])
+    result = np.array(np.broadcast_to(axes, shape))
+    result[..., column] = turned
+    return result
 
 
 def wheel_inertias(spacecraft: Spacecraft, parameters: Parameters) -> Array:

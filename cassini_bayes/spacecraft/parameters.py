@@ -117,6 +117,12 @@ _GENERIC: Final = (
         "m/s",
         delta_v_noise_m_s="noise of a velocity change beyond its printed step, 1 sigma",
         delta_v_resolution_m_s="least step of a velocity change",
+        accelerometer_scale_m_s="velocity change per accelerometer count",
+    ),
+    *_specs(
+        "noise",
+        "m/s2",
+        accelerometer_bias_m_s2="acceleration to add to what the accelerometer counts",
     ),
     *_specs(
         "flight software",

@@ -19,6 +19,7 @@ from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
     BranchGeometry,
+    Platform,
     Spacecraft,
     Thruster,
     Wheel,
@@ -45,12 +46,19 @@ class _ParameterTable(_Table):
     meaning: str = Field(min_length=1)
 
 
+class _ArticulationTable(_Table):
+    parameter: str
+    about: _Triple
+    axis_at_rad: float
+
+
 class _WheelTable(_Table):
     number: int = Field(ge=1)
     name: _Name
     axis: _Triple
     inertia: str
     tilt: Annotated[list[str], Field(min_length=2, max_length=2)] | None = None
+    articulation: _ArticulationTable | None = None
 
 
 class _ThrusterTable(_Table):
@@ -183,8 +191,9 @@ def _unit_vector(values: list[float], place: str) -> NDArray[np.float64]:
 def _wheel(table: _WheelTable, specs: Mapping[str, ParameterSpec], place: str) -> Wheel:
     axis = _unit_vector(table.axis, f"{place}.axis")
     inertia = _declared(table.inertia, specs, "kg m2", f"{place}.inertia")
+    platform = _platform(table.articulation, specs, f"{place}.articulation")
     if table.tilt is None:
-        return Wheel(table.number, table.name, axis, inertia, None)
+        return Wheel(table.number, table.name, axis, inertia, None, platform)
     _unique(table.tilt, f"{place}.tilt")
     u, v = (_declared(name, specs, "rad", f"{place}.tilt") for name in table.tilt)
     if abs(axis[2]) > 1.0 - UNIT_TOLERANCE:
@@ -194,7 +203,16 @@ def _wheel(table: _WheelTable, specs: Mapping[str, ParameterSpec], place: str) -
             f"axis {table.axis}",
             "leave out tilt for this wheel",
         )
-    return Wheel(table.number, table.name, axis, inertia, (u, v))
+    return Wheel(table.number, table.name, axis, inertia, (u, v), platform)
+
+
+def _platform(
+    table: _ArticulationTable | None, specs: Mapping[str, ParameterSpec], place: str
+) -> Platform | None:
+    if table is None:
+        return None
+    name = _declared(table.parameter, specs, "rad", f"{place}.parameter")
+    return Platform(name, _unit_vector(table.about, f"{place}.about"), table.axis_at_rad)
 
 
 def _thruster(

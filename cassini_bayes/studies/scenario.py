@@ -74,12 +74,12 @@ class Simulation:
         return truth_text(self.seed, plans, self.file.effects)
 
     def totals(self) -> tuple[TotalsEvent, ...]:
-        """Totals of the biases among the events."""
+        """Totals of the biases among the events but hybrid ones, whose rates nobody commands."""
         settings = self.file.scenario.telemetry
         return tuple(
             TotalsEvent(**totals_row(event.plan, event.motion, settings, self.seed))
             for event in self.events
-            if event.plan.event.kind == "bias"
+            if event.plan.event.kind == "bias" and event.plan.event.hybrid is None
         )
 
 

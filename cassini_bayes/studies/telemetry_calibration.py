@@ -33,6 +33,7 @@ from cassini_bayes.results.ranks import rank
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
+from cassini_bayes.simulation.arrays import prime_wheels
 from cassini_bayes.studies.scenario import (
     Simulation,
     draw_wheel_rates,
@@ -202,9 +203,7 @@ def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Ge
     plan = event.plan
     density = plan.parameters["torque_noise_n_m_s05"]
     values = {name: np.asarray(value) for name, value in plan.parameters.items()}
-    physics = physics_of(plan.spacecraft, "", values, fires=False)
-    numbers = [wheel.number for wheel in plan.spacecraft.wheels]
-    places = [numbers.index(number) for number in plan.wheel_numbers]
+    physics = physics_of(prime_wheels(plan), "", values, fires=False)
     # no channel is slower than the attitude, which is sampled whenever wheels are
     known = np.isfinite(samples.attitude[:, 0])
     to_body = direction_cosines(samples.attitude[known])
@@ -215,7 +214,7 @@ def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Ge
     momentum[known] = np.einsum("nab,nb->na", to_body, inertial)
     by_wheels = np.full_like(momentum, np.nan)
     by_wheels[known] = _taken_over(momentum[known], steps**2 / TAKEOVER_S)
-    wheels = by_wheels @ np.linalg.pinv(physics.wheel_weights[:, places]).T
+    wheels = by_wheels @ np.linalg.pinv(physics.wheel_weights).T
     rates = (momentum - by_wheels) @ np.linalg.inv(physics.inertia_kg_m2).T
     return replace(
         samples,

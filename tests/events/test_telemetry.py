@@ -442,7 +442,7 @@ def test_thrusters_of_the_other_branch_are_refused(tmp_path: Path) -> None:
     ("kind", "rows", "missing"),
     [
         ("bias", motion_rows(), "on_time_z1_s"),
-        ("delta_v", bias_rows(), "delta_v_x_m_s"),
+        ("delta_v", bias_rows(), "accelerometer_counts"),
         ("slew", spoilt(drop("q1", "q2", "q3", "q4")), "q1"),
         ("quiescent", spoilt(drop("rwa1_rpm", "rwa2_rpm", "rwa4_rpm")), "rwa1_rpm"),
     ],
@@ -451,6 +451,21 @@ def test_a_kind_needs_its_channels(tmp_path: Path, kind: str, rows: Rows, missin
     """The message names the column and the kind."""
     message = refusal(write_event(tmp_path, rows, {**BIAS, "kind": f'"{kind}"'}))
     assert f"'{missing}', because an event of kind {kind} needs it" in message
+
+
+def test_accelerometer_counts_serve_a_burn(tmp_path: Path) -> None:
+    """Counts stand in for a velocity change, are whole numbers, and arrive as they are."""
+    rows = bias_rows()
+    spoilt(add("accelerometer_counts", "-7"), rows)
+    description = {**BIAS, "kind": '"delta_v"'}
+    event = read_event(write_event(tmp_path, rows, description), CASSINI)
+    assert event.has_accelerometer
+    assert np.array_equal(load_event(event, CASSINI).accelerometer_counts, np.full(40, -7.0))
+    rows = bias_rows()
+    spoilt(add("accelerometer_counts", "-0.0141"), rows)
+    again = read_event(write_event(tmp_path / "again", rows, description), CASSINI)
+    with pytest.raises(InputError, match=r"accelerometer_counts.*whole number of counts"):
+        load_event(again, CASSINI)
 
 
 def test_a_velocity_change_needs_its_source(tmp_path: Path) -> None:

@@ -160,6 +160,7 @@ def widths_for(widths: list[float], shared: bool, burning: bool = False) -> list
         pairs=np.ascontiguousarray(pair_indicator(plan.spacecraft, "B")),
         burn=np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]),
         burn_delta_v_m_s=1.0,
+        burn_start_s=0.0,
         burn_acceleration_m_s2=1.0 / body.mass_kg,
     )
     out = np.zeros(8)

@@ -137,6 +137,19 @@ def test_a_leak_pushes_all_the_time() -> None:
     assert control.delta_v_body_m_s[-1, 2] == 0.0
 
 
+def test_a_leak_may_begin_later() -> None:
+    """Of 100 s the leak has the last 40; without a start the truth does not tell one."""
+    event = {"id": "q", "kind": "quiescent", "from_rpm": (0.0, 0.0, 0.0), "duration_s": 100.0}
+    values = {"leak_n": 0.01, "start_s": 60.0}
+    motion = run(chosen("thruster_leak:z1", values, make_plan(event)), record_s=1.0)
+    assert motion.delta_v_body_m_s[60, 2] == 0.0
+    assert motion.delta_v_body_m_s[-1, 2] == pytest.approx(-0.01 * 40.0 / 2400.0, rel=1e-3)
+    spacecraft = make_plan(event).spacecraft
+    request = EffectRequest(name="thruster_leak:z1", parameters={"leak_n": 0.01})
+    effect = choose_effect(request, spacecraft, "B", (1, 2, 4), "effect")
+    assert dict(effect.values) == {"leak_n": 0.01}
+
+
 def test_a_flexible_mode_shows_its_frequency_and_amplitude() -> None:
     """Rates of a quiet body oscillate at the given frequency, amplitude and damping."""
     event = {

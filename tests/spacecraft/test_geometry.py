@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 from spacecraft_cases import FILES, middle, plain_arm, plain_position, plain_wheel_axis, table
 
@@ -174,38 +173,6 @@ def test_fsds_case_turns_about_plus_z_and_is_met_by_y2_y4() -> None:
     delivered = couple["y2"] * 0.75 * 21.875 * 1.3406
     assert delivered == pytest.approx(momentum[2], rel=0.04)
     assert momentum[2] / (couple["y2"] * 21.875) == pytest.approx(0.98, abs=0.01)
-
-
-def articulated_axis(angle_deg: float) -> Array:
-    """Wheel 4 of paper 004 with its platform at θ: −θ is the angle from +Y to its projection."""
-    angle = np.radians(angle_deg)
-    s = np.sqrt(2 / 3)
-    return np.array([-s * np.sin(angle), s * np.cos(angle), 1 / np.sqrt(3)])
-
-
-def test_articulation_figures_of_paper_004_follow_from_the_wheel_axes() -> None:
-    """Optimum −81.8° with 0.4472, (0.318, −0.317) at −84.7°, p_X and p_Y at −94.2°."""
-    axes = wheel_axes(SPACECRAFT["cassini"], NO_TILT)
-    np.testing.assert_allclose(articulated_axis(0.0), axes[:, 0], atol=1e-14)
-    np.testing.assert_allclose(articulated_axis(-120.0), axes[:, 2], atol=1e-14)
-
-    def coupling(angle_deg: float) -> Array:
-        both = np.stack([axes[:, 1], articulated_axis(angle_deg)], axis=-1)
-        return both[1] @ np.linalg.inv(both[[0, 2]])
-
-    best = minimize_scalar(
-        lambda angle: np.linalg.norm(coupling(angle)), bounds=(-100, -60), method="bounded"
-    )
-    assert best.x == pytest.approx(-81.8, abs=0.05)
-    assert best.fun == pytest.approx(0.4472, abs=5e-5)
-    np.testing.assert_allclose(coupling(best.x), [0.346, -0.283], atol=6e-4)
-    np.testing.assert_allclose(coupling(-84.7), [0.318, -0.317], atol=5e-4)
-    assert np.linalg.norm(coupling(-84.7)) == pytest.approx(0.4494, abs=5e-5)
-    both = np.stack([axes[:, 1], articulated_axis(-94.2)], axis=-1)
-    p_x, p_y = both[2] @ np.linalg.inv(both[:2])
-    assert p_x == pytest.approx(0.5369, abs=5e-5)
-    assert p_y == pytest.approx(-2.34410, abs=5e-6)
-    assert p_y == pytest.approx(-2.3442, abs=1.1e-4)  # as printed: one unit off in the last digit
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -25,6 +25,7 @@ SUFFIXES = {
     "rpm": "_rpm",
     "kg": "_kg",
     "m/s": "_m_s",
+    "m/s2": "_m_s2",
     "1": "_factor",
 }
 
@@ -40,6 +41,7 @@ EXPECTED = {
     *("on_time_resolution_s", "hold_rate_rad_s", "hold_attitude_rad"),
     "torque_noise_n_m_s05",
     *("delta_v_noise_m_s", "delta_v_resolution_m_s"),
+    *("accelerometer_scale_m_s", "accelerometer_bias_m_s2"),
     *("fsw_acceleration_factor", "fsw_impulse_offset_s"),
 }
 

@@ -501,6 +501,21 @@ def test_plan_ranks_from_a_run_folder(
     assert "prime wheels" in capsys.readouterr().err
 
 
+def test_plan_minimises_from_a_run_folder(fit: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One wheel's end is given, the others are found; JSON and text, and bad use in one line."""
+    arguments = ["plan", "--fit", str(fit), "--minimise", "z_throughput"]
+    assert run_cases.command([*arguments, "--to", "rwa4: 700", "--limit", "80", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [choice["to_rpm"][2] for choice in document["choices"]] == [700.0] * 4
+    assert any(row["exceeds"] for row in document["throughput_s"].values())
+    assert run_cases.command([*arguments, "--to", "rwa4: 700"]) == 0
+    assert "least z_throughput from [-526, -1060, -442]" in capsys.readouterr().out
+    assert run_cases.command(arguments) == 2
+    assert "--to" in capsys.readouterr().err
+    assert run_cases.command(arguments[:3]) == 2
+    assert "either --quantity or --minimise" in capsys.readouterr().err
+
+
 def test_plan_texts() -> None:
     """Candidates by information and per gram; the CSV has a row for each."""
     found = small_plan()

@@ -8,6 +8,7 @@ import sys
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,11 @@ from simulation_cases import EFFECT_CASES
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals
+from cassini_bayes.model.draws import draw
+from cassini_bayes.model.event_reduction import reduce_event
+from cassini_bayes.model.posterior import build_model, log_posterior
 from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import ScenarioFile, read_scenario, scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
 from cassini_bayes.studies.scenario import draw_truth, simulate_file, simulate_scenario
@@ -320,23 +325,41 @@ def test_any_three_of_the_four_wheels(
 
 
 def test_a_burn_is_seen_by_the_accelerometer(tmp_path: Path) -> None:
-    """delta_v: counters of the Z thrusters and measured ΔV, near the target, with its noise."""
+    """delta_v: counters of the Z thrusters, and counts of the velocity within half a step."""
     simulation = simulate_scenario(FOLDER / "burn_2004.toml", tmp_path / "out", 2)
     (event,) = simulation.events
     toml = tomllib.loads((tmp_path / "out" / "burn" / "event.toml").read_text())
     assert toml["kind"] == "delta_v"
-    assert toml["delta_v_source"] == "measured"
+    assert "delta_v_source" not in toml
     columns = event.telemetry.columns
-    seen = columns["delta_v_z_m_s"]
-    true = np.interp(
-        event.telemetry.time_s, event.motion.time_s, event.motion.delta_v_body_m_s[:, 2]
-    )
-    error = (seen - true)[~np.isnan(seen)]
-    assert 1.5e-5 < np.std(error) < 2.5e-5
-    assert seen[~np.isnan(seen)][-1] == pytest.approx(-0.15, rel=0.02)
+    time, counts = event.telemetry.time_s, columns["accelerometer_counts"]
+    true = np.interp(time, event.motion.time_s, event.motion.delta_v_body_m_s[:, 2])
+    seen = 2.0202e-3 * counts + 3e-5 * time  # appendix D: scale and bias
+    assert np.nanmax(np.abs(seen - true)) <= 0.5001 * 2.0202e-3
+    assert np.nanmax(np.abs(2.0202e-3 * counts - true)) > 0.02  # without the bias
+    assert np.array_equal(np.unique(counts % 1.0)[:1], [0.0])
+    assert np.nanmax(np.abs(counts[time < 290.0])) == 4.0  # the bias alone, before the burn
+    assert true[-1] == pytest.approx(-0.15, rel=0.02)
     assert columns["on_time_z1_s"][-1] > 100.0
     assert np.nanmax(columns["tank_pressure_kpa"]) > np.nanmin(columns["tank_pressure_kpa"])
     assert not (tmp_path / "out" / "totals.csv").exists()
+
+
+def test_accelerometer_and_momentum_give_thrust_and_bias(tmp_path: Path) -> None:
+    """The burn from its folder: mean Z thrust and the bias come back, the bias to 2 µm/s²."""
+    simulate_scenario(FOLDER / "burn_2004.toml", tmp_path / "out", 1)
+    priors = read_priors(FOLDER.parents[1] / "priors/cassini_a_branch_2004_burn.toml")
+    reduced = reduce_event(tmp_path / "out" / "burn", priors, "first_order")
+    model = build_model([reduced], priors)
+    rng = np.random.default_rng(1)
+    warm = warm_start(partial(log_posterior, model), model.space.dimension, rng, draws=1500)
+    draws = draw(model, warm.draws.resample(rng, 1500), rng)
+    bias = np.asarray(draws.parameters["accelerometer_bias_m_s2"])
+    thrust = draws.thrusts.thrust_n[:, 0, :4].mean(axis=1)
+    assert bias.std() < 2.5e-6
+    assert abs(bias.mean() - 3e-5) < 3.0 * bias.std()
+    assert thrust.std() < 0.015  # of a prior of 0.05: the mass leaves 1 %
+    assert abs(thrust.mean() - 0.75) < 3.0 * thrust.std()
 
 
 def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:

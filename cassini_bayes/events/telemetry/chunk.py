@@ -15,8 +15,8 @@ class Chunk:
     """n rows of telemetry in file order, checked and mended; arrays are read-only.
 
     NaN means "not sampled at this time"; a channel is sampled as a whole or not at all in a row. A
-    channel that the file does not have is 0 wide, the tank pressure then all NaN. Attitudes are
-    unit quaternions J2000 → body, scalar last, with the sign that continues the one before.
+    channel that the file does not have is 0 wide, tank pressure and counts then all NaN. Attitudes
+    are unit quaternions J2000 → body, scalar last, with the sign that continues the one before.
     Counters only grow: a wrap has been undone. ``first_row`` is the line of the file (for Parquet
     the row, counted from 1) that the first row came from.
     """
@@ -29,6 +29,7 @@ class Chunk:
     on_time_s: Array  # (n, K) cumulative, as commanded, in the order of the event's thrusters
     pulses: Array  # (n, K) cumulative
     delta_v_m_s: Array  # (n, 3) cumulative, body axes
+    accelerometer_counts: Array  # (n,) cumulative, along body Z
     tank_pressure_kpa: Array  # (n,)
 
     def __post_init__(self) -> None:

@@ -20,10 +20,12 @@ NEEDED: Final[Mapping[Kind, tuple[str, ...]]] = MappingProxyType(
         "slew": _MOTION,
         "bias": (*_MOTION, "on_time", "pulses"),
         "quiescent": _MOTION,
-        "delta_v": ("on_time", "pulses", "delta_v"),
+        "delta_v": ("on_time", "pulses"),
     }
 )
 """Channels without which an event of a kind says nothing."""
+VELOCITY: Final = ("delta_v", "accelerometer")
+"""Channels of which an event of kind delta_v needs one."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ def channel_columns(
         "on_time": tuple(f"on_time_{name}_s" for name in thrusters),
         "pulses": tuple(f"pulses_{name}" for name in thrusters),
         "delta_v": tuple(f"delta_v_{axis}_m_s" for axis in "xyz"),
+        "accelerometer": ("accelerometer_counts",),
         "pressure": ("tank_pressure_kpa",),
     }
 
@@ -95,6 +98,14 @@ def make_layout(
                 "add the column, or correct kind, branch and wheels in event.toml",
             )
         channels[channel] = () if missing else tuple(places[name] for name in names)
+    if kind == "delta_v" and not any(channels[channel] for channel in VELOCITY):
+        raise InputError(
+            where,
+            f"a column {own['delta_v'][0]!r} or {own['accelerometer'][0]!r}, because an event of"
+            " kind delta_v needs it",
+            "a header without them",
+            "add the columns, or correct kind in event.toml",
+        )
     mine = {name for names in own.values() for name in names}
     foreign = tuple(i for i, name in enumerate(header) if name not in mine)
     return Layout(tuple(header), MappingProxyType(channels), foreign)

@@ -32,7 +32,8 @@ class TelemetryEvent:
 
     ``wheels`` are the prime wheels in the order of the columns of T and of ``Chunk.wheel_rpm``;
     ``thrusters`` the branch's thrusters in file order, () if the telemetry has no on-times.
-    ``digest`` is the SHA-256 of event.toml and telemetry together, in hexadecimal.
+    ``digest`` is the SHA-256 of event.toml and telemetry together, in hexadecimal;
+    ``has_accelerometer`` whether the telemetry has an accelerometer's counts.
     """
 
     id: str
@@ -46,6 +47,7 @@ class TelemetryEvent:
     folder: Path
     telemetry: Path
     digest: str
+    has_accelerometer: bool = False
 
 
 def read_event(folder: str | Path, spacecraft: Spacecraft) -> TelemetryEvent:
@@ -77,6 +79,7 @@ def read_event(folder: str | Path, spacecraft: Spacecraft) -> TelemetryEvent:
         folder=place,
         telemetry=telemetry,
         digest=hashlib.sha256(f"{digest(path)} {digest(telemetry)}".encode()).hexdigest(),
+        has_accelerometer=bool(layout.channels["accelerometer"]),
     )
 
 

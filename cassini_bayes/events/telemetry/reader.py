@@ -12,7 +12,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.attitude import Attitudes
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.chunk import Chunk, join
-from cassini_bayes.events.telemetry.columns import NEEDED, Layout, make_layout
+from cassini_bayes.events.telemetry.columns import NEEDED, VELOCITY, Layout, make_layout
 from cassini_bayes.events.telemetry.counters import Agreement, Counter
 from cassini_bayes.events.telemetry.event import TelemetryEvent
 from cassini_bayes.events.telemetry.files import open_table
@@ -123,7 +123,8 @@ class _Checks:
             on_time_s=on_time,
             pulses=pulses,
             delta_v_m_s=self._channel(block, "delta_v"),
-            tank_pressure_kpa=self._pressure(block),
+            accelerometer_counts=self._single(block, "accelerometer"),
+            tank_pressure_kpa=self._single(block, "pressure"),
         )
 
     def finish(self) -> None:
@@ -137,7 +138,9 @@ class _Checks:
                 "only the header row" if rows == 0 else "one row",
                 "an event needs its beginning and its end; add the rows",
             )
-        for channel in NEEDED[self._event.kind]:
+        velocity = max(VELOCITY, key=lambda channel: self._samples[channel])
+        also = (velocity,) if self._event.kind == "delta_v" else ()
+        for channel in (*NEEDED[self._event.kind], *also):
             if self._samples[channel] < LEAST_SAMPLES:
                 raise InputError(
                     f"{file}: column {self._layout.names(channel)[0]}",
@@ -149,6 +152,6 @@ class _Checks:
     def _channel(self, block: Block, name: str) -> Array:
         return np.ascontiguousarray(block.cells[list(self._layout.channels[name])].T)
 
-    def _pressure(self, block: Block) -> Array:
-        values = self._channel(block, "pressure")
+    def _single(self, block: Block, channel: str) -> Array:
+        values = self._channel(block, channel)
         return values[:, 0].copy() if values.shape[1] else np.full(block.rows, np.nan)

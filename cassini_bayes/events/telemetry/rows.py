@@ -17,6 +17,7 @@ HIGHEST_RATE_RAD_S: Final = 0.05
 HIGHEST_RPM: Final = 4000.0
 """Twice what Cassini's wheels are kept below."""
 HIGHEST_DELTA_V_M_S: Final = 2000.0
+MOST_COUNTS: Final = 1_000_000
 
 
 class Times:
@@ -138,6 +139,17 @@ def check_ranges(block: Block, layout: Layout) -> None:
         f"a velocity change within ±{HIGHEST_DELTA_V_M_S:g} m/s",
         "check the unit (m/s, not mm/s)",
     )
+    for column in layout.channels["accelerometer"]:
+        values = block.cells[column]
+        given = ~np.isnan(values)
+        wrong = np.flatnonzero(given & ((np.abs(values) > MOST_COUNTS) | (values % 1.0 != 0.0)))
+        if wrong.size:
+            raise block.refuse(
+                int(wrong[0]),
+                column,
+                f"a whole number of counts within ±{MOST_COUNTS:,}",
+                "give the counts as telemetry has them, not a velocity",
+            )
     for column in layout.channels["pressure"]:
         wrong = np.flatnonzero(block.cells[column] <= 0.0)
         if wrong.size:

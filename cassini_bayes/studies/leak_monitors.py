@@ -1,0 +1,257 @@
+"""Two leak monitors on one event: residual momentum with a threshold, and sequential odds.
+
+Paper 000 section IV has one on board (*excessive thruster commanding*): what Euler's equation
+leaves is integrated over time, and a residual momentum beyond a threshold within a set time is a
+leak; the signs of its three components name the thruster. It prints neither threshold nor time.
+Beside it stands the posterior: the same residual is Gaussian with a covariance of channel noise,
+torque noise and every uncertain parameter, a leak adds a known column from its start on, and the
+odds of a leak are updated row by row. Both see the same rows, at which no thruster delivers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.balance.measured_delta_v import on_time_columns, rows_at_rest
+from cassini_bayes.balance.physics import Physics, physics_of
+from cassini_bayes.balance.statistics import Samples
+from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.telemetry_terms import pulse_weights
+from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.errors import InputError
+from cassini_bayes.model.event_reduction import sampling_of
+from cassini_bayes.priors.reader import Priors
+
+ROWS_EVERY_S: Final = 10.0
+STARTS_EVERY_S: Final = 50.0
+SIZES_N: Final = np.geomspace(1e-5, 5e-3, 28)
+"""Sizes of a leak, even odds each: log-uniform over what the campaign simulates."""
+POLARITY_SHARE: Final = 0.25
+"""Of the greatest component: a smaller one counts as zero where signs are compared."""
+_LEAST_ROWS: Final = 5
+_STEP: Final = 1e-3  # of a prior standard deviation, for derivatives: the residual is nearly linear
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Residual momentum of one event along its rows at rest, at nominal parameters.
+
+    ``covariance`` is that of ``momentum`` (N, 3) flattened row by row, of all that is uncertain but
+    a leak. ``arms`` (3, K) are the thrusters' torques per newton.
+    """
+
+    time_s: Array  # (N,)
+    momentum_n_m_s: Array  # (N, 3) axes of the body at the first row
+    covariance: Array  # (3N, 3N)
+    arms_m: Array  # (3, K)
+    thrusters: tuple[str, ...]
+
+
+def residual_of(
+    samples: Samples, thrusters: tuple[str, ...], wheels: tuple[int, ...], priors: Priors
+) -> Residual:
+    """The residual momentum I ω + T I_w ρ − Σ q F s since the first row, and its covariance.
+
+    Parameters
+    ----------
+    samples
+        A bias: all channels at once in the rows that are used, the attitude near the first one's.
+    thrusters, wheels
+        In the order of the samples' columns.
+    priors
+        Nominal values and widths. Noise of the channels enters at its prior mean.
+    """
+    sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
+    known = np.isfinite(
+        np.column_stack([samples.attitude, samples.rate_rad_s, samples.wheel_rad_s])
+    ).all(axis=1)
+    rows = rows_at_rest(samples, np.asarray(known), sampling.guard_s)
+    kept = np.flatnonzero(np.diff(samples.time_s[rows] // ROWS_EVERY_S, prepend=-1.0) > 0.0)
+    rows = rows[kept]
+    if len(rows) < _LEAST_ROWS:
+        raise InputError(
+            "telemetry",
+            f"at least {_LEAST_ROWS} rows at rest, {ROWS_EVERY_S:g} s apart",
+            str(len(rows)),
+            "use a longer event",
+        )
+    columns = on_time_columns(samples, rows, sampling).reshape(len(rows), len(thrusters), 4)[
+        ..., :3
+    ]
+    to_body = direction_cosines(samples.attitude[rows])
+    back = np.einsum("ab,ncb->nac", to_body[0], to_body)  # to the first row's axes
+    craft = priors.spacecraft
+    numbers = [wheel.number for wheel in craft.wheels]
+    places = [numbers.index(number) for number in wheels]
+    means = {name: prior.mean for name, prior in priors.parameters.items()}
+    idle = dict.fromkeys(craft.wheel_parameters(), 0.0)
+
+    def physics(values: Mapping[str, float]) -> Physics:
+        arrays = {name: np.asarray(value) for name, value in {**idle, **values}.items()}
+        return physics_of(craft, priors.branch, arrays)
+
+    def momentum(values: Mapping[str, float], thrust_n: Array) -> Array:
+        own = physics(values)
+        body = samples.rate_rad_s[rows] @ own.inertia_kg_m2.T
+        body = body + samples.wheel_rad_s[rows] @ own.wheel_weights[:, places].T
+        seconds = columns @ pulse_weights(sampling, own)
+        total = np.einsum("nac,nc->na", back, body) - seconds @ (own.arms_m * thrust_n).T
+        return np.asarray(total - total[0])
+
+    level = np.full(len(thrusters), means["thrust_common_n"])
+    at_means = momentum(means, level)
+    slopes = []
+    for name in _walked(priors, wheels):
+        sd = priors.parameters[name].sd
+        moved = momentum({**means, name: means[name] + _STEP * sd}, level)
+        slopes.append((moved - at_means) / _STEP)
+    common = priors.parameters["thrust_common_n"].sd
+    own = np.sqrt(
+        sum(
+            priors.parameters[f"thrust_{which}_n"].sd ** 2
+            for which in ("individual", "event", "jitter")
+        )
+    )
+    for k in range(len(thrusters)):
+        moved = momentum(means, level + np.eye(len(thrusters))[k])
+        slopes.append(own * (moved - at_means))
+    slopes.append(common * (momentum(means, level + 1.0) - at_means))
+    time = samples.time_s[rows] - samples.time_s[rows[0]]
+    torques = [priors.parameters[f"external_torque_{axis}_n_m"] for axis in "xyz"]
+    for axis, torque in enumerate(torques):
+        slopes.append(torque.sd * time[:, None] * np.eye(3)[axis])
+    jacobian = np.stack([slope.ravel() for slope in slopes], axis=1)
+    mean = time[:, None] * np.array([torque.mean for torque in torques])
+    nominal = physics(means)
+    return Residual(
+        time,
+        at_means - mean,
+        jacobian @ jacobian.T + _noise(nominal, places, means, time),
+        np.asarray(nominal.arms_m),
+        thrusters,
+    )
+
+
+def _walked(priors: Priors, wheels: tuple[int, ...]) -> list[str]:
+    """Parameters with a width that move the residual."""
+    craft = priors.spacecraft
+    names = [
+        *(f"inertia_{element}_kg_m2" for element in ("xx", "yy", "zz", "xy", "xz", "yz")),
+        *craft.wheel_parameters(wheels),
+        "tau_rise_s",
+        "tau_fall_s",
+        "cm_x_m",
+        "cm_y_m",
+        "cm_z_m",
+        *craft.geometry_of(priors.branch).parameters,
+    ]
+    return [name for name in names if priors.parameters[name].sd > 0.0]
+
+
+def _noise(physics: Physics, places: list[int], means: Mapping[str, float], time: Array) -> Array:
+    """Covariance (3N, 3N) of channel noise, the first row's in every row, and of torque noise."""
+    weights = physics.wheel_weights[:, places]
+    white = means["rate_noise_rad_s"] ** 2 * physics.inertia_kg_m2 @ physics.inertia_kg_m2.T
+    white = white + (means["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2 * weights @ weights.T
+    # the first row is taken off: its own residual is zero, and its noise is in all the others
+    shared = np.eye(len(time)) + 1.0
+    shared[0], shared[:, 0] = 0.0, 0.0
+    shared[0, 0] = 1e-6
+    walk = means["torque_noise_n_m_s05"] ** 2 * np.minimum(time[:, None], time)
+    return np.asarray(np.kron(shared, white) + np.kron(walk, np.eye(3)))
+
+
+@dataclass(frozen=True)
+class Track:
+    """What a monitor says along the rows: a statistic (N,) and the thruster it would name (N,)."""
+
+    statistic: Array
+    thruster: Array  # places among the thrusters; −1: none fits
+
+
+@dataclass(frozen=True)
+class Odds:
+    """Sequential odds of a leak, every thruster, start and size weighed by its prior.
+
+    With L Lᵀ the covariance, whitened residuals and columns of the first n rows are the first 3n
+    entries of L⁻¹ r and L⁻¹ g: one factorisation serves every time. The log Bayes factor of a leak
+    of size x is x a − ½ x² b, a = g·C⁻¹ r and b = g·C⁻¹ g over those rows.
+    """
+
+    residual: Residual
+
+    @cached_property
+    def log_bayes_factor(self) -> Array:
+        """By row and thruster (N, K), sizes and starts averaged over their priors."""
+        own = self.residual
+        n = len(own.time_s)
+        lower = np.linalg.cholesky(own.covariance)
+        left = np.linalg.solve(lower, own.momentum_n_m_s.ravel())
+        starts = np.arange(0.0, own.time_s[-1], STARTS_EVERY_S)
+        running = np.maximum(own.time_s[:, None] - starts, 0.0)  # (N, S)
+        columns = np.einsum("ns,ck->ncsk", running, own.arms_m).reshape(3 * n, -1)
+        white = np.linalg.solve(lower, columns)
+        along = np.cumsum(white * left[:, None], axis=0)[2::3]
+        square = np.cumsum(white**2, axis=0)[2::3]
+        exponents = SIZES_N[:, None, None] * along - 0.5 * SIZES_N[:, None, None] ** 2 * square
+        by_size = exponents.reshape(len(SIZES_N), n, len(starts), -1)
+        top = by_size.max(axis=(0, 2))
+        mean = np.exp(by_size - top[None, :, None]).mean(axis=(0, 2))
+        return np.asarray(top + np.log(mean))
+
+    def track(self) -> Track:
+        """Log Bayes factor of a leak of any thruster against none, and the likeliest one."""
+        each = self.log_bayes_factor
+        top = each.max(axis=1, keepdims=True)
+        total = top[:, 0] + np.log(np.exp(each - top).mean(axis=1))
+        return Track(total, each.argmax(axis=1))
+
+
+def threshold_track(residual: Residual, window_s: float) -> Track:
+    """Paper 000's monitor: |R(t) − R(t − window)|, and the thruster of its polarity.
+
+    The whole residual where the event is younger than the window.
+    """
+    time, momentum = residual.time_s, residual.momentum_n_m_s
+    before = np.searchsorted(time, time - window_s - 1e-9)
+    gained = momentum - momentum[before]
+    named = np.array([_by_polarity(row, residual.arms_m) for row in gained])
+    return Track(np.linalg.norm(gained, axis=1), named)
+
+
+def _by_polarity(momentum: Array, arms: Array) -> int:
+    """The only thruster whose torque has the signs of a momentum (3,); −1 if none or several.
+
+    A leak of thruster k adds q_k F t to the momentum that the commands leave unexplained.
+    """
+    wanted = _signs(momentum)
+    fitting = [k for k in range(arms.shape[1]) if np.array_equal(_signs(arms[:, k]), wanted)]
+    return fitting[0] if len(fitting) == 1 else -1
+
+
+def _signs(vector: Array) -> Array:
+    size = np.abs(vector).max()
+    return np.where(np.abs(vector) < POLARITY_SHARE * size, 0.0, np.sign(vector))
+
+
+def alarm_row(statistic: Array, threshold: float, persistence: int) -> int | None:
+    """The row at which a statistic has been above the threshold for so many rows in a row."""
+    above = np.convolve(statistic > threshold, np.ones(persistence), mode="full")[: len(statistic)]
+    found = np.flatnonzero(above >= persistence)
+    return int(found[0]) if len(found) else None
+
+
+def separating_momentum(torque_n_m: float, leak_s: float, turn_rad: float) -> float:
+    """Momentum that tells a leak from a torque fixed in inertial axes after a turn, N m s.
+
+    A leak turns with the body. After a turn by ψ about an axis across it, the direction that either
+    adds momentum in differs by ψ, so that over a time t they part by 2 τ t sin(ψ/2). At one
+    attitude (ψ = 0), or for a torque that turns with the body, they stay alike.
+    """
+    return 2.0 * torque_n_m * leak_s * float(np.sin(0.5 * abs(turn_rad)))
