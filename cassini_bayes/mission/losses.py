@@ -1,0 +1,277 @@
+"""Losses of thrust that set in at an unknown event: their evidence by rank-one updates.
+
+A failing thruster k loses a share s of its branch's common level from event o on, s half normal.
+Given the walked parameters everything else is linear-Gaussian, so with V the pattern of a loss,
+log L(s) = log L(0) + bᵀs − ½ sᵀCs, where b and C follow from what the events leave for the levels.
+``docs/mission.md`` §4 has the formulae.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp, ndtri_exp
+
+from cassini_bayes.arrays import Array, Places
+from cassini_bayes.mission.model import BranchAt
+
+NODES: Final = np.polynomial.legendre.leggauss(16)
+_NEAR: Final = 12.0  # nats from the best pair within which one-sided evidence is worked out
+_FIRST: Final = 40  # losses that a pair may start from
+
+
+@dataclass(frozen=True)
+class LossPrior:
+    """Beliefs on failing thrusters: how probable one is, and how much it loses."""
+
+    probability: float  # that one thruster of a branch fails during the mission
+    scale: float  # of the half normal of the share that is lost
+
+
+@dataclass(frozen=True)
+class LossTerms:
+    """b and C of every loss (k, o) of one branch, at n points; o counts the branch's events.
+
+    b (n, O, K); C is split into ``total`` (n, O, K, K), what all events after an onset say
+    together, less the part ``spent`` (n, O, K, q) that the shared coefficients take up.
+    """
+
+    linear: Array
+    total: Array
+    spent: Array
+
+    @property
+    def square(self) -> Array:
+        """Diagonal of C, (n, O, K)."""
+        own = np.diagonal(self.total, axis1=-2, axis2=-1)
+        return np.asarray(own - (self.spent**2).sum(-1))
+
+    def cross(self, first: Places, second: Places) -> Array:
+        """C between losses given as (o, k) rows (m, 2), (n, m)."""
+        (o, k), (p, j) = first.T, second.T
+        both = self.total[:, np.maximum(o, p), k, j]
+        return np.asarray(both - np.einsum("nmq,nmq->nm", self.spent[:, o, k], self.spent[:, p, j]))
+
+
+def loss_terms(branch: BranchAt) -> LossTerms:
+    """b and C of every loss; an event's pattern is −u × the common level from the onset on."""
+    left, design = branch.left, branch.prior.shared
+    lost = -branch.thrusts.common_n * branch.scale[..., None]  # (n, E, 1)
+    by_shared = left.matrix @ design  # (n, E, K, q)
+    factor, shift = branch.collapsed.shared_factor, branch.collapsed.shared_shift
+    upper = np.swapaxes(factor, -1, -2)
+    mean = np.linalg.solve(upper, shift[..., None])[..., 0]
+    residual = left.vector - (by_shared @ mean[:, None, :, None])[..., 0]
+    across = _from_onset(lost[..., None] * by_shared)
+    n, onsets, thrusters, q = across.shape
+    flat = np.swapaxes(across.reshape(n, -1, q), -1, -2)
+    spent = np.swapaxes(np.linalg.solve(factor, flat), -1, -2)
+    return LossTerms(
+        linear=_from_onset(lost * residual),
+        total=_from_onset(lost[..., None] ** 2 * left.matrix),
+        spent=np.asarray(spent.reshape(n, onsets, thrusters, q)),
+    )
+
+
+def _from_onset(values: Array) -> Array:
+    """Sums over the events from each one on: (n, E, …) → (n, E, …)."""
+    return np.asarray(np.flip(np.cumsum(np.flip(values, 1), axis=1), 1))
+
+
+def log_bayes_single(linear: Array, square: Array, scale: float) -> Array:
+    """Log Bayes factor of one loss with a half-normal prior, from b and C.
+
+    2 ∫₀^∞ N(s; 0, σ²) exp(b s − ½ C s²) ds.
+    """
+    precise = 1.0 + scale**2 * square
+    mean = linear * scale / np.sqrt(precise)
+    return np.asarray(np.log(2.0) - 0.5 * np.log(precise) + 0.5 * mean**2 + log_ndtr(mean))
+
+
+def log_bayes_pair(linear: Array, square: Array, cross: Array, scale: float) -> Array:
+    """The same of two losses together: linear and square (..., 2), cross (...).
+
+    Four times the Gaussian integral times the probability that both are positive, whose second
+    factor is averaged over quantiles of the first loss.
+    """
+    first, second = square[..., 0] + scale**-2, square[..., 1] + scale**-2
+    determinant = first * second - cross**2
+    means = np.stack(
+        [
+            (second * linear[..., 0] - cross * linear[..., 1]) / determinant,
+            (first * linear[..., 1] - cross * linear[..., 0]) / determinant,
+        ],
+        axis=-1,
+    )
+    height = 0.5 * (means * linear).sum(-1) - 0.5 * np.log(determinant) - 2.0 * np.log(scale)
+    sd = np.sqrt(second / determinant)
+    above = log_ndtr(means[..., 0] / sd)
+    # s1 at quantiles of its truncated normal; given it, s2 is normal with precision ``second``
+    levels, weights = 0.5 * (1.0 + NODES[0]), 0.5 * NODES[1]
+    tail = ndtri_exp(above[..., None] + np.log(levels))
+    beyond = -sd[..., None] * tail  # s1 less its mean
+    given = means[..., 1, None] - cross[..., None] / second[..., None] * beyond
+    positive = log_ndtr(given * np.sqrt(second)[..., None])
+    return np.asarray(np.log(4.0) + height + above + logsumexp(positive, b=weights, axis=-1))
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Which thruster of a branch loses thrust, and from which of the branch's events on."""
+
+    thruster: int
+    onset: int
+
+
+Hypothesis = tuple[Loss, ...]
+"""Losses that a hypothesis has: none, one or two, of different thrusters."""
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Hypotheses on one branch with the log Bayes factors (n, H) against no loss at n points."""
+
+    which: tuple[Hypothesis, ...]
+    log_prior: Array  # (H,)
+    log_bayes: Array  # (n, H)
+
+
+def log_bayes(terms: LossTerms, hypothesis: Hypothesis, scale: float) -> Array:
+    """Log Bayes factor (n,) of one hypothesis against no loss."""
+    if not hypothesis:
+        return np.zeros(len(terms.linear))
+    o, k = (np.array([getattr(loss, name) for loss in hypothesis]) for name in ("onset", "thruster"))
+    linear, square = terms.linear[:, o, k], terms.square[:, o, k]
+    if len(hypothesis) == 1:
+        return log_bayes_single(linear[:, 0], square[:, 0], scale)
+    places = np.stack([o, k], axis=-1)
+    cross = terms.cross(places[:1], places[1:])[:, 0]
+    return log_bayes_pair(linear, square, cross, scale)
+
+
+def weigh(terms: LossTerms, prior: LossPrior) -> Hypotheses:
+    """No loss, every single loss, and the pairs that come near the best of them.
+
+    A pair is looked at if one of its members is among the best forty single losses, and kept if an
+    upper bound of its evidence is within 12 nats of the best bound.
+    """
+    n, onsets, thrusters = terms.linear.shape
+    if onsets < 2:
+        return Hypotheses(((),), np.zeros(1), np.zeros((n, 1)))
+    o, k = (grid.ravel() for grid in np.mgrid[1:onsets, 0:thrusters])
+    all_losses = np.stack([o, k], axis=-1)
+    linear, square = terms.linear[:, o, k], terms.square[:, o, k]
+    single = log_bayes_single(linear, square, prior.scale)
+    spread = np.log(onsets - 1.0)
+    fails, works = np.log(prior.probability), np.log1p(-prior.probability)
+    best = np.argsort(-single.mean(0))[:_FIRST]
+    left, right = (grid.ravel() for grid in np.meshgrid(best, np.arange(len(o)), indexing="ij"))
+    rank = np.full(len(o), len(o))
+    rank[best] = np.arange(len(best))
+    new = (k[left] != k[right]) & (rank[left] < rank[right])
+    left, right = left[new], right[new]
+    cross = terms.cross(all_losses[left], all_losses[right])
+    two = np.stack([linear[:, left], linear[:, right]], axis=-1)
+    widths = np.stack([square[:, left], square[:, right]], axis=-1)
+    rough = _pair_bound(two, widths, cross, prior.scale).mean(0)
+    near = rough > rough.max(initial=-np.inf) - _NEAR
+    pair = log_bayes_pair(two[:, near], widths[:, near], cross[:, near], prior.scale)
+    which: list[Hypothesis] = [()]
+    losses = [Loss(int(b), int(a)) for a, b in all_losses]
+    which += [(loss,) for loss in losses]
+    which += [(losses[i], losses[j]) for i, j in zip(left[near], right[near], strict=True)]
+    counts = np.array([len(hypothesis) for hypothesis in which])
+    log_prior = counts * (fails - spread) + (thrusters - counts) * works
+    return Hypotheses(
+        tuple(which), log_prior, np.concatenate([np.zeros((n, 1)), single, pair], axis=1)
+    )
+
+
+def _pair_bound(linear: Array, square: Array, cross: Array, scale: float) -> Array:
+    """Upper bound of :func:`log_bayes_pair`: both are positive no more often than either is."""
+    first, second = square[..., 0] + scale**-2, square[..., 1] + scale**-2
+    determinant = first * second - cross**2
+    a = second * linear[..., 0] - cross * linear[..., 1]
+    b = first * linear[..., 1] - cross * linear[..., 0]
+    height = 0.5 * (linear[..., 0] * a + linear[..., 1] * b) / determinant
+    height += np.log(4.0) - 0.5 * np.log(determinant) - 2.0 * np.log(scale)
+    least = np.minimum(a / np.sqrt(second * determinant), b / np.sqrt(first * determinant))
+    return np.asarray(height + log_ndtr(least))
+
+
+def draw_sizes(
+    terms: LossTerms, hypothesis: Hypothesis, scale: float, rng: np.random.Generator
+) -> Array:
+    """One draw (n, m) of a hypothesis's m losses at every point, as shares.
+
+    Of one loss exactly; of two by a Gibbs sampler of twenty sweeps from the mode.
+    """
+    n = len(terms.linear)
+    if not hypothesis:
+        return np.zeros((n, 0))
+    o, k = (np.array([getattr(loss, name) for loss in hypothesis]) for name in ("onset", "thruster"))
+    linear, precision = terms.linear[:, o, k], terms.square[:, o, k] + scale**-2
+    if len(hypothesis) == 1:
+        return _positive_normal(linear / precision, precision**-0.5, rng)
+    places = np.stack([o, k], axis=-1)
+    cross = terms.cross(places[:1], places[1:])[:, 0]
+    sizes = np.maximum(linear / precision, 0.0)
+    for _ in range(20):
+        for i, j in ((0, 1), (1, 0)):
+            mean = (linear[:, i] - cross * sizes[:, j]) / precision[:, i]
+            sizes[:, i] = _positive_normal(mean, precision[:, i] ** -0.5, rng)
+    return sizes
+
+
+def _positive_normal(mean: Array, sd: Array, rng: np.random.Generator) -> Array:
+    """Draws from normals that are cut at 0, by the logarithm of their upper tails."""
+    log_level = np.log(rng.uniform(size=mean.shape)) + log_ndtr(mean / sd)
+    return np.asarray(np.maximum(mean - sd * ndtri_exp(log_level), 0.0))
+
+
+def coefficients_given(
+    branch: BranchAt,
+    hypothesis: Hypothesis,
+    sizes: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """One draw (n, q) of the shared coefficients given the losses' sizes (n, m)."""
+    collapsed = branch.collapsed
+    shift = collapsed.shared_shift
+    if hypothesis:
+        lost = lost_share(hypothesis, sizes, branch.scale.shape[1], len(branch.thrusts.thrusters))
+        pattern = -branch.thrusts.common_n * branch.scale[..., None] * lost
+        pulled = (branch.left.matrix @ pattern[..., None])[..., 0]
+        moved = (np.swapaxes(branch.prior.shared, -1, -2) @ pulled[..., None])[..., 0].sum(1)
+        shift = shift - np.linalg.solve(collapsed.shared_factor, moved[..., None])[..., 0]
+    white = shift + rng.standard_normal(shift.shape)
+    upper = np.swapaxes(collapsed.shared_factor, -1, -2)
+    return np.asarray(np.linalg.solve(upper, white[..., None])[..., 0])
+
+
+def lost_share(hypothesis: Hypothesis, sizes: Array, events: int, thrusters: int) -> Array:
+    """Share lost so far of every thruster in every event (n, E, K)."""
+    lost = np.zeros((len(sizes), events, thrusters))
+    for i, loss in enumerate(hypothesis):
+        lost[:, loss.onset :, loss.thruster] += sizes[:, i, None]
+    return lost
+
+
+def chosen(hypotheses: Hypotheses, log_weights: Array, reference: int) -> Array:
+    """Posterior probability (H,) of the hypotheses from draws under the ``reference`` one.
+
+    Z_h / Z_ref is the mean over those draws, with their weights, of the ratio of Bayes factors.
+    """
+    ratio = hypotheses.log_bayes - hypotheses.log_bayes[:, [reference]]
+    log_evidence = logsumexp(ratio + log_weights[:, None], axis=0) - logsumexp(log_weights)
+    total = hypotheses.log_prior + log_evidence
+    return np.asarray(np.exp(total - logsumexp(total)))
+
+
+def place_of(hypotheses: Hypotheses, hypothesis: Sequence[Loss]) -> int:
+    """Number of a hypothesis, its losses in either order."""
+    wanted = frozenset(hypothesis)
+    return next(i for i, losses in enumerate(hypotheses.which) if frozenset(losses) == wanted)
