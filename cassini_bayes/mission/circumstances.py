@@ -12,7 +12,7 @@ import numpy as np
 
 from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.mission.mission_file import Epoch, MissionTable, utc, years_between
+from cassini_bayes.mission.mission_file import Epoch, MissionTable, PressureTable, utc, years_between
 
 KPA_PER_PSI: Final = 6.894757
 LARGEST_BLOWDOWN: Final = 4.0
@@ -109,12 +109,15 @@ def circumstances_of(
 
 def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> Tank:
     """The pressures of events: their own, else from readings, else from the blowdown law."""
+    same = np.ones(len(events))
+    if mission.pressure is None:
+        return Tank(1.0, same, same, same, 0.0 * same, 0.0 * same, 1.0)
     law, table = mission.pressure.blowdown, mission.pressure
     known = np.full(len(events), np.nan)
     for i, event in enumerate(events):
         reading = event.pressure_kpa
         if reading is None:
-            reading = _between_readings(mission, event.epoch)
+            reading = _between_readings(mission, table, event.epoch)
         if reading is not None:
             _require_kpa(reading, table.reference_kpa, f"{where}: event {event.id}")
             known[i] = reading
@@ -128,7 +131,6 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
         elif law is None:
             known[i] = table.reference_kpa  # nothing fires: its pressure does not matter
     if law is None:
-        same = np.ones(len(events))
         return Tank(table.reference_kpa, known, same, same, 0.0 * same, 0.0 * same, 1.0)
     recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
     last = [max((at for at in recharges if at <= e.epoch), default=None) for e in events]
@@ -167,10 +169,12 @@ def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> Non
         )
 
 
-def _between_readings(mission: MissionTable, epoch: datetime) -> float | None:
+def _between_readings(
+    mission: MissionTable, table: PressureTable, epoch: datetime
+) -> float | None:
     """The pressure between two readings (kPa), if no recharge lies between them."""
     recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
-    readings = [(utc(at), value) for at, value in mission.pressure.readings]
+    readings = [(utc(at), value) for at, value in table.readings]
     for at, value in readings:
         if at == epoch:
             return value

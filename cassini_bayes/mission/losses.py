@@ -152,8 +152,8 @@ def log_bayes(terms: LossTerms, hypothesis: Hypothesis, scale: float) -> Array:
     return log_bayes_pair(linear, square, cross, scale)
 
 
-def weigh(terms: LossTerms, prior: LossPrior) -> Hypotheses:
-    """No loss, every single loss, and the pairs that come near the best of them.
+def weigh(terms: LossTerms, prior: LossPrior, include: Hypothesis = ()) -> Hypotheses:
+    """No loss, every single loss, the pairs that come near the best of them, and ``include``.
 
     A pair is looked at if one of its members is among the best forty single losses, and kept if an
     upper bound of its evidence is within 12 nats of the best bound.
@@ -183,6 +183,9 @@ def weigh(terms: LossTerms, prior: LossPrior) -> Hypotheses:
     losses = [Loss(int(b), int(a)) for a, b in all_losses]
     which += [(loss,) for loss in losses]
     which += [(losses[i], losses[j]) for i, j in zip(left[near], right[near], strict=True)]
+    if frozenset(include) not in map(frozenset, which):
+        which.append(include)
+        pair = np.concatenate([pair, log_bayes(terms, include, prior.scale)[:, None]], axis=1)
     counts = np.array([len(hypothesis) for hypothesis in which])
     log_prior = counts * (fails - spread) + (thrusters - counts) * works
     return Hypotheses(
@@ -260,13 +263,13 @@ def lost_share(hypothesis: Hypothesis, sizes: Array, events: int, thrusters: int
     return lost
 
 
-def chosen(hypotheses: Hypotheses, log_weights: Array, reference: int) -> Array:
+def chosen(hypotheses: Hypotheses, reference: int) -> Array:
     """Posterior probability (H,) of the hypotheses from draws under the ``reference`` one.
 
-    Z_h / Z_ref is the mean over those draws, with their weights, of the ratio of Bayes factors.
+    Z_h / Z_ref is the mean over those draws of the ratio of Bayes factors.
     """
     ratio = hypotheses.log_bayes - hypotheses.log_bayes[:, [reference]]
-    log_evidence = logsumexp(ratio + log_weights[:, None], axis=0) - logsumexp(log_weights)
+    log_evidence = logsumexp(ratio, axis=0) - np.log(len(ratio))
     total = hypotheses.log_prior + log_evidence
     return np.asarray(np.exp(total - logsumexp(total)))
 

@@ -55,7 +55,8 @@ class BlowdownTable(Table):
 class PressureTable(Table):
     """``[pressure]``: where the tank pressure of an event comes from.
 
-    In this order: its own telemetry, readings of this table (linear in between, never across a
+    Without the table all events are at one pressure, and the drift of thrust stands for what
+    pressure does. In this order: its own telemetry, readings of this table (linear in between, never across a
     recharge), the blowdown law.
     """
 
@@ -105,7 +106,7 @@ class MissionTable(Table):
     spacecraft: dict[str, str] = {}
     dated: list[DatedTable] = []
     drift: dict[str, ChangeTable] = {}
-    pressure: PressureTable
+    pressure: PressureTable | None = None
     propellant: PropellantTable | None = None
     trend: TrendTable
 
@@ -138,7 +139,8 @@ def check_mission(table: dict[str, object], where: str) -> MissionTable:
     """Check the table of a mission file."""
     mission = validated(MissionTable, table, where)
     _require_order(f"{where}: dated", [fact.epoch for fact in mission.dated])
-    _require_order(f"{where}: pressure.readings", [at for at, _ in mission.pressure.readings])
+    readings = [] if mission.pressure is None else mission.pressure.readings
+    _require_order(f"{where}: pressure.readings", [at for at, _ in readings])
     if mission.propellant is not None:
         used = [kg for _, kg in mission.propellant.used_kg]
         _require_order(f"{where}: propellant.used_kg", [at for at, _ in mission.propellant.used_kg])
@@ -164,7 +166,7 @@ def check_mission(table: dict[str, object], where: str) -> MissionTable:
             repr(mission.pulse_shape),
             "choose one of these",
         )
-    law = mission.pressure.blowdown
+    law = None if mission.pressure is None else mission.pressure.blowdown
     if law is not None and mission.propellant is None:
         raise InputError(
             f"{where}: propellant",

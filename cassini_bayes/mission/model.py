@@ -2,7 +2,8 @@
 
 Thrust of thruster k of a branch in event e is
 
-    F = u(p_e) [common + individual_k + ageing_k t_e − losses so far] + event_e + jitter_ek,
+    F = u(p_e) [common + individual_k + (drift + ageing_k) t_e − losses so far] + event_e
+        + jitter_ek,
     u(p) = λ + (1 − λ) p / p_ref,
 
 linear in everything but the share λ of the thrust that pressure leaves, which is walked; λ = 0 is
@@ -11,7 +12,7 @@ the proportional law. ``docs/mission.md`` derives what follows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -31,13 +32,14 @@ from cassini_bayes.model.thrusts import (
     ThrustInformation,
     ThrustPrior,
     collapse_thrusts,
+    level_factor,
     thrust_prior_of,
 )
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import ParameterPrior, ParameterSpace, Priors, known_parameters
 
 INTERCEPT: Final = "thrust_intercept_share"
-AGEING: Final = "thrust_ageing_n_per_year"
+AGEING: Final = ("thrust_drift_n_per_year", "thrust_ageing_n_per_year")
 TAIL: Final = "tau_fall_s"
 TAIL_PRESSURE: Final = "tail_pressure_exponent"
 TAIL_AGEING: Final = "tail_ageing_per_year"
@@ -86,7 +88,7 @@ class BranchThrusts:
     """Thrusts of one branch: the events that fired it, and the coefficients they share.
 
     Coefficients are standard normal before the data: q0 of the thrusters' levels at the reference
-    pressure, then one of ageing per thruster, if they may age.
+    pressure, then q1 of ageing (a drift common to all, and each thruster's own).
     """
 
     branch: str
@@ -95,17 +97,14 @@ class BranchThrusts:
     years: Array  # (E,) since the first of them
     common_n: float  # prior mean of a level
     levels: Array  # (K, q0) factor of the levels' prior covariance
-    ageing_sd_n: float  # a year
+    ageing: Array  # (K, q1) factor of the prior covariance of their change in a year
     own: Array  # (K, p) factor of an event's departures
     reference_n: Array  # (E,) thrust about which each event's information is given
 
     def rows(self, years: Array) -> Array:
         """Design rows (T, K, q) of levels at years (T,) since the branch's first event."""
         levels = np.broadcast_to(self.levels, (len(years), *self.levels.shape))
-        if self.ageing_sd_n == 0.0:
-            return np.asarray(levels)
-        rate = years[:, None, None] * self.ageing_sd_n * np.eye(len(self.thrusters))
-        return np.concatenate([levels, rate], axis=-1)
+        return np.concatenate([levels, years[:, None, None] * self.ageing], axis=-1)
 
     def prior_at(self, scale: Array) -> ThrustPrior:
         """The thrusts' prior where thrust is ``scale`` (n, E) times that at the reference."""
@@ -178,7 +177,7 @@ class MissionModel:
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
-        return np.concatenate([self._log_likelihood(z[i : i + _BLOCK]) for i in blocks(len(z))])
+        return np.concatenate([self._log_likelihood(z[rows]) for rows in blocks(len(z))])
 
     def _log_likelihood(self, z: Array) -> Array:
         branches, rest = self.at(z)
@@ -207,9 +206,9 @@ class MissionModel:
         return BranchAt(branch, information, scale)
 
 
-def blocks(n: int) -> range:
-    """Starts of blocks of points that are worked up at a time."""
-    return range(0, n, _BLOCK)
+def blocks(n: int) -> Iterator[slice]:
+    """Slices that cover n points, as many at a time as memory and cache like."""
+    return (slice(start, min(start + _BLOCK, n)) for start in range(0, n, _BLOCK))
 
 
 def mission_name(name: str, block: str, branch: str, own: Sequence[str], several: bool) -> str:
@@ -322,7 +321,7 @@ def _branch_thrusts(branch: str, priors: Priors, circumstances: Circumstances) -
             "another distribution",
             "use a normal prior",
         )
-    _, (ageing,) = priors.normal([AGEING])
+    _, (drift, own) = priors.normal(AGEING)
     events = np.array(
         [i for i, e in enumerate(circumstances.events) if e.branch == branch and e.fires]
     )
@@ -338,7 +337,7 @@ def _branch_thrusts(branch: str, priors: Priors, circumstances: Circumstances) -
         years=circumstances.years[events] - circumstances.years[events[0]],
         common_n=prior.common_mean_n,
         levels=prior.shared,
-        ageing_sd_n=ageing,
+        ageing=level_factor(drift, own, len(thrusters)),
         own=prior.own,
         reference_n=np.asarray(np.exp(_SAME_THRUST * steps)),
     )

@@ -91,12 +91,12 @@ def thrust_prior_of(priors: Priors, thrusters: int) -> ThrustPrior:
         common_sd_n=common_sd,
         common_is_walked=walked,
         individual_sd_n=individual,
-        shared=_level_factor(common_sd, individual, thrusters),
-        own=_level_factor(event, jitter, thrusters),
+        shared=level_factor(common_sd, individual, thrusters),
+        own=level_factor(event, jitter, thrusters),
     )
 
 
-def _level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
+def level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
     """Factor B (K, rank) with B Bᵀ = common_sd² 1 1ᵀ + individual_sd² 1."""
     if individual_sd > 0:
         covariance = np.full((size, size), common_sd**2) + individual_sd**2 * np.eye(size)

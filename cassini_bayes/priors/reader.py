@@ -41,6 +41,7 @@ ZERO_CENTRED: Final = (
     "thrust_individual_n",
     "thrust_event_n",
     "thrust_jitter_n",
+    "thrust_drift_n_per_year",
     "thrust_ageing_n_per_year",
 )
 _TABLES: Final = ("spacecraft", "parameters", "from_fit", "branch")

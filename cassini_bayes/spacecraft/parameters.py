@@ -46,7 +46,8 @@ _GENERIC: Final = (
     *_specs(
         "thrust",
         "N/year",
-        thrust_ageing_n_per_year="steady change of a thruster's thrust at the reference pressure",
+        thrust_drift_n_per_year="steady change common to a branch's thrusters at given pressure",
+        thrust_ageing_n_per_year="steady change of one thruster's thrust beyond the common one",
     ),
     *_specs(
         "thrust",
