@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.arrays import Array, Places
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.mission.losses import (
     Hypothesis,
@@ -46,7 +46,6 @@ LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
 _LOOKS: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
-_SEARCHED: Final = 100  # draws at which all hypotheses are weighed
 _DOF: Final = 15.0  # of the proposal, as in a warm start
 
 Say = Callable[[str], None]
@@ -64,6 +63,7 @@ class Losses:
     log_prior: Array  # (H,)
     probability: Array  # (H,)
     reference: int
+    log_ratio: Array  # (n, H) of the Bayes factors against the reference, at the fit's draws
 
     def failing(self, thrusters: int) -> Array:
         """Posterior probability (K,) that each thruster has lost thrust."""
@@ -82,6 +82,15 @@ class Losses:
                     found[loss.onset] += probability
         total = found.sum()
         return found / total if total > 0 else found
+
+    def draw(self, rng: np.random.Generator, n: int) -> tuple[Places, list[Hypothesis]]:
+        """n draws of a point and a hypothesis together: places among the fit's draws, losses."""
+        log_joint = self.log_prior + self.log_ratio
+        flat = np.exp(log_joint - log_joint.max()).ravel()
+        edges = np.cumsum(flat)
+        points = (np.arange(n) + rng.uniform()) / n * edges[-1]
+        place, number = np.divmod(np.searchsorted(edges, points), log_joint.shape[1])
+        return place, [self.which[i] for i in number]
 
     @property
     def best(self) -> Hypothesis:
@@ -307,14 +316,15 @@ def weighed_losses(
     model: MissionModel, prior: LossPrior, z: Array, references: References
 ) -> tuple[Losses, ...]:
     """Posterior probabilities of every branch's hypotheses, the other branch at its reference."""
-    branches, _ = model.at(z[:_SEARCHED])
+    branches, _ = model.at(z)
     found = []
     for branch in branches:
         name = branch.thrusts.branch
         weighed = weigh(loss_terms(branch), prior, include=references[name])
         reference = place_of(weighed, references[name])
         probability = chosen(weighed, reference)
-        found.append(Losses(name, weighed.which, weighed.log_prior, probability, reference))
+        ratio = weighed.log_bayes - weighed.log_bayes[:, [reference]]
+        found.append(Losses(name, weighed.which, weighed.log_prior, probability, reference, ratio))
     return tuple(found)
 
 

@@ -19,8 +19,10 @@ from cassini_bayes.arrays import Array, Places
 from cassini_bayes.mission.model import BranchAt
 
 NODES: Final = np.polynomial.legendre.leggauss(16)
-_NEAR: Final = 12.0  # nats from the best pair within which one-sided evidence is worked out
-_FIRST: Final = 40  # losses that a pair may start from
+_NEAR: Final = 12.0  # nats from the best pair within which pairs are kept
+_MOST_PAIRS: Final = 500
+_FIRST: Final = 25  # losses that a pair may start from
+_LOOKED_AT: Final = 16  # draws at which pairs are looked for
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,11 @@ class LossTerms:
         """C between losses given as (o, k) rows (m, 2), (n, m)."""
         (o, k), (p, j) = first.T, second.T
         both = self.total[:, np.maximum(o, p), k, j]
-        return np.asarray(both - np.einsum("nmq,nmq->nm", self.spent[:, o, k], self.spent[:, p, j]))
+        return np.asarray(both - (self.spent[:, o, k] * self.spent[:, p, j]).sum(-1))
+
+    def at(self, places: Places | slice) -> LossTerms:
+        """The same at some of the points."""
+        return LossTerms(self.linear[places], self.total[places], self.spent[places])
 
 
 def loss_terms(branch: BranchAt) -> LossTerms:
@@ -155,8 +161,8 @@ def log_bayes(terms: LossTerms, hypothesis: Hypothesis, scale: float) -> Array:
 def weigh(terms: LossTerms, prior: LossPrior, include: Hypothesis = ()) -> Hypotheses:
     """No loss, every single loss, the pairs that come near the best of them, and ``include``.
 
-    A pair is looked at if one of its members is among the best forty single losses, and kept if an
-    upper bound of its evidence is within 12 nats of the best bound.
+    A pair is looked at if one of its members is among the best single losses, and kept if an upper
+    bound of its evidence is within 12 nats of the best bound.
     """
     n, onsets, thrusters = terms.linear.shape
     if onsets < 2:
@@ -173,16 +179,27 @@ def weigh(terms: LossTerms, prior: LossPrior, include: Hypothesis = ()) -> Hypot
     rank[best] = np.arange(len(best))
     new = (k[left] != k[right]) & (rank[left] < rank[right])
     left, right = left[new], right[new]
-    cross = terms.cross(all_losses[left], all_losses[right])
-    two = np.stack([linear[:, left], linear[:, right]], axis=-1)
-    widths = np.stack([square[:, left], square[:, right]], axis=-1)
-    rough = _pair_bound(two, widths, cross, prior.scale).mean(0)
-    near = rough > rough.max(initial=-np.inf) - _NEAR
-    pair = log_bayes_pair(two[:, near], widths[:, near], cross[:, near], prior.scale)
+    few = slice(0, _LOOKED_AT)
+    bound = _pair_bound(
+        np.stack([linear[few, left], linear[few, right]], axis=-1),
+        np.stack([square[few, left], square[few, right]], axis=-1),
+        terms.at(few).cross(all_losses[left], all_losses[right]),
+        prior.scale,
+    ).mean(0)
+    near = np.argsort(-bound)[:_MOST_PAIRS]
+    left, right = left[near], right[near]
+    near = bound[near] > bound.max(initial=-np.inf) - _NEAR
+    left, right = left[near], right[near]
+    pair = log_bayes_pair(
+        np.stack([linear[:, left], linear[:, right]], axis=-1),
+        np.stack([square[:, left], square[:, right]], axis=-1),
+        terms.cross(all_losses[left], all_losses[right]),
+        prior.scale,
+    )
     which: list[Hypothesis] = [()]
     losses = [Loss(int(b), int(a)) for a, b in all_losses]
     which += [(loss,) for loss in losses]
-    which += [(losses[i], losses[j]) for i, j in zip(left[near], right[near], strict=True)]
+    which += [(losses[i], losses[j]) for i, j in zip(left, right, strict=True)]
     if frozenset(include) not in map(frozenset, which):
         which.append(include)
         pair = np.concatenate([pair, log_bayes(terms, include, prior.scale)[:, None]], axis=1)
@@ -205,28 +222,49 @@ def _pair_bound(linear: Array, square: Array, cross: Array, scale: float) -> Arr
     return np.asarray(height + log_ndtr(least))
 
 
-def draw_sizes(
-    terms: LossTerms, hypothesis: Hypothesis, scale: float, rng: np.random.Generator
-) -> Array:
-    """One draw (n, m) of a hypothesis's m losses at every point, as shares.
+@dataclass(frozen=True)
+class DrawnLosses:
+    """Up to two losses of every draw: thruster, onset and share (n, 2); the share of none is 0."""
 
-    Of one loss exactly; of two by a Gibbs sampler of twenty sweeps from the mode.
-    """
-    n = len(terms.linear)
-    if not hypothesis:
-        return np.zeros((n, 0))
-    o, k = (np.array([getattr(loss, name) for loss in hypothesis]) for name in ("onset", "thruster"))
-    linear, precision = terms.linear[:, o, k], terms.square[:, o, k] + scale**-2
-    if len(hypothesis) == 1:
-        return _positive_normal(linear / precision, precision**-0.5, rng)
-    places = np.stack([o, k], axis=-1)
-    cross = terms.cross(places[:1], places[1:])[:, 0]
-    sizes = np.maximum(linear / precision, 0.0)
+    thruster: Places
+    onset: Places
+    share: Array
+
+    def lost(self, events: int, thrusters: int) -> Array:
+        """Share lost so far of every thruster in every event, (n, E, K)."""
+        lost = np.zeros((len(self.share), events, thrusters))
+        rows, after = np.arange(len(self.share)), np.arange(events)
+        for i in range(self.share.shape[1]):
+            begun = after >= self.onset[:, [i]]
+            lost[rows, :, self.thruster[:, i]] += np.where(begun, self.share[:, [i]], 0.0)
+        return lost
+
+
+def draw_losses(
+    terms: LossTerms, which: Sequence[Hypothesis], scale: float, rng: np.random.Generator
+) -> DrawnLosses:
+    """Sizes of the losses of every point's hypothesis: twenty Gibbs sweeps, one loss exactly."""
+    n = len(which)
+    onset, thruster = np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
+    there = np.zeros((n, 2), dtype=bool)
+    for row, losses in enumerate(which):
+        for i, loss in enumerate(losses):
+            onset[row, i], thruster[row, i], there[row, i] = loss.onset, loss.thruster, True
+    rows = np.arange(n)[:, None]
+    linear = terms.linear[rows, onset, thruster]
+    precision = terms.square[rows, onset, thruster] + scale**-2
+    spent = terms.spent[rows, onset, thruster]
+    cross = (
+        terms.total[np.arange(n), onset.max(1), thruster[:, 0], thruster[:, 1]]
+        - (spent[:, 0] * spent[:, 1]).sum(-1)
+    )
+    share = np.where(there, np.maximum(linear / precision, 0.0), 0.0)
     for _ in range(20):
-        for i, j in ((0, 1), (1, 0)):
-            mean = (linear[:, i] - cross * sizes[:, j]) / precision[:, i]
-            sizes[:, i] = _positive_normal(mean, precision[:, i] ** -0.5, rng)
-    return sizes
+        for i, other in ((0, 1), (1, 0)):
+            mean = (linear[:, i] - cross * share[:, other]) / precision[:, i]
+            drawn = _positive_normal(mean, precision[:, i] ** -0.5, rng)
+            share[:, i] = np.where(there[:, i], drawn, 0.0)
+    return DrawnLosses(thruster, onset, share)
 
 
 def _positive_normal(mean: Array, sd: Array, rng: np.random.Generator) -> Array:
@@ -235,32 +273,35 @@ def _positive_normal(mean: Array, sd: Array, rng: np.random.Generator) -> Array:
     return np.asarray(np.maximum(mean - sd * ndtri_exp(log_level), 0.0))
 
 
-def coefficients_given(
-    branch: BranchAt,
-    hypothesis: Hypothesis,
-    sizes: Array,
-    rng: np.random.Generator,
-) -> Array:
-    """One draw (n, q) of the shared coefficients given the losses' sizes (n, m)."""
-    collapsed = branch.collapsed
-    shift = collapsed.shared_shift
-    if hypothesis:
-        lost = lost_share(hypothesis, sizes, branch.scale.shape[1], len(branch.thrusts.thrusters))
-        pattern = -branch.thrusts.common_n * branch.scale[..., None] * lost
-        pulled = (branch.left.matrix @ pattern[..., None])[..., 0]
-        moved = (np.swapaxes(branch.prior.shared, -1, -2) @ pulled[..., None])[..., 0].sum(1)
-        shift = shift - np.linalg.solve(collapsed.shared_factor, moved[..., None])[..., 0]
-    white = shift + rng.standard_normal(shift.shape)
+def draw_thrusts_given(
+    branch: BranchAt, losses: DrawnLosses, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """One draw of the shared coefficients (n, q) and the events' thrusts (n, E, K) given losses."""
+    thrusts, collapsed = branch.thrusts, branch.collapsed
+    lost = losses.lost(branch.scale.shape[1], len(thrusts.thrusters))
+    pattern = -thrusts.common_n * branch.scale[..., None] * lost
+    left = (branch.left.matrix @ pattern[..., None])[..., 0]
+    moved = (np.swapaxes(branch.prior.shared, -1, -2) @ left[..., None])[..., 0].sum(1)
+    shift = collapsed.shared_shift - np.linalg.solve(collapsed.shared_factor, moved[..., None])[
+        ..., 0
+    ]
     upper = np.swapaxes(collapsed.shared_factor, -1, -2)
-    return np.asarray(np.linalg.solve(upper, white[..., None])[..., 0])
+    white = shift + rng.standard_normal(shift.shape)
+    shared = np.linalg.solve(upper, white[..., None])[..., 0]
+    mean = branch.offset_n + (branch.prior.shared @ shared[:, None, :, None])[..., 0] + pattern
+    return shared, thrusts.reference_n[:, None] + _with_departures(branch, mean, rng)
 
 
-def lost_share(hypothesis: Hypothesis, sizes: Array, events: int, thrusters: int) -> Array:
-    """Share lost so far of every thruster in every event (n, E, K)."""
-    lost = np.zeros((len(sizes), events, thrusters))
-    for i, loss in enumerate(hypothesis):
-        lost[:, loss.onset :, loss.thruster] += sizes[:, i, None]
-    return lost
+def _with_departures(branch: BranchAt, mean: Array, rng: np.random.Generator) -> Array:
+    """Thrusts less the reference, (n, E, K), each event's departures drawn about their mean."""
+    own = branch.thrusts.own
+    information = branch.information.about(mean)
+    across = own.T @ information.matrix @ own
+    factor = np.linalg.cholesky(across + np.eye(own.shape[1]))
+    linear = np.linalg.solve(factor, (information.vector @ own)[..., None])[..., 0]
+    white = linear + rng.standard_normal(linear.shape)
+    drawn = np.linalg.solve(np.swapaxes(factor, -1, -2), white[..., None])[..., 0]
+    return np.asarray(mean + drawn @ own.T)
 
 
 def chosen(hypotheses: Hypotheses, reference: int) -> Array:

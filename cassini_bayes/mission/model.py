@@ -131,6 +131,14 @@ class BranchAt:
         mean = self.thrusts.common_n * self.scale - self.thrusts.reference_n
         return np.broadcast_to(mean[..., None], (*mean.shape, len(self.thrusts.thrusters)))
 
+    def take(self, places: Places) -> BranchAt:
+        """The same at some of the points, in that order."""
+        found = self.information
+        chosen = ThrustInformation(
+            found.matrix[places], found.vector[places], found.constant[places]
+        )
+        return replace(self, information=chosen, scale=self.scale[places])
+
     @cached_property
     def collapsed(self) -> CollapsedThrusts:
         """Thrusts and coefficients integrated out."""
