@@ -37,7 +37,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
     ("model",),
     ("sampling",),
     ("results",),
-    ("prediction", "sweep"),
+    ("prediction", "sweep", "mission"),
     ("diagnosis",),
     ("report",),
     ("studies",),

@@ -10,7 +10,15 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from cassini_bayes import __version__
-from cassini_bayes.cli import calibrations, diagnoses, fits, predictions, simulations, sweeps
+from cassini_bayes.cli import (
+    calibrations,
+    diagnoses,
+    fits,
+    predictions,
+    simulations,
+    sweeps,
+    trends,
+)
 from cassini_bayes.errors import CassiniBayesError
 
 app = typer.Typer(
@@ -29,6 +37,7 @@ app.command("fit")(fits.fit_command)
 app.command("diagnose")(diagnoses.diagnose_command)
 app.command("simulate")(simulations.simulate_command)
 app.command("sweep")(sweeps.sweep_command)
+app.command("trend")(trends.trend_command)
 app.command("predict")(predictions.predict_command)
 app.command("plan")(predictions.plan_command)
 calibrations.app.command("prediction")(predictions.calibrate_prediction_command)

@@ -9,6 +9,7 @@ are those of a mission whose failing thrusters are known to fail.
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -46,6 +47,7 @@ LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
 _LOOKS: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
+_WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
 _DOF: Final = 15.0  # of the proposal, as in a warm start
 
 Say = Callable[[str], None]
@@ -123,6 +125,18 @@ class MissionFit:
     losses: tuple[Losses, ...]  # of every branch
 
     @property
+    def draws(self) -> EarlierDraws:
+        """What later events go on from."""
+        return EarlierDraws(
+            self.model.space.names,
+            self.z,
+            self.log_density,
+            self.references,
+            self.log_evidence,
+            self.log_evidence_se,
+        )
+
+    @property
     def converged(self) -> bool:
         """Whether the importance draws can be trusted."""
         return self.pareto_k < MOST_K
@@ -138,6 +152,22 @@ class MissionFit:
             reference = losses.reference
             total += float(losses.log_prior[reference] - np.log(losses.probability[reference]))
         return total
+
+
+@dataclass(frozen=True)
+class EarlierDraws:
+    """What a fit hands on to the same mission with further events.
+
+    Equally weighted draws z (n, d) of the parameters ``names`` under given references, and the
+    density (n,) they were drawn from.
+    """
+
+    names: tuple[str, ...]
+    z: Array
+    log_density: Array
+    references: References
+    log_evidence: float
+    log_evidence_se: float
 
 
 def loss_prior(priors: Priors) -> LossPrior:
@@ -190,8 +220,10 @@ class Remembered:
         kept = store.load(name)
         if kept is not None:
             return np.asarray(kept["values"], dtype=np.float64)
+        began = time.monotonic()
         values = self.log_density(z)
-        store.save(name, {"values": values})
+        if time.monotonic() - began > _WORTH_KEEPING_S:
+            store.save(name, {"values": values})
         return values
 
 
@@ -202,7 +234,7 @@ def fit_mission(
     *,
     draws: int,
     proposals: int,
-    earlier: MissionFit | None = None,
+    earlier: EarlierDraws | None = None,
     store_of: StoreOf = lambda _: None,
     say: Say = lambda _: None,
 ) -> MissionFit:
@@ -213,7 +245,7 @@ def fit_mission(
     draws, proposals
         Equally weighted draws that are kept, and importance draws that they come from.
     earlier
-        The fit of the same mission with fewer events. Its draws are weighed anew: the target is
+        Of the same mission with fewer events. Its draws are weighed anew: the target is
         that of the whole mission, so the result is the same as without it.
     store_of
         Where values of the density given some references are kept.
@@ -280,13 +312,13 @@ def _importance(
 
 
 def _weighed_anew(
-    earlier: MissionFit, model: MissionModel, density: LogDensity, rng: np.random.Generator
+    earlier: EarlierDraws, model: MissionModel, density: LogDensity, rng: np.random.Generator
 ) -> ImportanceDraws:
     """Draws of a shorter mission with the weights that the longer one gives them.
 
     Parameters that only the longer one has are drawn from their priors.
     """
-    before, names = list(earlier.model.space.names), model.space.names
+    before, names = earlier.names, model.space.names
     z = rng.standard_normal((len(earlier.z), len(names)))
     known = [i for i, name in enumerate(names) if name in before]
     z[:, known] = earlier.z[:, [before.index(names[i]) for i in known]]

@@ -160,6 +160,7 @@ def health_table(
                     },
                     **_summary("loss", loss[:, k], "share"),
                     **_summary("rate", rate[:, k], "n_per_year"),
+                    "falls": float((rate[:, k] < 0).mean()),
                     "failing": float(failing[k]),
                     "alarm": bool(failing[k] > mission.trend.alarm),
                     "onset_event": events[int(np.argmax(onset))].id if onset.any() else "",
