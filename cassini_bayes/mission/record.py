@@ -86,13 +86,14 @@ def save_state(fit: MissionFit, digests: Mapping[str, str], store: CheckpointSto
 def earlier_draws(digests: Mapping[str, str], store: CheckpointStore) -> EarlierDraws | None:
     """The draws of the same mission with fewer events; None where there are none.
 
-    Its events have to be the first of this mission's, and unchanged.
+    Its events have to be the first of this mission's, unchanged, and fewer.
     """
     kept = store.load(STATE)
     if kept is None:
         return None
     text = json.loads(kept["text"].tobytes())
-    if list(text["events"].items()) != list(digests.items())[: len(text["events"])]:
+    before, now = list(text["events"].items()), list(digests.items())
+    if len(before) == len(now) or before != now[: len(before)]:
         return None
     evidence = np.asarray(kept["evidence"], dtype=np.float64)
     return EarlierDraws(

@@ -122,7 +122,6 @@ def _fitted(
         return CheckpointStore(densities / _hash(label)[:16], _hash(content, label))
 
     state = CheckpointStore(work / f"draws_{laws[:16]}", laws)
-    # the stored draws of this very mission are its result, not the start of another
     earlier = earlier_draws(inputs.digests, state)
     if earlier is not None:
         reporter.say("going on from the draws of an earlier trend")
