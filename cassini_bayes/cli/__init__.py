@@ -43,6 +43,7 @@ app.command("plan")(predictions.plan_command)
 calibrations.app.command("prediction")(predictions.calibrate_prediction_command)
 calibrations.app.command("perturbations")(sweeps.calibrate_perturbations_command)
 app.command("diagnose-published")(diagnoses.diagnose_published_command)
+calibrations.app.command("missions")(trends.calibrate_missions_command)
 calibrations.app.command("blind")(diagnoses.calibrate_blind_command)
 app.add_typer(calibrations.app, name="calibrate")
 

@@ -45,3 +45,40 @@ def trend_command(
     elif not quiet:
         typer.echo(str(outcome.folder / ("trend.csv" if no_report else "report.html")))
     raise typer.Exit(0 if outcome.fit.converged else 1)
+
+
+def calibrate_missions_command(
+    page: Annotated[Path, typer.Option("--page", help="Results page to write (.md).")] = Path(
+        "docs/results/missions.md"
+    ),
+    work: Annotated[Path, typer.Option("--work", help="Folder of finished missions.")] = Path(
+        "runs/calibrate-missions"
+    ),
+    events: Annotated[str, typer.Option("--events", help="Template totals CSV.")] = (
+        "cassini_bayes/published/flight_2009_2010.csv"
+    ),
+    priors: Annotated[str, typer.Option("--priors", help="Priors file.")] = (
+        "priors/cassini_mission.toml"
+    ),
+    missions: Annotated[int, typer.Option("--missions", min=2)] = 300,
+    quick: Annotated[bool, typer.Option("--quick", help="24 missions.")] = False,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_090_312,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
+    quiet: Quiet = False,
+) -> None:
+    """Simulated missions with known failures: names, onsets, false alarms, delays."""
+    from cassini_bayes.studies.missions import study_missions
+
+    passed = study_missions(
+        events,
+        priors,
+        seed=seed,
+        missions=24 if quick else missions,
+        work=work,
+        page=page,
+        jobs=jobs,
+        command=["cassini-bayes", *sys.argv[1:]],
+        progress=ConsoleReporter(quiet).count,
+    )
+    typer.echo(str(page))
+    raise typer.Exit(0 if passed else 1)

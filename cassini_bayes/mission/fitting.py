@@ -35,10 +35,11 @@ from cassini_bayes.sampling.warmstart import (
     ImportanceDraws,
     LogDensity,
     Proposal,
+    find_mode,
     importance,
+    laplace,
     pareto_k,
     refined,
-    warm_start,
 )
 
 MOST_K: Final = 0.7
@@ -267,13 +268,9 @@ def fit_mission(
     for look in range(_LOOKS):
         density = Remembered(target(model, references, prior), store_of(repr(references)))
         say(f"draws with {describe(model, references)}")
-        if proposal is None:
-            warm = warm_start(
-                density, model.space.dimension, rng, pilots=1, draws=max(proposals // 2, 500)
-            )
-            proposal = refined(warm.proposal, warm.draws)
         if found is None:
-            found, proposal = _importance(density, proposal, rng, proposals)
+            start = proposal or _prior_proposal(model.space.dimension)
+            found, proposal = _importance(density, start, rng, proposals)
         z = found.resample(rng, draws)
         losses = weighed_losses(model, prior, z, references)
         best = {one.branch: one.best for one in losses}
@@ -301,12 +298,19 @@ def _trusted(found: ImportanceDraws) -> bool:
 def _importance(
     density: LogDensity, proposal: Proposal, rng: np.random.Generator, n: int
 ) -> tuple[ImportanceDraws, Proposal]:
-    """Importance draws; the proposal is refined by them until they can be trusted."""
+    """Importance draws; the proposal is refined by them until they can be trusted.
+
+    One that does not come near gives way to the Laplace proposal of the mode next to it.
+    """
     found = importance(density, proposal, rng, n)
-    for _ in range(_PILOTS):
+    for look in range(_PILOTS):
         if _trusted(found):
             break
-        proposal = refined(proposal, found)
+        if look == 0 and found.efficiency * n < LEAST_DRAWS / 4:
+            mode = find_mode(density, proposal.location)
+            proposal = Proposal(*laplace(density, mode), _DOF)
+        else:
+            proposal = refined(proposal, found)
         found = importance(density, proposal, rng, n)
     return found, proposal
 
@@ -325,7 +329,9 @@ def _weighed_anew(
     new = [i for i, name in enumerate(names) if name not in before]
     log_ratio = density(z) - earlier.log_density - standard_normal_log_density(z[:, new]).sum(-1)
     log_total = float(logsumexp(log_ratio))
-    weights = np.exp(log_ratio - log_total)
+    # the same draw twice is one draw: chains of short updates would wear out unseen
+    _, which = np.unique(earlier.z, axis=0, return_inverse=True)
+    weights = np.bincount(which.ravel(), weights=np.exp(log_ratio - log_total))
     efficiency = 1.0 / (len(z) * float((weights**2).sum()))
     error = np.sqrt(max(1.0 / efficiency - 1.0, 0.0) / len(z))
     return ImportanceDraws(
@@ -338,10 +344,13 @@ def _weighed_anew(
     )
 
 
+def _prior_proposal(d: int) -> Proposal:
+    return Proposal(np.zeros(d), np.eye(d), _DOF)
+
+
 def moments(found: ImportanceDraws) -> Proposal:
     """A proposal with the moments of weighted draws, as far as they are known; else the prior's."""
-    d = found.z.shape[1]
-    return refined(Proposal(found.z.mean(0), np.eye(d), _DOF), found)
+    return refined(_prior_proposal(found.z.shape[1]), found)
 
 
 def weighed_losses(

@@ -19,8 +19,8 @@ from cassini_bayes.arrays import Array, Places
 from cassini_bayes.mission.model import BranchAt
 
 NODES: Final = np.polynomial.legendre.leggauss(16)
-_NEAR: Final = 12.0  # nats from the best pair within which pairs are kept
-_MOST_PAIRS: Final = 500
+_NEAR: Final = 12.0  # nats from the likeliest hypothesis within which pairs are kept
+_MOST_PAIRS: Final = 150
 _FIRST: Final = 25  # losses that a pair may start from
 _LOOKED_AT: Final = 16  # draws at which pairs are looked for
 
@@ -162,7 +162,7 @@ def weigh(terms: LossTerms, prior: LossPrior, include: Hypothesis = ()) -> Hypot
     """No loss, every single loss, the pairs that come near the best of them, and ``include``.
 
     A pair is looked at if one of its members is among the best single losses, and kept if an upper
-    bound of its evidence is within 12 nats of the best bound.
+    bound of its probability is within 12 nats of the likeliest hypothesis.
     """
     n, onsets, thrusters = terms.linear.shape
     if onsets < 2:
@@ -186,9 +186,11 @@ def weigh(terms: LossTerms, prior: LossPrior, include: Hypothesis = ()) -> Hypot
         terms.at(few).cross(all_losses[left], all_losses[right]),
         prior.scale,
     ).mean(0)
+    # what a second loss costs beforehand decides how near a pair has to come
+    once, twice = fails - works - spread, 2.0 * (fails - works - spread)
+    likeliest = max(0.0, once + single.mean(0).max(), twice + bound.max(initial=-np.inf))
     near = np.argsort(-bound)[:_MOST_PAIRS]
-    left, right = left[near], right[near]
-    near = bound[near] > bound.max(initial=-np.inf) - _NEAR
+    near = near[twice + bound[near] > likeliest - _NEAR]
     left, right = left[near], right[near]
     pair = log_bayes_pair(
         np.stack([linear[:, left], linear[:, right]], axis=-1),

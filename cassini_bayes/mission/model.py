@@ -48,7 +48,7 @@ OF_A_BRANCH: Final = ("thrust", "tail-off")
 """Blocks whose parameters every branch has for itself; any other that a branch table names."""
 MAY_CHANGE: Final = ("centre of mass", "inertia", "mass")
 """Blocks that dated facts and propellant may change."""
-_SAME_THRUST: Final = 0.02  # events whose expected thrusts differ less share an expansion
+_SAME_THRUST: Final = 0.1  # events whose expected thrusts differ less share an expansion
 _BLOCK: Final = 100  # points worked up at a time: 20 MB of design rows for 200 events
 
 
