@@ -19,9 +19,9 @@ from scipy.stats import beta, kstest
 
 from cassini_bayes import __version__
 from cassini_bayes.arrays import Array, Flags
-from cassini_bayes.computing.workers import LocalWorkers
+from cassini_bayes.computing.processes import in_processes
+from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.files.pieces import finished, run_pieces
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.studies.mission_flights import MissionFlights
 
@@ -174,17 +174,34 @@ def study_missions(
     flights = MissionFlights(events, priors, seed)
     known = flights.identity()
     store = CheckpointStore(work / known[-12:], known)
-    pieces = {
-        f"missions_{i:05d}": (i * flights.per_file,) for i in range(-(-missions // flights.per_file))
-    }
-    for done, total in run_pieces(_block, flights, pieces, store, LocalWorkers(jobs)):
-        progress("missions", done * flights.per_file, total * flights.per_file)
-    kept = [finished(store, piece) for piece in pieces]
+    blocks = range(-(-missions // flights.per_file))
+    missing = [i for i in blocks if store.load(_block_name(i)) is None]
+
+    def work_out(block: int) -> None:
+        store.save(_block_name(block), _block(flights, block * flights.per_file))
+
+    def told(done: int) -> None:
+        finished = len(blocks) - len(missing) + done
+        progress("missions", finished * flights.per_file, len(blocks) * flights.per_file)
+
+    in_processes(work_out, missing, jobs, told)
+    kept = [_finished(store, block) for block in blocks]
     found = {key: np.concatenate([block[key] for block in kept]) for key in kept[0]}
     findings = findings_of(found)
     write_text(page.with_suffix(".csv"), findings.rules.to_csv(index=False, float_format="%.4g"))
     write_text(page, page_of(findings, command, seed))
     return passes(findings)
+
+
+def _block_name(block: int) -> str:
+    return f"missions_{block:05d}"
+
+
+def _finished(store: CheckpointStore, block: int) -> Arrays:
+    found = store.load(_block_name(block))
+    if found is None:
+        raise CassiniBayesError(f"{store.folder}: {_block_name(block)} is missing: start again")
+    return found
 
 
 def _block(flights: MissionFlights, first: int) -> dict[str, NDArray[Any]]:
