@@ -12,7 +12,13 @@ import numpy as np
 
 from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.mission.mission_file import Epoch, MissionTable, PressureTable, utc, years_between
+from cassini_bayes.mission.mission_file import (
+    Epoch,
+    MissionTable,
+    PressureTable,
+    utc,
+    years_between,
+)
 
 KPA_PER_PSI: Final = 6.894757
 LARGEST_BLOWDOWN: Final = 4.0
@@ -169,9 +175,7 @@ def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> Non
         )
 
 
-def _between_readings(
-    mission: MissionTable, table: PressureTable, epoch: datetime
-) -> float | None:
+def _between_readings(mission: MissionTable, table: PressureTable, epoch: datetime) -> float | None:
     """The pressure between two readings (kPa), if no recharge lies between them."""
     recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
     readings = [(utc(at), value) for at, value in table.readings]

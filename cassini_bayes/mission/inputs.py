@@ -113,9 +113,7 @@ def _telemetry(
     ]
     values = np.concatenate(readings)
     pressure = float(values.mean()) if len(values) else None
-    fact = EventFacts(
-        reduced.id, described.epoch, described.branch, reduced.fires, pressure
-    )
+    fact = EventFacts(reduced.id, described.epoch, described.branch, reduced.fires, pressure)
     return reduced, fact, reduced.digest
 
 

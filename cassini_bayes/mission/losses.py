@@ -149,7 +149,9 @@ def log_bayes(terms: LossTerms, hypothesis: Hypothesis, scale: float) -> Array:
     """Log Bayes factor (n,) of one hypothesis against no loss."""
     if not hypothesis:
         return np.zeros(len(terms.linear))
-    o, k = (np.array([getattr(loss, name) for loss in hypothesis]) for name in ("onset", "thruster"))
+    o, k = (
+        np.array([getattr(loss, name) for loss in hypothesis]) for name in ("onset", "thruster")
+    )
     linear, square = terms.linear[:, o, k], terms.square[:, o, k]
     if len(hypothesis) == 1:
         return log_bayes_single(linear[:, 0], square[:, 0], scale)
@@ -256,10 +258,9 @@ def draw_losses(
     linear = terms.linear[rows, onset, thruster]
     precision = terms.square[rows, onset, thruster] + scale**-2
     spent = terms.spent[rows, onset, thruster]
-    cross = (
-        terms.total[np.arange(n), onset.max(1), thruster[:, 0], thruster[:, 1]]
-        - (spent[:, 0] * spent[:, 1]).sum(-1)
-    )
+    cross = terms.total[np.arange(n), onset.max(1), thruster[:, 0], thruster[:, 1]] - (
+        spent[:, 0] * spent[:, 1]
+    ).sum(-1)
     share = np.where(there, np.maximum(linear / precision, 0.0), 0.0)
     for _ in range(20):
         for i, other in ((0, 1), (1, 0)):
@@ -284,9 +285,9 @@ def draw_thrusts_given(
     pattern = -thrusts.common_n * branch.scale[..., None] * lost
     left = (branch.left.matrix @ pattern[..., None])[..., 0]
     moved = (np.swapaxes(branch.prior.shared, -1, -2) @ left[..., None])[..., 0].sum(1)
-    shift = collapsed.shared_shift - np.linalg.solve(collapsed.shared_factor, moved[..., None])[
-        ..., 0
-    ]
+    shift = (
+        collapsed.shared_shift - np.linalg.solve(collapsed.shared_factor, moved[..., None])[..., 0]
+    )
     upper = np.swapaxes(collapsed.shared_factor, -1, -2)
     white = shift + rng.standard_normal(shift.shape)
     shared = np.linalg.solve(upper, white[..., None])[..., 0]

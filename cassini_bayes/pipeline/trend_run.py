@@ -83,9 +83,7 @@ def execute_trend(
         remove_leftovers(folder)
     laws = _laws(mission, inputs)
     fit = _fitted(mission, inputs, laws, folder / CHECKPOINT, reporter)
-    trend = trend_of(
-        fit, mission, inputs.on_time_s, np.random.default_rng([mission.trend.seed, 1])
-    )
+    trend = trend_of(fit, mission, inputs.on_time_s, np.random.default_rng([mission.trend.seed, 1]))
     record = _record(mission, inputs, fit, trend, laws)
     save_trend(fit, trend, folder / "trend.nc")
     write_text(folder / "trend.csv", trend.thrust.to_csv(index=False, float_format="%.6g"))

@@ -306,11 +306,12 @@ def _read_branches(
         for key in entries:
             if key != "parameters":
                 raise InputError(
-                    f"{where}.{key}", "the table parameters", repr(key), nearest(key, ["parameters"])
+                    f"{where}.{key}",
+                    "the table parameters",
+                    repr(key),
+                    nearest(key, ["parameters"]),
                 )
-        found[name] = _read_parameters(
-            f"{where}.parameters", entries.get("parameters"), spacecraft
-        )
+        found[name] = _read_parameters(f"{where}.parameters", entries.get("parameters"), spacecraft)
     return found
 
 

@@ -119,9 +119,7 @@ def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
             "thruster": lambda row: f"{row['branch']}.{row['thruster']}",
             "pressure [kPa]": lambda row: f"{row['pressure_kpa']:.0f}",
             "thrust [N]": lambda row: f"{row['thrust_n']:.3f} ± {row['thrust_sd_n']:.3f}",
-            "central 90 %": lambda row: (
-                f"{row['thrust_low_n']:.3f} to {row['thrust_high_n']:.3f}"
-            ),
+            "central 90 %": lambda row: f"{row['thrust_low_n']:.3f} to {row['thrust_high_n']:.3f}",
         },
         title="Forecast",
     )

@@ -34,7 +34,7 @@ SCATTERS: Final = (0.026, 0.06)
 thrusters of this very table (0.69 to 0.86 N)."""
 UNKNOWN_SCATTER: Final = 0.15
 NONE, UNKNOWN, CATALOGUED = 0.5, 0.05, 0.45
-NODES: Final = 41
+NODES, SHIFTS = 41, 121
 GROUPS: Final = ("z1", "z2", "z3", "z4", "y1_y3", "y2_y4")
 _SIDES: Final = {"x": (1, -1, -1, 1, 0, 0), "y": (1, 1, -1, -1, 0, 0)}
 
@@ -127,28 +127,25 @@ class Weighed:
 def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1.0) -> Weighed:
     """Evidence by quadrature; ``width`` scales the priors of what a hypothesis doubts.
 
-    Shifts of both axes: Gauss-Hermite nodes of the doubted one, the other is narrow and enters the
-    covariance to first order. Deficits: midpoints of their half normal's quantiles.
+    Deficits and a doubted shift are taken at midpoints of their priors' quantiles; a shift that is
+    not doubted is narrow and enters the covariance to first order.
     """
     own = hypothesis.scatter if hypothesis.scatter is not None else scatter
     quantiles = (np.arange(NODES) + 0.5) / NODES
     spaces = [halfnorm.ppf(quantiles, scale=DEFICIT_SCALE * width) for _ in hypothesis.weak]
     if hypothesis.doubted:
         sd = FACTOR * width * SHIFT_SD_M[hypothesis.doubted]
-        spaces.append(sd * norm.ppf((np.arange(400) + 0.5) / 400))
+        spaces.append(sd * norm.ppf((np.arange(SHIFTS) + 0.5) / SHIFTS))
     grid = np.array(list(product(*spaces))) if spaces else np.zeros((1, 0))
     deficit = np.zeros((len(grid), 6))
     deficit[:, list(hypothesis.weak)] = np.minimum(grid[:, : len(hypothesis.weak)], 0.95)
     shift = np.zeros((len(grid), 2))
     if hypothesis.doubted:
         shift[:, "xy".index(hypothesis.doubted)] = grid[:, -1]
-    found = [
-        _gaussian(table, d, s, own, hypothesis.doubted)
-        for d, s in zip(deficit, shift, strict=True)
-    ]
-    log_density = np.array([one[0] for one in found])
+    log_density, mean, var, common, common_var = _gaussian(
+        table, deficit, shift, own, hypothesis.doubted
+    )
     weights = np.exp(log_density - logsumexp(log_density))
-    mean, var, common, common_var = (np.array([one[i] for one in found]) for i in range(1, 5))
     return Weighed(
         hypothesis,
         float(logsumexp(log_density) - np.log(len(grid))),
@@ -164,40 +161,42 @@ def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1
 
 def _gaussian(
     table: Table, deficit: Array, shift: Array, scatter: float, doubted: str
-) -> tuple[float, Array, Array, float, float]:
-    """Log density of the figures at given deficits and shift; thrusts and common level given them.
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Log density (n,) of the figures at deficits (n, 6) and shifts (n, 2).
 
-    Unknowns: common level c, six own departures, and the shifts that are not doubted.
+    Then mean and variance (n, 6) of the thrusts, and (n,) of the common level, given them. Unknowns
+    are the common level, six own departures, and the shifts that are not doubted.
     """
     groups, torque = table.groups, table.sees_torque
-    arms = {"x": LX_M, "y": LY_M}
-    factor = np.ones(len(groups))
-    columns, widths = [], []
-    for i, axis in enumerate("xy"):
-        side = np.array([_SIDES[axis][g] for g in groups]) * torque / arms[axis]
-        factor = factor * (1.0 - side * shift[i])
+    n, factor, columns, widths = len(deficit), np.ones((len(deficit), len(groups))), [], []
+    for i, (axis, arm) in enumerate((("x", LX_M), ("y", LY_M))):
+        side = np.array([_SIDES[axis][g] for g in groups]) * torque / arm
+        factor = factor * (1.0 - side * shift[:, [i]])
         if axis != doubted:
-            columns.append(-side * COMMON_N * (1.0 - deficit[groups]))
+            columns.append(-side * COMMON_N * (1.0 - deficit[:, groups]))
             widths.append(SHIFT_SD_M[axis])
-    pick = np.eye(6)[groups]
-    to_thrust = np.concatenate([(1.0 - deficit)[:, None], scatter * COMMON_N * np.eye(6)], axis=1)
-    design = np.concatenate(
-        [factor[:, None] * (pick @ to_thrust), *(c[:, None] for c in columns)], axis=1
-    )
+    departures = np.broadcast_to(scatter * COMMON_N * np.eye(6), (n, 6, 6))
+    nothing = np.zeros((n, 6, len(widths)))
+    thrust = np.concatenate([(1.0 - deficit)[..., None], departures, nothing], axis=-1)
+    design = factor[..., None] * thrust[:, groups]
+    design[..., 7:] = np.stack(columns, axis=-1) if columns else design[..., 7:]
     prior = np.array([COMMON_SD_N**2, *([1.0] * 6), *(w**2 for w in widths)])
-    mean = np.zeros(len(prior))
-    mean[0] = COMMON_N
-    noise = (ERROR * table.values) ** 2
-    covariance = design * prior @ design.T + np.diag(noise)
+    mean = np.array([COMMON_N, *([0.0] * (len(prior) - 1))])
+    covariance = (design * prior) @ np.swapaxes(design, -1, -2)
+    covariance = covariance + np.diag((ERROR * table.values) ** 2)
     residual = table.values - design @ mean
-    gain = np.linalg.solve(covariance, design * prior).T
+    gain = np.swapaxes(np.linalg.solve(covariance, design * prior), -1, -2)
+    solved = np.linalg.solve(covariance, residual[..., None])[..., 0]
     log_det = np.linalg.slogdet(2.0 * np.pi * covariance)[1]
-    log_density = -0.5 * (residual @ np.linalg.solve(covariance, residual) + log_det)
-    after = mean + gain @ residual
+    after = mean + (gain @ residual[..., None])[..., 0]
     spread = np.diag(prior) - gain @ (design * prior)
-    thrust = np.concatenate([to_thrust, np.zeros((6, len(widths)))], axis=1)
-    var = np.einsum("ku,uv,kv->k", thrust, spread, thrust)
-    return float(log_density), thrust @ after, var, float(after[0]), float(spread[0, 0])
+    return (
+        -0.5 * ((residual * solved).sum(-1) + log_det),
+        (thrust @ after[..., None])[..., 0],
+        np.einsum("nku,nuv,nkv->nk", thrust, spread, thrust, optimize=True),
+        after[:, 0],
+        spread[:, 0, 0],
+    )
 
 
 def ranking(table: Table, scatter: float, width: float = 1.0) -> pd.DataFrame:

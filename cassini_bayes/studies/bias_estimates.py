@@ -17,9 +17,7 @@ from cassini_bayes.mission.model import INTERCEPT, MissionModel
 from cassini_bayes.mission.trend import LEAST_ON_TIME_S
 
 
-def bias_estimates(
-    model: MissionModel, events: Sequence[TotalsEvent]
-) -> Mapping[str, Array]:
+def bias_estimates(model: MissionModel, events: Sequence[TotalsEvent]) -> Mapping[str, Array]:
     """Pressure-normalised thrust (E, K) of every branch, NaN where an event did not see it, N.
 
     Nuisances are at their prior means, thrust goes in proportion to the pressure (paper 003).
@@ -28,8 +26,7 @@ def bias_estimates(
     tank = model.circumstances.tank
     relative = tank.pressures_kpa(np.ones(1))[0] / tank.reference_kpa
     found = {
-        own.branch: np.full((len(own.events), len(own.thrusters)), np.nan)
-        for own in model.branches
+        own.branch: np.full((len(own.events), len(own.thrusters)), np.nan) for own in model.branches
     }
     for part in model.parts:
         own = next(b for b in model.branches if b.branch == part.branch)

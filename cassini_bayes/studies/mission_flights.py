@@ -25,7 +25,7 @@ from cassini_bayes.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.mission.fitting import EarlierDraws, MissionFit, fit_mission, loss_prior
 from cassini_bayes.mission.losses import Loss
 from cassini_bayes.mission.mission_file import MissionTable, check_mission
-from cassini_bayes.mission.model import INTERCEPT, BranchThrusts, MissionModel, build_mission
+from cassini_bayes.mission.model import BranchThrusts, MissionModel, build_mission
 from cassini_bayes.mission.trend import LEAST_ON_TIME_S
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.terms import TORQUE
@@ -151,7 +151,9 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
         losses[name] = tuple(Loss(int(k), int(rng.integers(1, len(own.events)))) for k in failing)
         shares[name] = np.abs(prior.scale * rng.standard_normal(len(failing)))
         shared[name] = rng.standard_normal(branch.prior.shared.shape[-1])
-        thrusts[name] = _true_thrusts(own, branch.scale[0], losses[name], shares[name], shared[name], rng)
+        thrusts[name] = _true_thrusts(
+            own, branch.scale[0], losses[name], shares[name], shared[name], rng
+        )
     events = list(template)
     parameters = model.space.to_parameters(z)
     for part in model.parts:
@@ -169,9 +171,7 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
     return Flown(flown, table, _model(flown, table, priors), z, losses, shares, shared)
 
 
-def _bias(
-    event: TotalsEvent, name: str, epoch: datetime, rng: np.random.Generator
-) -> TotalsEvent:
+def _bias(event: TotalsEvent, name: str, epoch: datetime, rng: np.random.Generator) -> TotalsEvent:
     """A flight bias, scaled and perhaps run backwards, flown by the branch of its date."""
     size, backwards = rng.uniform(0.7, 1.3), rng.uniform() < 0.5
     start, end = event.rwa_start_rpm * size, event.rwa_end_rpm * size
@@ -230,9 +230,7 @@ def judge_flight(
     counts = range(len(flown.events), FIRST_LOOK - 1, -EVERY)
     for count in reversed(counts):
         model = _model(flown.events[:count], table, priors)
-        fits = fit_mission(
-            model, prior, rng, draws=DRAWS, proposals=PROPOSALS, earlier=earlier
-        )
+        fits = fit_mission(model, prior, rng, draws=DRAWS, proposals=PROPOSALS, earlier=earlier)
         earlier = fits.draws
         for losses in fits.losses:
             branch = next(b for b in model.branches if b.branch == losses.branch)
@@ -299,5 +297,3 @@ def _oracle_onsets(branch: Any, flown: Flown) -> dict[int, int]:
         total = np.flip(np.cumsum(np.flip(gain)))
         found[k] = 1 + int(np.argmax(total[1:]))
     return found
-
-

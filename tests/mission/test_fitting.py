@@ -47,7 +47,9 @@ def test_chained_draws_equal_the_joint_fit() -> None:
     assert abs(begun.log_evidence - joint.log_evidence) > 1.0
 
 
-def test_values_of_a_killed_fit_are_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_values_of_a_killed_fit_are_read_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A density that took time is kept in a file and not worked out again."""
     monkeypatch.setattr("cassini_bayes.mission.fitting._WORTH_KEEPING_S", 0.0)
     calls = []

@@ -47,7 +47,9 @@ def shifted_log_likelihood(branch: BranchAt, losses: list[Loss], sizes: list[flo
     return collapse_thrusts(branch.prior, branch.information, none, mean).log_likelihood
 
 
-@pytest.mark.parametrize("losses", [[Loss(0, 3)], [Loss(3, 1), Loss(5, 4)], [Loss(0, 6), Loss(1, 2)]])
+@pytest.mark.parametrize(
+    "losses", [[Loss(0, 3)], [Loss(3, 1), Loss(5, 4)], [Loss(0, 6), Loss(1, 2)]]
+)
 def test_terms_of_losses_are_those_of_lowered_thrusts(branch: BranchAt, losses: list[Loss]) -> None:
     """log L(s) = log L(0) + bᵀs − ½ sᵀCs with the collapsed density of lowered thrusts as oracle."""
     terms = loss_terms(branch)
