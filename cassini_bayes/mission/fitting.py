@@ -268,8 +268,8 @@ def fit_mission(
     for look in range(_LOOKS):
         density = Remembered(target(model, references, prior), store_of(repr(references)))
         say(f"draws with {describe(model, references)}")
+        start = proposal or _prior_proposal(model.space.dimension)
         if found is None:
-            start = proposal or _prior_proposal(model.space.dimension)
             found, proposal = _importance(density, start, rng, proposals)
         z = found.resample(rng, draws)
         losses = weighed_losses(model, prior, z, references)
@@ -277,6 +277,7 @@ def fit_mission(
         if look == _LOOKS - 1 or all(set(best[b]) == set(references[b]) for b in best):
             break
         references, found = best, None
+    assert found is not None  # the loop ends with draws
     return MissionFit(
         model,
         prior,

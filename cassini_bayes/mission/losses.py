@@ -292,7 +292,7 @@ def draw_thrusts_given(
     white = shift + rng.standard_normal(shift.shape)
     shared = np.linalg.solve(upper, white[..., None])[..., 0]
     mean = branch.offset_n + (branch.prior.shared @ shared[:, None, :, None])[..., 0] + pattern
-    return shared, thrusts.reference_n[:, None] + _with_departures(branch, mean, rng)
+    return np.asarray(shared), thrusts.reference_n[:, None] + _with_departures(branch, mean, rng)
 
 
 def _with_departures(branch: BranchAt, mean: Array, rng: np.random.Generator) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, date, datetime, time
 from itertools import pairwise
 from pathlib import Path
@@ -35,7 +36,7 @@ class DatedTable(Table):
     what: What
     source: str = Field(min_length=1)
     branch: str | None = None
-    change: dict[str, ChangeTable] = {}
+    change: dict[str, ChangeTable] = Field(default_factory=dict)
 
 
 class BlowdownTable(Table):
@@ -56,12 +57,12 @@ class PressureTable(Table):
     """``[pressure]``: where the tank pressure of an event comes from.
 
     Without the table all events are at one pressure, and the drift of thrust stands for what
-    pressure does. In this order: its own telemetry, readings of this table (linear in between, never across a
-    recharge), the blowdown law.
+    pressure does. In this order: its own telemetry, readings of this table (linear in between,
+    never across a recharge), the blowdown law.
     """
 
     reference_kpa: float = Field(gt=0.0)
-    readings: list[tuple[Epoch, float]] = []
+    readings: list[tuple[Epoch, float]] = Field(default_factory=list)
     blowdown: BlowdownTable | None = None
 
 
@@ -88,9 +89,9 @@ class TrendTable(Table):
     """``[trend]``: what the trend reports, and with how many draws."""
 
     reference_epoch: Epoch
-    degraded: list[float] = [0.02, 0.05, 0.10]
+    degraded: list[float] = Field(default_factory=lambda: [0.02, 0.05, 0.10])
     alarm: float = Field(0.95, gt=0.5, lt=1.0)
-    forecast: list[ForecastTable] = []
+    forecast: list[ForecastTable] = Field(default_factory=list)
     draws: int = Field(400, ge=100)
     proposals: int = Field(4_000, ge=500)
     seed: int = Field(2012, ge=0)
@@ -103,9 +104,9 @@ class MissionTable(Table):
     priors: str
     source: str = "flight"
     pulse_shape: str = "first_order"
-    spacecraft: dict[str, str] = {}
-    dated: list[DatedTable] = []
-    drift: dict[str, ChangeTable] = {}
+    spacecraft: dict[str, str] = Field(default_factory=dict)
+    dated: list[DatedTable] = Field(default_factory=list)
+    drift: dict[str, ChangeTable] = Field(default_factory=dict)
     pressure: PressureTable | None = None
     propellant: PropellantTable | None = None
     trend: TrendTable
@@ -135,7 +136,7 @@ def read_mission_file(path: Path) -> MissionTable:
     return check_mission(read_toml(path, "a mission file"), str(path))
 
 
-def check_mission(table: dict[str, object], where: str) -> MissionTable:
+def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
     """Check the table of a mission file."""
     mission = validated(MissionTable, table, where)
     _require_order(f"{where}: dated", [fact.epoch for fact in mission.dated])

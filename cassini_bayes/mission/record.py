@@ -31,10 +31,10 @@ def save_trend(fit: MissionFit, trend: Trend, path: Path) -> None:
     shape = (1, len(fit.z), len(events), len(names))
     values = {key: np.full(shape, np.nan) for key in ("thrust_n", "normalised_thrust_n")}
     for own in trend.draws.values():
-        columns = [names.index(name) for name in own.thrusts.thrusters]
-        place = np.ix_([0], range(len(fit.z)), own.thrusts.events, columns)
-        values["thrust_n"][place] = own.thrust_n
-        values["normalised_thrust_n"][place] = own.level_n
+        columns = np.array([names.index(name) for name in own.thrusts.thrusters])
+        place = np.ix_(own.thrusts.events, columns)
+        values["thrust_n"][0][:, place[0], place[1]] = own.thrust_n
+        values["normalised_thrust_n"][0][:, place[0], place[1]] = own.level_n
     meanings = {
         "thrust_n": "thrust in the event",
         "normalised_thrust_n": "thrust level at the reference pressure",

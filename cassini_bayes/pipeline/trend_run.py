@@ -75,7 +75,7 @@ def execute_trend(
     """
     from cassini_bayes.report.mission import write_trend_report
     from cassini_bayes.report.plots import draw, save_figures
-    from cassini_bayes.report.plots.mission import mission_figures
+    from cassini_bayes.report.plots.mission import mission_drawings
 
     began = time.monotonic()
     inputs = read_mission(mission, base, where, folder / CHECKPOINT / "statistics", reporter.say)
@@ -93,14 +93,7 @@ def execute_trend(
     )
     if report:
         dated = {str(fact.epoch): fact.what.replace("_", " ") for fact in mission.dated}
-        figures = draw(
-            {
-                key: lambda figure=figure: figure
-                for key, figure in mission_figures(
-                    trend.thrust, trend.health, trend.onsets, dated
-                ).items()
-            }
-        )
+        figures = draw(mission_drawings(trend.thrust, trend.health, trend.onsets, dated))
         save_figures(figures, folder / "figures")
         made = f"Made by {' '.join(command)} with cassini_bayes {__version__}."
         write_trend_report(folder / "report.html", name, fit, mission, trend, figures, made)

@@ -18,7 +18,7 @@ from cassini_bayes.published.tables import a_branch_thrusts, b_branch_thrusts, b
 from cassini_bayes.published.wheel_bias import wheel_bias_tables
 
 Kind = Literal["measurement", "prediction", "flight_software"]
-KINDS: Final = get_args(Kind)
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 FILE: Final = "anchors.csv"
 COLUMNS: Final = ("date", "branch", "quantity", "value", "unit", "kind", "paper", "place")
 SWAP: Final = datetime.date(2009, 3, 12)
@@ -56,9 +56,9 @@ def parse_anchors(text: str) -> tuple[Anchor, ...]:
     """
     found = []
     for row in csv_rows(text, COLUMNS, where=FILE):
-        kind = row["kind"]
-        if kind not in KINDS:
-            raise InputError(f"{FILE}: kind", ", ".join(KINDS), repr(kind), "mend it")
+        kind = next((known for known in KINDS if known == row["kind"]), None)
+        if kind is None:
+            raise InputError(f"{FILE}: kind", ", ".join(KINDS), repr(row["kind"]), "mend it")
         found.append(
             Anchor(
                 datetime.date.fromisoformat(row["date"]),

@@ -25,7 +25,7 @@ from cassini_bayes.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.mission.fitting import EarlierDraws, MissionFit, fit_mission, loss_prior
 from cassini_bayes.mission.losses import Loss
 from cassini_bayes.mission.mission_file import MissionTable, check_mission
-from cassini_bayes.mission.model import BranchThrusts, MissionModel, build_mission
+from cassini_bayes.mission.model import BranchAt, BranchThrusts, MissionModel, build_mission
 from cassini_bayes.mission.trend import LEAST_ON_TIME_S
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.terms import TORQUE
@@ -76,7 +76,7 @@ class MissionFlights:
         events, priors = digest(Path(self.events_path)), digest(Path(self.priors_path))
         return f"missions/{self.seed}/{events}/{priors}/{code_digest(MODULE)}"
 
-    def repetition(self, index: int) -> Mapping[str, NDArray[Any] | float | bool]:
+    def repetition(self, index: int) -> Mapping[str, NDArray[Any]]:
         """Draw, fly and fit one mission, event by event; one row per branch and thruster.
 
         ``failed`` and ``alarm`` hold the event of the branch at which a thruster failed, and at
@@ -115,7 +115,7 @@ def study_priors(path: str) -> Priors:
 
 def mission_table() -> MissionTable:
     """The mission file of all simulated missions."""
-    table = {
+    table: dict[str, object] = {
         "events": ["events.csv"],
         "priors": "priors.toml",
         "dated": [
@@ -141,7 +141,10 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
     table = mission_table()
     model = _model(template, table, priors)
     z = rng.standard_normal((1, model.space.dimension))
-    losses, shares, shared, thrusts = {}, {}, {}, {}
+    losses: dict[str, tuple[Loss, ...]] = {}
+    shares: dict[str, Array] = {}
+    shared: dict[str, Array] = {}
+    thrusts: dict[str, Array] = {}
     branches, _ = model.at(z)
     prior = loss_prior(priors)
     for branch in branches:
@@ -149,8 +152,8 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
         failing = np.flatnonzero(rng.uniform(size=len(own.thrusters)) < prior.probability)
         failing = rng.permutation(failing)[:MOST_FAILING] if len(own.events) > 1 else failing[:0]
         losses[name] = tuple(Loss(int(k), int(rng.integers(1, len(own.events)))) for k in failing)
-        shares[name] = np.abs(prior.scale * rng.standard_normal(len(failing)))
-        shared[name] = rng.standard_normal(branch.prior.shared.shape[-1])
+        shares[name] = np.abs(prior.scale * rng.standard_normal((len(failing),)))
+        shared[name] = rng.standard_normal((branch.prior.shared.shape[-1],))
         thrusts[name] = _true_thrusts(
             own, branch.scale[0], losses[name], shares[name], shared[name], rng
         )
@@ -220,7 +223,7 @@ def _true_thrusts(
 
 def judge_flight(
     flown: Flown, priors: Priors, rng: np.random.Generator
-) -> Mapping[str, NDArray[Any] | float | bool]:
+) -> Mapping[str, NDArray[Any]]:
     """Fit a mission event by event; what each rule says of every thruster, by branch A then B."""
     prior, table = loss_prior(priors), flown.table
     names = ("A", "B")
@@ -237,8 +240,8 @@ def judge_flight(
             chances[names.index(losses.branch), len(branch.events) - 1] = losses.failing(8)
     assert fits is not None  # there are at least twenty biases
     estimates = bias_estimates(flown.model, flown.events)
-    found: dict[str, NDArray[Any] | float | bool] = {
-        "converged": fits.converged,
+    found: dict[str, NDArray[Any]] = {
+        "converged": np.array(fits.converged),
         "chances": chances,
         "estimates": np.full((2, MOST_BIASES, 8), np.nan),
         "events": np.zeros(2),
@@ -250,8 +253,8 @@ def judge_flight(
         "fired": np.zeros((2, MOST_BIASES, 8), dtype=bool),
     }
     truth, _ = flown.model.at(flown.z)
-    for branch, losses in zip(truth, fits.losses, strict=True):
-        own = branch.thrusts
+    for at, losses in zip(truth, fits.losses, strict=True):
+        own = at.thrusts
         place, count = names.index(own.branch), len(own.events)
         found["events"][place] = count
         found["estimates"][place, :count] = estimates[own.branch]
@@ -263,10 +266,10 @@ def judge_flight(
             found["failed"][place, k], found["share"][place, k] = loss.onset, share
             if onset.any():
                 found["onset"][place, k] = int(np.argmax(onset))
-                drawn = rng.choice(count, size=200, p=onset).astype(float)
-                found["onset_rank"][place, k] = rank(drawn, float(loss.onset), rng)
-        for k, onset in _oracle_onsets(branch, flown).items():
-            found["oracle"][place, k] = onset
+                likely = rng.choice(count, size=200, p=onset).astype(float)
+                found["onset_rank"][place, k] = rank(likely, float(loss.onset), rng)
+        for k, first in _oracle_onsets(at, flown).items():
+            found["oracle"][place, k] = first
     values = flown.model.space.to_parameters(flown.z)
     drawn = fits.model.space.to_parameters(fits.z)
     ranked = [n for n in fits.model.space.names if np.ndim(values[n])]
@@ -276,7 +279,7 @@ def judge_flight(
     return found
 
 
-def _oracle_onsets(branch: Any, flown: Flown) -> dict[int, int]:
+def _oracle_onsets(branch: BranchAt, flown: Flown) -> dict[int, int]:
     """Likeliest onset of every failing thruster for one who knows everything else exactly."""
     own = branch.thrusts
     shared = flown.shared[own.branch]

@@ -39,7 +39,8 @@ def test_chained_draws_equal_the_joint_fit() -> None:
     joint = fit_mission(whole, prior, np.random.default_rng(1), **size)
     begun = fit_mission(short, prior, np.random.default_rng(2), **size)
     chained = fit_mission(whole, prior, np.random.default_rng(3), earlier=begun.draws, **size)
-    assert joint.converged and chained.converged
+    assert joint.converged
+    assert chained.converged
     assert chained.log_evidence == pytest.approx(joint.log_evidence, abs=0.1)
     assert np.abs(chained.z.mean(0) - joint.z.mean(0)).max() < 0.2
     np.testing.assert_allclose(chained.z.std(0), joint.z.std(0), rtol=0.15)

@@ -51,7 +51,7 @@ def shifted_log_likelihood(branch: BranchAt, losses: list[Loss], sizes: list[flo
     "losses", [[Loss(0, 3)], [Loss(3, 1), Loss(5, 4)], [Loss(0, 6), Loss(1, 2)]]
 )
 def test_terms_of_losses_are_those_of_lowered_thrusts(branch: BranchAt, losses: list[Loss]) -> None:
-    """log L(s) = log L(0) + bᵀs − ½ sᵀCs with the collapsed density of lowered thrusts as oracle."""
+    """log L(s) = log L(0) + bᵀs − ½ sᵀCs; oracle: the collapsed density of lowered thrusts."""
     terms = loss_terms(branch)
     sizes = [0.2, 0.07][: len(losses)]
     places = np.array([[loss.onset, loss.thruster] for loss in losses])

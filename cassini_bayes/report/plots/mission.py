@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,26 +19,27 @@ _COLUMNS: Final = 4
 _FEW: Final = 60  # events above which points get no bars
 
 
-def mission_figures(
-    thrust: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame, dated: dict[str, str]
-) -> dict[str, Figure]:
-    """Three figures of every branch; ``dated`` maps a fact's epoch to what it is."""
-    figures = {}
+def mission_drawings(
+    thrust: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame, dated: Mapping[str, str]
+) -> dict[str, Callable[[], Figure]]:
+    """Three figures of every branch, by name; ``dated`` maps a fact's epoch to what it is."""
+    drawings: dict[str, Callable[[], Figure]] = {}
     for branch in dict.fromkeys(thrust["branch"]):
         own = thrust[thrust["branch"] == branch].assign(
             when=lambda frame: pd.to_datetime(frame["epoch"], utc=True)
         )
-        figures[f"thrust_{branch}"] = over_time(own, "thrust", "thrust in the event", dated)
-        figures[f"normalised_{branch}"] = over_time(
-            own, "normalised", "thrust at the reference pressure", dated
-        )
-        figures[f"losses_{branch}"] = losses(
-            own, health[health["branch"] == branch], onsets[onsets["branch"] == branch]
-        )
-    return figures
+        of_branch = [table[table["branch"] == branch] for table in (health, onsets)]
+        drawings |= {
+            f"thrust_{branch}": partial(over_time, own, "thrust", "thrust in the event", dated),
+            f"normalised_{branch}": partial(
+                over_time, own, "normalised", "thrust at the reference pressure", dated
+            ),
+            f"losses_{branch}": partial(losses, own, *of_branch),
+        }
+    return drawings
 
 
-def over_time(own: pd.DataFrame, name: str, label: str, dated: dict[str, str]) -> Figure:
+def over_time(own: pd.DataFrame, name: str, label: str, dated: Mapping[str, str]) -> Figure:
     """One panel per thruster: mean and central 90 %; filled where the event saw the thruster."""
     from matplotlib.figure import Figure
 
