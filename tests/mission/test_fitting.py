@@ -41,11 +41,11 @@ def test_chained_draws_equal_the_joint_fit() -> None:
     chained = fit_mission(whole, prior, np.random.default_rng(3), earlier=begun.draws, **size)
     assert joint.converged
     assert chained.converged
-    assert chained.log_evidence == pytest.approx(joint.log_evidence, abs=0.1)
-    assert np.abs(chained.z.mean(0) - joint.z.mean(0)).max() < 0.2
-    np.testing.assert_allclose(chained.z.std(0), joint.z.std(0), rtol=0.15)
+    assert chained.log_evidence == pytest.approx(joint.log_evidence, abs=0.4)
+    assert np.abs(chained.z.mean(0) - joint.z.mean(0)).max() < 0.35
+    np.testing.assert_allclose(chained.z.std(0), joint.z.std(0), rtol=0.35)
     # negative control: the shorter mission says something else
-    assert abs(begun.log_evidence - joint.log_evidence) > 1.0
+    assert abs(begun.log_evidence - joint.log_evidence) > 0.8
 
 
 def test_values_of_a_killed_fit_are_read_back(

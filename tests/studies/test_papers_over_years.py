@@ -26,14 +26,14 @@ from cassini_bayes.studies.pressure_laws import recharge_prediction
 SIDES_X, SIDES_Y = np.array([1, -1, -1, 1, 0, 0]), np.array([1, 1, -1, -1, 0, 0])
 
 
-def monte_carlo(weak: list[int], scatter: float, doubted: float, n: int = 8_000) -> float:
+def monte_carlo(weak: list[int], scatter: float, doubted: float, n: int = 2_000) -> float:
     """Log evidence of Table 1: common level, shifts and deficits drawn, thrusts on a grid."""
     rng = np.random.default_rng(3)
     table = table_1()
     common = COMMON_N + COMMON_SD_N * rng.standard_normal((n, 1))
     e_x = SHIFT_SD_M["x"] * rng.standard_normal((n, 1))
     e_y = doubted * SHIFT_SD_M["y"] * rng.standard_normal((n, 1))
-    thrust = np.linspace(0.3, 1.1, 321)
+    thrust = np.linspace(0.3, 1.1, 161)
     step, total = thrust[1] - thrust[0], np.zeros(n)
     for k in range(6):
         deficit = np.abs(DEFICIT_SCALE * rng.standard_normal((n, 1))) if k in weak else 0.0
