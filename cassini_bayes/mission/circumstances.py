@@ -178,7 +178,7 @@ def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> Non
 def _between_readings(mission: MissionTable, table: PressureTable, epoch: datetime) -> float | None:
     """The pressure between two readings (kPa), if no recharge lies between them."""
     recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
-    readings = [(utc(at), value) for at, value in table.readings]
+    readings = [(utc(reading.epoch), reading.kpa) for reading in table.readings]
     for at, value in readings:
         if at == epoch:
             return value
@@ -192,6 +192,6 @@ def _used_kg(mission: MissionTable, epoch: Epoch) -> float:
     """Hydrazine used by an epoch, linear between entries and constant beyond them; 0 without."""
     if mission.propellant is None:
         return 0.0
-    at = [utc(entry).timestamp() for entry, _ in mission.propellant.used_kg]
-    used = [kg for _, kg in mission.propellant.used_kg]
+    at = [utc(entry.epoch).timestamp() for entry in mission.propellant.used]
+    used = [entry.kg for entry in mission.propellant.used]
     return float(np.interp(utc(epoch).timestamp(), at, used))

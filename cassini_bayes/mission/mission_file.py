@@ -39,6 +39,20 @@ class DatedTable(Table):
     change: dict[str, ChangeTable] = Field(default_factory=dict)
 
 
+class ReadingTable(Table):
+    """``{ epoch = 2005-01-01, kpa = 1758.0 }``: a tank pressure."""
+
+    epoch: Epoch
+    kpa: float = Field(gt=0.0)
+
+
+class UsedTable(Table):
+    """``{ epoch = 2005-01-01, kg = 60.0 }``: hydrazine used by then."""
+
+    epoch: Epoch
+    kg: float = Field(ge=0.0)
+
+
 class BlowdownTable(Table):
     """``[pressure.blowdown]``: gas that expands as hydrazine leaves, p Vⁿ = constant.
 
@@ -62,7 +76,7 @@ class PressureTable(Table):
     """
 
     reference_kpa: float = Field(gt=0.0)
-    readings: list[tuple[Epoch, float]] = Field(default_factory=list)
+    readings: list[ReadingTable] = Field(default_factory=list)
     blowdown: BlowdownTable | None = None
 
 
@@ -73,7 +87,7 @@ class PropellantTable(Table):
     thrust, so its factor is a parameter of the mission (``hydrazine_used_factor``).
     """
 
-    used_kg: list[tuple[Epoch, float]] = Field(min_length=1)
+    used: list[UsedTable] = Field(min_length=1)
     computed: bool = False
 
 
@@ -141,13 +155,13 @@ def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
     mission = validated(MissionTable, table, where)
     _require_order(f"{where}: dated", [fact.epoch for fact in mission.dated])
     readings = [] if mission.pressure is None else mission.pressure.readings
-    _require_order(f"{where}: pressure.readings", [at for at, _ in readings])
+    _require_order(f"{where}: pressure.readings", [reading.epoch for reading in readings])
     if mission.propellant is not None:
-        used = [kg for _, kg in mission.propellant.used_kg]
-        _require_order(f"{where}: propellant.used_kg", [at for at, _ in mission.propellant.used_kg])
-        if any(b < a for a, b in pairwise(used)) or used[0] < 0:
+        used = [entry.kg for entry in mission.propellant.used]
+        _require_order(f"{where}: propellant.used", [e.epoch for e in mission.propellant.used])
+        if any(b < a for a, b in pairwise(used)):
             raise InputError(
-                f"{where}: propellant.used_kg",
+                f"{where}: propellant.used",
                 "masses used so far, which never fall",
                 str(used),
                 "give the hydrazine used since launch, not what is left",
@@ -173,7 +187,7 @@ def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
             f"{where}: propellant",
             "the hydrazine used, which the blowdown law needs",
             "no such table",
-            "add [propellant] with used_kg",
+            "add [propellant] with used",
         )
     recharges = [fact for fact in mission.dated if fact.what == "recharge"]
     if law is not None and recharges and law.recharge_kpa is None:

@@ -122,7 +122,10 @@ def mission_table() -> MissionTable:
             {"epoch": RECHARGE, "what": "recharge", "source": "paper 001"},
             {"epoch": SWAP, "what": "branch_swap", "branch": "B", "source": "paper 001"},
         ],
-        "pressure": {"reference_kpa": 1758.0, "readings": list(PRESSURES)},
+        "pressure": {
+            "reference_kpa": 1758.0,
+            "readings": [{"epoch": at, "kpa": kpa} for at, kpa in PRESSURES],
+        },
         "trend": {"reference_epoch": START},
     }
     return check_mission(table, "simulated mission")

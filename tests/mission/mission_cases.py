@@ -40,15 +40,14 @@ def mission_table(**changes: Any) -> MissionTable:
         "pressure": {
             "reference_kpa": 1758.0,
             "readings": [
-                [utc(2005, 1, 1), 1800.0],
-                [utc(2006, 4, 9), 1700.0],
-                [utc(2006, 4, 11), 2700.0],
-                [utc(2011, 1, 1), 2100.0],
+                {"epoch": utc(2005, 1, 1), "kpa": 1800.0},
+                {"epoch": utc(2006, 4, 9), "kpa": 1700.0},
+                {"epoch": utc(2006, 4, 11), "kpa": 2700.0},
+                {"epoch": utc(2011, 1, 1), "kpa": 2100.0},
             ],
         },
         "trend": {"reference_epoch": utc(2005, 1, 1)},
     }
-    table["pressure"]["readings"] = [tuple(row) for row in table["pressure"]["readings"]]
     return check_mission({**table, **changes}, "mission.toml")
 
 

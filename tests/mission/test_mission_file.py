@@ -50,8 +50,8 @@ def test_blowdown_law_follows_the_gas() -> None:
                 "recharge_kpa": 2700.0,
             },
         },
-        "propellant": {"used_kg": [(utc(2005, 1, 1), 0.0), (utc(2006, 1, 1), 10.0),
-                                   (utc(2006, 4, 10), 10.0), (utc(2007, 4, 10), 15.0)],
+        "propellant": {"used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2006, 1, 1), "kg": 10.0},
+                                   {"epoch": utc(2006, 4, 10), "kg": 10.0}, {"epoch": utc(2007, 4, 10), "kg": 15.0}],
                        "computed": True},
     }  # fmt: skip
     facts = [fact("a", utc(2006, 1, 1)), fact("b", utc(2007, 4, 10))]
@@ -105,7 +105,10 @@ def test_mission_files_that_cannot_be_are_refused(change: dict[str, Any], messag
 
 def test_readings_out_of_order_are_refused() -> None:
     """The place in the list is named."""
-    readings = [(utc(2006, 1, 1), 1700.0), (utc(2005, 1, 1), 1800.0)]
+    readings = [
+        {"epoch": utc(2006, 1, 1), "kpa": 1700.0},
+        {"epoch": utc(2005, 1, 1), "kpa": 1800.0},
+    ]
     with pytest.raises(InputError, match=r"pressure.readings\[2\]: expected an epoch not before"):
         mission_table(pressure={"reference_kpa": 1758.0, "readings": readings})
 
@@ -129,7 +132,9 @@ def test_changes_and_drift_move_parameters() -> None:
     table = mission_table(
         dated=[{"epoch": utc(2006, 4, 10), "what": "burn", "source": "x", "change": change}],
         drift={"cm_x_m": {"loc": 0.001, "scale": 0.0, "unit": "m/kg", "source": "x"}},
-        propellant={"used_kg": [(utc(2005, 1, 1), 0.0), (utc(2010, 1, 1), 50.0)]},
+        propellant={
+            "used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}]
+        },
     )
     model = mission_of(mixed_events()[:2], table)
     parameters = model.space.to_parameters(np.zeros((1, model.space.dimension)))

@@ -24,10 +24,13 @@ epoch = 2009-03-12
 what = "branch_swap"
 branch = "B"
 source = "paper 001"
+[pressure]
+reference_kpa = 2000.0
+readings = [{{ epoch = 2009-08-01, kpa = 2010.0 }}, {{ epoch = 2010-12-01, kpa = 1990.0 }}]
 [trend]
 reference_epoch = 2009-08-22
-draws = 150
-proposals = 600
+draws = 100
+proposals = 500
 [[trend.forecast]]
 epoch = 2011-12-12
 branch = "B"
@@ -83,7 +86,6 @@ def test_a_trend_is_written_and_goes_on_with_new_events(tmp_path: Path, priors: 
         assert np.isfinite(posterior["thrust_n"].values).all()
     page = (out / "report.html").read_text("utf-8")
     assert "No alarm" in page
-    assert "No tank pressure is given" in page
     assert sorted(p.name for p in (out / "figures").glob("*.png")) == [
         "losses_B.png",
         "normalised_B.png",
@@ -97,5 +99,5 @@ def test_another_spacecraft_and_an_event_twice_are_refused(tmp_path: Path, prior
     with pytest.raises(InputError, match="each event once in a mission"):
         read_mission(read_mission_file(path), tmp_path, "mission.toml")
     path.write_text('spacecraft = { name = "juno" }\n' + path.read_text("utf-8"), "utf-8")
-    with pytest.raises(InputError, match="spacecraft.name: expected 'cassini'"):
+    with pytest.raises(InputError, match=r"spacecraft\.name: expected 'cassini'"):
         read_mission(read_mission_file(path), tmp_path, "mission.toml")
