@@ -46,14 +46,22 @@ def test_blowdown_law_follows_the_gas() -> None:
         "pressure": {
             "reference_kpa": 1800.0,
             "blowdown": {
-                "start_kpa": 2000.0, "ullage_m3": 0.05, "density_kg_m3": 1000.0,
+                "start_kpa": 2000.0,
+                "ullage_m3": 0.05,
+                "density_kg_m3": 1000.0,
                 "recharge_kpa": 2700.0,
             },
         },
-        "propellant": {"used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2006, 1, 1), "kg": 10.0},
-                                   {"epoch": utc(2006, 4, 10), "kg": 10.0}, {"epoch": utc(2007, 4, 10), "kg": 15.0}],
-                       "computed": True},
-    }  # fmt: skip
+        "propellant": {
+            "used": [
+                {"epoch": utc(2005, 1, 1), "kg": 0.0},
+                {"epoch": utc(2006, 1, 1), "kg": 10.0},
+                {"epoch": utc(2006, 4, 10), "kg": 10.0},
+                {"epoch": utc(2007, 4, 10), "kg": 15.0},
+            ],
+            "computed": True,
+        },
+    }
     facts = [fact("a", utc(2006, 1, 1)), fact("b", utc(2007, 4, 10))]
     tank = circumstances_of(mission_table(**table), facts, "m").tank
     assert tank.is_circular
