@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+from scipy.stats import gaussian_kde, norm
 
 from cassini_bayes.arrays import Array
 from cassini_bayes.mission.fitting import MissionFit
@@ -95,6 +96,21 @@ def draw_branches(fit: MissionFit, rng: np.random.Generator) -> dict[str, Branch
             thrusts, level, thrust, shared, drawn, intercept[places]
         )
     return found
+
+
+def proportional_odds(fit: MissionFit) -> float | None:
+    """Log Bayes factor of the proportional law of pressure against the affine one.
+
+    Posterior over prior density of no intercept (Savage and Dickey), by a kernel estimate from the
+    draws: good to a tenth of a nat near the bulk, a bound far out. None where the intercept is
+    fixed.
+    """
+    space = fit.model.space
+    if INTERCEPT not in space.names:
+        return None
+    place = space.names.index(INTERCEPT)
+    none = float(space.distributions[place].standard_of(0.0))
+    return float(gaussian_kde(fit.z[:, place]).logpdf(none)[0] - norm.logpdf(none))
 
 
 def thrust_table(

@@ -27,7 +27,7 @@ from cassini_bayes.mission.fitting import MissionFit, fit_mission, loss_prior
 from cassini_bayes.mission.inputs import MissionInputs, read_mission
 from cassini_bayes.mission.mission_file import MissionTable
 from cassini_bayes.mission.record import earlier_draws, save_state, save_trend
-from cassini_bayes.mission.trend import Trend, trend_of
+from cassini_bayes.mission.trend import Trend, proportional_odds, trend_of
 from cassini_bayes.pipeline.provenance import library_versions
 from cassini_bayes.pipeline.run import Reporter
 
@@ -171,6 +171,7 @@ def _record(
         "log_evidence": fit.log_evidence_total,
         "log_evidence_se": fit.log_evidence_se,
         "pareto_k": fit.pareto_k,
+        "log_bayes_proportional_law": proportional_odds(fit),
         "alarm_above": mission.trend.alarm,
         "health": _rows(trend.health),
         "onsets": _rows(trend.onsets),

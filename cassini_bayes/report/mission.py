@@ -5,15 +5,19 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.mission.fitting import MissionFit, describe
 from cassini_bayes.mission.mission_file import MissionTable
-from cassini_bayes.mission.trend import Trend
+from cassini_bayes.mission.trend import Trend, proportional_odds
 from cassini_bayes.report.cells import Cell, Column, Table, tabulate
 from cassini_bayes.report.plots import Figure, encode
+
+DECISIVE: Final = 3.0
+"""Nats from which odds decide, some 20 to 1."""
 
 
 def write_trend_report(
@@ -66,6 +70,12 @@ def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[s
         found.append(
             "No tank pressure is given: levels are as if the pressure had stayed, and the common "
             "drift holds what pressure did."
+        )
+    odds = proportional_odds(fit)
+    if mission.pressure is not None and odds is not None:
+        found.append(
+            f"Thrust in proportion to pressure against an affine law: {odds:+.1f} nats"
+            + (" (undecided)." if abs(odds) < DECISIVE else ".")
         )
     if mission.propellant is not None and mission.propellant.computed:
         found.append(

@@ -79,6 +79,8 @@ def test_a_trend_is_written_and_goes_on_with_new_events(tmp_path: Path, priors: 
     record = json.loads((out / "trend.json").read_text("utf-8"))
     assert record["events"] == list(IDS)
     assert {row["thruster"] for row in record["health"]} >= {"z1", "y4"}
+    # three events at nearly one pressure say nothing of the law
+    assert abs(record["log_bayes_proportional_law"]) < 0.5
     assert record["forecast"][-1]["thruster"] == "mean"
     with xr.open_dataset(out / "trend.nc", group="posterior", engine="h5netcdf") as posterior:
         assert posterior["thrust_n"].dims == ("chain", "draw", "event", "thruster")
