@@ -266,18 +266,14 @@ def _solve_transposed(factor: Array, right: Array) -> Array:
     return np.asarray(solution[..., 0])
 
 
-def draw_shared(collapsed: CollapsedThrusts, rng: np.random.Generator) -> Array:
-    """One draw (n, q) of the shared coefficients η from their conditional normal."""
-    normals = rng.standard_normal(collapsed.shared_shift.shape)
-    return _solve_transposed(collapsed.shared_factor, collapsed.shared_shift + normals)
-
-
 def draw_thrusts(
     prior: ThrustPrior, collapsed: CollapsedThrusts, rng: np.random.Generator
 ) -> ThrustDraws:
     """One draw of all events' thrusts from their conditional normal at every parameter point."""
-    n, n_events, n_own, _ = collapsed.own_coupling.shape
-    shared = draw_shared(collapsed, rng)
+    n, n_events, n_own, n_shared = collapsed.own_coupling.shape
+    shared = _solve_transposed(
+        collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
+    )
     pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
     own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
     common = collapsed.common_n

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mission_cases import facts_of, mission_of, mission_table, mixed_events, utc
+from totals_cases import ROOT
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.mission.circumstances import EventFacts, circumstances_of
@@ -163,6 +165,16 @@ def test_two_branches_without_a_mission_are_refused() -> None:
 
     with pytest.raises(InputError, match="branch"):
         build_model(mixed_events(), read_priors(PRIORS))
+
+
+def test_the_example_of_the_documentation_is_a_mission_file() -> None:
+    """What docs/mission.md shows is read, with every key that it names."""
+    text = (ROOT / "docs" / "mission.md").read_text("utf-8")
+    example = text.split("```toml")[1].split("```")[0]
+    table = check_mission(tomllib.loads(example), "docs/mission.md")
+    assert table.dated[0].change["cm_y_m"].scale == 0.005
+    assert table.propellant is not None
+    assert table.trend.forecast[0].branch == "B"
 
 
 def test_the_swap_needs_no_change() -> None:
