@@ -13,7 +13,6 @@ from scipy.integrate import trapezoid
 from scipy.linalg import sqrtm
 from scipy.stats import multivariate_normal
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     Layout,
@@ -22,6 +21,7 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
 )
 from cassini_bayes.balance.telemetry_terms import cut_probability
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.model.telemetry import TelemetryTerm

@@ -17,9 +17,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.kernel import LEAST_SQUARE
 from cassini_bayes.balance.statistics import EventStatistics, Layout
+from cassini_bayes.computing.arrays import Array
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 ROWS_PER_MODE: Final = 2

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.bands import Band
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
@@ -20,6 +19,7 @@ from cassini_bayes.balance.telemetry_terms import (
     noise_covariance,
 )
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 
 
 def row_information(

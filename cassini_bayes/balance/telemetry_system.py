@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.kernel import Noise, Placed, normal_equations
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
@@ -23,6 +22,7 @@ from cassini_bayes.balance.telemetry_terms import (
     own_prior,
 )
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 
 _THRUST_SPREAD: Final = 0.3  # of thrusts about their level, where slow modes place them
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Json, Quiet, Seed
+from cassini_bayes.cli.options import ConsoleReporter, Json, OwnSeed, Quiet
 
 
 def trend_command(
@@ -18,12 +18,12 @@ def trend_command(
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Tables only: no figures, no page.")
     ] = False,
-    seed: Seed = None,
+    seed: OwnSeed = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Thrust of every thruster over a mission; goes on with the same command, with events added."""
-    from cassini_bayes.mission.mission_file import read_mission_file
+    from cassini_bayes.model.mission.mission_file import read_mission_file
     from cassini_bayes.pipeline.trend_run import execute_trend
 
     mission = read_mission_file(mission_file)
@@ -45,40 +45,3 @@ def trend_command(
     elif not quiet:
         typer.echo(str(outcome.folder / ("trend.csv" if no_report else "report.html")))
     raise typer.Exit(0 if outcome.fit.converged else 1)
-
-
-def calibrate_missions_command(
-    page: Annotated[Path, typer.Option("--page", help="Results page to write (.md).")] = Path(
-        "docs/results/missions.md"
-    ),
-    work: Annotated[Path, typer.Option("--work", help="Folder of finished missions.")] = Path(
-        "runs/calibrate-missions"
-    ),
-    events: Annotated[str, typer.Option("--events", help="Template totals CSV.")] = (
-        "cassini_bayes/published/flight_2009_2010.csv"
-    ),
-    priors: Annotated[str, typer.Option("--priors", help="Priors file.")] = (
-        "priors/cassini_mission.toml"
-    ),
-    missions: Annotated[int, typer.Option("--missions", min=2)] = 300,
-    quick: Annotated[bool, typer.Option("--quick", help="24 missions.")] = False,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_090_312,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
-    quiet: Quiet = False,
-) -> None:
-    """Simulated missions with known failures: names, onsets, false alarms, delays."""
-    from cassini_bayes.studies.missions import study_missions
-
-    passed = study_missions(
-        events,
-        priors,
-        seed=seed,
-        missions=24 if quick else missions,
-        work=work,
-        page=page,
-        jobs=jobs,
-        command=["cassini-bayes", *sys.argv[1:]],
-        progress=ConsoleReporter(quiet).count,
-    )
-    typer.echo(str(page))
-    raise typer.Exit(0 if passed else 1)

@@ -18,14 +18,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.telemetry_terms import cut_probability, lost_per_cut_s
-from cassini_bayes.diagnosis.extended import Case, Hypothesis
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 
-Array = NDArray[np.float64]
 ACROSS_S: Final = 0.035
 """Chance times counter interval: 0.036, 0.024 and 0.030 s in 23 simulated biases read every 1, 4
 and 10 s."""
@@ -81,20 +80,18 @@ def _within(ends: Array, pairs: Array, time_s: Array, duration_s: float) -> Arra
     the likelihood has the first part. √n for n pairs in one interval.
     """
     part = np.minimum((CUT_PARTS * ends / duration_s).astype(int), CUT_PARTS - 1)
-    found = [np.zeros((len(time_s), 0))]
+    profiles = [np.zeros((len(time_s), 0))]
     for quarter in range(CUT_PARTS):
-        own = np.flatnonzero((part == quarter) & (pairs > 0))
-        if len(own) < 2:
+        intervals = np.flatnonzero((part == quarter) & (pairs > 0))
+        if len(intervals) < 2:
             continue
-        step = (time_s[:, None] >= ends[own]).astype(np.float64)
-        mean = step @ pairs[own] / pairs[own].sum()
-        found.append((step - mean[:, None]) * np.sqrt(pairs[own]))
-    return np.concatenate(found, axis=1)
+        step = (time_s[:, None] >= ends[intervals]).astype(np.float64)
+        mean = step @ pairs[intervals] / pairs[intervals].sum()
+        profiles.append((step - mean[:, None]) * np.sqrt(pairs[intervals]))
+    return np.concatenate(profiles, axis=1)
 
 
-def single_cuts(
-    case: Case, hypothesis: Hypothesis, z: Array, place: int, time_s: Array
-) -> tuple[Array, Array, Array]:
+def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Array, Array]:
     """What single cut tails change in the momentum of an event's rows, by the model at z (d,).
 
     A cut tail takes F q (τ_f − τ_r) exp(−0.125 s/τ_f), q summed over thrusters that fire together.
@@ -102,9 +99,7 @@ def single_cuts(
     Parameters
     ----------
     place
-        Number of the event in the case.
-    time_s
-        (n,) times of its rows.
+        Number of the event among those with telemetry.
 
     Returns
     -------
@@ -113,18 +108,18 @@ def single_cuts(
     """
     model, term = hypothesis.model, hypothesis.model.telemetry[place]
     statistics = term.event.statistics
-    layout = statistics.layout
+    layout, time_s = statistics.layout, term.event.usable_rows.time_s
     mean = np.zeros((len(time_s), 3))
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = term.physics(model.points(z[None]))
     interval, duration = statistics.counter_interval_s, term.event.sampling.duration_s
-    samples = case.sources[place].samples
+    samples = term.event.samples
     for members in layout.couples if layout.thrusters else ():
-        found = losses(samples, members, time_s, duration, interval)
+        possible = losses(samples, members, time_s, duration, interval)
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
         lost = float(lost_per_cut_s(physics)[0]) * arms[:, list(members)].sum(1)
         taken = -model.thrust_prior.common_mean_n * lost
-        columns.append(found.profile[:, None] * taken[:, None])
-        variances.append(found.variance)
-        mean += found.mean[:, None] * taken
+        columns.append(possible.profile[:, None] * taken[:, None])
+        variances.append(possible.variance)
+        mean += possible.mean[:, None] * taken
     return np.concatenate(columns, axis=2), np.concatenate(variances), mean

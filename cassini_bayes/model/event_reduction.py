@@ -6,20 +6,20 @@ key being the hash of the telemetry, of how it is reduced and of the code that r
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
 from cassini_bayes.balance.physics import INERTIA_PARAMETERS, PULSE_PARAMETERS
+from cassini_bayes.balance.rate_information import RateInformation, rate_information
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     ExtraColumn,
@@ -30,12 +30,16 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
     save_statistics,
 )
-from cassini_bayes.balance.statistics.reduction import BLOCK_ROWS
+from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MomentumRows, check_momentum, momentum_rows
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
+from cassini_bayes.files.cells import cells_of
 from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.json_file import read_json
+from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import Spacecraft, couples
@@ -98,9 +102,38 @@ class ReducedEvent:
         return self.statistics.layout.wheels
 
     @property
+    def thrusters(self) -> tuple[str, ...]:
+        """Names of its thrusters; none without counters."""
+        return self.statistics.layout.thrusters
+
+    @property
     def fires(self) -> bool:
         """Whether the event has thruster counters."""
-        return bool(self.statistics.layout.thrusters)
+        return bool(self.thrusters)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """All rows at once."""
+        return Samples.joined(list(self.rows))
+
+    @cached_property
+    def usable_rows(self) -> Rows:
+        """The columns of all rows that enter the balance."""
+        layout = self.statistics.layout
+        return settle(self.samples, Carry.start(layout), layout, self.sampling, final=True)[0]
+
+    @cached_property
+    def rates(self) -> RateInformation:
+        """What attitudes against integrated rates say of the gyros."""
+        return rate_information(self.samples)
+
+    def with_columns(self, extra: Sequence[ExtraColumn]) -> ReducedEvent:
+        """The event reduced with columns that effects need, which see all of it at once."""
+        sampling = replace(self.sampling, extra=tuple(extra))
+        layout = replace(self.statistics.layout, extra=tuple(column.name for column in extra))
+        samples = self.samples
+        statistics = reduce_chunks(self.id, self.kind, [samples], layout, sampling, len(samples))
+        return replace(self, statistics=statistics, sampling=sampling, rows=(samples,), key="")
 
 
 class EventRows:
@@ -140,7 +173,7 @@ class EventRows:
 
 def is_event_folder(path: Path) -> bool:
     """Whether a path given as an event is a folder of telemetry, not a totals file."""
-    return path.is_dir()
+    return exists(path) and path.is_dir()
 
 
 def samples_of(chunk: Chunk) -> Samples:
@@ -160,7 +193,6 @@ def sampling_of(
     thrusters: Sequence[str],
     duration_s: float,
     pulse_shape: str,
-    extra: Sequence[ExtraColumn] = (),
 ) -> Sampling:
     """How an event's telemetry is reduced, from the priors of the pulse parameters.
 
@@ -180,7 +212,6 @@ def sampling_of(
         guard,
         tuple(tuple(list(thrusters).index(name) for name in group) for group in groups),
         duration_s,
-        tuple(extra),
     )
 
 
@@ -192,14 +223,9 @@ def reduce_samples(
     samples: Samples,
     sampling: Sampling,
 ) -> ReducedEvent:
-    """Reduce telemetry that is in memory, as from a simulation.
-
-    Columns that effects bring see the whole event at once.
-    """
-    extra = tuple(column.name for column in sampling.extra)
-    layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples, extra)
-    block = len(samples) if extra else BLOCK_ROWS
-    statistics = reduce_chunks(event_id, kind, [samples], layout, sampling, block)
+    """Reduce telemetry that is in memory, as from a simulation."""
+    layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples)
+    statistics = reduce_chunks(event_id, kind, [samples], layout, sampling)
     counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
     gained = np.zeros((2, len(thrusters)))
     if len(counted):
@@ -331,7 +357,7 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
         return None
     statistics = load_statistics(cache / f"{key}.npz")
     try:
-        fields = json.loads((cache / f"{key}.json").read_bytes())
+        fields = read_json(cache / f"{key}.json", "the record of a reduction")
         reading = ReadingRecord(
             rows=int(fields["rows"]),
             start_s=float(fields["start_s"]),
@@ -340,7 +366,7 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
             pulses=tuple(float(value) for value in fields["pulses"]),
             mends=tuple(str(line) for line in fields["mends"]),
         )
-    except (OSError, ValueError, TypeError, KeyError):
+    except (InputError, ValueError, TypeError, KeyError):
         return None
     return None if statistics is None else (statistics, reading)
 
@@ -450,15 +476,15 @@ def last_time(telemetry: Path) -> float:
             return _last_time_of_parquet(telemetry)
         with telemetry.open("rb") as stream:
             header = stream.readline().decode("utf-8-sig")
-            place = [name.strip() for name in next(csv.reader([header]))].index("time_s")
+            place = next(cells_of("", header))[1].index("time_s")
             stream.seek(0, 2)
             stream.seek(max(stream.tell() - _TAIL_BYTES, 0))
             lines = stream.read().decode("utf-8", "replace").splitlines()
         for line in reversed(lines):
             if line.strip():
-                value = float(next(csv.reader([line]))[place])
+                value = float(next(cells_of("", line))[1][place])
                 return value if np.isfinite(value) and value > 0 else 1.0
-    except (OSError, ValueError, IndexError, StopIteration):
+    except (OSError, ValueError, IndexError, StopIteration, InputError):
         return 1.0
     return 1.0
 

@@ -23,16 +23,16 @@ from cassini_bayes import __version__
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
-from cassini_bayes.mission.fitting import MissionFit, fit_mission, loss_prior
-from cassini_bayes.mission.inputs import MissionInputs, read_mission
-from cassini_bayes.mission.mission_file import MissionTable
-from cassini_bayes.mission.record import earlier_draws, save_state, save_trend
-from cassini_bayes.mission.trend import Trend, proportional_odds, trend_of
+from cassini_bayes.model.mission.inputs import MissionInputs, read_mission
+from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.pipeline.provenance import library_versions
 from cassini_bayes.pipeline.run import Reporter
+from cassini_bayes.results.mission.fitting import MissionFit, fit_mission, loss_prior
+from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend
+from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
 
 CHECKPOINT: Final = "checkpoint"
-DRAWN_BY: Final = ("mission.inputs", "mission.fitting")
+DRAWN_BY: Final = ("model.mission.inputs", "results.mission.fitting")
 """Modules whose code, with all that they import, the draws of a trend depend on."""
 
 

@@ -10,11 +10,11 @@ from typing import Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.mission.fitting import MissionFit, describe
-from cassini_bayes.mission.mission_file import MissionTable
-from cassini_bayes.mission.trend import Trend, proportional_odds
+from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.report.cells import Cell, Column, Table, tabulate
 from cassini_bayes.report.plots import Figure, encode
+from cassini_bayes.results.mission.fitting import MissionFit, describe
+from cassini_bayes.results.mission.trend import Trend, proportional_odds
 
 DECISIVE: Final = 3.0
 """Nats from which odds decide, some 20 to 1."""

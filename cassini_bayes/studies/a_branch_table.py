@@ -20,7 +20,7 @@ import pandas as pd
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published import a_branch_thrusts
 
 LX_M, LY_M = 1.234, 1.580

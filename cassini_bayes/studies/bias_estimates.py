@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.mission.model import INTERCEPT, MissionModel
-from cassini_bayes.mission.trend import LEAST_ON_TIME_S
+from cassini_bayes.model.mission.model import INTERCEPT, MissionModel
+from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S
 
 
 def bias_estimates(model: MissionModel, events: Sequence[TotalsEvent]) -> Mapping[str, Array]:

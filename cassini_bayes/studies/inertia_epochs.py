@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published import inertia_comparisons, inertia_tensors
 
 AXES: Final = ("xx", "yy", "zz")

@@ -11,26 +11,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import digest
-from cassini_bayes.mission.circumstances import EventFacts, circumstances_of
-from cassini_bayes.mission.fitting import EarlierDraws, MissionFit, fit_mission, loss_prior
-from cassini_bayes.mission.losses import Loss
-from cassini_bayes.mission.mission_file import MissionTable, check_mission
-from cassini_bayes.mission.model import BranchAt, BranchThrusts, MissionModel, build_mission
-from cassini_bayes.mission.trend import LEAST_ON_TIME_S
+from cassini_bayes.files.code import identity
 from cassini_bayes.model.draws import Draws
+from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
+from cassini_bayes.model.mission.losses import Loss
+from cassini_bayes.model.mission.mission_file import MissionTable, check_mission
+from cassini_bayes.model.mission.model import BranchAt, BranchThrusts, MissionModel, build_mission
 from cassini_bayes.model.terms import TORQUE
 from cassini_bayes.model.thrusts import ThrustDraws
 from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.results.mission.fitting import EarlierDraws, MissionFit, fit_mission, loss_prior
+from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.studies.bias_estimates import bias_estimates
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
@@ -72,9 +70,8 @@ class MissionFlights:
     per_file: int = 2
 
     def identity(self) -> str:
-        """Hash of all that a repetition depends on."""
-        events, priors = digest(Path(self.events_path)), digest(Path(self.priors_path))
-        return f"missions/{self.seed}/{events}/{priors}/{code_digest(MODULE)}"
+        """What finished repetitions depend on: seed, template events, priors, code."""
+        return identity(["missions", self.seed], [self.events_path, self.priors_path], MODULE)
 
     def repetition(self, index: int) -> Mapping[str, NDArray[Any]]:
         """Draw, fly and fit one mission, event by event; one row per branch and thruster.

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from cassini_bayes.arrays import Array
-from cassini_bayes.mission.circumstances import KPA_PER_PSI
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.model.mission.circumstances import KPA_PER_PSI
 from cassini_bayes.published.anchors import anchors, thrust_anchors
 
 INTERCEPT_SD: Final = 0.2

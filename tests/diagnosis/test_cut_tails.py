@@ -9,22 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cassini_bayes.balance.linearised import fitted_away
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.telemetry_terms import cut_probability
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.cut_tails import ACROSS_S, chance_across, losses, single_cuts
-from cassini_bayes.diagnosis.diagnosis import catalogue_of
-from cassini_bayes.diagnosis.extended import prepare
-from cassini_bayes.diagnosis.innovations import fitted_away, with_unknowns
+from cassini_bayes.diagnosis.innovations import with_unknowns
 from cassini_bayes.diagnosis.p_value import slow_statistic
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import PulseLog, scenario_of
-from cassini_bayes.studies.blind.flights import CHANNEL_NOISE, source_of
-from cassini_bayes.studies.blind.shift import Seen, seen_at_truth
+from cassini_bayes.studies.blind.flights import CHANNEL_NOISE, reduced
+from cassini_bayes.studies.blind.shift import View, at_truth
 from cassini_bayes.studies.scenario import draw_truth, simulate_file
 
-Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
@@ -78,7 +76,7 @@ def test_chance_of_a_pair_across_a_reading_falls_with_the_interval() -> None:
 
 
 @cache
-def quiet_flight() -> Seen:
+def quiet_flight() -> View:
     """A bias without channel noise, with long tails, one of them cut across a reading."""
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     document["event"] = [e for e in document["event"] if e["id"] == "bias-1"]
@@ -87,24 +85,27 @@ def quiet_flight() -> Seen:
     truth = replace(drawn, parameters={**drawn.parameters, "tau_fall_s": 0.075})
     still = {**truth.parameters, **dict.fromkeys(CHANNEL_NOISE, 0.0)}
     flight = simulate_file(file, SEED, truth=replace(truth, parameters=still), priors=PRIORS)
-    case = prepare([source_of(event) for event in flight.events], PRIORS)
-    return seen_at_truth(case, catalogue_of(case), truth)
+    return at_truth(reduced(flight, PRIORS), truth)
 
 
-def slow_left(seen: Seen, cuts: tuple[Array, Array, Array]) -> float:
+def slow_left(view: View, cuts: tuple[Array, Array, Array]) -> float:
     """Slow part of what a flight without noise leaves, with these columns fitted away as well."""
-    own = replace(seen.linear, target=seen.left)
-    linear = with_unknowns(own, [cuts], seen.factors)
+    own = replace(view.linear, target=view.left)
+    linear = with_unknowns(own, [cuts], view.factors)
     left = fitted_away(linear, linear.target)
-    return float(slow_statistic(linear, left[:, None], seen.times)[0])
+    return float(
+        slow_statistic(
+            linear, left[:, None], [own.usable_rows.time_s for own in view.events.telemetry]
+        )[0]
+    )
 
 
 def test_single_cuts_explain_what_a_flight_without_noise_leaves() -> None:
     """Drifts of many deviations vanish with single cuts, and stay with steps at other times."""
-    seen = quiet_flight()
-    found, variance, mean = single_cuts(seen.case, seen.none, seen.point, 0, seen.times[0])
+    view = quiet_flight()
+    found, variance, mean = single_cuts(view.none, view.point, 0)
     none = (found[:, :, :0], variance[:0], 0.0 * mean)
-    before = slow_left(seen, none)
+    before = slow_left(view, none)
     assert before > 50.0
-    assert slow_left(seen, (found, variance, mean)) < 0.05 * before
-    assert slow_left(seen, (found[::-1], variance, mean)) > 0.5 * before
+    assert slow_left(view, (found, variance, mean)) < 0.05 * before
+    assert slow_left(view, (found[::-1], variance, mean)) > 0.5 * before

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from cassini_bayes.cli import app
 from cassini_bayes.errors import InputError
-from cassini_bayes.mission.inputs import read_mission
-from cassini_bayes.mission.mission_file import read_mission_file
+from cassini_bayes.model.mission.inputs import read_mission
+from cassini_bayes.model.mission.mission_file import read_mission_file
 
 MISSION = """
 events = [{events}]

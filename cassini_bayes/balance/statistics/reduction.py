@@ -7,12 +7,10 @@ not depend on the number of samples (``docs/telemetry-likelihood.md`` §5).
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
-from zipfile import BadZipFile
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +25,7 @@ from cassini_bayes.balance.statistics.columns import (
 )
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.storage import write_bytes
+from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 Array = NDArray[np.float64]
 MODES: Final = 512
@@ -262,26 +260,23 @@ LEAST_ROWS: Final = 10
 
 def save_statistics(path: Path, statistics: EventStatistics) -> None:
     """Write statistics as a plain array archive, atomically."""
-    buffer = io.BytesIO()
-    np.savez(
-        buffer,
-        format=np.array(_FORMAT),
-        event_id=np.array(statistics.event_id),
-        kind=np.array(statistics.kind),
-        wheels=np.array(statistics.layout.wheels),
-        thrusters=np.array(statistics.layout.thrusters, dtype=np.str_),
-        duration_s=np.array(statistics.duration_s),
-        rows=np.array(statistics.rows),
-        gram=statistics.gram,
-        projection=statistics.projection,
-        mode_gram=statistics.mode_gram,
-        couples=np.array(
-            [couple_of(i, statistics.layout) for i in range(len(statistics.layout.thrusters))]
-        ),
-        close_pairs=statistics.close_pairs,
-        counter_interval_s=np.array(statistics.counter_interval_s),
-    )
-    write_bytes(path, buffer.getvalue())
+    layout = statistics.layout
+    arrays = {
+        "format": np.array(_FORMAT),
+        "event_id": np.array(statistics.event_id),
+        "kind": np.array(statistics.kind),
+        "wheels": np.array(layout.wheels),
+        "thrusters": np.array(layout.thrusters, dtype=np.str_),
+        "duration_s": np.array(statistics.duration_s),
+        "rows": np.array(statistics.rows),
+        "gram": statistics.gram,
+        "projection": statistics.projection,
+        "mode_gram": statistics.mode_gram,
+        "couples": np.array([couple_of(i, layout) for i in range(len(layout.thrusters))]),
+        "close_pairs": statistics.close_pairs,
+        "counter_interval_s": np.array(statistics.counter_interval_s),
+    }
+    write_arrays(path, arrays)
 
 
 def couple_of(place: int, layout: Layout) -> int:
@@ -303,26 +298,25 @@ def load_statistics(path: Path) -> EventStatistics | None:
     A cache: what cannot be read is computed again.
     """
     try:
-        # opened here: numpy leaves the file open when it is no archive
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            if int(stored["format"]) != _FORMAT:
-                return None
-            layout = Layout(
-                tuple(int(number) for number in stored["wheels"]),
-                tuple(str(name) for name in stored["thrusters"]),
-                couples_from(stored["couples"]),
-            )
-            return EventStatistics(
-                str(stored["event_id"]),
-                str(stored["kind"]),
-                layout,
-                float(stored["duration_s"]),
-                int(stored["rows"]),
-                stored["gram"],
-                stored["projection"],
-                stored["mode_gram"],
-                stored["close_pairs"],
-                float(stored["counter_interval_s"]),
-            )
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        stored: dict[str, Any] = read_arrays(path, "the statistics of an event")
+        if int(stored["format"]) != _FORMAT:
+            return None
+        layout = Layout(
+            tuple(int(number) for number in stored["wheels"]),
+            tuple(str(name) for name in stored["thrusters"]),
+            couples_from(stored["couples"]),
+        )
+        return EventStatistics(
+            str(stored["event_id"]),
+            str(stored["kind"]),
+            layout,
+            float(stored["duration_s"]),
+            int(stored["rows"]),
+            stored["gram"],
+            stored["projection"],
+            stored["mode_gram"],
+            stored["close_pairs"],
+            float(stored["counter_interval_s"]),
+        )
+    except (InputError, ValueError, TypeError, KeyError):
         return None
