@@ -34,6 +34,7 @@ from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.branches import require_branch
 from cassini_bayes.events.plausibility import MomentumRows, check_momentum, momentum_rows
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
 from cassini_bayes.files.cells import cells_of
@@ -272,7 +273,7 @@ def reduce_event(
         branch than the priors', or too few rows that can be used.
     """
     event = read_event(folder, priors.spacecraft)
-    require_branch(event, priors)
+    require_branch(str(event.folder / DESCRIPTION), event.branch, priors.branch)
     rows = EventRows(event, priors.spacecraft)
     guess = last_time(event.telemetry)
     sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
@@ -339,17 +340,6 @@ def reduction_key(event: TelemetryEvent, sampling: Sampling) -> str:
         "code": code_digest(*REDUCED_BY),
     }
     return hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def require_branch(event: TelemetryEvent, priors: Priors) -> None:
-    """Refuse an event of another thruster branch than the priors'."""
-    if event.branch != priors.branch:
-        raise InputError(
-            f"{event.folder / DESCRIPTION}: branch",
-            f"{priors.branch}, the branch of {priors.path}",
-            event.branch,
-            "use the priors of that branch",
-        )
 
 
 def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecord] | None:

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from pathlib import Path
+
 import numpy as np
 import pytest
-from totals_cases import flight
+from mission_cases import PRIORS
+from study_cases import study_in
+from totals_cases import FLIGHT, flight
 
+from cassini_bayes.studies import missions
 from cassini_bayes.studies.flight_priors import IDEAL, TESTED, with_beliefs
+from cassini_bayes.studies.mission_flights import MissionFlights
 from cassini_bayes.studies.missions import cusum, findings_of, passes, ratio_of_ends
 
 
@@ -70,6 +77,48 @@ def test_rates_of_made_up_missions() -> None:
     spoilt = findings_of(found)
     assert spoilt.false_alarms == (1, 40)
     assert not passes(spoilt)
+
+
+@dataclass(frozen=True)
+class MadeUp(MissionFlights):
+    """Missions that are not flown: those of the table."""
+
+    def repetition(self, index: int) -> dict[str, np.ndarray]:
+        """One mission of the table."""
+        return {key: values[index] for key, values in made_up().items()}
+
+
+def test_a_study_keeps_its_missions_and_writes_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Missions are run and kept as in every other study; the second time none is flown."""
+    monkeypatch.setattr(missions, "MissionFlights", MadeUp)
+    study = study_in(tmp_path)
+    arguments = (str(FLIGHT), str(PRIORS), {"missions": 40})
+    verdict = passes(findings_of(made_up()))
+    assert missions.study_missions(study, *arguments) == verdict
+    page = study.page.read_text()
+    assert page.startswith("# Simulated missions")
+    assert "20 of 20: 100%" in page
+    assert "posterior odds" in study.page.with_suffix(".csv").read_text()
+    monkeypatch.setattr(MadeUp, "repetition", None)
+    assert missions.study_missions(study, *arguments) == verdict
+    assert study.page.read_text() == page
+
+
+def test_what_finished_missions_depend_on(tmp_path: Path) -> None:
+    """Another seed, other priors, other events: another identity; the same ones elsewhere: not."""
+    copy = tmp_path / "priors.toml"
+    copy.write_bytes(PRIORS.read_bytes())
+    flights = MissionFlights(str(FLIGHT), str(PRIORS), 1)
+    same = replace(flights, priors_path=str(copy))
+    assert same.identity() == flights.identity()
+    others = (
+        replace(flights, seed=2),
+        replace(flights, events_path=str(copy)),
+        replace(flights, priors_path=str(FLIGHT)),
+    )
+    assert len({own.identity() for own in (flights, *others)}) == 4
 
 
 def test_beliefs_replace_means_and_keep_bounds() -> None:

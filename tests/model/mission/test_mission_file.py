@@ -157,13 +157,13 @@ def test_changes_and_drift_move_parameters() -> None:
 
 
 def test_two_branches_without_a_mission_are_refused() -> None:
-    """A plain model of both branches names the branch that is too much."""
+    """A plain model of both branches names the branch that is too much, and the mission file."""
     from mission_cases import PRIORS
 
     from cassini_bayes.model import build_model
     from cassini_bayes.priors.reader import read_priors
 
-    with pytest.raises(InputError, match="branch"):
+    with pytest.raises(InputError, match=r"branch A.*trend MISSION.toml"):
         build_model(mixed_events(), read_priors(PRIORS))
 
 
