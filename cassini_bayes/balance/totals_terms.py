@@ -23,6 +23,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.branches import require_branch
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.spacecraft import Spacecraft, couples, pair_indicator
 
@@ -82,13 +83,7 @@ def stack_events(
                 f"event {event.id}", "unique ids", "the same id twice", "drop or rename one of them"
             )
         seen.add(event.id)
-        if event.branch != branch:
-            raise InputError(
-                f"event {event.id}: branch",
-                f"branch {branch} as in the priors file",
-                f"branch {event.branch}",
-                "the branches have thrusters of their own: fit them apart, each with its priors",
-            )
+        require_branch(f"event {event.id}", event.branch, branch)
         if event.pulses is None:
             raise InputError(
                 f"event {event.id}: pulses",

@@ -9,7 +9,15 @@ from typing import Annotated
 import typer
 
 from cassini_bayes import __version__
-from cassini_bayes.cli import calibrations, diagnoses, fits, predictions, simulations, sweeps
+from cassini_bayes.cli import (
+    calibrations,
+    diagnoses,
+    fits,
+    predictions,
+    simulations,
+    sweeps,
+    trends,
+)
 from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.errors import CassiniBayesError
 
@@ -29,6 +37,7 @@ app.command("fit")(fits.fit_command)
 app.command("diagnose")(diagnoses.diagnose_command)
 app.command("simulate")(simulations.simulate_command)
 app.command("sweep")(sweeps.sweep_command)
+app.command("trend")(trends.trend_command)
 app.command("predict")(predictions.predict_command)
 app.command("plan")(predictions.plan_command)
 app.command("diagnose-published")(calibrations.diagnose_published_command)

@@ -40,6 +40,7 @@ WORK = Path("runs/studies")
 OUT = Path("docs/results")
 FLIGHT = Path("cassini_bayes/published/flight_2009_2010.csv")
 TOTALS_PRIORS = Path("priors/cassini_b_branch_2010.toml")
+MISSION_PRIORS = Path("priors/cassini_mission.toml")
 TELEMETRY_PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 SCENARIO = Path("runs/scenarios/calibration.toml")
 HYBRID_SCENARIO = Path("runs/scenarios/hybrid_2012.toml")
@@ -196,6 +197,29 @@ def calibrate_mistakes_command(
     with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
         run_mistakes(study, priors, numbers)
     _end(page)
+
+
+@app.command("missions")
+def calibrate_missions_command(
+    events: Totals = FLIGHT,
+    priors: PriorsFile = MISSION_PRIORS,
+    trials: Trials = None,
+    quick: Quick = False,
+    seed: Seed = 20_090_312,
+    jobs: Jobs = None,
+    dask: Dask = None,
+    work: Work = WORK,
+    out: Out = OUT,
+    quiet: Quiet = False,
+) -> None:
+    """Simulated missions with known failures: names, onsets, false alarms, delays."""
+    from cassini_bayes.studies.missions import FULL, QUICK, study_missions
+
+    numbers = _numbers(FULL, QUICK, trials, quick)
+    page = out / "missions.md"
+    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
+        passed = study_missions(study, str(events), str(priors), numbers)
+    _end(page, passed)
 
 
 @app.command("prediction")

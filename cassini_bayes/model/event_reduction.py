@@ -35,6 +35,7 @@ from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.branches import require_branch
 from cassini_bayes.events.plausibility import (
     STRICT,
     CellSearch,
@@ -293,7 +294,7 @@ def reduce_event(
         branch than the priors', or too few rows that can be used.
     """
     event = read_event(folder, priors.spacecraft)
-    require_branch(event, priors)
+    require_branch(str(event.folder / DESCRIPTION), event.branch, priors.branch)
     nominal = Nominal.of(
         priors.spacecraft,
         event.branch,
@@ -383,17 +384,6 @@ def reduction_key(event: TelemetryEvent, sampling: Sampling, policy: Policy = ST
         "code": code_digest(*REDUCED_BY),
     }
     return hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def require_branch(event: TelemetryEvent, priors: Priors) -> None:
-    """Refuse an event of another thruster branch than the priors'."""
-    if event.branch != priors.branch:
-        raise InputError(
-            f"{event.folder / DESCRIPTION}: branch",
-            f"{priors.branch}, the branch of {priors.path}",
-            event.branch,
-            "use the priors of that branch",
-        )
 
 
 def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecord] | None:

@@ -32,14 +32,17 @@ class ThrustPrior:
     own, all N(0, 1) before the data: shared @ sharedᵀ is the prior covariance of the thrusters'
     levels (common + individual), own @ ownᵀ that of an event's departures (event + jitter). Where
     nothing fires there are no thrusters, K = 0.
+
+    Either factor may have a leading axis of events, ``shared`` also one of points before it: every
+    event then has a design row of its own for the shared coefficients (docs/mission.md).
     """
 
     common_mean_n: float
     common_sd_n: float  # 0 where the common level is walked or fixed
     common_is_walked: bool
     individual_sd_n: float
-    shared: Array  # (K, q)
-    own: Array  # (K, p)
+    shared: Array  # (K, q), or (…, E, K, q)
+    own: Array  # (K, p), or (E, K, p)
     # levels from an earlier fit: ``shared`` is then a factor of their covariance given the walked
     # parameters, and their mean takes the place of the common one
     chained: ChainedLevels | None = None
@@ -88,12 +91,12 @@ def thrust_prior_of(priors: Priors, thrusters: int) -> ThrustPrior:
         common_sd_n=common_sd,
         common_is_walked=walked,
         individual_sd_n=individual,
-        shared=_level_factor(common_sd, individual, thrusters),
-        own=_level_factor(event, jitter, thrusters),
+        shared=level_factor(common_sd, individual, thrusters),
+        own=level_factor(event, jitter, thrusters),
     )
 
 
-def _level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
+def level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
     """Factor B (K, rank) with B Bᵀ = common_sd² 1 1ᵀ + individual_sd² 1."""
     if individual_sd > 0:
         covariance = np.full((size, size), common_sd**2) + individual_sd**2 * np.eye(size)
@@ -134,13 +137,36 @@ class ThrustInformation:
         )
 
     def about(self, offset_n: Array) -> ThrustInformation:
-        """The same about other mean levels, common + offset (n, K).
+        """The same about other mean levels, common + offset (n, K), or (n, E, K) event by event.
 
         With d = d' + δ: c + νᵀd − ½ dᵀGd = (c + νᵀδ − ½ δᵀGδ) + (ν − Gδ)ᵀ d' − ½ d'ᵀ G d'.
         """
-        moved = (self.matrix @ offset_n[:, None, :, None])[..., 0]
-        along = offset_n[:, None, :] * (self.vector - 0.5 * moved)
+        each = _each_event(offset_n)
+        moved = (self.matrix @ each[..., None])[..., 0]
+        along = each * (self.vector - 0.5 * moved)
         return replace(self, vector=self.vector - moved, constant=self.constant + along.sum(-1))
+
+    def without_own(self, own: Array) -> ThrustInformation:
+        """What is left for the levels once the events' own departures are integrated out.
+
+        With L = ``own`` (K, p) or (E, K, p): G − GL(1 + LᵀGL)⁻¹LᵀG, and ν likewise.
+        """
+        across = np.swapaxes(own, -1, -2) @ self.matrix
+        factor = _cholesky(across @ own + np.eye(own.shape[-1]))
+        linear = np.swapaxes(own, -1, -2) @ self.vector[..., None]
+        solved = np.linalg.solve(factor, np.concatenate([across, linear], axis=-1))
+        schur = np.swapaxes(solved, -1, -2) @ solved
+        log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
+        return ThrustInformation(
+            self.matrix - schur[..., :-1, :-1],
+            self.vector - schur[..., :-1, -1],
+            self.constant + 0.5 * schur[..., -1, -1] - log_det,
+        )
+
+
+def _each_event(offset_n: Array) -> Array:
+    """Mean levels (n, K) of all events, or (n, E, K) of each, against (n, E, K)."""
+    return offset_n[:, None, :] if offset_n.ndim == 2 else offset_n
 
 
 @dataclass(frozen=True)
@@ -167,7 +193,7 @@ class CollapsedThrusts:
     shared_factor: Array  # (n, q, q) lower Cholesky factor of the shared precision
     shared_shift: Array  # (n, q) shared_factor⁻¹ ν_η
     common_n: Array  # (n,)
-    offset_n: Array | None  # (n, K)
+    offset_n: Array | None  # (n, K), or (n, E, K)
 
 
 def collapse_thrusts(
@@ -185,15 +211,20 @@ def collapse_thrusts(
     matrix, vector = information.matrix, information.vector
     by_shared = _times(matrix, shared)
     own_precision = _times(np.swapaxes(_times(matrix, own), -1, -2), own)
-    own_factor = _cholesky(own_precision + np.eye(own.shape[1]))
+    own_factor = _cholesky(own_precision + np.eye(own.shape[-1]))
     right = _times(
         np.concatenate([np.swapaxes(by_shared, -1, -2), vector[..., None, :]], axis=-2), own
     )
     solved: Array = np.asarray(np.linalg.solve(own_factor, np.swapaxes(right, -1, -2)), dtype=float)
     schur = np.swapaxes(solved, -1, -2) @ solved
-    shared_precision = shared.T @ by_shared.sum(-3) - schur[..., :-1, :-1].sum(-3)
-    shared_linear = vector.sum(-2) @ shared - schur[..., :-1, -1].sum(-2)
-    shared_factor = _cholesky(shared_precision + np.eye(shared.shape[1]))
+    if shared.ndim == 2:
+        precision, linear = shared.T @ by_shared.sum(-3), vector.sum(-2) @ shared
+    else:
+        precision = (np.swapaxes(shared, -1, -2) @ by_shared).sum(-3)
+        linear = (vector[..., None, :] @ shared)[..., 0, :].sum(-2)
+    shared_precision = precision - schur[..., :-1, :-1].sum(-3)
+    shared_linear = linear - schur[..., :-1, -1].sum(-2)
+    shared_factor = _cholesky(shared_precision + np.eye(shared.shape[-1]))
     shared_shift = np.linalg.solve(shared_factor, shared_linear[..., None])[..., 0]
     own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
     shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
@@ -219,7 +250,12 @@ def _cholesky(matrix: Array) -> Array:
 
 
 def _times(stack: Array, matrix: Array) -> Array:
-    """stack (..., r, K) @ matrix (K, c) as one product: numpy would loop over the stack."""
+    """stack (..., r, K) @ matrix (K, c) as one product: numpy would loop over the stack.
+
+    A matrix that differs between events, (..., K, c), is multiplied event by event.
+    """
+    if matrix.ndim > 2:
+        return np.asarray(stack @ matrix)
     product = stack.reshape(prod(stack.shape[:-1]), stack.shape[-1]) @ matrix
     return np.asarray(product.reshape(*stack.shape[:-1], matrix.shape[1]))
 
@@ -241,6 +277,8 @@ def draw_thrusts(
     pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
     own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
     common = collapsed.common_n
+    if prior.shared.ndim > 2:
+        raise ValueError("levels differ between events: draw the shared coefficients instead")
     level = common[:, None] + shared @ prior.shared.T
     if collapsed.offset_n is not None:
         level = level + collapsed.offset_n
@@ -287,9 +325,14 @@ def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Arr
     response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
     spread = own @ own_inverse_t
     common = collapsed.common_n[:, None, None]
-    mean = common + own_mean @ own.T + (shared_mean @ shared.T)[:, None, :]
+    if shared.ndim == 2:
+        levels = (shared_mean @ shared.T)[:, None, :]
+    else:
+        levels = (shared @ shared_mean[:, None, :, None])[..., 0]
+    departures = own_mean @ own.T if own.ndim == 2 else (own @ own_mean[..., None])[..., 0]
+    mean = common + departures + levels
     if collapsed.offset_n is not None:
-        mean = mean + collapsed.offset_n[:, None, :]
+        mean = mean + _each_event(collapsed.offset_n)
     return mean, (spread**2).sum(-1) + (response**2).sum(-1)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -37,8 +37,14 @@ __all__ = [
     "read_priors",
 ]
 
-ZERO_CENTRED: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
-_TABLES: Final = ("spacecraft", "parameters", "from_fit")
+ZERO_CENTRED: Final = (
+    "thrust_individual_n",
+    "thrust_event_n",
+    "thrust_jitter_n",
+    "thrust_drift_n_per_year",
+    "thrust_ageing_n_per_year",
+)
+_TABLES: Final = ("spacecraft", "parameters", "from_fit", "branch")
 _LEVELS: Final = ("thrust_common_n", "thrust_individual_n")  # what an earlier fit's levels replace
 _OWN_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
 _NEVER_NEGATIVE_BLOCKS: Final = ("tail-off", "wheel inertia", "mass", "noise")
@@ -47,6 +53,8 @@ _BUT_SIGNED: Final = (
     "rate_bias_y_rad_s",
     "rate_bias_z_rad_s",
     "accelerometer_bias_m_s2",
+    "tail_pressure_exponent",
+    "tail_ageing_per_year",
 )
 _NEVER_NEGATIVE: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
 # More prior probability of a negative value than this means that a bound was forgotten.
@@ -86,7 +94,8 @@ class Priors:
 
     ``path`` is the file as the user named it, ``digest`` the SHA-256 of its bytes; both stay those
     of the file when :meth:`with_distribution` makes a variant of it. ``earlier`` are the moments of
-    an earlier fit that stand in for the priors of what it walked (``from_fit``).
+    an earlier fit that stand in for the priors of what it walked (``from_fit``). ``of_branches``
+    are priors that hold for one thruster branch only (``[branch.A.parameters.…]``).
     """
 
     spacecraft: Spacecraft
@@ -96,6 +105,7 @@ class Priors:
     path: str
     digest: str
     earlier: EarlierFit | None = None
+    of_branches: Mapping[str, Mapping[str, ParameterPrior]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
@@ -103,7 +113,12 @@ class Priors:
     def __reduce__(self) -> tuple[object, ...]:
         # A read-only mapping cannot be sent to a worker process; the arguments can.
         arguments = (self.spacecraft, self.branch, self.wheels, dict(self.parameters))
-        return Priors, (*arguments, self.path, self.digest, self.earlier)
+        return Priors, (*arguments, self.path, self.digest, self.earlier, self.of_branches)
+
+    def for_branch(self, branch: str) -> Priors:
+        """The priors of one thruster branch: its own ones, and those that hold for all."""
+        own = self.of_branches.get(branch, {})
+        return replace(self, branch=branch, parameters={**self.parameters, **own})
 
     def require(self, names: Iterable[str], why: str) -> None:
         """Check that the file has every parameter in ``names``.
@@ -239,24 +254,13 @@ def read_priors(path: str | Path) -> Priors:
         if key not in _TABLES:
             raise InputError(
                 f"{path}: {key}",
-                "the tables spacecraft and parameters, or from_fit",
+                "the tables spacecraft, parameters and branch, or from_fit",
                 f"the unknown key {key!r}",
                 nearest(key, _TABLES),
             )
     own = _table(f"{path}: spacecraft", document.get("spacecraft"))
     spacecraft = _read_spacecraft(Path(path), own)
-    specs = known_parameters(spacecraft)
-    parameters = {}
-    for name, entry in _table(f"{path}: parameters", document.get("parameters")).items():
-        where = f"{path}: parameters.{name}"
-        if name not in specs:
-            raise InputError(
-                where,
-                f"a parameter of {spacecraft.name}",
-                f"the name {name!r}",
-                nearest(name, specs),
-            )
-        parameters[name] = _read_parameter(where, specs[name], _table(where, entry))
+    parameters = _read_parameters(f"{path}: parameters", document.get("parameters"), spacecraft)
     wheels = _read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft)
     turned = spacecraft.with_platforms(parameters)
     turned.check_platforms(wheels, f"{path}: parameters")
@@ -267,8 +271,52 @@ def read_priors(path: str | Path) -> Priors:
         parameters=parameters,
         path=str(path),
         digest=hashlib.sha256(content).hexdigest(),
+        of_branches=_read_branches(str(path), document.get("branch", {}), spacecraft),
     )
     return _chained(priors, document["from_fit"]) if "from_fit" in document else priors
+
+
+def _read_parameters(
+    where: str, value: object, spacecraft: Spacecraft
+) -> dict[str, ParameterPrior]:
+    """The priors of one table, by name."""
+    specs = known_parameters(spacecraft)
+    parameters = {}
+    for name, entry in _table(where, value).items():
+        key = f"{where}.{name}"
+        if name not in specs:
+            raise InputError(
+                key, f"a parameter of {spacecraft.name}", f"the name {name!r}", nearest(name, specs)
+            )
+        parameters[name] = _read_parameter(key, specs[name], _table(key, entry))
+    return parameters
+
+
+def _read_branches(
+    path: str, value: object, spacecraft: Spacecraft
+) -> dict[str, dict[str, ParameterPrior]]:
+    """Priors of single branches: the tables ``branch.<name>.parameters``."""
+    found = {}
+    for name, table in _table(f"{path}: branch", value).items():
+        where = f"{path}: branch.{name}"
+        if name not in spacecraft.branches:
+            raise InputError(
+                where,
+                f"a thruster branch of {spacecraft.name}",
+                repr(name),
+                nearest(name, spacecraft.branches),
+            )
+        entries = _table(where, table)
+        for key in entries:
+            if key != "parameters":
+                raise InputError(
+                    f"{where}.{key}",
+                    "the table parameters",
+                    repr(key),
+                    nearest(key, ["parameters"]),
+                )
+        found[name] = _read_parameters(f"{where}.parameters", entries.get("parameters"), spacecraft)
+    return found
 
 
 def _chained(priors: Priors, value: object) -> Priors:

@@ -49,6 +49,29 @@ _GENERIC: Final = (
         thrust_jitter_n="departure of one thruster in one event",
     ),
     *_specs(
+        "thrust",
+        "N/year",
+        thrust_drift_n_per_year="steady change common to a branch's thrusters at given pressure",
+        thrust_ageing_n_per_year="steady change of one thruster's thrust beyond the common one",
+    ),
+    *_specs(
+        "thrust",
+        "1",
+        thrust_intercept_share="share of the thrust at the reference pressure that pressure leaves",
+        thrust_loss_share="thrust that a failing thruster loses at its onset, as a share",
+        failing_probability="probability that one thruster of a branch fails during the mission",
+    ),
+    *_specs(
+        "tail-off",
+        "1",
+        tail_pressure_exponent="tail-off goes as (pressure / reference) to minus this power",
+    ),
+    *_specs(
+        "tail-off",
+        "1/year",
+        tail_ageing_per_year="relative change of the tail-off time a year",
+    ),
+    *_specs(
         "tail-off",
         "s",
         tau_delay_s="valve delay between command and thrust",
@@ -97,6 +120,11 @@ _GENERIC: Final = (
         "mass",
         "kg",
         mass_kg="wet mass",
+    ),
+    *_specs(
+        "mass",
+        "1",
+        hydrazine_used_factor="true over tabulated mass of hydrazine used",
     ),
     *_specs("mass", "1", mass_factor="factor common to the table masses of all events"),
     *_specs(

@@ -140,6 +140,7 @@ def recorded(event: SimulatedEvent) -> tuple[TelemetryEvent, Chunk]:
         pulses=samples.pulses.copy(),
         delta_v_m_s=np.zeros((rows, 0)),
         tank_pressure_kpa=np.full(rows, np.nan),
+        accelerometer_counts=np.full(rows, np.nan),
     )
     return described, chunk
 

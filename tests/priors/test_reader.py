@@ -12,9 +12,9 @@ import pytest
 from scipy import stats
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.model.thrusts import THRUST_LEVELS
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import (
-    ZERO_CENTRED,
     ParameterPrior,
     ParameterSpace,
     Priors,
@@ -112,7 +112,7 @@ def test_shipped_files_are_complete(path: Path) -> None:
     assert all(len(prior.source) > 20 for prior in priors.parameters.values())
     wheels = [wheel for wheel in priors.spacecraft.wheels if wheel.number in priors.wheels]
     needed = [
-        *("thrust_common_n", *ZERO_CENTRED, "tau_delay_s", "tau_rise_s", "tau_fall_s"),
+        *("thrust_common_n", *THRUST_LEVELS, "tau_delay_s", "tau_rise_s", "tau_fall_s"),
         *(f"cm_{axis}_m" for axis in "xyz"),
         *(f"external_torque_{axis}_n_m" for axis in "xyz"),
         *(f"thruster_{length}_m" for length in ("lx", "ly", "lzz", "lzy")),

@@ -1,0 +1,47 @@
+"""`trend`: thrust and health of every thruster over a mission."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cassini_bayes.cli.options import ConsoleReporter, Json, OwnSeed, Quiet
+
+
+def trend_command(
+    mission_file: Annotated[Path, typer.Argument(metavar="MISSION.toml", help="Mission file.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder to write.")] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Tables only: no figures, no page.")
+    ] = False,
+    seed: OwnSeed = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Thrust of every thruster over a mission; goes on with the same command, with events added."""
+    from cassini_bayes.model.mission.mission_file import read_mission_file
+    from cassini_bayes.pipeline.trend_run import execute_trend
+
+    mission = read_mission_file(mission_file)
+    if seed is not None:
+        trend = mission.trend.model_copy(update={"seed": seed})
+        mission = mission.model_copy(update={"trend": trend})
+    outcome = execute_trend(
+        mission,
+        str(mission_file),
+        mission_file.parent,
+        out or mission_file.parent / mission_file.stem,
+        name=mission_file.stem,
+        command=["cassini-bayes", *sys.argv[1:]],
+        reporter=ConsoleReporter(quiet),
+        report=not no_report,
+    )
+    if as_json:
+        typer.echo(json.dumps({"folder": str(outcome.folder), **outcome.record}, allow_nan=False))
+    elif not quiet:
+        typer.echo(str(outcome.folder / ("trend.csv" if no_report else "report.html")))
+    raise typer.Exit(0 if outcome.fit.converged else 1)

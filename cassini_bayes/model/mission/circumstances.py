@@ -1,0 +1,197 @@
+"""What held when an event flew: time, branch, tank pressure, hydrazine used, facts before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.errors import InputError
+from cassini_bayes.model.mission.mission_file import (
+    Epoch,
+    MissionTable,
+    PressureTable,
+    utc,
+    years_between,
+)
+
+KPA_PER_PSI: Final = 6.894757
+LARGEST_BLOWDOWN: Final = 4.0
+"""Ratio of pressures that a blowdown tank spans at most; a reading in psia is 6.9 times less."""
+
+
+@dataclass(frozen=True)
+class EventFacts:
+    """What a mission has to know of an event beside its data; ``pressure_kpa`` is its own."""
+
+    id: str
+    epoch: datetime
+    branch: str
+    fires: bool
+    pressure_kpa: float | None
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """Circumstances of E events in order of time; ``tank`` works out their pressures."""
+
+    events: tuple[EventFacts, ...]
+    years: Array  # (E,) since the reference epoch
+    used_kg: Array  # (E,) tabulated hydrazine used since the reference epoch
+    facts_before: tuple[int, ...]  # (E,) how many dated facts came before
+    tank: Tank
+
+    @property
+    def branches(self) -> tuple[str, ...]:
+        """Branches that flew, in order of their first event."""
+        return tuple(dict.fromkeys(event.branch for event in self.events))
+
+
+@dataclass(frozen=True)
+class Tank:
+    """Tank pressures (E,), known or from a blowdown law.
+
+    Where the law acts, ``p = start (V / (V + f m / ρ))ⁿ`` with the tabulated mass m used since the
+    tank was filled and f the factor on it.
+    """
+
+    reference_kpa: float
+    known_kpa: Array  # (E,) NaN where the law acts
+    start_kpa: Array  # (E,)
+    ullage_m3: Array  # (E,) gas volume at the start
+    used_m3: Array  # (E,) volume of the tabulated hydrazine used since
+    refilled_m3: Array  # (E,) volume that was used before a recharge, which the gas has too
+    exponent: float
+
+    @property
+    def is_circular(self) -> bool:
+        """Whether any pressure depends on the mass of hydrazine used."""
+        return bool(np.isnan(self.known_kpa).any())
+
+    def pressures_kpa(self, factor: Array) -> Array:
+        """Pressures (n, E) at factors (n,) on the mass used, kPa."""
+        gas = self.ullage_m3 + factor[:, None] * self.refilled_m3
+        law = self.start_kpa * (gas / (gas + factor[:, None] * self.used_m3)) ** self.exponent
+        return np.where(np.isnan(self.known_kpa), law, self.known_kpa)
+
+
+def circumstances_of(
+    mission: MissionTable, events: Sequence[EventFacts], where: str
+) -> Circumstances:
+    """The circumstances of events.
+
+    Raises
+    ------
+    InputError
+        Events out of order, of a branch that a swap had put out of use, or without a pressure; a
+        pressure that looks like psia.
+    """
+    for before, after in pairwise(events):
+        if after.epoch < before.epoch:
+            raise InputError(
+                f"{where}: events: {after.id}",
+                f"events in order of time: none before {before.id} of {before.epoch.date()}",
+                str(after.epoch.date()),
+                "list it earlier, or mend its epoch",
+            )
+    for event in events:
+        _require_branch(mission, event, where)
+    start = mission.trend.reference_epoch
+    used = np.array([_used_kg(mission, event.epoch) for event in events])
+    facts = [utc(fact.epoch) for fact in mission.dated]
+    return Circumstances(
+        events=tuple(events),
+        years=np.array([years_between(start, event.epoch) for event in events]),
+        used_kg=used - _used_kg(mission, utc(start)),
+        facts_before=tuple(sum(at <= event.epoch for at in facts) for event in events),
+        tank=tank_of(mission, events, where),
+    )
+
+
+def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> Tank:
+    """The pressures of events: their own, else from readings, else from the blowdown law."""
+    same = np.ones(len(events))
+    if mission.pressure is None:
+        return Tank(1.0, same, same, same, 0.0 * same, 0.0 * same, 1.0)
+    law, table = mission.pressure.blowdown, mission.pressure
+    known = np.full(len(events), np.nan)
+    for i, event in enumerate(events):
+        reading = event.pressure_kpa
+        if reading is None:
+            reading = _between_readings(mission, table, event.epoch)
+        if reading is not None:
+            _require_kpa(reading, table.reference_kpa, f"{where}: event {event.id}")
+            known[i] = reading
+        elif law is None and event.fires:
+            raise InputError(
+                f"{where}: event {event.id}",
+                "a tank pressure",
+                "none: no tank_pressure_kpa, no reading before and after it, no blowdown law",
+                "add it to [pressure] readings",
+            )
+        elif law is None:
+            known[i] = table.reference_kpa  # nothing fires: its pressure does not matter
+    if law is None:
+        return Tank(table.reference_kpa, known, same, same, 0.0 * same, 0.0 * same, 1.0)
+    recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
+    last = [max((at for at in recharges if at <= e.epoch), default=None) for e in events]
+    before = np.array([0.0 if at is None else _used_kg(mission, at) for at in last])
+    used = np.array([_used_kg(mission, event.epoch) for event in events])
+    after_kpa = law.start_kpa if law.recharge_kpa is None else law.recharge_kpa
+    return Tank(
+        reference_kpa=table.reference_kpa,
+        known_kpa=known,
+        start_kpa=np.array([law.start_kpa if at is None else after_kpa for at in last]),
+        ullage_m3=np.full(len(events), law.ullage_m3),
+        used_m3=(used - before) / law.density_kg_m3,
+        refilled_m3=before / law.density_kg_m3,
+        exponent=law.exponent,
+    )
+
+
+def _require_kpa(pressure: float, reference: float, where: str) -> None:
+    if pressure * LARGEST_BLOWDOWN < reference:
+        raise InputError(
+            where,
+            f"a tank pressure in kPa, not far from the reference of {reference:g} kPa",
+            f"{pressure:g}",
+            f"if it is psia, write {pressure * KPA_PER_PSI:.0f} kPa",
+        )
+
+
+def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> None:
+    swaps = [f for f in mission.dated if f.what == "branch_swap" and utc(f.epoch) <= event.epoch]
+    if swaps and event.branch != swaps[-1].branch:
+        raise InputError(
+            f"{where}: event {event.id}: branch",
+            f"branch {swaps[-1].branch}, in use since the swap of {swaps[-1].epoch}",
+            f"branch {event.branch} on {event.epoch.date()}",
+            "mend the branch or the date, or add the swap back",
+        )
+
+
+def _between_readings(mission: MissionTable, table: PressureTable, epoch: datetime) -> float | None:
+    """The pressure between two readings (kPa), if no recharge lies between them."""
+    recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
+    readings = [(utc(reading.epoch), reading.kpa) for reading in table.readings]
+    for at, value in readings:
+        if at == epoch:
+            return value
+    for (start, low), (end, high) in pairwise(readings):
+        if start <= epoch <= end and not any(start < at <= end for at in recharges):
+            return low + (high - low) * ((epoch - start) / (end - start))
+    return None
+
+
+def _used_kg(mission: MissionTable, epoch: Epoch) -> float:
+    """Hydrazine used by an epoch, linear between entries and constant beyond them; 0 without."""
+    if mission.propellant is None:
+        return 0.0
+    at = [utc(entry.epoch).timestamp() for entry in mission.propellant.used]
+    used = [entry.kg for entry in mission.propellant.used]
+    return float(np.interp(utc(epoch).timestamp(), at, used))

@@ -1,0 +1,131 @@
+"""Events of a mission: read, checked, and put beside what the mission has to know of each."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.telemetry import read_event
+from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.model.event_reduction import (
+    EventRows,
+    is_event_folder,
+    reduce_event,
+    store_reduction,
+)
+from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
+from cassini_bayes.model.mission.mission_file import MissionTable
+from cassini_bayes.model.mission.model import MissionModel, build_mission
+from cassini_bayes.model.posterior import Event
+from cassini_bayes.priors.reader import Priors, read_priors
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class MissionInputs:
+    """A mission's priors and events, and its model; digests are those of the files."""
+
+    priors: Priors
+    model: MissionModel
+    on_time_s: Mapping[str, Array]  # event → (K,)
+    digests: Mapping[str, str]  # event → SHA-256 of where it came from
+
+
+def read_mission(
+    mission: MissionTable,
+    base: Path,
+    where: str,
+    cache: Path | None = None,
+    say: Say = lambda _: None,
+) -> MissionInputs:
+    """Read priors and events that a mission file names, relative to ``base``.
+
+    Parameters
+    ----------
+    cache
+        Folder of reduced telemetry, taken from there where nothing changed and kept there.
+
+    Raises
+    ------
+    InputError
+        Anything wrong with priors, events or their circumstances; another spacecraft than the
+        priors'; an id twice.
+    """
+    priors = read_priors(base / mission.priors)
+    name = mission.spacecraft.get("name", priors.spacecraft.name)
+    if name != priors.spacecraft.name:
+        raise InputError(
+            f"{where}: spacecraft.name",
+            f"{priors.spacecraft.name!r}, as in {mission.priors}",
+            repr(name),
+            "use the priors of that spacecraft",
+        )
+    events: list[Event] = []
+    facts: list[EventFacts] = []
+    digests: dict[str, str] = {}
+    for reference in mission.events:
+        place = base / reference
+        if is_event_folder(place):
+            found: list[tuple[Event, EventFacts, str]] = [
+                _telemetry(place, priors, mission.pulse_shape, cache, say)
+            ]
+        else:
+            rows = read_totals(str(place), priors.spacecraft, mission.source)
+            found = [
+                (row, EventFacts(row.id, row.epoch, row.branch, True, None), _row_digest(row))
+                for row in rows
+            ]
+        for event, fact, content in found:
+            if fact.id in digests:
+                raise InputError(
+                    f"{where}: event {fact.id}",
+                    "each event once in a mission",
+                    "the same id twice",
+                    "leave one out, or rename one",
+                )
+            digests[fact.id] = content
+            events.append(event)
+            facts.append(fact)
+    circumstances = circumstances_of(mission, facts, where)
+    model = build_mission(mission, priors, events, circumstances)
+    return MissionInputs(priors, model, {e.id: _on_times(e) for e in events}, digests)
+
+
+def _telemetry(
+    folder: Path, priors: Priors, pulse_shape: str, cache: Path | None, say: Say
+) -> tuple[Event, EventFacts, str]:
+    """A folder of telemetry, reduced; its tank pressure is the mean of its readings."""
+    described = read_event(folder, priors.spacecraft)
+    of_branch = priors.for_branch(described.branch)
+    reduced = reduce_event(folder, of_branch, pulse_shape, cache, say)
+    if cache is not None:
+        store_reduction(reduced, cache)
+    readings = [
+        chunk.tank_pressure_kpa[np.isfinite(chunk.tank_pressure_kpa)]
+        for chunk in EventRows(described, priors.spacecraft).chunks()
+    ]
+    values = np.concatenate(readings)
+    pressure = float(values.mean()) if len(values) else None
+    fact = EventFacts(reduced.id, described.epoch, described.branch, reduced.fires, pressure)
+    return reduced, fact, reduced.digest
+
+
+def _on_times(event: Event) -> Array:
+    """Commanded on-time of every thruster in an event, s."""
+    if isinstance(event, TotalsEvent):
+        return event.on_time_s
+    return np.asarray(event.reading.on_time_s, dtype=np.float64)
+
+
+def _row_digest(row: TotalsEvent) -> str:
+    """SHA-256 of what a totals row says: other rows of its file do not matter."""
+    values = (getattr(row, field.name) for field in fields(row))
+    text = repr([v.tolist() if isinstance(v, np.ndarray) else v for v in values])
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,460 @@
+"""The mission model: a sum of models of events, whose thrusts share levels, ageing and pressure.
+
+Thrust of thruster k of a branch in event e is
+
+    F = u(p_e) [common + individual_k + (drift + ageing_k) t_e − losses so far] + event_e
+        + jitter_ek,
+    u(p) = λ + (1 − λ) p / p_ref,
+
+linear in everything but the share λ of the thrust that pressure leaves, which is walked; λ = 0 is
+the proportional law. ``docs/mission.md`` derives what follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.balance.physics import Parameters
+from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.mission.circumstances import Circumstances
+from cassini_bayes.model.mission.mission_file import ChangeTable, MissionTable
+from cassini_bayes.model.posterior import Event, Model, build_model
+from cassini_bayes.model.thrusts import (
+    THRUST_COMMON,
+    CollapsedThrusts,
+    ThrustInformation,
+    ThrustPrior,
+    collapse_thrusts,
+    level_factor,
+    thrust_prior_of,
+)
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.reader import ParameterPrior, ParameterSpace, Priors, known_parameters
+
+INTERCEPT: Final = "thrust_intercept_share"
+AGEING: Final = ("thrust_drift_n_per_year", "thrust_ageing_n_per_year")
+TAIL: Final = "tau_fall_s"
+TAIL_PRESSURE: Final = "tail_pressure_exponent"
+TAIL_AGEING: Final = "tail_ageing_per_year"
+USED_FACTOR: Final = "hydrazine_used_factor"
+OF_A_BRANCH: Final = ("thrust", "tail-off")
+"""Blocks whose parameters every branch has for itself; any other that a branch table names."""
+MAY_CHANGE: Final = ("centre of mass", "inertia", "mass")
+"""Blocks that dated facts and propellant may change."""
+_SAME_THRUST: Final = 0.1  # events whose expected thrusts differ less share an expansion
+_BLOCK: Final = 100  # points worked up at a time: 20 MB of design rows for 200 events
+
+
+@dataclass(frozen=True)
+class Part:
+    """Events of the same circumstances, as a model of their own.
+
+    ``names`` maps the model's parameters to the mission's; ``changes`` adds to one of them a
+    mission's parameter times a coefficient.
+    """
+
+    model: Model
+    places: Places  # of its events that fire among the branch's
+    branch: str
+    names: Mapping[str, str]
+    changes: tuple[tuple[str, str, float], ...]
+    tail_pressure: str  # mission's names of what the tail-off follows
+    tail_ageing: str
+    event: int  # one of its events: all share pressure and age as far as the tail-off asks
+
+    def parameters_at(
+        self, parameters: Parameters, relative_pressure: Array, years: float
+    ) -> dict[str, Array | float]:
+        """The model's parameters at the mission's; relative_pressure (n,) = p / p_ref."""
+        own = {name: parameters[mission] for name, mission in self.names.items()}
+        for name, change, coefficient in self.changes:
+            if name in own:
+                own[name] = own[name] + coefficient * parameters[change]
+        if TAIL in own and self.tail_pressure in parameters:
+            power, rate = parameters[self.tail_pressure], parameters[self.tail_ageing]
+            own[TAIL] = own[TAIL] * relative_pressure**-power * np.exp(rate * years)
+        return own
+
+
+@dataclass(frozen=True)
+class BranchThrusts:
+    """Thrusts of one branch: the events that fired it, and the coefficients they share.
+
+    Coefficients are standard normal before the data: q0 of the thrusters' levels at the reference
+    pressure, then q1 of ageing (a drift common to all, and each thruster's own).
+    """
+
+    branch: str
+    thrusters: tuple[str, ...]
+    events: Places  # (E,) among the mission's
+    years: Array  # (E,) since the first of them
+    common_n: float  # prior mean of a level
+    levels: Array  # (K, q0) factor of the levels' prior covariance
+    ageing: Array  # (K, q1) factor of the prior covariance of their change in a year
+    own: Array  # (K, p) factor of an event's departures
+    reference_n: Array  # (E,) thrust about which each event's information is given
+
+    def rows(self, years: Array) -> Array:
+        """Design rows (T, K, q) of levels at years (T,) since the branch's first event."""
+        levels = np.broadcast_to(self.levels, (len(years), *self.levels.shape))
+        return np.concatenate([levels, years[:, None, None] * self.ageing], axis=-1)
+
+    def prior_at(self, scale: Array) -> ThrustPrior:
+        """The thrusts' prior where thrust is ``scale`` (n, E) times that at the reference."""
+        rows = scale[..., None, None] * self.rows(self.years)
+        return ThrustPrior(self.common_n, 0.0, False, 0.0, rows, self.own)
+
+
+@dataclass(frozen=True)
+class BranchAt:
+    """One branch at n points: its events' information and the collapsed coefficients."""
+
+    thrusts: BranchThrusts
+    information: ThrustInformation  # about ``reference_n``
+    scale: Array  # (n, E) u, thrust over thrust at the reference pressure
+
+    @cached_property
+    def prior(self) -> ThrustPrior:
+        """The thrusts' prior, with the design rows at these points."""
+        return self.thrusts.prior_at(self.scale)
+
+    @property
+    def offset_n(self) -> Array:
+        """Prior mean of the thrusts less the reference (n, E, K)."""
+        mean = self.thrusts.common_n * self.scale - self.thrusts.reference_n
+        return np.broadcast_to(mean[..., None], (*mean.shape, len(self.thrusts.thrusters)))
+
+    def take(self, places: Places) -> BranchAt:
+        """The same at some of the points, in that order."""
+        found = self.information
+        chosen = ThrustInformation(
+            found.matrix[places], found.vector[places], found.constant[places]
+        )
+        return replace(self, information=chosen, scale=self.scale[places])
+
+    @cached_property
+    def collapsed(self) -> CollapsedThrusts:
+        """Thrusts and coefficients integrated out."""
+        none = np.zeros(len(self.scale))
+        return collapse_thrusts(self.prior, self.information, none, self.offset_n)
+
+    @cached_property
+    def left(self) -> ThrustInformation:
+        """What events say of their levels, about the prior mean, own departures integrated out."""
+        return self.information.about(self.offset_n).without_own(self.thrusts.own)
+
+
+@dataclass(frozen=True)
+class MissionModel:
+    """Everything that stays constant during the fit of a mission."""
+
+    parts: tuple[Part, ...]
+    branches: tuple[BranchThrusts, ...]
+    circumstances: Circumstances
+    space: ParameterSpace
+    units: Mapping[str, str]
+
+    def at(self, z: Array) -> tuple[tuple[BranchAt, ...], Array]:
+        """Every branch at walked coordinates z (n, d), and what says nothing of thrusts (n,)."""
+        parameters = self.space.to_parameters(z)
+        n, tank = len(z), self.circumstances.tank
+        factor = np.broadcast_to(np.asarray(parameters.get(USED_FACTOR, 1.0)), (n,))
+        relative = tank.pressures_kpa(factor) / tank.reference_kpa
+        found: dict[str, list[tuple[Part, ThrustInformation]]] = {}
+        rest = np.zeros(n)
+        for part in self.parts:
+            years = self._years(part)
+            own = part.parameters_at(parameters, relative[:, part.event], years)
+            points = part.model.points_at(own, n)
+            terms = [term.at(points) for term in part.model.terms]
+            rest = rest + sum(term.log_likelihood for term in terms)
+            if len(part.places):
+                joined = ThrustInformation.joined([term.information for term in terms])
+                found.setdefault(part.branch, []).append((part, joined))
+        return tuple(
+            self._branch_at(branch, found[branch.branch], parameters, relative)
+            for branch in self.branches
+        ), rest
+
+    def log_likelihood(self, z: Array) -> Array:
+        """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
+        return np.concatenate([self._log_likelihood(z[rows]) for rows in blocks(len(z))])
+
+    def _log_likelihood(self, z: Array) -> Array:
+        branches, rest = self.at(z)
+        return np.asarray(rest + sum(branch.collapsed.log_likelihood for branch in branches))
+
+    def _years(self, part: Part) -> float:
+        for branch in self.branches:
+            if branch.branch == part.branch and len(part.places):
+                return float(branch.years[part.places[0]])
+        return 0.0
+
+    def _branch_at(
+        self,
+        branch: BranchThrusts,
+        parts: Sequence[tuple[Part, ThrustInformation]],
+        parameters: Parameters,
+        relative: Array,
+    ) -> BranchAt:
+        order = np.argsort(np.concatenate([part.places for part, _ in parts]))
+        joined = ThrustInformation.joined([information for _, information in parts])
+        information = ThrustInformation(
+            joined.matrix[:, order], joined.vector[:, order], joined.constant[:, order]
+        )
+        share = np.broadcast_to(np.asarray(parameters[INTERCEPT]), (len(relative),))[:, None]
+        scale = share + (1.0 - share) * relative[:, branch.events]
+        return BranchAt(branch, information, scale)
+
+
+def blocks(n: int) -> Iterator[slice]:
+    """Slices that cover n points, as many at a time as memory and cache like."""
+    return (slice(start, min(start + _BLOCK, n)) for start in range(0, n, _BLOCK))
+
+
+def mission_name(name: str, block: str, branch: str, own: Sequence[str], several: bool) -> str:
+    """A parameter's name in a mission: with its branch where branches have one each."""
+    return f"{branch}.{name}" if several and (block in OF_A_BRANCH or name in own) else name
+
+
+def build_mission(
+    mission: MissionTable, priors: Priors, events: Sequence[Event], circumstances: Circumstances
+) -> MissionModel:
+    """Assemble the model of a mission.
+
+    Parameters
+    ----------
+    events
+        In the order of ``circumstances``; velocity changes computed on board are left out: they
+        inform no thrust.
+
+    Raises
+    ------
+    InputError
+        As :func:`build_model`; priors from an earlier fit; a common thrust that is not normal; a
+        change of a parameter that no fact changes.
+    """
+    if priors.earlier is not None:
+        raise InputError(
+            f"{priors.path}: from_fit",
+            "priors of their own",
+            "an earlier fit",
+            "a mission goes on with its own trend.nc: leave from_fit out",
+        )
+    _check_changes(mission, priors)
+    own = tuple(dict.fromkeys(name for table in priors.of_branches.values() for name in table))
+    several = len(circumstances.branches) > 1
+    prior_of: dict[str, ParameterPrior] = {}
+    branches = tuple(
+        _branch_thrusts(branch, priors.for_branch(branch), circumstances)
+        for branch in circumstances.branches
+        if any(e.fires for e in circumstances.events if e.branch == branch)
+    )
+    parts = []
+    for members in _alike(mission, priors, circumstances, branches):
+        branch = circumstances.events[members[0]].branch
+        of_branch = priors.for_branch(branch)
+        chosen = [_without_computed(events[i]) for i in members]
+        thrusts = next((b for b in branches if b.branch == branch), None)
+        places = _places(thrusts, members)
+        if thrusts is not None and len(places):
+            of_branch = _about(of_branch, float(thrusts.reference_n[places[0]]))
+        model = build_model(chosen, of_branch, pulse_shape=mission.pulse_shape)
+        names = {}
+        for name in (*model.space.names, *model.space.fixed):
+            prior = of_branch.parameters[name]
+            label = mission_name(name, prior.spec.block, branch, own, several)
+            names[name] = label
+            prior_of[label] = prior
+        laws = [
+            mission_name(law, "tail-off", branch, own, several)
+            for law in (TAIL_PRESSURE, TAIL_AGEING)
+        ]
+        if len(places):
+            of_branch.require((INTERCEPT, TAIL_PRESSURE, TAIL_AGEING), "a mission")
+            prior_of[laws[0]] = of_branch.parameters[TAIL_PRESSURE]
+            prior_of[laws[1]] = of_branch.parameters[TAIL_AGEING]
+            prior_of[INTERCEPT] = priors.parameters[INTERCEPT]
+        parts.append(
+            Part(
+                model,
+                places,
+                branch,
+                names,
+                tuple(_changes(mission, circumstances, members[0])),
+                laws[0],
+                laws[1],
+                members[0],
+            )
+        )
+    if circumstances.tank.is_circular:
+        priors.require([USED_FACTOR], "a blowdown law")
+        if mission.propellant is not None and mission.propellant.computed:
+            prior_of[USED_FACTOR] = priors.parameters[USED_FACTOR]
+    space, units = _space(prior_of, mission, {c for part in parts for _, c, _ in part.changes})
+    return MissionModel(tuple(parts), branches, circumstances, space, units)
+
+
+def _without_computed(event: Event) -> Event:
+    """The event without a velocity change that the flight software computed."""
+    if isinstance(event, TotalsEvent) and event.delta_v_source == "computed":
+        return replace(event, delta_v_m_s=None, delta_v_source=None)
+    return event
+
+
+def _about(priors: Priors, reference_n: float) -> Priors:
+    """Priors whose common thrust has another mean: what an event's information is counted from."""
+    common = priors.parameters[THRUST_COMMON]
+    if common.distribution is None:
+        return priors.with_fixed(THRUST_COMMON, reference_n)
+    moved = Distribution("norm", {"loc": reference_n, "scale": common.sd})
+    return priors.with_distribution(THRUST_COMMON, moved)
+
+
+def _branch_thrusts(branch: str, priors: Priors, circumstances: Circumstances) -> BranchThrusts:
+    """The coefficients that a branch's events share, and their design rows."""
+    thrusters = priors.spacecraft.thruster_names(branch)
+    prior = thrust_prior_of(priors, len(thrusters))
+    if prior.common_is_walked:
+        raise InputError(
+            f"{priors.path}: parameters.{THRUST_COMMON}.dist",
+            "norm without bounds, or fixed, in a mission",
+            "another distribution",
+            "use a normal prior",
+        )
+    _, (drift, own) = priors.normal(AGEING)
+    events = np.array(
+        [i for i, e in enumerate(circumstances.events) if e.branch == branch and e.fires]
+    )
+    share = priors.parameters[INTERCEPT].mean if INTERCEPT in priors.parameters else 0.0
+    tank = circumstances.tank
+    relative = tank.pressures_kpa(np.ones(1))[0, events] / tank.reference_kpa
+    expected = prior.common_mean_n * (share + (1.0 - share) * relative)
+    steps = np.round(np.log(expected) / _SAME_THRUST)
+    return BranchThrusts(
+        branch=branch,
+        thrusters=thrusters,
+        events=events,
+        years=circumstances.years[events] - circumstances.years[events[0]],
+        common_n=prior.common_mean_n,
+        levels=prior.shared,
+        ageing=level_factor(drift, own, len(thrusters)),
+        own=prior.own,
+        reference_n=np.asarray(np.exp(_SAME_THRUST * steps)),
+    )
+
+
+def _places(thrusts: BranchThrusts | None, members: Sequence[int]) -> Places:
+    """Places of events among those that fired their branch, those that did not left out."""
+    if thrusts is None:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(np.isin(thrusts.events, members))
+
+
+def _alike(
+    mission: MissionTable,
+    priors: Priors,
+    circumstances: Circumstances,
+    branches: Sequence[BranchThrusts],
+) -> list[list[int]]:
+    """Events grouped by all that their balances depend on beside the shared parameters."""
+    changing = [i for i, fact in enumerate(mission.dated) if fact.change]
+    reference = {int(e): float(b.reference_n[i]) for b in branches for i, e in enumerate(b.events)}
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for i, event in enumerate(circumstances.events):
+        of_branch = priors.for_branch(event.branch)
+        follows = [
+            n in of_branch.parameters and of_branch.parameters[n].fixed != 0.0
+            for n in (TAIL_PRESSURE, TAIL_AGEING)
+        ]
+        known = float(circumstances.tank.known_kpa[i])
+        key = (
+            event.branch,
+            event.fires,
+            sum(fact < circumstances.facts_before[i] for fact in changing),
+            float(circumstances.used_kg[i]) if mission.drift else 0.0,
+            (i if np.isnan(known) else known) if follows[0] else 0.0,
+            float(circumstances.years[i]) if follows[1] else 0.0,
+            reference.get(i, 0.0),
+        )
+        groups.setdefault(key, []).append(i)
+    return list(groups.values())
+
+
+def change_name(name: str, since: object) -> str:
+    """Name of the change of a parameter at a dated fact."""
+    return f"{name}_since_{since}"
+
+
+def drift_name(name: str) -> str:
+    """Name of the change of a parameter with each kilogram of hydrazine used."""
+    return f"{name}_per_kg"
+
+
+def _changes(
+    mission: MissionTable, circumstances: Circumstances, event: int
+) -> list[tuple[str, str, float]]:
+    """What is added to parameters of an event: (parameter, mission's parameter, coefficient)."""
+    found = [
+        (name, change_name(name, fact.epoch), 1.0)
+        for fact in mission.dated[: circumstances.facts_before[event]]
+        for name in fact.change
+    ]
+    used = float(circumstances.used_kg[event])
+    return found + [(name, drift_name(name), used) for name in mission.drift]
+
+
+def _check_changes(mission: MissionTable, priors: Priors) -> None:
+    specs = known_parameters(priors.spacecraft)
+    tables: list[tuple[str, Mapping[str, ChangeTable], str]] = [
+        (f"dated[{i}].change", fact.change, "") for i, fact in enumerate(mission.dated, start=1)
+    ]
+    for where, changes, per in [*tables, ("drift", mission.drift, "/kg")]:
+        for name, change in changes.items():
+            allowed = [n for n, spec in specs.items() if spec.block in MAY_CHANGE]
+            if name not in allowed:
+                raise InputError(
+                    f"{where}.{name}",
+                    f"a parameter of {', '.join(MAY_CHANGE)}",
+                    f"the name {name!r}",
+                    "thrusts, tail-offs and wheels change by the laws of the mission model",
+                )
+            unit = specs[name].unit + per
+            if change.unit != unit:
+                raise InputError(
+                    f"{where}.{name}.unit", repr(unit), repr(change.unit), "convert the values"
+                )
+
+
+def _space(
+    prior_of: Mapping[str, ParameterPrior], mission: MissionTable, changes: set[str]
+) -> tuple[ParameterSpace, dict[str, str]]:
+    """All parameters of the mission in order, those of changes last."""
+    free = {name: prior for name, prior in prior_of.items() if prior.distribution is not None}
+    fixed = {name: prior.fixed for name, prior in prior_of.items() if prior.fixed is not None}
+    units = {name: prior.spec.unit for name, prior in prior_of.items()}
+    tables: dict[str, ChangeTable] = {}
+    for fact in mission.dated:
+        tables |= {change_name(name, fact.epoch): table for name, table in fact.change.items()}
+    tables |= {drift_name(name): table for name, table in mission.drift.items()}
+    moving = {name: table for name, table in tables.items() if name in changes}
+    fixed |= {name: table.loc for name, table in moving.items() if table.scale == 0.0}
+    units |= {name: table.unit for name, table in moving.items()}
+    drawn = {name: table for name, table in moving.items() if table.scale > 0.0}
+    space = ParameterSpace(
+        names=(*free, *drawn),
+        fixed=fixed,
+        distributions=(
+            *(prior.distribution for prior in free.values() if prior.distribution is not None),
+            *(Distribution("norm", {"loc": t.loc, "scale": t.scale}) for t in drawn.values()),
+        ),
+        blocks=(*(prior.spec.block for prior in free.values()), *("change" for _ in drawn)),
+    )
+    return space, units

@@ -1,0 +1,198 @@
+"""The trend of a mission: read, fit or go on with earlier draws, tables, figures, report.
+
+A trend folder holds ``checkpoint/`` (densities and reduced telemetry: a killed trend goes on with
+the same command, further events go on from the draws), then ``trend.nc``, ``trend.csv``,
+``trend.json``, ``figures/``, ``report.html`` and ``provenance.json``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from cassini_bayes import __version__
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.storage import remove_leftovers, write_text
+from cassini_bayes.model.mission.inputs import MissionInputs, read_mission
+from cassini_bayes.model.mission.mission_file import MissionTable
+from cassini_bayes.pipeline.provenance import library_versions
+from cassini_bayes.pipeline.run import Reporter
+from cassini_bayes.results.mission.fitting import MissionFit, fit_mission, loss_prior
+from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend
+from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
+
+CHECKPOINT: Final = "checkpoint"
+DRAWN_BY: Final = ("model.mission.inputs", "results.mission.fitting")
+"""Modules whose code, with all that they import, the draws of a trend depend on."""
+
+
+@dataclass(frozen=True)
+class TrendOutcome:
+    """What a trend produced; ``fit.converged`` decides the exit code."""
+
+    folder: Path
+    fit: MissionFit
+    trend: Trend
+    record: Mapping[str, Any]
+    seconds: float
+
+
+def execute_trend(
+    mission: MissionTable,
+    where: str,
+    base: Path,
+    folder: Path,
+    *,
+    name: str,
+    command: Sequence[str],
+    reporter: Reporter,
+    report: bool = True,
+) -> TrendOutcome:
+    """Work out the trend of a mission and write it to ``folder``.
+
+    The same command goes on where a killed one stopped, and updates the draws of a shorter mission
+    where events have been added.
+
+    Parameters
+    ----------
+    where, base
+        The mission file for messages, and the folder that its paths are relative to.
+
+    Raises
+    ------
+    InputError
+        Anything wrong with the inputs or the folder.
+    """
+    from cassini_bayes.report.mission import write_trend_report
+    from cassini_bayes.report.plots import draw, save_figures
+    from cassini_bayes.report.plots.mission import mission_drawings
+
+    began = time.monotonic()
+    inputs = read_mission(mission, base, where, folder / CHECKPOINT / "statistics", reporter.say)
+    if folder.is_dir():
+        remove_leftovers(folder)
+    laws = _laws(mission, inputs)
+    fit = _fitted(mission, inputs, laws, folder / CHECKPOINT, reporter)
+    trend = trend_of(fit, mission, inputs.on_time_s, np.random.default_rng([mission.trend.seed, 1]))
+    record = _record(mission, inputs, fit, trend, laws)
+    save_trend(fit, trend, folder / "trend.nc")
+    write_text(folder / "trend.csv", trend.thrust.to_csv(index=False, float_format="%.6g"))
+    write_text(folder / "trend.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
+    write_text(
+        folder / "provenance.json", json.dumps(_provenance(inputs, laws, command), indent=2) + "\n"
+    )
+    if report:
+        dated = {str(fact.epoch): fact.what.replace("_", " ") for fact in mission.dated}
+        figures = draw(mission_drawings(trend.thrust, trend.health, trend.onsets, dated))
+        save_figures(figures, folder / "figures")
+        made = f"Made by {' '.join(command)} with cassini_bayes {__version__}."
+        write_trend_report(folder / "report.html", name, fit, mission, trend, figures, made)
+    seconds = time.monotonic() - began
+    reporter.say(f"{'done' if fit.converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
+    return TrendOutcome(folder, fit, trend, record, seconds)
+
+
+def _fitted(
+    mission: MissionTable, inputs: MissionInputs, laws: str, work: Path, reporter: Reporter
+) -> MissionFit:
+    """The fit, from the draws of a shorter mission where there are some."""
+    content = _hash(laws, *(f"{event} {value}" for event, value in inputs.digests.items()))
+    densities = work / content[:16]
+
+    def store_of(label: str) -> CheckpointStore:
+        return CheckpointStore(densities / _hash(label)[:16], _hash(content, label))
+
+    state = CheckpointStore(work / f"draws_{laws[:16]}", laws)
+    earlier = earlier_draws(inputs.digests, state)
+    if earlier is not None:
+        reporter.say("going on from the draws of an earlier trend")
+    fit = fit_mission(
+        inputs.model,
+        loss_prior(inputs.priors),
+        np.random.default_rng([mission.trend.seed, 0]),
+        draws=mission.trend.draws,
+        proposals=mission.trend.proposals,
+        earlier=earlier,
+        store_of=store_of,
+        say=reporter.say,
+    )
+    if fit.converged:
+        save_state(fit, inputs.digests, state)
+    return fit
+
+
+def _laws(mission: MissionTable, inputs: MissionInputs) -> str:
+    """Hash of all that the draws depend on beside the events."""
+    table = mission.model_dump(mode="json", exclude={"events": True, "trend": {"forecast"}})
+    return _hash(
+        json.dumps(table, sort_keys=True),
+        inputs.priors.digest,
+        inputs.priors.spacecraft.digest,
+        code_digest(*DRAWN_BY),
+        json.dumps(library_versions(), sort_keys=True),
+    )
+
+
+def _hash(*parts: str) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _provenance(inputs: MissionInputs, laws: str, command: Sequence[str]) -> dict[str, Any]:
+    return {
+        "format": 1,
+        "package": {"cassini_bayes": __version__, "code_sha256": code_digest("cli")},
+        "versions": library_versions(),
+        "sha256": {inputs.priors.path: inputs.priors.digest, **inputs.digests},
+        "identity": laws,
+        "command": list(command),
+    }
+
+
+def _record(
+    mission: MissionTable, inputs: MissionInputs, fit: MissionFit, trend: Trend, laws: str
+) -> dict[str, Any]:
+    """``trend.json``: health, alarms, forecast and how the draws were made."""
+    names, values = fit.model.space.names, fit.model.space.to_parameters(fit.z)
+    return {
+        "format": 1,
+        "identity": laws,
+        "events": list(inputs.digests),
+        "converged": fit.converged,
+        "log_evidence": fit.log_evidence_total,
+        "log_evidence_se": fit.log_evidence_se,
+        "pareto_k": fit.pareto_k,
+        "log_bayes_proportional_law": proportional_odds(fit),
+        "alarm_above": mission.trend.alarm,
+        "health": _rows(trend.health),
+        "onsets": _rows(trend.onsets),
+        "forecast": _rows(trend.forecast),
+        "parameters": {
+            name: {
+                "mean": float(np.mean(values[name])),
+                "sd": float(np.std(values[name])),
+                "unit": fit.model.units[name],
+            }
+            for name in names
+        },
+    }
+
+
+def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows as plain JSON types; what is not finite becomes null."""
+    return [
+        {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in row.items()
+        }
+        for row in json.loads(table.to_json(orient="records", double_precision=10))
+    ]

@@ -1,0 +1,145 @@
+"""The report of a trend: one HTML page."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from cassini_bayes.files.storage import write_text
+from cassini_bayes.model.mission.mission_file import MissionTable
+from cassini_bayes.report.cells import Cell, Column, Table, tabulate
+from cassini_bayes.report.plots import Figure, encode
+from cassini_bayes.results.mission.fitting import MissionFit, describe
+from cassini_bayes.results.mission.trend import Trend, proportional_odds
+
+DECISIVE: Final = 3.0
+"""Nats from which odds decide, some 20 to 1."""
+
+
+def write_trend_report(
+    page: Path,
+    name: str,
+    fit: MissionFit,
+    mission: MissionTable,
+    trend: Trend,
+    figures: Mapping[str, Figure],
+    made: str,
+) -> None:
+    """Write the page, atomically."""
+    environment = Environment(
+        loader=PackageLoader("cassini_bayes", "report/templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    html = environment.get_template("trend.html.jinja").render(
+        name=name,
+        sentences=sentences_of(fit, mission, trend),
+        tables=tables_of(mission, trend),
+        pictures=[(alt, _address(figure)) for alt, figure in figures.items()],
+        made=made,
+    )
+    write_text(page, html)
+
+
+def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[str]:
+    """What the mission says in a few sentences."""
+    alarms = trend.health[trend.health["alarm"]]
+    found = [
+        f"{len(fit.model.circumstances.events)} events. "
+        + (
+            "Alarm: "
+            + "; ".join(
+                f"{row['branch']}.{row['thruster']} has lost {row['lost_share']:.0%} of its thrust "
+                f"with probability {row['failing']:.3f}, from {row['onset_event']} on (90 % "
+                f"{row['onset_first']} to {row['onset_last']})"
+                for _, row in alarms.iterrows()
+            )
+            + "."
+            if len(alarms)
+            else f"No alarm: no thruster has lost thrust with a probability above "
+            f"{mission.trend.alarm:g}."
+        )
+    ]
+    if mission.pressure is None:
+        found.append(
+            "No tank pressure is given: levels are as if the pressure had stayed, and the common "
+            "drift holds what pressure did."
+        )
+    odds = proportional_odds(fit)
+    if mission.pressure is not None and odds is not None:
+        found.append(
+            f"Thrust in proportion to pressure against an affine law: {odds:+.1f} nats"
+            + (" (undecided)." if abs(odds) < DECISIVE else ".")
+        )
+    if mission.propellant is not None and mission.propellant.computed:
+        found.append(
+            "The hydrazine used was computed from thrust: pressures of the blowdown law repeat an "
+            "assumed thrust, and a common factor on that mass is inferred with the rest."
+        )
+    found.append(
+        f"Draws take {describe(fit.model, fit.references)} as given and weigh all else against "
+        f"it: log evidence {fit.log_evidence_total:.2f} ± {fit.log_evidence_se:.2f}, Pareto k̂ "
+        f"{fit.pareto_k:.2f}, efficiency {fit.efficiency:.0%}"
+        + ("." if fit.converged else ": NOT CONVERGED.")
+    )
+    return found
+
+
+def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
+    """Health and forecast as the page shows them."""
+    degraded = {
+        f"P(> {100 * share:g} %)": _probability(f"degraded_{100 * share:g}_percent")
+        for share in mission.trend.degraded
+    }
+    health = tabulate(
+        trend.health,
+        {
+            "thruster": lambda row: f"{row['branch']}.{row['thruster']}",
+            "change since the first event": lambda row: (
+                f"{-100 * row['loss_share']:+.1f} % ({-100 * row['loss_high_share']:+.1f} to "
+                f"{-100 * row['loss_low_share']:+.1f})"
+            ),
+            **degraded,
+            "change a year [mN]": lambda row: (
+                f"{1e3 * row['rate_n_per_year']:+.1f} ± {1e3 * row['rate_sd_n_per_year']:.1f}"
+            ),
+            "P(falls)": _probability("falls"),
+            "P(loss)": lambda row: Cell(f"{row['failing']:.3f}", "flag" if row["alarm"] else ""),
+            "onset (90 %)": lambda row: (
+                f"{row['onset_event']} ({row['onset_first']} – {row['onset_last']})"
+                if row["failing"] > mission.trend.degraded[0]
+                else Cell("–", "muted")
+            ),
+            "one more bias [nats]": lambda row: f"{row['next_bias_nats']:.1f}",
+        },
+        title="Health of every thruster",
+    )
+    if not len(trend.forecast):
+        return [health]
+    forecast = tabulate(
+        trend.forecast,
+        {
+            "date": lambda row: str(row["epoch"])[:10],
+            "thruster": lambda row: f"{row['branch']}.{row['thruster']}",
+            "pressure [kPa]": lambda row: f"{row['pressure_kpa']:.0f}",
+            "thrust [N]": lambda row: f"{row['thrust_n']:.3f} ± {row['thrust_sd_n']:.3f}",
+            "central 90 %": lambda row: f"{row['thrust_low_n']:.3f} to {row['thrust_high_n']:.3f}",
+        },
+        title="Forecast",
+    )
+    return [health, forecast]
+
+
+def _probability(column: str) -> Column:
+    return lambda row: f"{row[column]:.3f}"
+
+
+def _address(figure: Figure) -> str:
+    content = base64.b64encode(encode(figure, "svg")).decode("ascii")
+    return f"data:image/svg+xml;base64,{content}"

@@ -1,0 +1,124 @@
+"""Thrusts over a mission: as flown, at one pressure, and what sets in when."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pandas as pd
+
+from cassini_bayes.report.plots.style import INK, PRIOR, thruster_styles
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLUMNS: Final = 4
+_FEW: Final = 60  # events above which points get no bars
+
+
+def mission_drawings(
+    thrust: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame, dated: Mapping[str, str]
+) -> dict[str, Callable[[], Figure]]:
+    """Three figures of every branch, by name; ``dated`` maps a fact's epoch to what it is."""
+    drawings: dict[str, Callable[[], Figure]] = {}
+    for branch in dict.fromkeys(thrust["branch"]):
+        own = thrust[thrust["branch"] == branch].assign(
+            when=lambda frame: pd.to_datetime(frame["epoch"], utc=True)
+        )
+        of_branch = [table[table["branch"] == branch] for table in (health, onsets)]
+        drawings |= {
+            f"thrust_{branch}": partial(over_time, own, "thrust", "thrust in the event", dated),
+            f"normalised_{branch}": partial(
+                over_time, own, "normalised", "thrust at the reference pressure", dated
+            ),
+            f"losses_{branch}": partial(losses, own, *of_branch),
+        }
+    return drawings
+
+
+def over_time(own: pd.DataFrame, name: str, label: str, dated: Mapping[str, str]) -> Figure:
+    """One panel per thruster: mean and central 90 %; filled where the event saw the thruster."""
+    from matplotlib.figure import Figure
+
+    thrusters = list(dict.fromkeys(own["thruster"]))
+    rows = -(-len(thrusters) // _COLUMNS)
+    figure = Figure(figsize=(11.0, 2.6 * rows), layout="constrained")
+    grid = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
+    styles = thruster_styles(thrusters)
+    for axes, thruster in zip(grid.flat, thrusters, strict=False):
+        part, style = own[own["thruster"] == thruster], styles[thruster]
+        _panel(axes, part, name, style.colour)
+        axes.set_title(thruster.upper())
+        for epoch in dated:
+            when = pd.to_datetime(epoch, utc=True)
+            if part["when"].min() <= when <= part["when"].max():
+                axes.axvline(when, color=PRIOR, linewidth=0.8, linestyle="--")
+        axes.tick_params(axis="x", labelrotation=35)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("N")
+    for axes in list(grid.flat)[len(thrusters) :]:
+        axes.set_visible(False)
+    branch = own["branch"].iloc[0]
+    facts = ", ".join(f"{what} {epoch[:10]}" for epoch, what in dated.items())
+    figure.suptitle(
+        f"Branch {branch}: {label}, mean and central 90 %; filled: on for more than 5 s"
+        + (f"\ndashed: {facts}" if facts else ""),
+        x=0.01,
+        ha="left",
+        fontsize=9.5,
+    )
+    return figure
+
+
+def _panel(axes: Axes, part: pd.DataFrame, name: str, colour: str) -> None:
+    when, seen = part["when"].to_numpy(), part["saw_it"].to_numpy()
+    mean, low, high = (part[f"{name}{what}_n"].to_numpy() for what in ("", "_low", "_high"))
+    if name == "normalised":
+        axes.fill_between(when, low, high, color=colour, alpha=0.25, linewidth=0)
+        axes.plot(when, mean, color=colour, linewidth=1.2)
+    elif len(part) <= _FEW:
+        axes.vlines(when, low, high, color=colour, linewidth=0.8, alpha=0.7)
+    axes.plot(when[seen], mean[seen], "o", color=colour, markersize=3.0)
+    axes.plot(when[~seen], mean[~seen], "o", mfc="white", mec=colour, markersize=3.0)
+
+
+def losses(own: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame) -> Figure:
+    """Probability that a thruster has lost thrust, and of each onset given that it has."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.6))
+    thrusters = list(health["thruster"])
+    styles = thruster_styles(thrusters)
+    places = np.arange(len(thrusters))
+    left.barh(
+        places, health["failing"], color=[styles[name].colour for name in thrusters], height=0.7
+    )
+    left.set_yticks(places, [name.upper() for name in thrusters])
+    left.invert_yaxis()
+    left.set_xlim(0.0, 1.0)
+    left.set_xlabel("probability of a loss")
+    when = own.drop_duplicates("event").set_index("event")["when"]
+    shown = health.nlargest(2, "failing")["thruster"]
+    for name in shown:
+        part = onsets[onsets["thruster"] == name]
+        chance = health.loc[health["thruster"] == name, "failing"].iloc[0]
+        right.plot(
+            when[part["event"]],
+            part["probability"],
+            styles[name].marker,
+            color=styles[name].colour,
+            markersize=4.0,
+            label=f"{name.upper()} ({chance:.0%})",
+        )
+    right.set_ylabel("probability of the onset, if it fails")
+    right.set_ylim(bottom=0.0)
+    right.tick_params(axis="x", labelrotation=35)
+    right.legend(loc="upper left")
+    branch = own["branch"].iloc[0]
+    title = f"Branch {branch}: losses of thrust, the two likeliest at the right"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=9.5, color=INK)
+    return figure

@@ -1,0 +1,381 @@
+"""Posterior draws of a mission: importance draws of what is walked, updated by new events.
+
+Everything linear is integrated out, so the walked parameters are few and near normal: a Laplace
+proposal, refined by its own draws, serves (:mod:`cassini_bayes.sampling.warmstart`), and its
+Pareto k̂ says whether the result is one. The best hypothesis on losses takes part, so the draws
+are those of a mission whose failing thrusters are known to fail.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.special import logsumexp
+
+from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.model.mission.losses import (
+    Hypothesis,
+    LossPrior,
+    chosen,
+    log_bayes,
+    loss_terms,
+    place_of,
+    weigh,
+)
+from cassini_bayes.model.mission.model import MissionModel, blocks
+from cassini_bayes.priors.quantiles import standard_normal_log_density
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.sampling.warmstart import (
+    ImportanceDraws,
+    LogDensity,
+    Proposal,
+    find_mode,
+    importance,
+    laplace,
+    pareto_k,
+    refined,
+)
+
+MOST_K: Final = 0.7
+"""Pareto k̂ beyond which importance draws are no result (Vehtari et al. 2024)."""
+LEAST_DRAWS: Final = 100.0
+"""Effective draws that a result needs."""
+_LOOKS: Final = 4  # at the hypotheses, each with draws of its own
+_PILOTS: Final = 6
+_WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
+_DOF: Final = 15.0  # of the proposal, as in a warm start
+
+Say = Callable[[str], None]
+StoreOf = Callable[[str], CheckpointStore | None]
+References = Mapping[str, Hypothesis]
+"""Branch → losses that the draws of a fit take as given."""
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What is believed of one branch's losses: hypotheses, and their posterior probability."""
+
+    branch: str
+    which: tuple[Hypothesis, ...]
+    log_prior: Array  # (H,)
+    probability: Array  # (H,)
+    reference: int
+    log_ratio: Array  # (n, H) of the Bayes factors against the reference, at the fit's draws
+
+    def failing(self, thrusters: int) -> Array:
+        """Posterior probability (K,) that each thruster has lost thrust."""
+        found = np.zeros(thrusters)
+        for hypothesis, probability in zip(self.which, self.probability, strict=True):
+            for loss in hypothesis:
+                found[loss.thruster] += probability
+        return found
+
+    def onsets(self, thruster: int, events: int) -> Array:
+        """Posterior probability (E,) of each onset of a thruster, given that it fails."""
+        found = np.zeros(events)
+        for hypothesis, probability in zip(self.which, self.probability, strict=True):
+            for loss in hypothesis:
+                if loss.thruster == thruster:
+                    found[loss.onset] += probability
+        total = found.sum()
+        return found / total if total > 0 else found
+
+    def draw(self, rng: np.random.Generator, n: int) -> tuple[Places, list[Hypothesis]]:
+        """n draws of a point and a hypothesis together: places among the fit's draws, losses."""
+        log_joint = self.log_prior + self.log_ratio
+        flat = np.exp(log_joint - log_joint.max()).ravel()
+        edges = np.cumsum(flat)
+        points = (np.arange(n) + rng.uniform()) / n * edges[-1]
+        place, number = np.divmod(np.searchsorted(edges, points), log_joint.shape[1])
+        return place, [self.which[i] for i in number]
+
+    @property
+    def best(self) -> Hypothesis:
+        """The likeliest onsets of the likeliest set of failing thrusters."""
+        sets: dict[frozenset[int], float] = {}
+        members = [frozenset(loss.thruster for loss in losses) for losses in self.which]
+        for member, probability in zip(members, self.probability, strict=True):
+            sets[member] = sets.get(member, 0.0) + float(probability)
+        likeliest = max(sets, key=lambda member: sets[member])
+        own = [i for i, member in enumerate(members) if member == likeliest]
+        return self.which[max(own, key=lambda i: float(self.probability[i]))]
+
+
+@dataclass(frozen=True)
+class MissionFit:
+    """Equally weighted draws z (n, d) of a mission, given the reference losses of each branch.
+
+    ``log_density`` (n,) is the one they were drawn from: what new events are weighed against.
+    """
+
+    model: MissionModel
+    prior: LossPrior
+    references: References
+    z: Array
+    log_density: Array
+    log_evidence: float  # given the references
+    log_evidence_se: float
+    pareto_k: float
+    efficiency: float
+    losses: tuple[Losses, ...]  # of every branch
+
+    @property
+    def draws(self) -> EarlierDraws:
+        """What later events go on from."""
+        return EarlierDraws(
+            self.model.space.names,
+            self.z,
+            self.log_density,
+            self.references,
+            self.log_evidence,
+            self.log_evidence_se,
+        )
+
+    @property
+    def converged(self) -> bool:
+        """Whether the importance draws can be trusted."""
+        return self.pareto_k < MOST_K
+
+    @property
+    def log_evidence_total(self) -> float:
+        """Log evidence of the mission over all hypotheses on losses.
+
+        A hypothesis's posterior probability is its prior times its evidence over the whole.
+        """
+        total = self.log_evidence
+        for losses in self.losses:
+            reference = losses.reference
+            total += float(losses.log_prior[reference] - np.log(losses.probability[reference]))
+        return total
+
+
+@dataclass(frozen=True)
+class EarlierDraws:
+    """What a fit hands on to the same mission with further events.
+
+    Equally weighted draws z (n, d) of the parameters ``names`` under given references, and the
+    density (n,) they were drawn from.
+    """
+
+    names: tuple[str, ...]
+    z: Array
+    log_density: Array
+    references: References
+    log_evidence: float
+    log_evidence_se: float
+
+
+def loss_prior(priors: Priors) -> LossPrior:
+    """Beliefs on failing thrusters from a priors file.
+
+    Raises
+    ------
+    InputError
+        One is missing.
+    """
+    priors.require(("thrust_loss_share", "failing_probability"), "a mission")
+    share = priors.parameters["thrust_loss_share"]
+    scale = 0.0 if share.distribution is None else float(share.distribution.keywords["scale"])
+    return LossPrior(priors.parameters["failing_probability"].mean, scale)
+
+
+def target(model: MissionModel, references: References, prior: LossPrior) -> LogDensity:
+    """Log posterior density in z of a mission whose branches have these losses."""
+
+    def log_density(z: Array) -> Array:
+        found = []
+        for rows in blocks(len(z)):
+            branches, total = model.at(z[rows])
+            for branch in branches:
+                total = total + branch.collapsed.log_likelihood
+                losses = references[branch.thrusts.branch]
+                if losses:
+                    total = total + log_bayes(loss_terms(branch), losses, prior.scale)
+            found.append(total)
+        return np.asarray(np.concatenate(found) + model.space.log_prior_terms(z).sum(-1))
+
+    return log_density
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """A density whose values are kept in files: a killed fit works out only what is missing."""
+
+    log_density: LogDensity
+    store: CheckpointStore | None
+
+    def __call__(self, z: Array) -> Array:
+        """Values at z (n, d)."""
+        if self.store is None:
+            return self.log_density(z)
+        return np.concatenate([self._kept(self.store, z[rows]) for rows in blocks(len(z))])
+
+    def _kept(self, store: CheckpointStore, z: Array) -> Array:
+        name = f"density_{hashlib.sha256(z.tobytes()).hexdigest()[:24]}"
+        kept = store.load(name)
+        if kept is not None:
+            return np.asarray(kept["values"], dtype=np.float64)
+        began = time.monotonic()
+        values = self.log_density(z)
+        if time.monotonic() - began > _WORTH_KEEPING_S:
+            store.save(name, {"values": values})
+        return values
+
+
+def fit_mission(
+    model: MissionModel,
+    prior: LossPrior,
+    rng: np.random.Generator,
+    *,
+    draws: int,
+    proposals: int,
+    earlier: EarlierDraws | None = None,
+    store_of: StoreOf = lambda _: None,
+    say: Say = lambda _: None,
+) -> MissionFit:
+    """Draws of a mission, its likeliest losses found on the way.
+
+    Parameters
+    ----------
+    draws, proposals
+        Equally weighted draws that are kept, and importance draws that they come from.
+    earlier
+        Of the same mission with fewer events. Its draws are weighed anew: the target is
+        that of the whole mission, so the result is the same as without it.
+    store_of
+        Where values of the density given some references are kept.
+
+    Notes
+    -----
+    Losses are weighed at draws that take the likeliest ones as given, from none on, until these
+    stay the likeliest. All other hypotheses follow by ratios of evidence at the same draws.
+    """
+    references: References = {branch.branch: () for branch in model.branches}
+    found: ImportanceDraws | None = None
+    proposal: Proposal | None = None
+    if earlier is not None:
+        references = {**references, **earlier.references}
+        density = Remembered(target(model, references, prior), store_of(repr(references)))
+        found = _weighed_anew(earlier, model, density, rng)
+        proposal = moments(found)
+        found = found if _trusted(found) else None
+    for look in range(_LOOKS):
+        density = Remembered(target(model, references, prior), store_of(repr(references)))
+        say(f"draws with {describe(model, references)}")
+        start = proposal or _prior_proposal(model.space.dimension)
+        if found is None:
+            found, proposal = _importance(density, start, rng, proposals)
+        z = found.resample(rng, draws)
+        losses = weighed_losses(model, prior, z, references)
+        best = {one.branch: one.best for one in losses}
+        if look == _LOOKS - 1 or all(set(best[b]) == set(references[b]) for b in best):
+            break
+        references, found = best, None
+    assert found is not None  # the loop ends with draws
+    return MissionFit(
+        model,
+        prior,
+        references,
+        z,
+        density(z),
+        found.log_evidence,
+        found.log_evidence_se,
+        found.pareto_k,
+        found.efficiency,
+        losses,
+    )
+
+
+def _trusted(found: ImportanceDraws) -> bool:
+    return found.pareto_k < MOST_K and found.efficiency * len(found.z) > LEAST_DRAWS
+
+
+def _importance(
+    density: LogDensity, proposal: Proposal, rng: np.random.Generator, n: int
+) -> tuple[ImportanceDraws, Proposal]:
+    """Importance draws; the proposal is refined by them until they can be trusted.
+
+    One that does not come near gives way to the Laplace proposal of the mode next to it.
+    """
+    found = importance(density, proposal, rng, n)
+    for look in range(_PILOTS):
+        if _trusted(found):
+            break
+        if look == 0 and found.efficiency * n < LEAST_DRAWS / 4:
+            mode = find_mode(density, proposal.location)
+            proposal = Proposal(*laplace(density, mode), _DOF)
+        else:
+            proposal = refined(proposal, found)
+        found = importance(density, proposal, rng, n)
+    return found, proposal
+
+
+def _weighed_anew(
+    earlier: EarlierDraws, model: MissionModel, density: LogDensity, rng: np.random.Generator
+) -> ImportanceDraws:
+    """Draws of a shorter mission with the weights that the longer one gives them.
+
+    Parameters that only the longer one has are drawn from their priors.
+    """
+    before, names = earlier.names, model.space.names
+    z = rng.standard_normal((len(earlier.z), len(names)))
+    known = [i for i, name in enumerate(names) if name in before]
+    z[:, known] = earlier.z[:, [before.index(names[i]) for i in known]]
+    new = [i for i, name in enumerate(names) if name not in before]
+    log_ratio = density(z) - earlier.log_density - standard_normal_log_density(z[:, new]).sum(-1)
+    log_total = float(logsumexp(log_ratio))
+    # the same draw twice is one draw: chains of short updates would wear out unseen
+    _, which = np.unique(earlier.z, axis=0, return_inverse=True)
+    weights = np.bincount(which.ravel(), weights=np.exp(log_ratio - log_total))
+    efficiency = 1.0 / (len(z) * float((weights**2).sum()))
+    error = np.sqrt(max(1.0 / efficiency - 1.0, 0.0) / len(z))
+    return ImportanceDraws(
+        z=z,
+        log_weights=log_ratio - log_total,
+        log_evidence=earlier.log_evidence + log_total - float(np.log(len(z))),
+        log_evidence_se=float(np.hypot(error, earlier.log_evidence_se)),
+        pareto_k=pareto_k(log_ratio),
+        efficiency=efficiency,
+    )
+
+
+def _prior_proposal(d: int) -> Proposal:
+    return Proposal(np.zeros(d), np.eye(d), _DOF)
+
+
+def moments(found: ImportanceDraws) -> Proposal:
+    """A proposal with the moments of weighted draws, as far as they are known; else the prior's."""
+    return refined(_prior_proposal(found.z.shape[1]), found)
+
+
+def weighed_losses(
+    model: MissionModel, prior: LossPrior, z: Array, references: References
+) -> tuple[Losses, ...]:
+    """Posterior probabilities of every branch's hypotheses, the other branch at its reference."""
+    branches, _ = model.at(z)
+    found = []
+    for branch in branches:
+        name = branch.thrusts.branch
+        weighed = weigh(loss_terms(branch), prior, include=references[name])
+        reference = place_of(weighed, references[name])
+        probability = chosen(weighed, reference)
+        ratio = weighed.log_bayes - weighed.log_bayes[:, [reference]]
+        found.append(Losses(name, weighed.which, weighed.log_prior, probability, reference, ratio))
+    return tuple(found)
+
+
+def describe(model: MissionModel, references: References) -> str:
+    """Losses in words, ``A.z3 from event 12``, or ``no loss``."""
+    thrusters = {branch.branch: branch.thrusters for branch in model.branches}
+    words = (
+        f"{name}.{thrusters[name][loss.thruster]} from its event {loss.onset + 1}"
+        for name, losses in references.items()
+        for loss in losses
+    )
+    return ", ".join(words) or "no loss"

@@ -1,0 +1,109 @@
+"""A fitted mission in files: ``trend.nc``, and the draws that later events go on from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import xarray as xr
+
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.storage import write_bytes
+from cassini_bayes.model.mission.losses import Loss
+from cassini_bayes.results.mission.fitting import EarlierDraws, MissionFit
+from cassini_bayes.results.mission.trend import Trend
+from cassini_bayes.results.record import labelled
+
+STATE: Final = "draws"
+
+
+def save_trend(fit: MissionFit, trend: Trend, path: Path) -> None:
+    """Write ``trend.nc``: thrusts of all events with their branch, and what was walked.
+
+    ``thrust_n[event, thruster]`` has the coordinate ``branch`` on its events, and NaN where a
+    thruster is not of the event's branch.
+    """
+    names = list(dict.fromkeys(n for own in trend.draws.values() for n in own.thrusts.thrusters))
+    events = fit.model.circumstances.events
+    shape = (1, len(fit.z), len(events), len(names))
+    values = {key: np.full(shape, np.nan) for key in ("thrust_n", "normalised_thrust_n")}
+    for own in trend.draws.values():
+        columns = np.array([names.index(name) for name in own.thrusts.thrusters])
+        place = np.ix_(own.thrusts.events, columns)
+        values["thrust_n"][0][:, place[0], place[1]] = own.thrust_n
+        values["normalised_thrust_n"][0][:, place[0], place[1]] = own.level_n
+    meanings = {
+        "thrust_n": "thrust in the event",
+        "normalised_thrust_n": "thrust level at the reference pressure",
+    }
+    dims = ("chain", "draw", "event", "thruster")
+    data = {key: labelled(dims, array, "N", meanings[key]) for key, array in values.items()}
+    for name, value in fit.model.space.to_parameters(fit.z).items():
+        if np.ndim(value):
+            unit = fit.model.units[name]
+            data[name] = labelled(("chain", "draw"), np.asarray(value)[None], unit, name)
+    posterior = xr.Dataset(
+        data,
+        coords={
+            "chain": [0],
+            "draw": np.arange(len(fit.z)),
+            "event": [event.id for event in events],
+            "thruster": names,
+            "branch": ("event", [event.branch for event in events]),
+            "epoch": ("event", [event.epoch.isoformat() for event in events]),
+        },
+    )
+    attributes = {
+        "log_evidence": fit.log_evidence_total,
+        "log_evidence_se": fit.log_evidence_se,
+        "pareto_k": fit.pareto_k,
+    }
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs=attributes), "/posterior": posterior})
+    write_bytes(path, bytes(tree.to_netcdf(engine="h5netcdf")))
+
+
+def save_state(fit: MissionFit, digests: Mapping[str, str], store: CheckpointStore) -> None:
+    """Keep the draws that a mission with further events goes on from."""
+    references = {
+        branch: [[loss.thruster, loss.onset] for loss in losses]
+        for branch, losses in fit.references.items()
+    }
+    text = {"references": references, "events": dict(digests), "names": list(fit.model.space.names)}
+    store.save(
+        STATE,
+        {
+            "z": fit.z,
+            "log_density": fit.log_density,
+            "evidence": np.array([fit.log_evidence, fit.log_evidence_se]),
+            "text": np.frombuffer(json.dumps(text).encode(), dtype=np.uint8),
+        },
+    )
+
+
+def earlier_draws(digests: Mapping[str, str], store: CheckpointStore) -> EarlierDraws | None:
+    """The draws of the same mission with fewer events; None where there are none.
+
+    Its events have to be the first of this mission's, unchanged, and fewer.
+    """
+    kept = store.load(STATE)
+    if kept is None:
+        return None
+    text = json.loads(kept["text"].tobytes())
+    before, now = list(text["events"].items()), list(digests.items())
+    if len(before) == len(now) or before != now[: len(before)]:
+        return None
+    evidence = np.asarray(kept["evidence"], dtype=np.float64)
+    return EarlierDraws(
+        names=tuple(text["names"]),
+        z=np.asarray(kept["z"], dtype=np.float64),
+        log_density=np.asarray(kept["log_density"], dtype=np.float64),
+        references={
+            branch: tuple(Loss(thruster, onset) for thruster, onset in losses)
+            for branch, losses in text["references"].items()
+        },
+        log_evidence=float(evidence[0]),
+        log_evidence_se=float(evidence[1]),
+    )

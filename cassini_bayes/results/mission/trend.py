@@ -1,0 +1,274 @@
+"""What a fitted mission says of every thruster: its thrust over time, its health, what is next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import gaussian_kde, norm
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.model.mission.losses import (
+    DrawnLosses,
+    draw_losses,
+    draw_thrusts_given,
+    loss_terms,
+)
+from cassini_bayes.model.mission.mission_file import ForecastTable, MissionTable, years_between
+from cassini_bayes.model.mission.model import INTERCEPT, BranchThrusts
+from cassini_bayes.results.mission.fitting import MissionFit
+
+INTERVAL: Final = (0.05, 0.95)
+LEAST_ON_TIME_S: Final = 5.0
+"""On-time from which paper 003 takes an event to have seen a thruster."""
+
+
+@dataclass(frozen=True)
+class BranchDraws:
+    """Draws of one branch's thrusts, losses drawn with their probabilities."""
+
+    thrusts: BranchThrusts
+    level_n: Array  # (n, E, K) at the reference pressure
+    thrust_n: Array  # (n, E, K) in the event
+    shared: Array  # (n, q)
+    losses: DrawnLosses
+    intercept: Array  # (n,)
+
+    def level_at(self, years: float) -> Array:
+        """Levels (n, K) at the reference pressure, years after the branch's first event.
+
+        Every loss is counted: the date is one after the last event.
+        """
+        mean = self.thrusts.common_n + self.shared @ self.thrusts.rows(np.array([years]))[0].T
+        lost = self.losses.lost(len(self.thrusts.events), len(self.thrusts.thrusters))[:, -1]
+        return np.asarray(mean - self.thrusts.common_n * lost)
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Tables of a trend; ``draws`` are those that they were made of."""
+
+    thrust: pd.DataFrame  # one row per event and thruster
+    health: pd.DataFrame  # one row per thruster
+    onsets: pd.DataFrame  # probability of each onset, given that the thruster fails
+    forecast: pd.DataFrame
+    draws: Mapping[str, BranchDraws]
+
+
+def trend_of(
+    fit: MissionFit,
+    mission: MissionTable,
+    on_time_s: Mapping[str, Array],
+    rng: np.random.Generator,
+) -> Trend:
+    """All tables of a trend.
+
+    Parameters
+    ----------
+    on_time_s
+        Event → commanded on-time of each thruster of its branch, (K,).
+    """
+    draws = draw_branches(fit, rng)
+    return Trend(
+        thrust=thrust_table(fit, draws, on_time_s),
+        health=health_table(fit, mission, draws),
+        onsets=onset_table(fit, draws),
+        forecast=forecast_table(fit, mission, draws, rng),
+        draws=draws,
+    )
+
+
+def draw_branches(fit: MissionFit, rng: np.random.Generator) -> dict[str, BranchDraws]:
+    """As many draws of every branch as the fit has, of points and hypotheses together."""
+    branches, _ = fit.model.at(fit.z)
+    share = fit.model.space.to_parameters(fit.z)[INTERCEPT]
+    intercept = np.broadcast_to(np.asarray(share), (len(fit.z),))
+    found = {}
+    for branch, losses in zip(branches, fit.losses, strict=True):
+        places, which = losses.draw(rng, len(fit.z))
+        terms = loss_terms(branch).at(places)
+        drawn = draw_losses(terms, which, fit.prior.scale, rng)
+        there = branch.take(places)
+        shared, thrust = draw_thrusts_given(there, drawn, rng)
+        thrusts = branch.thrusts
+        lost = drawn.lost(len(thrusts.events), len(thrusts.thrusters))
+        rows = thrusts.rows(thrusts.years)
+        level = thrusts.common_n + np.einsum("ekq,nq->nek", rows, shared) - thrusts.common_n * lost
+        found[thrusts.branch] = BranchDraws(
+            thrusts, level, thrust, shared, drawn, intercept[places]
+        )
+    return found
+
+
+def proportional_odds(fit: MissionFit) -> float | None:
+    """Log Bayes factor of the proportional law of pressure against the affine one.
+
+    Posterior over prior density of no intercept (Savage and Dickey), by a kernel estimate from the
+    draws: good to a tenth of a nat near the bulk, a bound far out. None where the intercept is
+    fixed.
+    """
+    space = fit.model.space
+    if INTERCEPT not in space.names:
+        return None
+    place = space.names.index(INTERCEPT)
+    none = float(space.distributions[place].standard_of(0.0))
+    return float(gaussian_kde(fit.z[:, place]).logpdf(none)[0] - norm.logpdf(none))
+
+
+def thrust_table(
+    fit: MissionFit, draws: Mapping[str, BranchDraws], on_time_s: Mapping[str, Array]
+) -> pd.DataFrame:
+    """Thrust of every thruster in every event, as flown and at the reference pressure, N."""
+    circumstances = fit.model.circumstances
+    pressures = circumstances.tank.pressures_kpa(np.ones(1))[0]
+    rows = []
+    for branch, own in draws.items():
+        for e, place in enumerate(own.thrusts.events):
+            event = circumstances.events[place]
+            for k, thruster in enumerate(own.thrusts.thrusters):
+                thrust, level = own.thrust_n[:, e, k], own.level_n[:, e, k]
+                on_time = float(on_time_s[event.id][k])
+                rows.append(
+                    {
+                        "event": event.id,
+                        "epoch": event.epoch.isoformat(),
+                        "branch": branch,
+                        "thruster": thruster,
+                        "pressure_kpa": float(pressures[place]),
+                        "on_time_s": on_time,
+                        "saw_it": on_time > LEAST_ON_TIME_S,
+                        **_summary("thrust", thrust),
+                        **_summary("normalised", level),
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def health_table(
+    fit: MissionFit, mission: MissionTable, draws: Mapping[str, BranchDraws]
+) -> pd.DataFrame:
+    """How each thruster stands: probability of degradation, of a loss, its onset and size, alarm.
+
+    ``degraded_*`` compares the level after the last event with the one of the first, at the same
+    pressure. ``next_bias_nats`` is what one more bias like the last ones would add to the log odds
+    of a loss if the thruster had lost ten percent from then on.
+    """
+    branches, _ = fit.model.at(fit.z[:1])
+    rows = []
+    for branch, losses in zip(branches, fit.losses, strict=True):
+        own = draws[losses.branch]
+        failing = losses.failing(len(own.thrusts.thrusters))
+        events = [fit.model.circumstances.events[i] for i in own.thrusts.events]
+        loss = 1.0 - own.level_n[:, -1] / own.level_n[:, 0]
+        rate = own.level_at(float(own.thrusts.years[-1]) + 1.0) - own.level_n[:, -1]
+        last = loss_terms(branch).square[0, -min(5, len(events)) :]
+        gained = 0.5 * 0.1**2 * last.max(0) / min(5, len(events))
+        for k, thruster in enumerate(own.thrusts.thrusters):
+            onset = losses.onsets(k, len(events))
+            first, final = interval_of(onset)
+            size = np.where(own.losses.thruster == k, own.losses.share, 0.0).sum(1)
+            failed = size[size > 0]
+            rows.append(
+                {
+                    "branch": losses.branch,
+                    "thruster": thruster,
+                    **{
+                        f"degraded_{100 * share:g}_percent": float((loss[:, k] > share).mean())
+                        for share in mission.trend.degraded
+                    },
+                    **_summary("loss", loss[:, k], "share"),
+                    **_summary("rate", rate[:, k], "n_per_year"),
+                    "falls": float((rate[:, k] < 0).mean()),
+                    "failing": float(failing[k]),
+                    "alarm": bool(failing[k] > mission.trend.alarm),
+                    "onset_event": events[int(np.argmax(onset))].id if onset.any() else "",
+                    "onset_first": events[first].id if onset.any() else "",
+                    "onset_last": events[final].id if onset.any() else "",
+                    "lost_share": float(failed.mean()) if len(failed) else 0.0,
+                    "next_bias_nats": float(gained[k]),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def onset_table(fit: MissionFit, draws: Mapping[str, BranchDraws]) -> pd.DataFrame:
+    """Probability of every onset given that the thruster fails, where it is not negligible."""
+    rows = []
+    for losses in fit.losses:
+        own = draws[losses.branch].thrusts
+        for k, thruster in enumerate(own.thrusters):
+            onset = losses.onsets(k, len(own.events))
+            rows += [
+                {
+                    "branch": losses.branch,
+                    "thruster": thruster,
+                    "event": fit.model.circumstances.events[own.events[e]].id,
+                    "probability": float(onset[e]),
+                }
+                for e in np.flatnonzero(onset > 1e-3)
+            ]
+    return pd.DataFrame(rows, columns=["branch", "thruster", "event", "probability"])
+
+
+def forecast_table(
+    fit: MissionFit,
+    mission: MissionTable,
+    draws: Mapping[str, BranchDraws],
+    rng: np.random.Generator,
+) -> pd.DataFrame:
+    """Thrust of every thruster at the dates and pressures that the mission file asks for, N."""
+    rows = []
+    for asked in mission.trend.forecast:
+        if asked.branch not in draws:
+            continue
+        thrust = forecast(fit, mission, draws[asked.branch], asked, rng)
+        names = draws[asked.branch].thrusts.thrusters
+        for name, values in zip((*names, "mean"), (*thrust.T, thrust.mean(1)), strict=True):
+            rows.append(
+                {
+                    "epoch": str(asked.epoch),
+                    "branch": asked.branch,
+                    "pressure_kpa": asked.pressure_kpa,
+                    "thruster": name,
+                    **_summary("thrust", values),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def forecast(
+    fit: MissionFit,
+    mission: MissionTable,
+    own: BranchDraws,
+    asked: ForecastTable,
+    rng: np.random.Generator,
+) -> Array:
+    """Draws (n, K) of the thrusts in an event at a date and pressure."""
+    first = fit.model.circumstances.events[own.thrusts.events[0]].epoch
+    reference = asked.pressure_kpa if mission.pressure is None else mission.pressure.reference_kpa
+    relative = asked.pressure_kpa / reference
+    scale = own.intercept + (1.0 - own.intercept) * relative
+    departures = rng.standard_normal((len(scale), own.thrusts.own.shape[1])) @ own.thrusts.own.T
+    level = own.level_at(years_between(first, asked.epoch))
+    return np.asarray(scale[:, None] * level + departures)
+
+
+def interval_of(probability: Array) -> tuple[int, int]:
+    """First and last place of the central 90 % of a discrete distribution."""
+    total = np.cumsum(probability)
+    first, last = (int(np.searchsorted(total, level * total[-1])) for level in INTERVAL)
+    return min(first, len(total) - 1), min(last, len(total) - 1)
+
+
+def _summary(name: str, values: Array, unit: str = "n") -> dict[str, float]:
+    """Mean, standard deviation and central 90 % interval as columns."""
+    low, high = np.quantile(values, INTERVAL)
+    return {
+        f"{name}_{unit}": float(values.mean()),
+        f"{name}_sd_{unit}": float(values.std()),
+        f"{name}_low_{unit}": float(low),
+        f"{name}_high_{unit}": float(high),
+    }

@@ -1,0 +1,141 @@
+"""Losses of thrust: their terms against shifted means, their evidence against quadrature."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mission_cases import mission_of, mission_table
+from scipy.integrate import quad
+from scipy.stats import halfnorm, truncnorm
+from totals_cases import flight
+
+from cassini_bayes.model.mission.losses import (
+    Loss,
+    LossPrior,
+    chosen,
+    draw_losses,
+    draw_thrusts_given,
+    log_bayes_pair,
+    log_bayes_single,
+    loss_terms,
+    place_of,
+    weigh,
+)
+from cassini_bayes.model.mission.model import BranchAt
+from cassini_bayes.model.thrusts import collapse_thrusts
+
+SCALE = 0.15
+
+
+@pytest.fixture(scope="module")
+def branch() -> BranchAt:
+    """The eight flight events at three points."""
+    model = mission_of(flight()[0], mission_table(pressure=None, dated=[]))
+    z = 0.3 * np.random.default_rng(3).standard_normal((3, model.space.dimension))
+    return model.at(z)[0][0]
+
+
+def shifted_log_likelihood(branch: BranchAt, losses: list[Loss], sizes: list[float]) -> np.ndarray:
+    """Collapsed log likelihood with every event's mean thrust lowered by hand."""
+    mean = branch.offset_n.copy()
+    for loss, size in zip(losses, sizes, strict=True):
+        lost = branch.thrusts.common_n * size * branch.scale[:, loss.onset :]
+        mean[:, loss.onset :, loss.thruster] -= lost
+    none = np.zeros(len(mean))
+    return collapse_thrusts(branch.prior, branch.information, none, mean).log_likelihood
+
+
+@pytest.mark.parametrize(
+    "losses", [[Loss(0, 3)], [Loss(3, 1), Loss(5, 4)], [Loss(0, 6), Loss(1, 2)]]
+)
+def test_terms_of_losses_are_those_of_lowered_thrusts(branch: BranchAt, losses: list[Loss]) -> None:
+    """log L(s) = log L(0) + bᵀs − ½ sᵀCs; oracle: the collapsed density of lowered thrusts."""
+    terms = loss_terms(branch)
+    sizes = [0.2, 0.07][: len(losses)]
+    places = np.array([[loss.onset, loss.thruster] for loss in losses])
+    o, k = places.T
+    expected = (terms.linear[:, o, k] * sizes).sum(1)
+    expected -= 0.5 * (terms.square[:, o, k] * np.square(sizes)).sum(1)
+    if len(losses) == 2:
+        expected -= sizes[0] * sizes[1] * terms.cross(places[:1], places[1:])[:, 0]
+    change = shifted_log_likelihood(branch, losses, sizes) - branch.collapsed.log_likelihood
+    np.testing.assert_allclose(change, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("linear", [-400.0, -3.0, 0.0, 25.0, 300.0])
+def test_evidence_of_one_loss_is_its_integral(linear: float) -> None:
+    """Closed form against quadrature, for gains as for losses."""
+    square = 900.0
+
+    def integrand(s: float) -> float:
+        height = linear * s - 0.5 * square * s**2
+        return float(np.exp(height - top) * halfnorm.pdf(s, scale=SCALE))
+
+    best = max(linear / (square + SCALE**-2), 0.0)
+    top = linear * best - 0.5 * square * best**2
+    value = quad(integrand, 0.0, 2.0, points=[best, best + 0.03], limit=200)[0]
+    found = log_bayes_single(np.array(linear), np.array(square), SCALE)
+    assert float(found) == pytest.approx(np.log(value) + top, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("linear", "square", "cross"),
+    [((60.0, 40.0), (900.0, 600.0), 300.0), ((80.0, -30.0), (900.0, 600.0), -200.0),
+     ((-20.0, -40.0), (400.0, 600.0), 250.0)],
+)  # fmt: skip
+def test_evidence_of_two_losses_is_their_integral(
+    linear: tuple[float, float], square: tuple[float, float], cross: float
+) -> None:
+    """Sixteen quantiles of the first loss serve to a hundredth of a nat."""
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    s, t = np.meshgrid(0.4 * (nodes + 1.0), 0.4 * (nodes + 1.0), indexing="ij")
+    height = linear[0] * s + linear[1] * t
+    height -= 0.5 * (square[0] * s**2 + square[1] * t**2) + cross * s * t
+    density = halfnorm.pdf(s, scale=SCALE) * halfnorm.pdf(t, scale=SCALE)
+    value = (np.exp(height) * density * np.outer(0.4 * weights, 0.4 * weights)).sum()
+    found = log_bayes_pair(np.array(linear), np.array(square), np.array(cross), SCALE)
+    assert float(found) == pytest.approx(np.log(value), abs=0.01)
+
+
+def test_hypotheses_add_up_whichever_is_the_reference(branch: BranchAt) -> None:
+    """Probabilities add up to one; at one point the reference does not matter; pairs are there."""
+    terms = loss_terms(branch).at(slice(0, 1))
+    weighed = weigh(terms, LossPrior(0.1, SCALE), include=(Loss(6, 5), Loss(1, 7)))
+    place = place_of(weighed, (Loss(1, 7), Loss(6, 5)))
+    assert set(weighed.which[place]) == {Loss(1, 7), Loss(6, 5)}
+    first, other = (chosen(weighed, reference) for reference in (0, 17))
+    np.testing.assert_allclose(first, other, atol=1e-12)
+    assert first.sum() == pytest.approx(1.0)
+    assert {len(losses) for losses in weighed.which} == {0, 1, 2}
+
+
+def test_drawn_losses_have_the_moments_of_their_normal(branch: BranchAt) -> None:
+    """Drawn sizes of one loss against scipy's truncated normal, and no size without a loss."""
+    terms = loss_terms(branch)
+    n = 4_000
+    many = terms.at(np.zeros(n, dtype=np.int64))
+    which = [(Loss(5, 5),)] * (n - 1) + [()]
+    drawn = draw_losses(many, which, SCALE, np.random.default_rng(1))
+    precision = terms.square[0, 5, 5] + SCALE**-2
+    mean, sd = terms.linear[0, 5, 5] / precision, precision**-0.5
+    oracle = truncnorm(-mean / sd, np.inf, loc=mean, scale=sd)
+    assert drawn.share[-1].tolist() == [0.0, 0.0]
+    assert drawn.share[:-1, 0].mean() == pytest.approx(oracle.mean(), abs=4 * oracle.std() / n**0.5)
+
+
+def test_thrusts_without_a_loss_are_those_of_the_collapsed_model(branch: BranchAt) -> None:
+    """Draws without losses have the conditional moments that the fit of single events uses."""
+    from cassini_bayes.model.thrusts import thrust_moments
+
+    n = 4_000
+    one = branch.take(np.zeros(n, dtype=np.int64))
+    none = draw_losses(loss_terms(one), [()] * n, SCALE, np.random.default_rng(2))
+    _, thrust = draw_thrusts_given(one, none, np.random.default_rng(2))
+    single = branch.take(np.zeros(1, dtype=np.int64))
+    mean, variance = thrust_moments(single.prior, single.collapsed)
+    mean = mean + replace(single).thrusts.reference_n[:, None]
+    error = 5 * np.sqrt(variance[0] / n)
+    assert (np.abs(thrust.mean(0) - mean[0]) < error).all()
+    np.testing.assert_allclose(thrust.std(0), np.sqrt(variance[0]), rtol=0.06)

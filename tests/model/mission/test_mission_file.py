@@ -1,0 +1,184 @@
+"""Mission files and circumstances: pressures by three ways, and what is refused in one line."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+import pytest
+from mission_cases import facts_of, mission_of, mission_table, mixed_events, utc
+from totals_cases import ROOT
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
+from cassini_bayes.model.mission.mission_file import check_mission
+
+
+def pressures(facts: list[EventFacts], **changes: Any) -> np.ndarray:
+    """Pressures of events, kPa."""
+    found = circumstances_of(mission_table(**changes), facts, "mission.toml")
+    return found.tank.pressures_kpa(np.ones(1))[0]
+
+
+def fact(name: str, epoch: datetime, branch: str = "A", kpa: float | None = None) -> EventFacts:
+    """An event that fires."""
+    return EventFacts(name, epoch, branch, True, kpa)
+
+
+def test_pressure_is_the_events_own_else_between_readings() -> None:
+    """Its own telemetry counts first; readings are linear in time."""
+    middle = utc(2005, 1, 1) + (utc(2006, 4, 9) - utc(2005, 1, 1)) / 2
+    found = pressures([fact("own", middle, kpa=1777.0), fact("table", middle)])
+    np.testing.assert_allclose(found, [1777.0, 1750.0])
+
+
+def test_no_reading_is_taken_across_a_recharge() -> None:
+    """Between the last reading before and the first after there is no pressure: refused."""
+    between = utc(2006, 4, 10)
+    with pytest.raises(InputError, match=r"event x: expected a tank pressure, got none"):
+        pressures([fact("x", between)])
+
+
+def test_blowdown_law_follows_the_gas() -> None:
+    """p V = constant by hand, anew after the recharge, with a factor on the mass used."""
+    table = {
+        "pressure": {
+            "reference_kpa": 1800.0,
+            "blowdown": {
+                "start_kpa": 2000.0,
+                "ullage_m3": 0.05,
+                "density_kg_m3": 1000.0,
+                "recharge_kpa": 2700.0,
+            },
+        },
+        "propellant": {
+            "used": [
+                {"epoch": utc(2005, 1, 1), "kg": 0.0},
+                {"epoch": utc(2006, 1, 1), "kg": 10.0},
+                {"epoch": utc(2006, 4, 10), "kg": 10.0},
+                {"epoch": utc(2007, 4, 10), "kg": 15.0},
+            ],
+            "computed": True,
+        },
+    }
+    facts = [fact("a", utc(2006, 1, 1)), fact("b", utc(2007, 4, 10))]
+    tank = circumstances_of(mission_table(**table), facts, "m").tank
+    assert tank.is_circular
+    expected = [[2000 * 0.05 / 0.06, 2700 * 0.06 / 0.065], [2000 * 0.05 / 0.07, 2700 * 0.07 / 0.08]]
+    np.testing.assert_allclose(tank.pressures_kpa(np.array([1.0, 2.0])), expected)
+
+
+@pytest.mark.parametrize(
+    ("facts", "message"),
+    [
+        (
+            [fact("a", utc(2005, 3, 1), kpa=255.0)],
+            r"kPa, not far from the reference of 1758 kPa, got 255; if it is psia, write 1758 kPa",
+        ),
+        (
+            [fact("late", utc(2007, 1, 1)), fact("early", utc(2005, 3, 1))],
+            r"events: early: expected events in order of time: none before late",
+        ),
+        (
+            [fact("a", utc(2010, 3, 1), branch="A")],
+            r"branch: expected branch B, in use since the swap of 2009-03-12",
+        ),
+    ],
+)
+def test_events_that_cannot_be_are_refused(facts: list[EventFacts], message: str) -> None:
+    """A pressure in psia, events out of order, a branch out of use: one line with the fix."""
+    with pytest.raises(InputError, match=message) as refused:
+        circumstances_of(mission_table(), facts, "mission.toml")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"dated": [{"what": "branch_swap", "branch": "B", "source": "x"}]}, "epoch"),
+        (
+            {"dated": [{"epoch": utc(2009, 3, 12), "what": "branch_swap", "source": "x"}]},
+            r"dated\[1\].branch: expected the branch in use from then on",
+        ),
+        ({"dated": [{"epoch": utc(2009, 3, 12), "what": "swop", "source": "x"}]}, "branch_swap"),
+        ({"pulse_shape": "square"}, "pulse_shape: expected one of"),
+    ],
+)
+def test_mission_files_that_cannot_be_are_refused(change: dict[str, Any], message: str) -> None:
+    """A swap without a date or a branch, an unknown fact, an unknown pulse shape."""
+    with pytest.raises(InputError, match=message):
+        mission_table(**change)
+
+
+def test_readings_out_of_order_are_refused() -> None:
+    """The place in the list is named."""
+    readings = [
+        {"epoch": utc(2006, 1, 1), "kpa": 1700.0},
+        {"epoch": utc(2005, 1, 1), "kpa": 1800.0},
+    ]
+    with pytest.raises(InputError, match=r"pressure.readings\[2\]: expected an epoch not before"):
+        mission_table(pressure={"reference_kpa": 1758.0, "readings": readings})
+
+
+def test_only_what_may_change_does() -> None:
+    """A fact cannot change a thrust, and its unit has to be the parameter's."""
+    events = mixed_events()
+    for name, unit, message in (
+        ("thrust_common_n", "N", "a parameter of centre of mass"),
+        ("cm_y_m", "mm", "unit: expected 'm', got 'mm'"),
+    ):
+        change = {name: {"loc": 0.0, "scale": 0.01, "unit": unit, "source": "x"}}
+        dated = [{"epoch": utc(2006, 4, 10), "what": "burn", "source": "x", "change": change}]
+        with pytest.raises(InputError, match=message):
+            mission_of(events, mission_table(dated=dated))
+
+
+def test_changes_and_drift_move_parameters() -> None:
+    """A change counts from its date on, a drift with the hydrazine used."""
+    change = {"cm_z_m": {"loc": 0.02, "scale": 0.0, "unit": "m", "source": "x"}}
+    table = mission_table(
+        dated=[{"epoch": utc(2006, 4, 10), "what": "burn", "source": "x", "change": change}],
+        drift={"cm_x_m": {"loc": 0.001, "scale": 0.0, "unit": "m/kg", "source": "x"}},
+        propellant={
+            "used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}]
+        },
+    )
+    model = mission_of(mixed_events()[:2], table)
+    parameters = model.space.to_parameters(np.zeros((1, model.space.dimension)))
+    used = model.circumstances.used_kg
+    for part, z_shift, kg in zip(model.parts, (0.0, 0.02), used, strict=True):
+        own = part.parameters_at(parameters, np.ones(1), 0.0)
+        assert float(np.squeeze(own["cm_z_m"])) == pytest.approx(1.064 + z_shift)
+        assert float(np.squeeze(own["cm_x_m"])) == pytest.approx(0.13 + 0.001 * kg)
+    assert used[1] > used[0] > 0
+
+
+def test_two_branches_without_a_mission_are_refused() -> None:
+    """A plain model of both branches names the branch that is too much, and the mission file."""
+    from mission_cases import PRIORS
+
+    from cassini_bayes.model import build_model
+    from cassini_bayes.priors.reader import read_priors
+
+    with pytest.raises(InputError, match=r"branch A.*trend MISSION.toml"):
+        build_model(mixed_events(), read_priors(PRIORS))
+
+
+def test_the_example_of_the_documentation_is_a_mission_file() -> None:
+    """What docs/mission.md shows is read, with every key that it names."""
+    text = (ROOT / "docs" / "mission.md").read_text("utf-8")
+    example = text.split("```toml")[1].split("```")[0]
+    table = check_mission(tomllib.loads(example), "docs/mission.md")
+    assert table.dated[0].change["cm_y_m"].scale == 0.005
+    assert table.propellant is not None
+    assert table.trend.forecast[0].branch == "B"
+
+
+def test_the_swap_needs_no_change() -> None:
+    """The made-up mission of the tests is one that can be."""
+    table = mission_table()
+    assert facts_of([replace(mixed_events()[0])])[0].branch == "A"
+    assert check_mission(table.model_dump(), "again") == table

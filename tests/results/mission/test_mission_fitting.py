@@ -1,0 +1,78 @@
+"""Draws of a mission: chained ones equal those of all events together, and are resumed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mission_cases import PRIORS, mission_of, mission_table
+from totals_cases import flight
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.results.mission.fitting import Remembered, fit_mission, loss_prior, target
+
+FIXED = (
+    *(f"inertia_{e}_kg_m2" for e in ("xx", "yy", "zz", "xy", "xz", "yz")),
+    *("thruster_lx_m", "thruster_ly_m", "thruster_lzy_m", "thruster_lzz_m"),
+    *(f"rwa{n}_inertia_kg_m2" for n in (1, 2, 3, 4)),
+    *("rwa4_tilt_u_rad", "rwa4_tilt_v_rad", "tail_ageing_per_year", "tail_pressure_exponent"),
+)
+
+
+def few_unknowns() -> Priors:
+    """The mission's priors with most nuisances fixed."""
+    priors = read_priors(PRIORS)
+    for name in FIXED:
+        priors = priors.with_fixed(name, priors.parameters[name].mean)
+    return priors
+
+
+def test_chained_draws_equal_the_joint_fit() -> None:
+    """Five events and then one more: moments and evidence of the fit of all six."""
+    events, _ = flight()
+    table, priors = mission_table(pressure=None, dated=[]), few_unknowns()
+    short, whole = (mission_of(some, table, priors) for some in (events[:5], events[:6]))
+    prior, size = loss_prior(priors), {"draws": 800, "proposals": 1_500}
+    joint = fit_mission(whole, prior, np.random.default_rng(1), **size)
+    begun = fit_mission(short, prior, np.random.default_rng(2), **size)
+    chained = fit_mission(whole, prior, np.random.default_rng(3), earlier=begun.draws, **size)
+    assert joint.converged
+    assert chained.converged
+    assert chained.log_evidence == pytest.approx(joint.log_evidence, abs=0.4)
+    assert np.abs(chained.z.mean(0) - joint.z.mean(0)).max() < 0.35
+    np.testing.assert_allclose(chained.z.std(0), joint.z.std(0), rtol=0.35)
+    # negative control: the shorter mission says something else
+    assert abs(begun.log_evidence - joint.log_evidence) > 0.8
+
+
+def test_values_of_a_killed_fit_are_read_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A density that took time is kept in a file and not worked out again."""
+    monkeypatch.setattr("cassini_bayes.results.mission.fitting._WORTH_KEEPING_S", 0.0)
+    calls = []
+
+    def density(z: Array) -> Array:
+        calls.append(len(z))
+        return np.asarray(z.sum(-1))
+
+    z = np.random.default_rng(0).standard_normal((250, 3))
+    store = CheckpointStore(tmp_path, "one")
+    first = Remembered(density, store)(z)
+    again = Remembered(density, store)(z)
+    np.testing.assert_array_equal(first, again)
+    assert sum(calls) == 250
+    np.testing.assert_array_equal(Remembered(density, None)(z), first)
+
+
+def test_target_is_likelihood_and_prior() -> None:
+    """Without losses the target is the collapsed likelihood plus a unit normal."""
+    events, _ = flight(3)
+    model = mission_of(events, mission_table(pressure=None, dated=[]))
+    z = 0.2 * np.random.default_rng(1).standard_normal((2, model.space.dimension))
+    expected = model.log_likelihood(z) - 0.5 * (z**2 + np.log(2 * np.pi)).sum(-1)
+    found = target(model, {"B": ()}, loss_prior(read_priors(PRIORS)))(z)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
