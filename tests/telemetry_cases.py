@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
-from scipy.linalg import sqrtm
+from scipy.linalg import block_diag, helmert, sqrtm
+from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from cassini_bayes.balance.statistics import (
@@ -21,7 +22,6 @@ from cassini_bayes.balance.statistics import (
     Sampling,
     reduce_chunks,
 )
-from cassini_bayes.balance.telemetry_terms import cut_probability
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.model.telemetry import TelemetryTerm
@@ -140,20 +140,31 @@ class PlainRows:
     wheels: list[Array]
     impulses: list[Array]  # (3 inertial, K) effective impulse per newton, body arms folded in
     torques: list[Array]  # (3, 3) integral of inertial torque directions
-    cuts: list[Array]  # (G, PARTS)
-    totals: Array  # (G, PARTS)
+    cuts: list[Array]  # (G,) tails cut on average so far
+    fired: list[Array]  # (K,) pulses so far
+    pairs: list[tuple[float, int, float]]  # time, couple, variance of the number cut
+    shots: list[tuple[float, int]]  # time and couple of every interval with firing
+
+    def pairs_of(self, couple: int) -> list[tuple[float, int, float]]:
+        """Those of one couple of thrusters."""
+        return [pair for pair in self.pairs if pair[1] == couple]
+
+    def part(self, pair: tuple[float, int, float], sampling: Sampling) -> int:
+        """The part of the event that a pair is in."""
+        return min(int(PARTS * pair[0] / sampling.duration_s), PARTS - 1)
 
 
 def plain_rows(
     samples: Samples, sampling: Sampling, arms: Array, tau: tuple[float, ...]
 ) -> PlainRows:
     """Every usable row by loops over readings, thrusters and firings, at given lever arms."""
-    rows = PlainRows([], [], [], [], [], [], [], np.zeros((len(sampling.couples), PARTS)))
+    rows = PlainRows([], [], [], [], [], [], [], [], [], [])
     thrusters = samples.on_time_s.shape[1]
     bodies = [rotation(q) for q in samples.attitude]
     impulse = np.zeros((3, thrusters))
     torque = np.zeros((3, 3))
-    cuts = np.zeros((len(sampling.couples), PARTS))
+    cuts = np.zeros(len(sampling.couples))
+    before = np.zeros(len(sampling.couples), dtype=bool)
     effective = effective_steps(samples, sampling, tau)
     for i, time in enumerate(samples.time_s):
         if i > 0:
@@ -161,10 +172,19 @@ def plain_rows(
             torque = torque + (time - samples.time_s[i - 1]) * mean.T
             for k in range(thrusters):
                 impulse[:, k] += mean.T @ arms[:, k] * effective[i, k]
-            part = min(int(PARTS * time / sampling.duration_s), PARTS - 1)
+            length = time - samples.time_s[i - 1]
             for g, couple in enumerate(sampling.couples):
                 started = max(samples.pulses[i, k] - samples.pulses[i - 1, k] for k in couple)
-                cuts[g, part] += max(started - 1, 0)
+                gained = max(samples.on_time_s[i, k] - samples.on_time_s[i - 1, k] for k in couple)
+                close, rare = min(0.3, 0.3 / length), min(0.05, 0.05 / length)
+                within, across = max(started - 1, 0), float(started > 0 and before[g])
+                cuts[g] += close * within + rare * across
+                variance = close * (1 - close) * within + rare * (1 - rare) * across
+                before[g] = started > 0 or gained > 0
+                if variance > 0:
+                    rows.pairs.append((float(time), g, variance))
+                if before[g]:
+                    rows.shots.append((float(time), g))
         if thrusters and not is_quiet(samples, i, sampling.guard_s):
             continue
         rows.times.append(float(time))
@@ -174,7 +194,7 @@ def plain_rows(
         rows.impulses.append(bodies[i] @ impulse.copy())
         rows.torques.append(bodies[i] @ torque.copy())
         rows.cuts.append(cuts.copy())
-    rows.totals[:] = cuts
+        rows.fired.append(samples.pulses[i].copy())
     return rows
 
 
@@ -218,13 +238,11 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
     return result
 
 
-def plain_log_likelihood(
-    model: Model, events: list[Samples], parameters: Mapping[str, float]
-) -> float:
+def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float:
     """Log density of all channels of all rows, the unknowns integrated out as one dense normal.
 
     Every linear unknown (thrust levels and departures, initial momenta, torques, cut tails,
-    cosines) becomes covariance between rows.
+    cosines) becomes covariance between rows and contrasts of turns.
     """
     linear = model.thrust_prior
     means, blocks, shared, constant = [], [], [], 0.0
@@ -235,7 +253,8 @@ def plain_log_likelihood(
     ]
     arms = lever_arms(model.spacecraft, model.branch, values)
     tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
-    for term, samples in zip(model.telemetry, events, strict=True):
+    for term in model.telemetry:
+        samples = Samples.joined(list(term.event.rows))
         fires = samples.on_time_s.shape[1] > 0
         sampling = term.event.sampling
         rows = plain_rows(samples, sampling, arms if fires else np.zeros((3, 0)), tau)
@@ -250,8 +269,10 @@ def plain_log_likelihood(
         lacking = y
         total = np.zeros((3 * n, 3 * n))
         still = 0.2 if plain_sparse(n, samples) else 0.5
+        row_white = white
         for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
             size = round(np.trace(share))
+            white = row_white + plain_open(model, term, rows, arms, tau, share) / size
             if not fires:
                 kept, density = np.eye(3), 0.0
             elif band == 0:
@@ -273,8 +294,25 @@ def plain_log_likelihood(
         constant += n * (np.linalg.slogdet(inertia)[1] - 1.5 * np.log(2 * np.pi))
         if fires:
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
+        unknown = np.array(own).T
+        turns = plain_turns(rows, term.event.sampling)
+        if turns.weights:
+            # turns in the place of rates, all else integrated; the noise of wheels is summed up
+            gained = turns.of_rates @ inertia + turns.of_rows @ np.array(rows.wheels) @ weights.T
+            noise = values["attitude_noise_rad"] ** 2 * inertia @ inertia
+            noise = noise + turns.summed * wheel_noise * weights @ weights.T
+            noise = noise + turns.walked * drift_square * np.eye(3)
+            everywhere = np.eye(n)
+            noise = noise + turns.ramped / n * plain_open(model, term, rows, arms, tau, everywhere)
+            on_turns = np.kron(turns.of_rows, np.eye(3))
+            y, mean = np.concatenate([y, gained]), np.concatenate([mean, turns.of_rows @ mean])
+            columns = np.concatenate([columns, on_turns @ columns])
+            unknown = np.concatenate([unknown, on_turns @ unknown])
+            total = block_diag(total, np.kron(np.eye(len(gained)), noise))
+            constant += len(gained) * np.linalg.slogdet(inertia)[1]
+        if fires:
             total = total + columns @ linear.own @ linear.own.T @ columns.T
-        total = total + np.array(own).T @ np.array(own)
+        total = total + unknown @ unknown.T
         means.append((y - mean).reshape(-1))
         blocks.append(total)
         shared.append(columns @ linear.shared)
@@ -310,22 +348,121 @@ def _unknowns(
     columns = np.zeros((3 * n, thrusters))
     if samples.on_time_s.shape[1] == 0:
         return own, columns, mean
-    chance = cut_probability(float(np.median(np.diff(samples.time_s))))
     lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
-    counts = np.array(rows.cuts)  # (n, G, PARTS)
+    counts = np.array(rows.cuts)  # (n, G)
     couples = term.event.sampling.couples
     for k in range(thrusters):
         couple = next(g for g, c in enumerate(couples) if k in c)
-        cut = chance * lost * counts[:, couple].sum(1)[:, None] * arms[:, k]
+        cut = lost * counts[:, couple][:, None] * arms[:, k]
         columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
     for g, members in enumerate(couples):
-        arm = arms[:, list(members)].sum(1)
+        step = model.thrust_prior.common_mean_n * lost * arms[:, list(members)].sum(1)
+        if rows.pairs_of(g):
+            own.append((counts[:, g][:, None] * step).reshape(-1))
         for part in range(PARTS):
-            if rows.totals[g, part] > 0:
-                sd = np.sqrt(chance * (1 - chance) / rows.totals[g, part])
-                step = model.thrust_prior.common_mean_n * lost * sd
-                own.append(step * (counts[:, g, part][:, None] * arm).reshape(-1))
+            pairs = [p for p in rows.pairs_of(g) if rows.part(p, term.event.sampling) == part]
+            if pairs:
+                variance = sum(v for _, _, v in pairs)
+                cut = sum(v * (np.array(rows.times) >= t) for t, _, v in pairs)
+                own.append((cut[:, None] / np.sqrt(variance) * step).reshape(-1))
     return own, columns, mean
+
+
+def plain_open(
+    model: Model,
+    term: TelemetryTerm,
+    rows: PlainRows,
+    arms: Array,
+    tau: tuple[float, ...],
+    share: Array,
+) -> Array:
+    """Covariance summed over the rows that ``share`` (n, n) projects on, of what is open."""
+    times, total = np.array(rows.times), np.zeros((3, 3))
+    if not rows.shots:
+        return total
+    sampling = term.event.sampling
+    lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
+    left = term.event.statistics.counters.open_s2
+    for g, members in enumerate(sampling.couples):
+        arm = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
+        square = 0.0
+        for part in range(PARTS):
+            pairs = [p for p in rows.pairs_of(g) if rows.part(p, sampling) == part]
+            whole = sum(v for _, _, v in pairs)
+            steps = [(times >= t).astype(float) for t, _, _ in pairs]
+            mean = sum(v * step for (_, _, v), step in zip(pairs, steps, strict=True))
+            for (_, _, v), step in zip(pairs, steps, strict=True):
+                apart = step - mean / whole
+                square += lost**2 * v * apart @ share @ apart
+        ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
+        for start, stop in pairwise(ends):
+            level = ((times >= start) & (times < stop)).astype(float)
+            square += left[g] * level @ share @ level
+        total += square * np.outer(arm, arm)
+    return total
+
+
+@dataclass(frozen=True)
+class PlainTurns:
+    """Contrasts of quiet pieces: of the turns since a piece began, and as integrals of rows."""
+
+    weights: bool
+    of_rates: Array  # (N, 3)
+    of_rows: Array  # (N, n)
+    summed: float
+    walked: float
+    ramped: float
+
+
+def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
+    """Pieces found by a loop over rows, contrasts by Helmert matrices."""
+    n, times = len(rows.times), rows.times
+    usual = float(np.median(np.diff(times)))
+    wheels = np.array(rows.wheels)
+    pieces, piece = [], [0]
+    for i in range(n - 1):
+        ends = times[i + 1] - times[i] > 2.5 * usual or times[i + 1] - times[piece[0]] > 32.0 + 1e-6
+        ends = ends or any(np.array(rows.fired[i]) != np.array(rows.fired[i + 1]))
+        for at in (i, i + 1):
+            if 0 < at < n - 1:
+                before, after = times[at] - times[at - 1], times[at + 1] - times[at]
+                slopes = (
+                    (wheels[at] - wheels[at - 1]) / before,
+                    (wheels[at + 1] - wheels[at]) / after,
+                )
+                bend = np.abs(slopes[1] - slopes[0]) * after
+                ends = ends or any(
+                    (bend > sampling.corner_rad_s) & (bend * after > sampling.corner_rad)
+                )
+        if ends:
+            pieces.append(piece)
+            piece = []
+        piece.append(i + 1)
+    of_rates, of_rows, sums = [np.zeros((0, 3))], [np.zeros((0, n))], np.zeros(3)
+    every = [own for own in [*pieces, piece] if len(own) >= 3]
+    for piece in every:
+        m, step = len(piece), np.diff(np.array(times)[piece])
+        integral, turn = np.zeros((m, m)), np.zeros((m, 3))
+        walk = np.zeros((m, m))
+        for i in range(1, m):
+            integral[i] = integral[i - 1]
+            integral[i, [i - 1, i]] += 0.5 * step[i - 1]
+            walk[i] = walk[i - 1]
+            walk[i, i] = np.sqrt(step[i - 1])
+            relative = rows.bodies[piece[i]] @ rows.bodies[piece[i - 1]].T
+            # the body turns by φ: its axes' matrix by the inverse rotation
+            turn[i] = turn[i - 1] + Rotation.from_matrix(relative.T).as_rotvec()
+        contrast = helmert(m)
+        of_rates.append(contrast @ turn)
+        own = np.zeros((m - 1, n))
+        own[:, piece] = contrast @ integral
+        of_rows.append(own)
+        ramp = np.array(times)[piece]
+        sums += [np.sum((contrast @ x) ** 2) for x in (integral, integral @ walk, ramp)]
+    count = sum(map(len, of_rates))
+    return PlainTurns(
+        count > 0, np.concatenate(of_rates), np.concatenate(of_rows), *(sums / max(count, 1))
+    )
 
 
 def _lacking(

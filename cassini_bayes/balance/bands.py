@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from cassini_bayes.balance.kernel import LEAST_SQUARE
 from cassini_bayes.balance.statistics import EventStatistics, Layout
+from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
 
 Array = NDArray[np.float64]
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
@@ -40,7 +41,8 @@ class Band:
 
     ``values`` (W,) are the measured wheel rates' mean squares, rad²/s², along the principal axes
     ``vectors`` (W, W); ``walk`` (R,) or (1,) are the variances of a unit random walk's modes, s.
-    ``motion`` is None where wheels move by any amount at all frequencies.
+    ``motion`` is None where wheels move by any amount at all frequencies. ``cut`` and ``level``
+    (G,) are mean squares, per couple, of what counters leave open (:class:`OpenSquares`).
     """
 
     rows: int
@@ -48,6 +50,8 @@ class Band:
     vectors: Array
     walk: Array
     motion: CubicSpline | None  # of :func:`motion_table`
+    cut: Array
+    level: Array  # s²
 
     @property
     def table(self) -> tuple[Array, Array]:
@@ -77,7 +81,8 @@ def make_bands(statistics: EventStatistics) -> Bands:
 
 
 def _bands(statistics: EventStatistics) -> Bands:
-    walk, modes = turned_modes(statistics)
+    walk, modes, turned = turned_modes(statistics)
+    left_open = open_squares(statistics, turned)
     turning = statistics.kind == "slew"
     edges, still = _edges(statistics, len(walk)), STILL
     bands, grams, rest = [], [], statistics.gram
@@ -85,7 +90,8 @@ def _bands(statistics: EventStatistics) -> Bands:
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         motion = None if turning else motion_table(stop - start, still)
-        bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion))
+        noise = left_open.of_modes(start, stop)
+        bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion, *noise))
         grams.append(gram)
         rest = rest - gram
         still = SPARSE_STILL if is_sparse(statistics) else STILL
@@ -95,7 +101,8 @@ def _bands(statistics: EventStatistics) -> Bands:
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         left = np.array([beyond * statistics.rows / rows])
         motion = None if turning else motion_table(rows, still)
-        bands.append(_band(statistics.layout, rest, left, rows, motion))
+        noise = left_open.of_rest(rows)
+        bands.append(_band(statistics.layout, rest, left, rows, motion, *noise))
         grams.append(rest)
     slow = np.ascontiguousarray(modes[..., : bands[0].rows])
     return (
@@ -120,18 +127,110 @@ def _edges(statistics: EventStatistics, modes: int) -> list[int]:
     return [0, *sorted(edge for edge in inner if 0 < edge < modes), modes]
 
 
-def _band(layout: Layout, gram: Array, walk: Array, rows: int, motion: CubicSpline | None) -> Band:
+def _band(
+    layout: Layout,
+    gram: Array,
+    walk: Array,
+    rows: int,
+    motion: CubicSpline | None,
+    cut: Array,
+    level: Array,
+) -> Band:
     square = gram[0, 0, layout.wheel, layout.wheel]
     values, vectors = np.linalg.eigh(square / rows)
-    return Band(rows, np.maximum(values, LEAST_SQUARE), vectors, walk, motion)
+    return Band(rows, np.maximum(values, LEAST_SQUARE), vectors, walk, motion, cut, level)
 
 
-def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class OpenSquares:
+    """Squares, summed over rows, of what counters leave open in the number of tails and in on-time.
+
+    Pairs of pulses that may be close are steps s_i H_i(t) of variance v_i. What the columns of cut
+    tails do not take up of them, s_i (H_i − c_j) with c_j the part's mean, is noise; so is the
+    rounding of a counter, constant between two firings (docs/telemetry-likelihood.md §6). Modes
+    (M, G) and all rows (G,), of cut tails and of levels (s²).
+    """
+
+    cut_modes: Array
+    level_modes: Array
+    cut_rows: Array
+    level_rows: Array
+
+    def of_modes(self, start: int, stop: int) -> tuple[Array, Array]:
+        """Mean squares (G,) over some modes."""
+        return self.cut_modes[start:stop].mean(axis=0), self.level_modes[start:stop].mean(axis=0)
+
+    def of_rest(self, rows: int) -> tuple[Array, Array]:
+        """Mean squares (G,) over the R rows that no mode explains."""
+        cut = self.cut_rows - self.cut_modes.sum(axis=0)
+        level = self.level_rows - self.level_modes.sum(axis=0)
+        return np.maximum(cut, 0.0) / rows, np.maximum(level, 0.0) / rows
+
+
+def open_squares(statistics: EventStatistics, turned: Array) -> OpenSquares:
+    """What counters leave open, on modes that ``turned`` (1 + cosines, M) makes of the cosines."""
+    counters, duration = statistics.counters, statistics.duration_s
+    time, couples = counters.row_time_s, counters.variance.shape[1]
+    modes, rows = np.zeros((2, turned.shape[1], couples)), np.zeros((2, couples))
+    if couples == 0 or len(counters.end_s) == 0:
+        return OpenSquares(*modes, *rows)
+    order = np.arange(len(turned))
+    on_modes = np.cos(np.pi / duration * time[:, None] * order) @ turned
+    step = (time[:, None] >= counters.end_s).astype(np.float64)
+    part = quarter_of(counters.end_s, duration)
+    for g in range(couples):
+        variance = counters.variance[:, g]
+        patterns = [
+            (step[:, own] - step[:, own] @ variance[own][:, None] / variance[own].sum())
+            * np.sqrt(variance[own])
+            for own in (np.flatnonzero((part == j) & (variance > 0.0)) for j in range(CUT_PARTS))
+            if len(own) > 0
+        ]
+        levels = np.diff(step[:, counters.fired[:, g]], axis=1, prepend=1.0, append=0.0)
+        levels = -levels * np.sqrt(counters.open_s2[g])
+        for which, pattern in enumerate((np.concatenate([step[:, :0], *patterns], axis=1), levels)):
+            modes[which, :, g] = ((counters.stride * on_modes.T @ pattern) ** 2).sum(axis=1)
+            rows[which, g] = counters.stride * (pattern**2).sum()
+    return OpenSquares(*modes, *rows)
+
+
+@dataclass(frozen=True)
+class TurnBand:
+    """Contrasts of the turns over quiet pieces, and what beside the attitude is in their noise.
+
+    Mean squares per contrast of the wheels' summed noise and of torque noise, and per couple of
+    what counters leave open: constants within a piece, hence ramps of its integral.
+    """
+
+    contrasts: int
+    summed_s2: float
+    walked_s3: float
+    cut: Array  # (G,) s²
+    level: Array  # (G,) s⁴
+
+
+def turn_band(statistics: EventStatistics) -> TurnBand:
+    """The turns of an event."""
+    turns = statistics.turns
+    *_, turned = turned_modes(statistics)
+    left_open = open_squares(statistics, turned[:, :0])
+    ramp = turns.ramped_s2 / statistics.rows
+    return TurnBand(
+        turns.contrasts,
+        turns.summed_s2,
+        turns.walked_s3,
+        ramp * left_open.cut_rows,
+        ramp * left_open.level_rows,
+    )
+
+
+def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array]:
     """Constant and cosines, turned to be orthonormal over the rows with a diagonal random walk.
 
     Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
     coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
-    mean). Returns the variances (M,) over a² and all columns' coordinates (3, A, M).
+    mean). Returns the variances (M,) over a², all columns' coordinates (3, A, M), and the matrix
+    (1 + cosines, M) that makes the modes of a constant and cosines.
     """
     layout, gram = statistics.layout, statistics.gram
     count = len(statistics.mode_gram)
@@ -149,7 +248,7 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
     constant = np.stack([gram[0, c, one] for c in range(3)])
     seen = np.concatenate([constant[None], statistics.projection])
     turned = turn / np.sqrt(values) * scale[:, None]
-    return values, np.tensordot(seen, turned, (0, 0))
+    return values, np.tensordot(seen, turned, (0, 0)), turned
 
 
 @lru_cache(maxsize=64)

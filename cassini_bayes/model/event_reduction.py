@@ -12,6 +12,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +31,7 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
     save_statistics,
 )
+from cassini_bayes.balance.statistics.preparation import Prepared, prepare
 from cassini_bayes.balance.statistics.reduction import BLOCK_ROWS
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.errors import InputError
@@ -53,6 +55,8 @@ _SAME_S: Final = 1e-9
 _TELL_S: Final = 5.0  # between lines of progress
 _TAIL_SPAN: Final = 5.0
 _PRIOR_SPAN: Final = 2.0
+_CORNER: Final = 0.5  # of the attitude's noise
+_CORNER_NOISE: Final = 5.0  # standard deviations of a second difference
 MOST_KEPT: Final = 200_000
 """Rows of an event that stay in memory once they are read, some 50 MB."""
 
@@ -138,6 +142,24 @@ class EventRows:
             self._kept = tuple(kept)
 
 
+class PreparedRows:
+    """Rows of an event with what a first look at them found: expected on-times, least steps."""
+
+    def __init__(self, rows: Iterable[Samples], control_cycle_s: float) -> None:
+        self._rows, self._control_cycle_s = rows, control_cycle_s
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return PreparedRows, (self._rows, self._control_cycle_s)
+
+    def __iter__(self) -> Iterator[Samples]:
+        return self.prepared.samples(self._rows)
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """The first look, made once."""
+        return prepare(self._rows, self._control_cycle_s)
+
+
 def is_event_folder(path: Path) -> bool:
     """Whether a path given as an event is a folder of telemetry, not a totals file."""
     return path.is_dir()
@@ -165,8 +187,17 @@ def sampling_of(
     """How an event's telemetry is reduced, from the priors of the pulse parameters.
 
     The guard time is the valve delay and five of the longest likely tail-off times: what a pulse
-    delivers later is below a percent of its tail.
+    delivers later is below a percent of its tail. Wheels that change their acceleration between
+    rows end a piece where the trapezoid would miss half the attitude's noise (I_w Δ²ρ Δt/8 against
+    I σ_θ) and where that is no noise of the wheel rates (five standard deviations).
     """
+    means = priors.means()
+    inertia = min(means[f"inertia_{axis}{axis}_kg_m2"] for axis in "xyz")
+    wheel = max(
+        means[w.inertia_parameter] for w in priors.spacecraft.wheels if w.number in priors.wheels
+    )
+    missed = _CORNER * inertia * means["attitude_noise_rad"]
+    noise = means["wheel_noise_rpm"] * RAD_S_PER_RPM
     groups = couples(priors.spacecraft, priors.branch) if thrusters else ()
     reference, guard = (0.0, 0.0, 0.0), 0.0
     if thrusters:
@@ -181,6 +212,9 @@ def sampling_of(
         tuple(tuple(list(thrusters).index(name) for name in group) for group in groups),
         duration_s,
         tuple(extra),
+        priors.spacecraft.control_cycle_s,
+        8.0 * missed / wheel,
+        _CORNER_NOISE * np.sqrt(6.0) * noise,
     )
 
 
@@ -199,7 +233,9 @@ def reduce_samples(
     extra = tuple(column.name for column in sampling.extra)
     layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples, extra)
     block = len(samples) if extra else BLOCK_ROWS
-    statistics = reduce_chunks(event_id, kind, [samples], layout, sampling, block)
+    rows = PreparedRows((samples,), sampling.control_cycle_s)
+    found = rows.prepared.found
+    statistics = reduce_chunks(event_id, kind, rows, layout, sampling, block, found)
     counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
     gained = np.zeros((2, len(thrusters)))
     if len(counted):
@@ -213,7 +249,7 @@ def reduce_samples(
         pulses=tuple(gained[1].tolist()),
         mends=(),
     )
-    return ReducedEvent(statistics, sampling, reading, (samples,), "memory")
+    return ReducedEvent(statistics, sampling, reading, rows, "memory")
 
 
 def reduce_event(
@@ -272,7 +308,7 @@ def reduce_event(
         statistics,
         sampling,
         reading,
-        rows,
+        PreparedRows(rows, sampling.control_cycle_s),
         event.source,
         event.digest,
         key,
@@ -309,6 +345,8 @@ def reduction_key(event: TelemetryEvent, sampling: Sampling) -> str:
         "couples": sampling.couples,
         "duration_s": sampling.duration_s,
         "extra": [column.name for column in sampling.extra],
+        "control_cycle_s": sampling.control_cycle_s,
+        "corner": [sampling.corner_rad, sampling.corner_rad_s],
         "thrusters": event.thrusters,
         "code": code_digest(*REDUCED_BY),
     }
@@ -419,8 +457,16 @@ def _reduced(
     layout = Layout(event.wheels, event.thrusters, sampling.couples)
     nominal = nominal_values(priors)
     momentum = momentum_rows(nominal)
+    prepared = prepare(rows, sampling.control_cycle_s)
     reading = _Reading(event, rows, momentum, sampling.duration_s, say)
-    statistics = reduce_chunks(event.id, event.kind, reading.samples(), layout, sampling)
+    statistics = reduce_chunks(
+        event.id,
+        event.kind,
+        prepared.samples(reading.samples()),
+        layout,
+        sampling,
+        prepared=prepared.found,
+    )
     check_momentum(event, momentum, priors.spacecraft, nominal)
     return statistics, reading.record()
 

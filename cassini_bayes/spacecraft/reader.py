@@ -17,6 +17,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
+    CONTROL_CYCLE_S,
     BranchGeometry,
     Spacecraft,
     Thruster,
@@ -67,6 +68,7 @@ class _File(_Table):
     wheel: list[_WheelTable] = Field(min_length=1)
     thruster: list[_ThrusterTable] = Field(min_length=1)
     axis_pairs: dict[str, list[str]]
+    control_cycle_s: Annotated[float, Field(gt=0.0, le=60.0)] = CONTROL_CYCLE_S
 
 
 _OWNERS: Final[Mapping[str, type[_Table]]] = {
@@ -191,6 +193,7 @@ def _build(file: _File, where: str, content: bytes) -> Spacecraft:
         parameters=tuple(specs.values()),
         geometry={b: _branch(b, thrusters, pairs, where) for b in file.branches},
         digest=hashlib.sha256(content).hexdigest(),
+        control_cycle_s=file.control_cycle_s,
     )
 
 

@@ -8,8 +8,8 @@ not depend on the number of samples (``docs/telemetry-likelihood.md`` §5).
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 from zipfile import BadZipFile
@@ -21,18 +21,23 @@ from cassini_bayes.balance.statistics.columns import (
     PULSE_COLUMNS,
     Carry,
     Layout,
+    Pairs,
     Rows,
     Sampling,
     settle,
 )
 from cassini_bayes.balance.statistics.rows import Samples
+from cassini_bayes.balance.statistics.turns import PieceRule, piece_breaks, piece_ends, turned
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.storage import write_bytes
 
 Array = NDArray[np.float64]
 MODES: Final = 512
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 BLOCK_ROWS: Final = 4_096
+MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
+MOST_STEPS: Final = 256  # intervals with firings that are told apart
+_SQUARES: Final = (("summed", "s2"), ("walked", "s3"), ("ramped", "s2"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +46,8 @@ class EventStatistics:
 
     ``gram[c, d]`` (3, 3, A, A) holds Σ_t a_c(t) b_d(t) for all pairs of columns and axes;
     ``projection`` (M, 3, A) = Σ_t φ_m(t) a_c(t) and ``mode_gram`` (M, M) = Σ_t φ_m φ_l belong to
-    the cosines φ_m(t) = cos(m π t / T), m = 1 … M, of the torque noise.
+    the cosines φ_m(t) = cos(m π t / T), m = 1 … M, of the torque noise. ``turns`` are those of the
+    integrated columns of quiet pieces, ``counters`` what counters leave open.
     """
 
     event_id: str
@@ -52,40 +58,60 @@ class EventStatistics:
     gram: Array
     projection: Array
     mode_gram: Array
-    close_pairs: Array  # (S,) counts per couple and part of the event
+    cuts: Array  # (S,) of every cut column: tails expected to be cut, then variances by part
     counter_interval_s: float  # usual time between two readings of the counters, 0 without
-
-    def __add__(self, other: EventStatistics) -> EventStatistics:
-        """Statistics of two stretches of one event together."""
-        if (self.layout, self.duration_s) != (other.layout, other.duration_s):
-            raise ValueError("statistics of different layouts or events do not add")
-        return replace(
-            self,
-            rows=self.rows + other.rows,
-            gram=self.gram + other.gram,
-            projection=self.projection + other.projection,
-            mode_gram=self.mode_gram + other.mode_gram,
-            close_pairs=self.close_pairs + other.close_pairs,
-        )
+    turns: TurnStatistics
+    counters: CounterStatistics
+    steps: ChannelSteps
 
 
-def empty_statistics(
-    event_id: str, kind: str, layout: Layout, duration_s: float
-) -> EventStatistics:
-    """Statistics of no rows."""
-    a = layout.size
-    return EventStatistics(
-        event_id,
-        kind,
-        layout,
-        duration_s,
-        0,
-        np.zeros((3, 3, a, a)),
-        np.zeros((MODES, 3, a)),
-        np.zeros((MODES, MODES)),
-        np.zeros(layout.cut.stop - layout.cut.start),
-        0.0,
-    )
+@dataclass(frozen=True, eq=False)
+class TurnStatistics:
+    """Inner products (3, 3, A, A) of integrated, centred columns, and their noise.
+
+    ``contrasts`` counts what is left of the pieces' rows after centring; the others are mean
+    squares per contrast (:class:`cassini_bayes.balance.statistics.turns.Turned`).
+    """
+
+    gram: Array
+    contrasts: int
+    summed_s2: float
+    walked_s3: float
+    ramped_s2: float
+
+
+@dataclass(frozen=True, eq=False)
+class CounterStatistics:
+    """What counters leave open, by the times of the intervals in which something fired.
+
+    ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
+    ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``variance``
+    (R, G) those of the cut tails in them (:class:`Pairs`); ``open_s2`` (G,) is the variance of a
+    couple's cumulative on-time that rounded counters leave open.
+    """
+
+    row_time_s: Array
+    stride: int
+    end_s: Array
+    fired: NDArray[np.bool_]
+    variance: Array
+    open_s2: Array
+
+
+@dataclass(frozen=True)
+class ChannelSteps:
+    """Least steps of measured rates and wheel rates, 0 where they have none to be seen."""
+
+    rate_rad_s: float = 0.0
+    wheel_rad_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What a first look at an event's telemetry found, for the pass that reduces it."""
+
+    steps: ChannelSteps = ChannelSteps()
+    open_s2: tuple[float, ...] = ()  # (K,) of cumulative on-times, that rounded counters leave open
 
 
 @dataclass(frozen=True)
@@ -129,23 +155,16 @@ def _inner_products(rows: Rows, layout: Layout, duration_s: float) -> _Inner:
     return _Inner(columns[every[:, None], every], on_waves[:, every], modes)
 
 
-def _sorted_out(inner: _Inner, rows: int, statistics: EventStatistics) -> EventStatistics:
-    """Statistics with one Gram matrix per pair of axes."""
-    vectors, scalars = len(statistics.layout.vector), len(statistics.layout.scalar)
+def _by_axes(columns: Array, layout: Layout) -> tuple[Array, list[NDArray[np.intp]]]:
+    """One Gram matrix (3, 3, A, A) per pair of axes, and the places of every axis's columns."""
+    vectors, scalars = len(layout.vector), len(layout.scalar)
     scalar = range(3 * vectors, 3 * vectors + scalars)
     places = [np.r_[c * vectors : (c + 1) * vectors, scalar] for c in range(3)]
-    gram = np.empty_like(statistics.gram)
+    gram = np.empty((3, 3, layout.size, layout.size))
     for c in range(3):
         for d in range(3):
-            gram[c, d] = inner.columns[places[c][:, None], places[d]]
-    return replace(
-        statistics,
-        rows=rows,
-        gram=gram,
-        projection=np.stack([inner.mixed[:, place] for place in places], axis=1),
-        mode_gram=inner.modes,
-        close_pairs=np.zeros_like(statistics.close_pairs),
-    )
+            gram[c, d] = columns[places[c][:, None], places[d]]
+    return gram, places
 
 
 def _twins(vector: Array, layout: Layout) -> NDArray[np.intp]:
@@ -193,6 +212,7 @@ def reduce_chunks(
     layout: Layout,
     sampling: Sampling,
     block_rows: int = BLOCK_ROWS,
+    prepared: Preparation | None = None,
 ) -> EventStatistics:
     """Reduce telemetry that comes in chunks, in constant memory.
 
@@ -202,32 +222,141 @@ def reduce_chunks(
         Rows in order of time, as :class:`Samples`.
     block_rows
         Most rows whose columns are made at once: what extra columns see of an event.
+    prepared
+        What a first look found; without it no channel is rounded.
 
     Raises
     ------
     InputError
         Fewer than ten rows can be used.
     """
-    total = empty_statistics(event_id, kind, layout, sampling.duration_s)
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
+    turns, times = _Turns(layout, sampling), ThinnedTimes()
     for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
             inner.gather(_inner_products(rows, layout, sampling.duration_s))
+            turns.add(rows)
+            times.add(rows.time_s)
             used += len(rows.time_s)
         interval = interval or counter_interval(chunk)
-    total = _sorted_out(inner, used, total)
-    if total.rows < LEAST_ROWS:
+    if used < LEAST_ROWS:
         raise InputError(
             f"event {event_id}: telemetry",
             f"at least {LEAST_ROWS} rows with attitude, body rates and wheel rates at one time, "
             f"none within {sampling.guard_s:.2f} s of a firing",
-            str(total.rows),
+            str(used),
             "give more telemetry, or the counters at a faster rate",
         )
-    return replace(total, close_pairs=carry.cuts, counter_interval_s=interval)
+    gram, places = _by_axes(inner.columns, layout)
+    prepared = prepared or Preparation()
+    return EventStatistics(
+        event_id=event_id,
+        kind=kind,
+        layout=layout,
+        duration_s=sampling.duration_s,
+        rows=used,
+        gram=gram,
+        projection=np.stack([inner.mixed[:, place] for place in places], axis=1),
+        mode_gram=inner.modes,
+        cuts=carry.cuts,
+        counter_interval_s=interval,
+        turns=turns.statistics(),
+        counters=_counter_statistics(carry.pairs, times, layout, prepared.open_s2),
+        steps=prepared.steps,
+    )
+
+
+class ThinnedTimes:
+    """Times of rows that come in stretches, evenly thinned in constant memory."""
+
+    def __init__(self) -> None:
+        self.stride = 1
+        self._seen = 0
+        self._kept: list[Array] = []
+
+    def add(self, time_s: Array) -> None:
+        """Take the times of some more rows."""
+        number = np.arange(self._seen, self._seen + len(time_s))
+        self._seen += len(time_s)
+        self._kept.append(time_s[number % self.stride == 0])
+        while sum(map(len, self._kept)) > MOST_TIMES:
+            self._kept = [np.concatenate(self._kept)[::2]]
+            self.stride *= 2
+
+    @property
+    def time_s(self) -> Array:
+        """Those that were kept, each for ``stride`` rows."""
+        return np.concatenate([np.zeros(0), *self._kept])
+
+
+def _counter_statistics(
+    pairs: Pairs, times: ThinnedTimes, layout: Layout, open_s2: Sequence[float]
+) -> CounterStatistics:
+    """Intervals with firings, neighbours joined where there are very many."""
+    every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
+    first = np.arange(0, len(pairs.end_s), every)
+    variance, fired = pairs.variance, pairs.fired
+    if every > 1:
+        variance = np.add.reduceat(variance, first, axis=0)
+        fired = np.logical_or.reduceat(fired, first, axis=0)
+    by_couple = [max((open_s2[k] for k in own), default=0.0) for own in layout.couples]
+    return CounterStatistics(
+        times.time_s,
+        times.stride,
+        pairs.end_s[first],
+        fired,
+        variance,
+        np.array(by_couple) if open_s2 else np.zeros(len(layout.couples)),
+    )
+
+
+class _Turns:
+    """Gathers the inner products of quiet pieces from rows that come in stretches."""
+
+    def __init__(self, layout: Layout, sampling: Sampling) -> None:
+        size = 3 * len(layout.vector) + len(layout.scalar)
+        self._layout, self._sampling = layout, sampling
+        self._rule: PieceRule | None = None
+        self._waiting: list[Rows] = []
+        self._before = 0  # rows of the piece before, by which a corner at the first row shows
+        self._gram = np.zeros((size, size))
+        self._contrasts = 0
+        self._squares = np.zeros(3)
+
+    def add(self, rows: Rows) -> None:
+        """Take more rows; those of a piece that may go on wait."""
+        rows = Rows.joined([*self._waiting, rows])
+        self._waiting = [rows]
+        if self._rule is None and len(rows.time_s) > 2:
+            usual = float(np.median(np.diff(rows.time_s)))
+            self._rule = PieceRule(usual, self._sampling.corner_rad_s, self._sampling.corner_rad)
+        self._work_up(is_last=False)
+
+    def _work_up(self, *, is_last: bool) -> None:
+        """Gather the pieces that are over."""
+        if self._rule is None:
+            return
+        (rows,), first = self._waiting, self._before
+        breaks = piece_breaks(rows, self._layout, self._rule)
+        ends = [first + end for end in piece_ends(rows.time_s[first:], breaks[first:])]
+        if not is_last:
+            ends = ends[:-1]
+        found = turned(rows, self._layout, ends)
+        self._gram += found.columns.T @ found.columns
+        self._contrasts += found.contrasts
+        self._squares += (found.summed, found.walked, found.ramped)
+        self._before = min(ends[-1], 1)
+        self._waiting = [rows.part(slice(ends[-1] - self._before, None))]
+
+    def statistics(self) -> TurnStatistics:
+        """All of it, once the last rows have been added."""
+        self._work_up(is_last=True)
+        squares = self._squares / max(self._contrasts, 1)
+        gram, _ = _by_axes(self._gram, self._layout)
+        return TurnStatistics(gram, self._contrasts, *squares.tolist())
 
 
 def _in_blocks(chunks: Iterable[Samples], rows: int) -> Iterator[Samples]:
@@ -278,8 +407,14 @@ def save_statistics(path: Path, statistics: EventStatistics) -> None:
         couples=np.array(
             [couple_of(i, statistics.layout) for i in range(len(statistics.layout.thrusters))]
         ),
-        close_pairs=statistics.close_pairs,
+        cuts=statistics.cuts,
         counter_interval_s=np.array(statistics.counter_interval_s),
+        **{f"turns.{f.name}": getattr(statistics.turns, f.name) for f in fields(TurnStatistics)},
+        **{
+            f"counters.{f.name}": getattr(statistics.counters, f.name)
+            for f in fields(CounterStatistics)
+        },
+        **{f"steps.{f.name}": getattr(statistics.steps, f.name) for f in fields(ChannelSteps)},
     )
     write_bytes(path, buffer.getvalue())
 
@@ -321,8 +456,22 @@ def load_statistics(path: Path) -> EventStatistics | None:
                 stored["gram"],
                 stored["projection"],
                 stored["mode_gram"],
-                stored["close_pairs"],
+                stored["cuts"],
                 float(stored["counter_interval_s"]),
+                TurnStatistics(
+                    stored["turns.gram"],
+                    int(stored["turns.contrasts"]),
+                    *(float(stored[f"turns.{name}_{unit}"]) for name, unit in _SQUARES),
+                ),
+                CounterStatistics(
+                    stored["counters.row_time_s"],
+                    int(stored["counters.stride"]),
+                    *(
+                        stored[f"counters.{name}"]
+                        for name in ("end_s", "fired", "variance", "open_s2")
+                    ),
+                ),
+                ChannelSteps(*(float(stored[f"steps.{f.name}"]) for f in fields(ChannelSteps))),
             )
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None

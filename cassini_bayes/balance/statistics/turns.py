@@ -83,30 +83,33 @@ def turns_between(cosines: Array) -> Array:
     return np.asarray(sine * stretch[:, None])
 
 
-def piece_ends(rows: Rows, layout: Layout, rule: PieceRule) -> list[int]:
-    """Bounds of the pieces: rows ``ends[i]`` to ``ends[i + 1]`` belong together.
+def piece_breaks(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
+    """Whether a piece ends between a row and the next, (n − 1,): a firing, a gap, a corner."""
+    vectors = rows.vector.shape[2]
+    pulses = rows.scalar[:, layout.pulse_count.start - vectors : layout.pulse_count.stop - vectors]
+    fired = np.any(np.diff(pulses, axis=0) != 0.0, axis=1)
+    return np.asarray(
+        fired | (np.diff(rows.time_s) > GAP * rule.usual_s) | _corners(rows, layout, rule)
+    )
+
+
+def piece_ends(time_s: Array, breaks: Flags) -> list[int]:
+    """Bounds of the pieces of rows at times (n,): rows ``ends[i]`` to ``ends[i + 1]`` of each.
 
     The last piece may go on with rows still to come.
     """
-    n, vectors = len(rows.time_s), rows.vector.shape[2]
-    if n == 0:
-        return [0]
-    step = np.diff(rows.time_s)
-    pulses = rows.scalar[:, layout.pulse_count.start - vectors : layout.pulse_count.stop - vectors]
-    breaks = np.any(np.diff(pulses, axis=0) != 0.0, axis=1) | (step > GAP * rule.usual_s)
-    breaks |= _corners(rows, layout, rule)
-    ends, start = [0], rows.time_s[0]
-    for i in range(n - 1):
-        if breaks[i] or rows.time_s[i + 1] - start > LONGEST_S + _SAME_S:
+    ends, start = [0], time_s[0]
+    for i, is_break in enumerate(breaks):
+        if is_break or time_s[i + 1] - start > LONGEST_S + _SAME_S:
             ends.append(i + 1)
-            start = rows.time_s[i + 1]
-    return [*ends, n]
+            start = time_s[i + 1]
+    return [*ends, len(time_s)]
 
 
 def _corners(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
     """Intervals (n − 1,) next to a row at which a wheel changes its acceleration."""
     n, vectors = len(rows.time_s), rows.vector.shape[2]
-    found = np.zeros(n - 1, dtype=bool)
+    found = np.zeros(max(n - 1, 0), dtype=bool)
     if n < 3:
         return found
     wheels = rows.scalar[:, layout.wheel.start - vectors : layout.wheel.stop - vectors]
