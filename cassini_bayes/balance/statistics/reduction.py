@@ -302,14 +302,15 @@ def _counter_statistics(
     if every > 1:
         variance = np.add.reduceat(variance, first, axis=0)
         fired = np.logical_or.reduceat(fired, first, axis=0)
-    by_couple = [max((open_s2[k] for k in own), default=0.0) for own in layout.couples]
+    by_thruster = open_s2 or np.zeros(len(layout.thrusters))
+    by_couple = [max(by_thruster[k] for k in own) for own in layout.couples]
     return CounterStatistics(
         times.time_s,
         times.stride,
         pairs.end_s[first],
         fired,
         variance,
-        np.array(by_couple) if open_s2 else np.zeros(len(layout.couples)),
+        np.array(by_couple),
     )
 
 
