@@ -25,8 +25,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.arrays import make_body, make_thrusters, rcs_law, rwa_law
@@ -42,7 +42,6 @@ from cassini_bayes.simulation.settings import (
 )
 from cassini_bayes.spacecraft import load_spacecraft
 
-Array = NDArray[np.float64]
 STEP_S = 0.005
 SPAN_S = 200.0
 REPEATS = 5

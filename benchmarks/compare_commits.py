@@ -48,7 +48,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
+
 Verdict = Literal["equal", "rounding", "draws", "no error", "different", "one side"]
 Say = Callable[[str], None]
 

@@ -26,14 +26,12 @@ from speed.problem import (
     ROOT,
     event_folders,
     model_of,
-    priors_of,
     reduced_events,
 )
 
 from cassini_bayes import __version__
-from cassini_bayes.events.telemetry import load_event
+from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.model.event_reduction import samples_of
 
 Row = dict[str, Any]
 NEEDED = ("jax", "numpyro", "dynesty", "nautilus", "zeus")
@@ -160,7 +158,7 @@ def same_part(folders: list[Path], noise: bool) -> list[Row]:
 def samples_part(folders: list[Path], quick: bool) -> list[Row]:
     """Time of a likelihood call against the number of samples."""
     event = reduced_events(folders[:1])[0]
-    samples = samples_of(load_event(event.event, priors_of().spacecraft))
+    samples = Samples.joined(tuple(event.rows))
     counts = [1_000, 10_000] if quick else [1_000, 10_000, 100_000, 1_000_000]
     return own.sample_growth(event, samples, counts, 3 if quick else 41)
 
@@ -169,7 +167,7 @@ def events_part(folders: list[Path], quick: bool) -> list[Row]:
     """Time of a likelihood call against the number of joint events."""
     (event,) = reduced_events(folders[:1])
     counts = [1, 2, 4] if quick else [1, 2, 4, 8, 16, 32, 64]
-    return own.event_growth((event.statistics, event.sampling), counts, 3 if quick else 5)
+    return own.event_growth(event, counts, 3 if quick else 5)
 
 
 def reduction_part(folders: list[Path], options: argparse.Namespace) -> list[Row]:

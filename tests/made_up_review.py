@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report import figures_of, render_report, sections_of
 from cassini_bayes.results.record import Fit
 from cassini_bayes.results.review import Review
@@ -20,7 +20,6 @@ from cassini_bayes.results.tables import hdi
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
-Array = NDArray[np.float64]
 
 DATES = (
     "2009-08-22", "2009-10-05", "2009-12-13", "2010-02-13",

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 import test_pinned
-from numpy.typing import NDArray
 from pinned_cases import CAUSES, SUBJECTS, Subject, mode_and_factor
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
+
 NEAR, FAR = 18, 4  # points within the posterior, and drawn from half the prior
 SEED = 1
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 from totals_cases import B_BRANCH, FLIGHT, flight
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model import Model, build_model, draw
@@ -23,7 +23,6 @@ from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import save_fit
 
-Array = NDArray[np.float64]
 SIZE = 400
 
 

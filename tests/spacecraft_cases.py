@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.priors.reader import Priors, read_priors
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 ROOT = Path(__file__).parents[1]

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from totals_cases import flight
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.model import log_posterior
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
@@ -19,8 +19,6 @@ from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.sweep.cells import Baseline
 from cassini_bayes.sweep.models import Factory
 from cassini_bayes.sweep.weights import batch_labels
-
-Array = NDArray[np.float64]
 
 TOY_NAMES = ("cm_x_m", "cm_y_m")
 TOY_DATUM = 0.25

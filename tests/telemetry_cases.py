@@ -9,12 +9,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 from scipy.linalg import block_diag, helmert, sqrtm
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     Layout,
@@ -28,7 +28,6 @@ from cassini_bayes.model.telemetry import TelemetryTerm
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
 
-Array = NDArray[np.float64]
 PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 RPM = 2.0 * np.pi / 60.0
 MODES = 512

@@ -13,14 +13,12 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.plausibility import check_momentum
 from cassini_bayes.events.telemetry import Mends, load_event, read_chunks, read_event
 from cassini_bayes.model.event_reduction import nominal_values
 from cassini_bayes.priors.reader import read_priors
-
-Array = NDArray[np.float64]
 
 ROOT: Final = Path(__file__).parents[1]
 DATA: Final = ROOT / "tests" / "data" / "basilisk"

@@ -16,7 +16,6 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from pinned_cases import (
     CAUSES,
     CLOSED,
@@ -30,7 +29,7 @@ from pinned_cases import (
     evidence_draws,
 )
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
 
 NUMBERS: Final = Path(__file__).parent / "data" / "pinned.json"
 INPUTS: Final = Path(__file__).parent / "data" / "pinned_inputs.npz"

@@ -10,14 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model import Model
 from cassini_bayes.priors.reader import Priors, read_priors
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
 FLIGHT = ROOT / "cassini_bayes" / "published" / "flight_2009_2010.csv"

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
+
 Table = dict[str, Any]
 
 THRUSTERS = ("z1", "z2", "z3", "z4", "y1", "y2", "y3", "y4")

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from closed_loop import vehicle as vehicles
 from closed_loop.cassini import THRUSTERS, Body, Truth
 from closed_loop.flight import NS_PER_MS, Flight
@@ -22,7 +22,6 @@ from closed_loop.thruster_control import PAIRS
 from closed_loop.valve import Pulses, Valve, merged
 from closed_loop.vehicle import NANO, Slosh, State, Vehicle, WheelDrag
 
-Array = NDArray[np.float64]
 AT_REST = State((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 SEED = 20270101
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from closed_loop.cassini import THRUSTERS, Body, Truth
 from closed_loop.hidden import Departures, leak_force
 from closed_loop.thruster_control import CYCLE_MS, Law
@@ -16,7 +17,6 @@ from closed_loop.valve import Firing, Pulses, merged
 from closed_loop.vehicle import State, Vehicle, WheelDrag
 from closed_loop.wheel_control import AttitudeByWheels, Ramp, Turn, angles, product
 
-Array = NDArray[np.float64]
 NS_PER_MS = 1_000_000
 _WARMUP_STEP_MS = 25
 

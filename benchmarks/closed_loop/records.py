@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from closed_loop.cassini import AXES, THRUSTERS, Table, Truth
 from closed_loop.flight import Flight
 from closed_loop.hidden import Departures, Effect
 from closed_loop.valve import commanded
 
-Array = NDArray[np.float64]
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
 
 

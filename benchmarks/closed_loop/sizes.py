@@ -14,15 +14,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from closed_loop.cassini import AXES, THRUSTERS, Table, Truth, spread
 from closed_loop.flight import Flight
 from closed_loop.hidden import Departures, Effect
 from closed_loop.records import Channels
 from closed_loop.valve import Valve
-
-Array = NDArray[np.float64]
 
 SETTLED_S = 0.6
 """After a firing, until a row counts: the tail has gone."""

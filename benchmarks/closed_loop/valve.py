@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
 
 
 class Firing(NamedTuple):

@@ -27,11 +27,10 @@ from Basilisk.simulation import (
     thrusterDynamicEffector,
 )
 from Basilisk.utilities import simIncludeRW
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from closed_loop.cassini import Body
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 NANO = 1_000_000_000

@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.statistics import EventStatistics, Samples, Sampling, reduce_chunks
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.statistics import Samples, reduce_chunks
+from cassini_bayes.model.draws import draw
+from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.results.fitting import Sampled, collapsed_size, fit_model
-from cassini_bayes.results.joint_draws import draw_all
 from cassini_bayes.sampling.ensembles import ProgressReport, SamplerSettings, sample, stored_ess
 from cassini_bayes.sampling.warmstart import warm_start
 from speed.problem import model_of, reduced_events
 
 Row = dict[str, Any]
-Array = NDArray[np.float64]
 TARGET = 2_000
 FIRST_CHECK = 300
 CHECKED_STEPS = 600
@@ -56,9 +56,7 @@ def fit_row(folders: list[Path], label: str, most_steps: int, quick: bool = Fals
     settings = SamplerSettings(target_ess=100 if quick else TARGET, max_steps=most_steps)
     if quick:
         settings = replace(settings, first_check=40, max_steps=60)
-    fitted = fit_model(
-        model, settings, events=events, progress=stages.note, threads=os.cpu_count() or 1
-    )
+    fitted = fit_model(model, settings, progress=stages.note, threads=os.cpu_count() or 1)
     wall, processor = stages.now()
     least, least_name = least_ess(fitted)
     enough = stages.enough or (np.nan, np.nan)
@@ -139,14 +137,15 @@ def least_of(chains: Array) -> float:
 def least_ess(fitted: Sampled) -> tuple[float, str]:
     """Smallest bulk or tail effective size of the stored draws, walked and collapsed alike."""
     model, z = fitted.model, fitted.z
-    assert isinstance(model, Model)
     m, n, _ = z.shape
     walkers = fitted.chains.z.shape[2]
-    drawn = draw_all(model, fitted.flat_z, np.random.default_rng(0))
-    parts = {"torque": drawn.torque_n_m.reshape(len(drawn.torque_n_m), -1)}
-    parts |= {f"own of event {i}": own for i, own in enumerate(drawn.own)}
-    if drawn.thrusts is not None:
-        parts["thrust"] = drawn.thrusts.thrust_n.reshape(m * n, -1)
+    draws = draw(model, fitted.flat_z, np.random.default_rng(0))
+    parts = {
+        f"{name} of {term.id}": values.reshape(m * n, -1)
+        for term, own in zip(model.telemetry, draws.own, strict=True)
+        for name, values in own.items()
+    }
+    parts["thrust"] = draws.thrusts.thrust_n.reshape(m * n, -1)
     sizes = {name: min(stored_ess(z[:, :, i], walkers)) for i, name in enumerate(model.space.names)}
     for name, values in parts.items():
         for j in np.flatnonzero(values.std(0) > 0):
@@ -189,7 +188,9 @@ def call_time(model: Model, repeats: int, points: int = POINTS) -> float:
     return float(np.median(times)) / points
 
 
-def sample_growth(reduced: Any, samples: Samples, counts: list[int], repeats: int) -> list[Row]:
+def sample_growth(
+    reduced: ReducedEvent, samples: Samples, counts: list[int], repeats: int
+) -> list[Row]:
     """Time of a likelihood call for one stretch of telemetry, sampled more and more often."""
     models = []
     for count in counts:
@@ -198,7 +199,8 @@ def sample_growth(reduced: Any, samples: Samples, counts: list[int], repeats: in
         chunks = [whole.part(a, a + 100_000) for a in range(0, count, 100_000)]
         layout = reduced.statistics.layout
         statistics = reduce_chunks("bias", "bias", chunks, layout, sampling)
-        models.append(build_model([(statistics, sampling)], _priors()))
+        event = replace(reduced, statistics=statistics, sampling=sampling)
+        models.append(build_model([event], _priors()))
     # taken in turn, so that a busy machine slows all of them
     times = np.array([[call_time(model, 1) for model in models] for _ in range(repeats)])
     return [
@@ -207,16 +209,17 @@ def sample_growth(reduced: Any, samples: Samples, counts: list[int], repeats: in
     ]
 
 
-def event_growth(
-    pair: tuple[EventStatistics, Sampling], counts: list[int], repeats: int
-) -> list[Row]:
+def event_growth(event: ReducedEvent, counts: list[int], repeats: int) -> list[Row]:
     """Time of a likelihood call for more and more joint events, all like the first one.
 
     Different biases differ in what one costs, which would pass for growth.
     """
     models = []
     for count in counts:
-        named = [(replace(pair[0], event_id=f"e{i}"), pair[1]) for i in range(count)]
+        named = [
+            replace(event, statistics=replace(event.statistics, event_id=f"e{i}"))
+            for i in range(count)
+        ]
         models.append(build_model(named, _priors()))
     times = np.array([[call_time(model, 1) for model in models] for _ in range(repeats)])
     return [

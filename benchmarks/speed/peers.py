@@ -19,14 +19,15 @@ from typing import Any
 import numpy as np
 import scipy.special
 import scipy.stats
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.telemetry_terms import cut_tail_sd
-from cassini_bayes.model.posterior import collapse, draw, log_posterior
+from cassini_bayes.arrays import Array
+from cassini_bayes.balance.telemetry_terms import INITIAL_SD_N_M_S, cut_tail_sd
+from cassini_bayes.model.draws import draw
+from cassini_bayes.model.posterior import log_posterior
+from cassini_bayes.model.telemetry import unknowns_of
 from speed import plain
 from speed.problem import model_of, reduced_events
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 TARGET = 2_000
 LEAST_ESS = 100.0  # of a chain that has mixed
@@ -113,16 +114,16 @@ class Target:
 def lifted(problem: plain.Problem, z: Array, rng: np.random.Generator) -> Array:
     """Draws of the plain likelihood's unknowns at walked coordinates, from their conditional."""
     model, terms = problem.model, problem.terms
-    drawn = draw(model, collapse(model, z), rng)
-    assert drawn.thrusts is not None  # a bias fires
-    thrust = drawn.thrusts.thrust_n[:, 0] - model.thrust_prior.common_mean_n
-    own = drawn.own[0]
+    draws = draw(model, z, rng)
+    unknowns = unknowns_of(draws.thrusts.thrust_n, draws.own[0])
+    places = terms.unknowns
+    thrust = unknowns[:, places.thrusts] - model.thrust_prior.common_mean_n
     parts = [
         z,
         np.linalg.solve(problem.thrust_factor, thrust.T).T,
-        (own[:, :3] - terms.initial_mean_n_m_s) / plain.INITIAL_SD_N_M_S,
-        (own[:, 3:6] - model.torque_mean_n_m) / model.torque_sd_n_m,
-        own[:, 6:] / cut_tail_sd(terms),
+        (unknowns[:, places.initial] - terms.initial_mean_n_m_s) / INITIAL_SD_N_M_S,
+        (unknowns[:, places.torque] - model.torque_mean_n_m) / model.torque_sd_n_m,
+        unknowns[:, places.tails] / cut_tail_sd(terms),
     ]
     return np.concatenate(parts, axis=1)
 

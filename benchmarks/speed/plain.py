@@ -19,19 +19,18 @@ import scipy.special
 
 from cassini_bayes.balance.bands import Band
 from cassini_bayes.balance.physics import INERTIA_PARAMETERS
-from cassini_bayes.balance.statistics import Carry, settle
+from cassini_bayes.balance.statistics import Carry, Samples, settle
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.statistics.reduction import MODES
 from cassini_bayes.balance.telemetry_terms import (
     CONTROL_CYCLE_S,
     INITIAL_SD_N_M_S,
-    TelemetryTerms,
+    TelemetryBalance,
     cut_probability,
     cut_tail_sd,
 )
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
-from cassini_bayes.events.telemetry import load_event
-from cassini_bayes.model.event_reduction import ReducedEvent, samples_of
+from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
@@ -56,7 +55,7 @@ class Problem:
     """One bias: the model, its rows as columns, and the orthonormal modes of its bands."""
 
     model: Model
-    terms: TelemetryTerms
+    terms: TelemetryBalance
     vector: Values  # (3 n, V)
     counts: Values  # (n, C) of pulses that may have cut tails
     rate: Values  # (n, 3)
@@ -80,8 +79,8 @@ class Problem:
 
 def make_problem(model: Model, event: ReducedEvent) -> Problem:
     """Rows of an event for the plain likelihood."""
-    samples = samples_of(load_event(event.event, model.spacecraft))
-    layout, terms = event.statistics.layout, model.telemetry[0]
+    samples = Samples.joined(tuple(event.rows))
+    layout, terms = event.statistics.layout, model.telemetry[0].balance
     rows, _ = settle(samples, Carry.start(layout), layout, event.sampling, final=True)
     n, offset = len(rows.time_s), len(layout.vector)
     bands = (terms.slow, *terms.fast)
@@ -311,7 +310,7 @@ def physics(xp: ModuleType, problem: Problem, parameters: dict[str, Values]) -> 
 def to_parameters(xp: ModuleType, special: Any, model: Model, z: Values) -> dict[str, Values]:
     """Parameters at standard-normal coordinates z (d,)."""
     found = {name: xp.asarray(value) for name, value in model.space.fixed.items()}
-    found |= {name: xp.asarray(value) for name, value in model.absent_wheel_parameters.items()}
+    found |= {name: xp.asarray(value) for name, value in model.idle.items()}
     for i, name in enumerate(model.space.names):
         found[name] = _quantile(xp, special, model.space.distributions[i], z[i])
     return found

@@ -59,6 +59,5 @@ def reduced_events(folders: list[Path], torque_noise: bool = True) -> list[Reduc
 
 
 def model_of(events: list[ReducedEvent], torque_noise: bool = True) -> Model:
-    """The joint model of reduced events."""
-    pairs = [(event.statistics, event.sampling) for event in events]
-    return build_model(pairs, priors_of(torque_noise))
+    """The model of reduced events."""
+    return build_model(events, priors_of(torque_noise))

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from cassini_bayes.balance.statistics import Samples, reduce_chunks
-from cassini_bayes.events.telemetry import load_event, read_chunks, read_event
-from cassini_bayes.model.event_reduction import reduce_event, samples_of
+from cassini_bayes.events.telemetry import read_chunks, read_event
+from cassini_bayes.model.event_reduction import reduce_event
 from speed.problem import PULSE_SHAPE, priors_of, reduced_events
 
 Row = dict[str, Any]
@@ -31,7 +31,7 @@ def reduce_row(folder: Path, rows: int) -> Row:
 
 def _reduce(folder: Path, rows: int) -> Row:
     event = reduced_events([folder])[0]
-    samples = samples_of(load_event(event.event, priors_of().spacecraft))
+    samples = Samples.joined(tuple(event.rows))
     per_chunk = CHUNK // len(samples)
     usable = Samples(*(_tiled(samples, per_chunk)))
     passes = max(round(rows / len(usable)), 1)

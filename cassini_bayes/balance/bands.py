@@ -15,14 +15,13 @@ from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.kernel import LEAST_SQUARE
 from cassini_bayes.balance.statistics import EventStatistics, Layout
 from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
 
-Array = NDArray[np.float64]
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 ROWS_PER_MODE: Final = 2
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows

@@ -14,12 +14,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled_sums
-
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
 
 LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured to move at all
 _LEAST_SPREAD: Final = 1e-14

@@ -10,6 +10,7 @@ Noise levels act on the scatter of the rows, not on their mean, and have no plac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +19,7 @@ import pandas as pd
 
 from cassini_bayes.arrays import Array, Places
 from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.thrusts import ThrustPrior
 from cassini_bayes.model.unknowns import Unknowns
 
 STEP: Final = 0.05  # in prior standard deviations
@@ -47,27 +49,57 @@ def observability(model: Model) -> Observability:
     unknowns = model.unknowns
     information = _information(model, unknowns)
     covariance = np.asarray(np.linalg.inv(information + np.eye(unknowns.size)), dtype=np.float64)
-    walked = _walked_rows(model, covariance)
+    factor = model.space.correlation_factor
+    expected = factor @ covariance[unknowns.walked, unknowns.walked] @ factor.T
     thrusts = _thrust_rows(model, unknowns, covariance)
-    table = pd.DataFrame([*thrusts, *walked])
+    table = pd.DataFrame([*thrusts, *_walked_rows(model, expected)])
     table["verdict"] = [_verdict(float(ratio)) for ratio in table["ratio"]]
     asked = _asked(model, unknowns)
     singular = np.sqrt(np.maximum(np.linalg.eigvalsh(_marginal(information, asked)), 0.0))[::-1]
-    together = _together(model, covariance)
+    together = _together(model.space.names, expected)
     return Observability(table, singular, together, _sentences(table, singular, together))
 
 
 def _information(model: Model, unknowns: Unknowns) -> Array:
     """Expected information (size, size) of the data on all standardised unknowns."""
     information = np.zeros((unknowns.size, unknowns.size))
-    d = model.space.dimension
-    steps = np.concatenate([np.zeros((1, d)), STEP * np.eye(d), -STEP * np.eye(d)])
-    points = model.points(steps)
+    points = model.points(_steps(model))
+    slopes = _level_slopes(model)
     for term, events in zip(model.terms, model.events_of_term, strict=True):
         for event, part in term.at(points).expected_information(unknowns, events.start, STEP):
             places = unknowns.of_event(event)
+            if slopes.size and model.events[event].fires:
+                part = _with_levels(part, slopes, model.thrust_prior)
             information[np.ix_(places, places)] += part
     return information
+
+
+def _steps(model: Model) -> Array:
+    """The prior means, then a step up and a step down in every walked coordinate."""
+    steps = STEP * np.eye(model.space.dimension)
+    return np.concatenate([np.zeros((1, len(steps))), steps, -steps])
+
+
+def _level_slopes(model: Model) -> Array:
+    """Change (K, d) of the mean thrust levels with what is walked; (K, 0) where there is none."""
+    prior, d = model.thrust_prior, model.space.dimension
+    if prior.chained is None and not prior.common_is_walked:
+        return np.zeros((len(prior.shared), 0))
+    points = model.points(_steps(model))
+    offset = prior.offset_at(points.parameters, points.common_n)
+    levels = points.common_n[:, None] + (np.zeros(len(prior.shared)) if offset is None else offset)
+    return np.asarray((levels[1 : d + 1] - levels[d + 1 :]).T / (2.0 * STEP))
+
+
+def _with_levels(information: Array, slopes: Array, prior: ThrustPrior) -> Array:
+    """An event's information with mean levels that follow what is walked.
+
+    A term's own takes them as constant: a step of the mean is a step of levels and departures.
+    """
+    d, factor = slopes.shape[1], np.concatenate([prior.shared, prior.own], axis=1)
+    move = np.eye(len(information))
+    move[d : d + factor.shape[1], :d] = np.linalg.pinv(factor) @ slopes
+    return np.asarray(move.T @ information @ move)
 
 
 def _asked(model: Model, unknowns: Unknowns) -> Places:
@@ -87,13 +119,14 @@ def _marginal(information: Array, asked: Places) -> Array:
     return np.asarray(kept - across @ np.linalg.solve(inner, across.T))
 
 
-def _walked_rows(model: Model, covariance: Array) -> list[dict[str, object]]:
+def _walked_rows(model: Model, expected: Array) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
+    before = np.linalg.norm(model.space.correlation_factor, axis=1)
     for i, name in enumerate(model.space.names):
         if model.space.blocks[i] == NOISE_BLOCK:
             continue
-        prior = model.space.distributions[i].sd()
-        ratio = float(np.sqrt(covariance[i, i]))
+        prior = float(model.space.distributions[i].sd() * before[i])
+        ratio = float(np.sqrt(expected[i, i]) / before[i])
         rows.append(_row(name, model.space.blocks[i], model.specs[name].unit, prior, ratio))
     return rows
 
@@ -101,7 +134,7 @@ def _walked_rows(model: Model, covariance: Array) -> list[dict[str, object]]:
 def _thrust_rows(model: Model, unknowns: Unknowns, covariance: Array) -> list[dict[str, object]]:
     """Thrust of every thruster in every event that fires, and of its level over all events."""
     rows: list[dict[str, object]] = []
-    prior, levels = model.thrust_prior, unknowns.levels
+    prior, levels, slopes = model.thrust_prior, unknowns.levels, _level_slopes(model)
     nothing = slice(levels.stop, levels.stop)
     cases = [("all events", nothing, prior.own[:, :0])] if model.fires else []
     cases += [
@@ -110,8 +143,8 @@ def _thrust_rows(model: Model, unknowns: Unknowns, covariance: Array) -> list[di
         if event.fires
     ]
     for event, departures, factor in cases:
-        index = np.r_[levels, departures]
-        design = np.concatenate([prior.shared, factor], axis=1)
+        index = np.r_[: slopes.shape[1], levels, departures]
+        design = np.concatenate([slopes, prior.shared, factor], axis=1)
         after = np.einsum("kq,qr,kr->k", design, covariance[np.ix_(index, index)], design)
         before = (design**2).sum(1)
         for k, thruster in enumerate(model.thrusters):
@@ -140,9 +173,8 @@ def _verdict(ratio: float) -> str:
     return "not seen"
 
 
-def _together(model: Model, covariance: Array) -> tuple[tuple[str, str, float], ...]:
+def _together(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
     """Pairs of walked parameters whose expected posterior correlation is strong."""
-    names = model.space.names
     width = np.sqrt(np.diagonal(covariance))
     found = []
     for i, first in enumerate(names):

@@ -237,7 +237,7 @@ def _chained(
     prior: ThrustPrior, priors: Priors, space: ParameterSpace, terms: Sequence[Term]
 ) -> ThrustPrior:
     """Thrust levels from an earlier fit, given the parameters that both walk."""
-    if priors.earlier is None:
+    if priors.earlier is None or not len(prior.shared):
         return prior
     if any(term.integrated for term in terms):
         raise InputError(

@@ -16,10 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft import Spacecraft, pair_indicator
-
-Array = NDArray[np.float64]
 
 _CHOICES: Final = np.array([[sx, 2 + sy, 4 + sz] for sx, sy, sz in product((0, 1), repeat=3)])
 

@@ -20,14 +20,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.priors.parameter_space import ParameterSpace
 
-Array = NDArray[np.float64]
 Parameters = Mapping[str, Array | float]
 
 NAMES: Final = (

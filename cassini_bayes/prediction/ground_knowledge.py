@@ -12,8 +12,8 @@ from datetime import datetime
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.prediction.beliefs import Beliefs
@@ -23,8 +23,6 @@ from cassini_bayes.prediction.regressions import Regression, ScalePrior, regress
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.pulses import effective_on_time
-
-Array = NDArray[np.float64]
 
 GRAVITY_M_S2: Final = 9.80665
 SECONDS_PER_YEAR: Final = 365.25 * 86400.0

@@ -15,8 +15,8 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
@@ -30,8 +30,6 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
-
-Array = NDArray[np.float64]
 
 GRAVITY_M_S2: Final = 9.8065  # as printed in paper 001
 TORQUE_LIMIT_N_M: Final = 0.03

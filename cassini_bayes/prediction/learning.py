@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
@@ -57,8 +58,6 @@ from cassini_bayes.sampling.warmstart import (
     find_mode,
     refined,
 )
-
-Array = NDArray[np.float64]
 
 PROPOSAL_DOF: Final = 5.0
 PILOT_DRAWS: Final = 2_000

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import build_model
@@ -19,8 +19,6 @@ from cassini_bayes.prediction.predict import Prediction, predict
 from cassini_bayes.prediction.requests import request_of
 from cassini_bayes.prediction.scores import covered, crps, interval_score
 from cassini_bayes.priors.reader import Priors
-
-Array = NDArray[np.float64]
 
 PHYSICS_DRAWS: Final = 4_000
 KINDS: Final[Mapping[str, str]] = {

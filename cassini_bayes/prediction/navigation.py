@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.predict import SOURCES, predict
 from cassini_bayes.prediction.requests import BiasRequest
-
-Array = NDArray[np.float64]
 
 TOLERANCE: Final = 0.03
 REQUIRED_PROBABILITY: Final = 0.9973

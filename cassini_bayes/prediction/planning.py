@@ -21,8 +21,8 @@ from itertools import product
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_rate_covariance
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
@@ -41,8 +41,6 @@ from cassini_bayes.prediction.predict import on_times_of
 from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
 from cassini_bayes.prediction.wheel_profile import duration_s, segments_rpm
 from cassini_bayes.spacecraft import inertia_tensor
-
-Array = NDArray[np.float64]
 
 LEVEL: Final = "thrust_level_"
 

@@ -8,8 +8,8 @@ from datetime import datetime
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import (
     hold_attitude_covariance,
     hold_rate_covariance,
@@ -29,8 +29,6 @@ from cassini_bayes.prediction.requests import BiasRequest
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES, segments_rpm
 from cassini_bayes.spacecraft import inertia_tensor, thruster_directions
 from cassini_bayes.spacecraft.pulses import effective_on_time
-
-Array = NDArray[np.float64]
 
 Source = Literal[
     "limit cycle", "rates at the ends", "thrust and geometry", "thrust of the event", "on-board ΔV"

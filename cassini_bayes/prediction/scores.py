@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array, Flags
 
 
 def central_interval(draws: Array, probability: float = 0.9) -> Array:
@@ -14,7 +14,7 @@ def central_interval(draws: Array, probability: float = 0.9) -> Array:
     return np.asarray(np.quantile(draws, [tail, 1.0 - tail], axis=0))
 
 
-def covered(draws: Array, outcome: ArrayLike, probability: float = 0.9) -> NDArray[np.bool_]:
+def covered(draws: Array, outcome: ArrayLike, probability: float = 0.9) -> Flags:
     """Whether the central interval holds the outcome, per trailing element."""
     low, high = central_interval(draws, probability)
     return np.asarray((np.asarray(outcome) >= low) & (np.asarray(outcome) <= high))

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.prediction.predict import Prediction
-
-Array = NDArray[np.float64]
 
 INTERVAL: Final = "90 % central"
 _QUANTILES: Final = (0.05, 0.5, 0.95)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
 
 SETTLING_TIMES: Final = 6.0
 TAIL_POINTS: Final = (0.5, 1.0, 2.0, 3.0, SETTLING_TIMES)

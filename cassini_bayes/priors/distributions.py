@@ -16,9 +16,10 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import closest, finite_number, nearest
 from cassini_bayes.priors.quantiles import (
@@ -31,8 +32,6 @@ from cassini_bayes.priors.quantiles import (
     Uniform,
     standard_normal_log_density,
 )
-
-Array = NDArray[np.float64]
 
 # A prior with less of its probability between its bounds than this was not meant.
 _LEAST_MASS: Final = 1e-12

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.quantiles import standard_normal_log_density
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -99,6 +98,13 @@ class ParameterSpace:
                 else distribution.quantile_of_standard(points[..., i])
             )
         return parameters
+
+    @property
+    def correlation_factor(self) -> Array:
+        """Slopes (d, d) of the standard coordinates in the walked ones: 1 without earlier fit."""
+        basis = np.concatenate([np.zeros((1, self.dimension)), np.eye(self.dimension)])
+        moved = self._correlated(basis)
+        return np.asarray((moved[1:] - moved[0]).T)
 
     def to_standard(self, parameters: Mapping[str, ArrayLike]) -> Array:
         """Inverse of :meth:`to_parameters`: the free ones of name → (...,) → z (..., d)."""

@@ -15,10 +15,10 @@ from functools import cached_property
 from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import erf, erfcinv, erfinv, log_ndtr, ndtr, ndtri, ndtri_exp
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
 
 _HALF_LOG_2PI: Final = 0.5 * math.log(2.0 * math.pi)
 _SQRT_2: Final = math.sqrt(2.0)

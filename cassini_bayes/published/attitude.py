@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.published.printed import csv_rows, package_text
 
-Array = NDArray[np.float64]
 COLUMNS: Final = (
     "sclk_s",
     *(f"ck_q{i}" for i in range(4)),

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from cassini_bayes.report.plots.quantities import MISSING, number
+import pandas as pd
+
+from cassini_bayes.report.plots.quantities import MISSING, Scale, interval, number, plus_minus
 
 MN: Final = 1e3  # mN per N
 PERCENT_SD: Final = 10.0  # percentages are shown without decimals
@@ -30,9 +33,65 @@ class Table:
     title: str = ""
 
 
+Column = str | Callable[[pd.Series], Cell | str]
+"""How a row of a frame becomes a cell: the column whose text it is, or a function of the row."""
+
+
+def tabulate(
+    frame: pd.DataFrame, columns: Mapping[str, Column], *, heads: int = 1, title: str = ""
+) -> Table:
+    """A frame's rows under headings, each with its column."""
+    rows = tuple(
+        tuple(_cell(row[c] if isinstance(c, str) else c(row)) for c in columns.values())
+        for _, row in frame.iterrows()
+    )
+    return Table(tuple(columns), rows, heads, title)
+
+
+def _cell(content: object) -> Cell:
+    return content if isinstance(content, Cell) else Cell(str(content))
+
+
+def mean_sd(mean: str = "mean", sd: str = "sd") -> Column:
+    """Two columns as ``mean ± sd``."""
+    return lambda row: plus_minus(float(row[mean]), float(row[sd]))
+
+
+def between(low: str = "hdi_90_low", high: str = "hdi_90_high") -> Column:
+    """Two columns as ``low … high``."""
+    return lambda row: interval(float(row[low]), float(row[high]))
+
+
+def own_digits(column: str) -> Column:
+    """A standard deviation with two significant digits."""
+    return lambda row: number(float(row[column]), float(row[column]))
+
+
+def formatted(column: str, style: str) -> Column:
+    """A column in a format, a dash where it is not finite."""
+    return lambda row: or_missing(row[column], style)
+
+
+def as_percent(column: str) -> Column:
+    """A share as a whole percentage."""
+    return lambda row: percent(float(row[column]))
+
+
+def in_units(frame: pd.DataFrame, scales: Sequence[Scale], *columns: str) -> pd.DataFrame:
+    """The frame with some columns in the units of ``scales``, one a row, named in ``unit``."""
+    shown = frame.assign(unit=[scale.unit for scale in scales])
+    shown[list(columns)] = shown[list(columns)].mul([scale.factor for scale in scales], axis=0)
+    return shown
+
+
 def or_missing(value: float, style: str) -> str:
     """``value`` in a format, or a dash where it is not finite."""
     return format(float(value), style) if math.isfinite(float(value)) else MISSING
+
+
+def signed(value: float, style: str = "+.1f") -> str:
+    """``value`` with its sign, or a dash where it is not finite."""
+    return or_missing(value, style).replace("-", "−")
 
 
 def percent(share: float) -> str:

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from cassini_bayes.report.cells import MN, Cell, Table, or_missing, percent
+from cassini_bayes.report.cells import (
+    MN,
+    Cell,
+    Column,
+    Table,
+    as_percent,
+    between,
+    formatted,
+    in_units,
+    mean_sd,
+    or_missing,
+    own_digits,
+    percent,
+    signed,
+    tabulate,
+)
 from cassini_bayes.report.page import (
     BUDGET,
     CHECKS,
@@ -23,6 +37,11 @@ from cassini_bayes.report.page import (
     Section,
     Shown,
 )
+from cassini_bayes.report.plots.budget import budget_figure
+from cassini_bayes.report.plots.checks import balance_figure, convergence_figure, predictive_figure
+from cassini_bayes.report.plots.corners import nuisance_corner
+from cassini_bayes.report.plots.delta_v import delta_v_figure, delta_v_thrust_figure
+from cassini_bayes.report.plots.nuisances import nuisance_figure, torque_figure
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
     INTERVAL_SHORT,
@@ -45,11 +64,9 @@ from cassini_bayes.report.plots.tables import (
 )
 from cassini_bayes.results.review import Review
 
-if TYPE_CHECKING:
-    from cassini_bayes.report.plots import Figure
-
 STOP_RULE: Final = "Stop rule"
 FIXED_REPLICATE_S: Final = 1e-9
+SIGMAS: Final = ("noise-only", "full", "consider")
 UNLIKELY_TAIL: Final = 0.005
 
 
@@ -70,7 +87,7 @@ def nuisances(review: Review) -> Iterator[Section]:
             f"corner_nuisances_{i}",
             "Corner plot of nuisances with priors",
             f"Nuisances, part {i}: contours and prior as in the corner plot of the thrust levels.",
-            partial(_corner_figure, review, names, title),
+            partial(nuisance_corner, review, names, title),
             portrait=True,
         )
         for i, (names, title) in enumerate(nuisance_pages(review), start=1)
@@ -85,7 +102,7 @@ def nuisances(review: Review) -> Iterator[Section]:
                 f"Bars: {INTERVAL} of the posterior in units of the prior's standard deviation, "
                 "measured from the prior's mean. Grey: 90 % equal-tailed interval of the prior. "
                 "Numbers at the right: posterior and prior, mean ± standard deviation.",
-                partial(_nuisance_figure, review),
+                partial(nuisance_figure, review),
             ),
             Shown(nuisance_table(review)),
             Shown(
@@ -100,18 +117,6 @@ def nuisances(review: Review) -> Iterator[Section]:
     )
 
 
-def _nuisance_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.nuisances import nuisance_figure
-
-    return nuisance_figure(review)
-
-
-def _corner_figure(review: Review, names: list[str], title: str) -> Figure | None:
-    from cassini_bayes.report.plots.corners import nuisance_corner
-
-    return nuisance_corner(review, names, title)
-
-
 def torques(review: Review) -> Iterator[Section]:
     """External torques against their priors."""
     drawing = Drawing(
@@ -119,15 +124,9 @@ def torques(review: Review) -> Iterator[Section]:
         "Prior and posterior intervals of the external torque of every event",
         f"External torque of each event (integrated out analytically, drawn back): {INTERVAL} in "
         "units of the prior's standard deviation. Grey: 90 % equal-tailed interval of the prior.",
-        partial(_torque_figure, review),
+        partial(torque_figure, review),
     )
     yield Section(NUISANCES, (drawing,))
-
-
-def _torque_figure(review: Review) -> Figure | None:
-    from cassini_bayes.report.plots.nuisances import torque_figure
-
-    return torque_figure(review)
 
 
 def budget(review: Review) -> Iterator[Section]:
@@ -151,7 +150,7 @@ def budget(review: Review) -> Iterator[Section]:
                 "Shares of the variance of each thrust by block, and three standard deviations",
                 "Left: share of each thrust's posterior variance by block of nuisances, mean over "
                 "events. Right: the three standard deviations, mean and range over events.",
-                partial(_budget_figure, review),
+                partial(budget_figure, review),
             ),
             Shown(budget_table(review)),
             Shown(
@@ -162,12 +161,6 @@ def budget(review: Review) -> Iterator[Section]:
         name="budget",
         frame=review.budget,
     )
-
-
-def _budget_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.budget import budget_figure
-
-    return budget_figure(review)
 
 
 def predictive(review: Review) -> Iterator[Section]:
@@ -191,7 +184,7 @@ def predictive(review: Review) -> Iterator[Section]:
                 f"Above: measured on-times (symbols) on the {INTERVAL} of the replicates (bars). "
                 "Below: the same, minus the replicates' mean. A negative replicate means that the "
                 "opposite thrusters would have fired.",
-                partial(_predictive_figure, review),
+                partial(predictive_figure, review),
             ),
             Shown(predictive_table(review), fold="On-times of every thruster in every event"),
         ),
@@ -199,12 +192,6 @@ def predictive(review: Review) -> Iterator[Section]:
         name="predictive",
         frame=review.predictive,
     )
-
-
-def _predictive_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.checks import predictive_figure
-
-    return predictive_figure(review)
 
 
 def balance(review: Review) -> Iterator[Section]:
@@ -220,7 +207,7 @@ def balance(review: Review) -> Iterator[Section]:
                 f"{last if review.model.telemetry else ''}. Symbols and bars: posterior mean and "
                 "90 % interval (mean ± 1.645 standard deviations). Grey: 90 % interval of the "
                 "noise that the model allows for (dead-band rates and attitudes, rounding).",
-                partial(_balance_figure, review),
+                partial(balance_figure, review),
             ),
             Shown(balance_table(review), fold="Momentum balance of every event and axis"),
         ),
@@ -228,12 +215,6 @@ def balance(review: Review) -> Iterator[Section]:
         name="balance",
         frame=review.balance,
     )
-
-
-def _balance_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.checks import balance_figure
-
-    return balance_figure(review)
 
 
 def delta_v(review: Review) -> Iterator[Section]:
@@ -259,16 +240,10 @@ def delta_v(review: Review) -> Iterator[Section]:
         "Left: printed ΔV and the fit of the on-board computation. Right: their difference. Thick "
         "bars: the computed value; thin bars: with the channel's own noise, as fitted; both 90 % "
         "intervals (mean ± 1.645 standard deviations).",
-        partial(_delta_v_figure, review),
+        partial(delta_v_figure, review),
     )
     blocks = (text, drawing, Shown(delta_v_table(review)))
     yield Section(DELTA_V, blocks, name="delta_v", frame=review.delta_v)
-
-
-def _delta_v_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.delta_v import delta_v_figure
-
-    return delta_v_figure(review)
 
 
 def variants(review: Review) -> Iterator[Section]:
@@ -280,7 +255,7 @@ def variants(review: Review) -> Iterator[Section]:
         "Thrust of every thruster in every bias under three uses of the velocity change",
         f"Posterior mean and {INTERVAL} of every thrust with ΔV left out, as declared, and as if "
         "it had been measured.",
-        partial(_variant_figure, review),
+        partial(delta_v_thrust_figure, review),
     )
     yield Section(
         DELTA_V,
@@ -289,12 +264,6 @@ def variants(review: Review) -> Iterator[Section]:
         name="variants",
         frame=review.variants,
     )
-
-
-def _variant_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.delta_v import delta_v_thrust_figure
-
-    return delta_v_thrust_figure(review)
 
 
 def convergence(review: Review) -> Iterator[Section]:
@@ -310,7 +279,7 @@ def convergence(review: Review) -> Iterator[Section]:
                 "R-hat and effective sample sizes of every scalar",
                 "Every scalar of the posterior is one symbol: R-hat between independent ensembles, "
                 "bulk and tail effective sample size.",
-                partial(_convergence_figure, review),
+                partial(convergence_figure, review),
             ),
             Shown(convergence_table(review), fold="Walked parameters", open=True),
             Shown(scalar_table(review), fold=f"Every scalar of the posterior ({INTERVAL})"),
@@ -318,277 +287,211 @@ def convergence(review: Review) -> Iterator[Section]:
     )
 
 
-def _convergence_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.checks import convergence_figure
-
-    return convergence_figure(review)
-
-
 def nuisance_table(review: Review) -> Table:
     """Prior and posterior of every walked parameter, with the verdict."""
-    rows = []
-    for _, row in review.nuisances.iterrows():
-        scale = parameter_scale(review, str(row["name"]))
-        f = scale.factor
-        flag = (
-            "flag"
-            if row["verdict"] == "conflict"
-            else "muted"
-            if row["verdict"] != "informed"
-            else ""
-        )
-        surprise = float(row["surprise"])
-        rows.append(
-            (
-                Cell(str(row["name"])),
-                Cell(scale.unit),
-                Cell(plus_minus(row["prior_mean"] * f, row["prior_sd"] * f)),
-                Cell(plus_minus(row["mean"] * f, row["sd"] * f)),
-                Cell(interval(row["hdi_90_low"] * f, row["hdi_90_high"] * f)),
-                Cell(percent(float(row["contraction"]))),
-                Cell(f"{surprise:+.1f}".replace("-", "−") if math.isfinite(surprise) else MISSING),
-                Cell(str(row["verdict"]), flag),
-            )
-        )
-    return Table(
-        (
-            "parameter",
-            "unit",
-            "prior mean ± sd",
-            "posterior mean ± sd",
-            INTERVAL_SHORT,
-            "narrowed by",
-            "shift [σ]",
-            "verdict",
-        ),
-        tuple(rows),
+    styles = {"conflict": "flag", "informed": ""}
+    table = review.nuisances
+    scales = [parameter_scale(review, str(name)) for name in table["name"]]
+    shown = ("prior_mean", "prior_sd", "mean", "sd", "hdi_90_low", "hdi_90_high")
+    return tabulate(
+        in_units(table, scales, *shown),
+        {
+            "parameter": "name",
+            "unit": "unit",
+            "prior mean ± sd": mean_sd("prior_mean", "prior_sd"),
+            "posterior mean ± sd": mean_sd(),
+            INTERVAL_SHORT: between(),
+            "narrowed by": as_percent("contraction"),
+            "shift [σ]": lambda row: signed(row["surprise"]),
+            "verdict": lambda row: Cell(row["verdict"], styles.get(row["verdict"], "muted")),
+        },
     )
 
 
 def prior_table(review: Review) -> Table:
     """What every walked parameter means, and where its prior comes from."""
-    return Table(
-        ("parameter", "block", "meaning", "source of the prior"),
-        tuple(
-            tuple(Cell(str(row[c])) for c in ("name", "block", "meaning", "source"))
-            for _, row in review.nuisances.iterrows()
-        ),
-    )
+    columns = ("name", "block", "meaning", "source")
+    heads = ("parameter", "block", "meaning", "source of the prior")
+    return tabulate(review.nuisances, dict(zip(heads, columns, strict=True)))
 
 
 def budget_table(review: Review) -> Table:
     """Means over events, one row per thruster."""
-    numeric = review.budget.drop(columns=["event"]).groupby("thruster").mean()
-    rows = [_budget_row((name,), numeric.loc[name], review) for name in thrusters_of(review)]
-    return Table(("thruster", *_budget_columns(review)), tuple(rows))
+    means = review.budget.drop(columns=["event"]).groupby("thruster").mean()
+    rows = means.loc[thrusters_of(review)].reset_index()
+    return tabulate(rows, {"thruster": "thruster", **_budget_columns(review)})
 
 
 def budget_event_table(review: Review) -> Table:
     """The error budget of every thruster in every event."""
-    rows = [
-        _budget_row((str(row["event"]), str(row["thruster"])), row, review)
-        for _, row in review.budget.iterrows()
-    ]
-    return Table(("event", "thruster", *_budget_columns(review)), tuple(rows), heads=2)
+    columns = {"event": "event", "thruster": "thruster", **_budget_columns(review)}
+    return tabulate(review.budget, columns, heads=2)
 
 
-def _budget_columns(review: Review) -> tuple[str, ...]:
+def _budget_columns(review: Review) -> dict[str, Column]:
     heads = {NOISE_ONLY: "all nuisances known", NONLINEAR: "joint", "noise": "noise scales"}
-    shares = (f"{heads.get(block, block)} [%]" for block in budget_blocks(review.budget))
-    return ("noise-only σ [mN]", "full σ [mN]", "consider σ [mN]", *shares)
+    sigmas = {name: f"{name.replace(' ', '_').replace('-', '_')}_sd_n" for name in SIGMAS}
+    return {f"{name} σ [mN]": _milli(column) for name, column in sigmas.items()} | {
+        f"{heads.get(block, block)} [%]": _share(block) for block in budget_blocks(review.budget)
+    }
 
 
-def _budget_row(heads: Iterable[str], row: pd.Series, review: Review) -> tuple[Cell, ...]:
-    sigmas = (MN * float(row[c]) for c in ("noise_only_sd_n", "full_sd_n", "consider_sd_n"))
-    shares = (float(row[b + SHARE]) for b in budget_blocks(review.budget))
-    return (
-        *(Cell(head) for head in heads),
-        *(Cell(number(s, s)) for s in sigmas),
-        *(Cell(percent(s).removesuffix(" %")) for s in shares),
-    )
+def _milli(column: str) -> Column:
+    return lambda row: number(MN * float(row[column]), MN * float(row[column]))
+
+
+def _share(block: str) -> Column:
+    return lambda row: percent(float(row[block + SHARE])).removesuffix(" %")
 
 
 def coverage(review: Review) -> tuple[int, int]:
     """(on-times inside their interval, on-times that the model predicts)."""
     table = review.predictive
-    told = table[(table["sd_s"] > FIXED_REPLICATE_S) & table["mean_s"].notna()]
-    inside = (told["measured_s"] >= told["hdi_90_low_s"]) & (
-        told["measured_s"] <= told["hdi_90_high_s"]
-    )
-    return int(inside.sum()), len(told)
+    predicted = table[(table["sd_s"] > FIXED_REPLICATE_S) & table["mean_s"].notna()]
+    inside = predicted["measured_s"].between(predicted["hdi_90_low_s"], predicted["hdi_90_high_s"])
+    return int(inside.sum()), len(predicted)
 
 
 def predictive_table(review: Review) -> Table:
     """Measured on-times and replicates; what the limit cycle sets is said to be so."""
-    rows = []
-    for _, row in review.predictive.iterrows():
-        told = float(row["sd_s"]) > FIXED_REPLICATE_S
-        tail = float(row["tail_probability"])
-        rows.append(
-            (
-                Cell(str(row["event"])),
-                Cell(str(row["thruster"])),
-                Cell(or_missing(row["measured_s"], ".2f")),
-                Cell(plus_minus(row["mean_s"], row["sd_s"]) if told else "set by the limit cycle",
-                     "" if told else "muted"),
-                Cell(interval(row["hdi_90_low_s"], row["hdi_90_high_s"]) if told else MISSING),
-                Cell(f"{tail:.3f}" if told and math.isfinite(tail) else MISSING,
-                     "flag" if told and tail < UNLIKELY_TAIL else ""),
-            )
-        )  # fmt: skip
-    return Table(
-        (
-            "event",
-            "thruster",
-            "measured [s]",
-            "replicates, mean ± sd [s]",
-            f"{INTERVAL_SHORT} [s]",
-            "tail probability",
-        ),
-        tuple(rows),
+
+    def predicted(row: pd.Series) -> bool:
+        return float(row["sd_s"]) > FIXED_REPLICATE_S
+
+    def replicates(row: pd.Series) -> Cell:
+        if not predicted(row):
+            return Cell("set by the limit cycle", "muted")
+        return Cell(plus_minus(row["mean_s"], row["sd_s"]))
+
+    def range_of(row: pd.Series) -> str:
+        return interval(row["hdi_90_low_s"], row["hdi_90_high_s"]) if predicted(row) else MISSING
+
+    def tail(row: pd.Series) -> Cell:
+        if not predicted(row):
+            return Cell(MISSING)
+        probability = float(row["tail_probability"])
+        return Cell(or_missing(probability, ".3f"), "flag" if probability < UNLIKELY_TAIL else "")
+
+    return tabulate(
+        review.predictive,
+        {
+            "event": "event",
+            "thruster": "thruster",
+            "measured [s]": formatted("measured_s", ".2f"),
+            "replicates, mean ± sd [s]": replicates,
+            f"{INTERVAL_SHORT} [s]": range_of,
+            "tail probability": tail,
+        },
         heads=2,
     )
 
 
 def balance_table(review: Review) -> Table:
     """Momentum left over per event and axis."""
-    rows = []
-    for _, row in review.balance.iterrows():
+
+    def in_noise(row: pd.Series) -> Cell:
         z = float(row["standardised"])
-        rows.append(
-            (
-                Cell(str(row["event"])),
-                Cell(str(row["axis"])),
-                Cell(plus_minus(row["residual_n_m_s"], row["sd_n_m_s"])),
-                Cell(number(row["noise_sd_n_m_s"], row["noise_sd_n_m_s"])),
-                Cell(f"{z:+.1f}".replace("-", "−") if math.isfinite(z) else MISSING,
-                     "flag" if abs(z) > 3 else ""),
-            )
-        )  # fmt: skip
-    return Table(
-        (
-            "event",
-            "axis",
-            "momentum left over, mean ± sd [N m s]",
-            "noise σ [N m s]",
-            "in noise σ",
-        ),
-        tuple(rows),
+        return Cell(signed(z), "flag" if abs(z) > 3 else "")
+
+    return tabulate(
+        review.balance,
+        {
+            "event": "event",
+            "axis": "axis",
+            "momentum left over, mean ± sd [N m s]": mean_sd("residual_n_m_s", "sd_n_m_s"),
+            "noise σ [N m s]": own_digits("noise_sd_n_m_s"),
+            "in noise σ": in_noise,
+        },
         heads=2,
     )
 
 
 def delta_v_table(review: Review) -> Table:
     """Printed ΔV and the fit of the on-board computation."""
-    rows = []
-    for _, row in review.delta_v.iterrows():
-        mean, sd = float(row["computed_mean_mm_s"]), float(row["computed_sd_mm_s"])
-        rows.append(
-            (
-                Cell(str(row["event"])),
-                Cell(or_missing(row["printed_mm_s"], ".2f")),
-                Cell(plus_minus(mean, sd)),
-                Cell(number(float(row["printed_mm_s"]) - mean, sd)),
-            )
-        )
-    return Table(
-        (
-            "event",
-            "printed [mm/s]",
-            "computed channel, mean ± sd [mm/s]",
-            "printed − computed [mm/s]",
-        ),
-        tuple(rows),
+    mean, sd = "computed_mean_mm_s", "computed_sd_mm_s"
+    return tabulate(
+        review.delta_v.assign(left=review.delta_v["printed_mm_s"] - review.delta_v[mean]),
+        {
+            "event": "event",
+            "printed [mm/s]": formatted("printed_mm_s", ".2f"),
+            "computed channel, mean ± sd [mm/s]": mean_sd(mean, sd),
+            "printed − computed [mm/s]": lambda row: number(
+                row["printed_mm_s"] - row[mean], row[sd]
+            ),
+        },
     )
 
 
 def variant_table(review: Review) -> Table:
     """Mean thrust under each use of ΔV, and the largest shift against the first use."""
-    table = review.variants
-    names = list(dict.fromkeys(table["variant"]))
-    means, sds = (
-        {n: grid(table[table["variant"] == n], column, review) for n in names}
+    mean, sd = (
+        {
+            str(name): grid(own, column, review)
+            for name, own in review.variants.groupby("variant", sort=False)
+        }
         for column in ("mean_n", "sd_n")
     )
-    reference = names[0]
-    rows = []
-    for name in names:
-        shift = (means[name] - means[reference]) / sds[reference]
-        worst = shift.flat[int(np.nanargmax(np.abs(shift)))]
-        sd = float(np.nanmean(sds[name]))
-        rows.append(
-            (
-                Cell(name),
-                Cell(number(float(np.nanmean(means[name])), sd)),
-                Cell(number(sd * MN, sd * MN)),
-                Cell(MISSING if name == reference else f"{worst:+.2f}".replace("-", "−")),
-            )
-        )
-    return Table(
-        (
-            "use of ΔV",
-            "mean of all thrusts [N]",
-            "mean of their sd [mN]",
-            f"largest shift against “{reference}” [its sd]",
-        ),
-        tuple(rows),
+    reference = next(iter(mean))
+    shifts = {name: (mean[name] - mean[reference]) / sd[reference] for name in mean}
+    rows = pd.DataFrame(
+        {
+            "use": list(mean),
+            "mean": [np.nanmean(thrusts) for thrusts in mean.values()],
+            "sd": [np.nanmean(spreads) for spreads in sd.values()],
+            "shift": [own.flat[int(np.nanargmax(np.abs(own)))] for own in shifts.values()],
+        }
+    )
+    rows.loc[0, "shift"] = np.nan
+    return tabulate(
+        rows,
+        {
+            "use of ΔV": "use",
+            "mean of all thrusts [N]": lambda row: number(row["mean"], row["sd"]),
+            "mean of their sd [mN]": _milli("sd"),
+            f"largest shift against “{reference}” [its sd]": lambda row: signed(
+                row["shift"], "+.2f"
+            ),
+        },
     )
 
 
 def convergence_table(review: Review) -> Table:
     """Autocorrelation time, R-hat and effective sample size of walked parameters."""
-    return Table(
-        ("walked parameter", "autocorrelation time τ [steps]", "R-hat", "effective sample"),
-        tuple(
-            (
-                Cell(str(row["name"])),
-                Cell(or_missing(row["tau_steps"], ".1f")),
-                Cell(or_missing(row["rhat"], ".4f"), "flag" if row["rhat"] >= 1.01 else ""),
-                Cell(or_missing(row["ess"], ".0f")),
-            )
-            for _, row in review.convergence.iterrows()
-        ),
+
+    def rhat(row: pd.Series) -> Cell:
+        return Cell(or_missing(row["rhat"], ".4f"), "flag" if row["rhat"] >= 1.01 else "")
+
+    return tabulate(
+        review.convergence,
+        {
+            "walked parameter": "name",
+            "autocorrelation time τ [steps]": formatted("tau_steps", ".1f"),
+            "R-hat": rhat,
+            "effective sample": formatted("ess", ".0f"),
+        },
     )
 
 
 def scalar_table(review: Review) -> Table:
-    """Every scalar of the posterior with its prior and sampling diagnostics."""
-    scales = _quantity_scales(review.summary)
-    rows = []
-    for _, row in review.summary.iterrows():
-        factor, unit = scales[str(row["quantity"])]
-        rows.append(
-            (
-                Cell(str(row["name"])),
-                Cell(unit),
-                Cell(plus_minus(row["mean"] * factor, row["sd"] * factor)),
-                Cell(interval(row["hdi_90_low"] * factor, row["hdi_90_high"] * factor)),
-                Cell(plus_minus(row["prior_mean"] * factor, row["prior_sd"] * factor)),
-                Cell(or_missing(row["rhat"], ".4f")),
-                Cell(or_missing(row["ess_bulk"], ".0f")),
-                Cell(or_missing(row["ess_tail"], ".0f")),
-            )
-        )
-    return Table(
-        (
-            "scalar",
-            "unit",
-            "mean ± sd",
-            INTERVAL_SHORT,
-            "prior mean ± sd",
-            "R-hat",
-            "ESS bulk",
-            "ESS tail",
-        ),
-        tuple(rows),
-    )
+    """Every scalar of the posterior with its prior and sampling diagnostics.
 
-
-def _quantity_scales(summary: pd.DataFrame) -> dict[str, tuple[float, str]]:
-    """One factor and unit per quantity, so that its rows can be compared."""
-    scales = {}
-    for quantity, rows in summary.groupby("quantity"):
+    One unit per quantity, so that its rows can be compared.
+    """
+    table, units = review.summary, {}
+    for quantity, rows in table.groupby("quantity"):
         largest = rows[["mean", "prior_mean", "prior_sd"]].abs().max()
-        scale = display_scale(str(rows["unit"].iloc[0]), *(float(v) for v in largest))
-        scales[str(quantity)] = (scale.factor, scale.unit)
-    return scales
+        units[quantity] = display_scale(str(rows["unit"].iloc[0]), *map(float, largest))
+    shown = ("mean", "sd", "hdi_90_low", "hdi_90_high", "prior_mean", "prior_sd")
+    return tabulate(
+        in_units(table, [units[quantity] for quantity in table["quantity"]], *shown),
+        {
+            "scalar": "name",
+            "unit": "unit",
+            "mean ± sd": mean_sd(),
+            INTERVAL_SHORT: between(),
+            "prior mean ± sd": mean_sd("prior_mean", "prior_sd"),
+            "R-hat": formatted("rhat", ".4f"),
+            "ESS bulk": formatted("ess_bulk", ".0f"),
+            "ESS tail": formatted("ess_tail", ".0f"),
+        },
+    )

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import pandas as pd
 from markupsafe import Markup
 
-from cassini_bayes.report.cells import Cell, Table, percent
+from cassini_bayes.report.cells import (
+    Cell,
+    Table,
+    as_percent,
+    formatted,
+    in_units,
+    mean_sd,
+    own_digits,
+    tabulate,
+)
 from cassini_bayes.report.page import (
     CHECKS,
     INERTIA,
@@ -22,6 +32,7 @@ from cassini_bayes.report.page import (
     Section,
     Shown,
 )
+from cassini_bayes.report.plots.inertia import inertia_figure, observability_figure
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
     MISSING,
@@ -30,11 +41,8 @@ from cassini_bayes.report.plots.quantities import (
     observed_name,
     plus_minus,
 )
+from cassini_bayes.report.plots.time_series import series_figure
 from cassini_bayes.results.review import Review
-
-if TYPE_CHECKING:
-    from cassini_bayes.report.plots import Figure
-    from cassini_bayes.results.time_series import EventSeries
 
 MICRO: Final = 1e6
 MOMENTS: Final = ("xx", "yy", "zz")
@@ -59,19 +67,13 @@ def observability(review: Review) -> Iterator[Section]:
                 "nuisances",
                 "Bars: posterior over prior standard deviation expected before sampling. Circles: "
                 "what came out.",
-                partial(_observability_figure, review),
+                partial(observability_figure, review),
             ),
             Shown(observability_table(review), fold="Expected width of every quantity"),
         ),
         name="observability",
         frame=review.observability.table,
     )
-
-
-def _observability_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.inertia import observability_figure
-
-    return observability_figure(review)
 
 
 def inertia(review: Review) -> Iterator[Section]:
@@ -107,18 +109,12 @@ def inertia(review: Review) -> Iterator[Section]:
                 "inertia",
                 "Elements of the inertia tensor: prior, posterior, least squares",
                 caption,
-                partial(_inertia_figure, review),
+                partial(inertia_figure, review),
             ),
         ),
         name="inertia",
         frame=review.inertia,
     )
-
-
-def _inertia_figure(review: Review) -> Figure | None:
-    from cassini_bayes.report.plots.inertia import inertia_figure
-
-    return inertia_figure(review)
 
 
 def inertia_methods(review: Review) -> Iterator[Section]:
@@ -208,15 +204,9 @@ def series(review: Review) -> Iterator[Section]:
             f"Measured and predicted angular momentum of {own.event} and their difference",
             f"{own.event}, above: {above}. Below: the difference, on the noise that the model "
             "allows for.",
-            partial(_series_figure, own),
+            partial(series_figure, own),
         )
         yield Section(CHECKS, (drawing,), name=f"series_{i}", frame=own.table())
-
-
-def _series_figure(own: EventSeries) -> Figure:
-    from cassini_bayes.report.plots.time_series import series_figure
-
-    return series_figure(own)
 
 
 def inertia_sentence(review: Review) -> list[str]:
@@ -247,63 +237,34 @@ def inertia_numbers(review: Review) -> list[tuple[str, str]]:
 
 def inertia_table(review: Review) -> Table:
     """All six elements: prior, posterior with the stationary wheels, and without their spin."""
-    rows = tuple(
-        (
-            Cell(f"I {row['element']}"),
-            Cell(plus_minus(row["prior_mean_kg_m2"], row["prior_sd_kg_m2"])),
-            Cell(plus_minus(row["mean_kg_m2"], row["sd_kg_m2"])),
-            Cell(plus_minus(row["without_wheels_mean_kg_m2"], row["without_wheels_sd_kg_m2"])),
-            Cell(
-                number(
-                    row["mean_kg_m2"] - row["without_wheels_mean_kg_m2"],
-                    0.01 * max(abs(row["mean_kg_m2"] - row["without_wheels_mean_kg_m2"]), 1e-3),
-                )
-            ),
-        )
-        for _, row in review.inertia.iterrows()
-    )
-    return Table(
-        (
-            "element",
-            "prior mean ± sd [kg m²]",
-            "posterior, stationary wheels included, mean ± sd [kg m²]",
-            "posterior, less the wheels' spin inertia, mean ± sd [kg m²]",
-            "difference of the means [kg m²]",
-        ),
-        rows,
+
+    def difference(row: pd.Series) -> str:
+        shift = row["mean_kg_m2"] - row["without_wheels_mean_kg_m2"]
+        return number(shift, 0.01 * max(abs(shift), 1e-3))
+
+    included = "posterior, stationary wheels included, mean ± sd [kg m²]"
+    less = "posterior, less the wheels' spin inertia, mean ± sd [kg m²]"
+    without = mean_sd("without_wheels_mean_kg_m2", "without_wheels_sd_kg_m2")
+    return tabulate(
+        review.inertia,
+        {
+            "element": lambda row: f"I {row['element']}",
+            "prior mean ± sd [kg m²]": mean_sd("prior_mean_kg_m2", "prior_sd_kg_m2"),
+            included: mean_sd("mean_kg_m2", "sd_kg_m2"),
+            less: without,
+            "difference of the means [kg m²]": difference,
+        },
     )
 
 
 def method_table(review: Review) -> Table:
     """The papers' estimates of the inertia, one row per method and events."""
     table = review.inertia_methods
-    elements = list(dict.fromkeys(table["element"]))
-    rows = []
-    for label, own in table.groupby("label", sort=False):
-        by_element = own.set_index("element")
-        rows.append(
-            (
-                Cell(str(label)),
-                *(_estimate(by_element.loc[e]) if e in by_element.index else Cell(MISSING)
-                  for e in elements),
-            )
-        )  # fmt: skip
-    after = review.inertia.set_index("element")
-    rows.append(
-        (
-            Cell("posterior of this run"),
-            *(Cell(plus_minus(after.loc[e, "mean_kg_m2"], after.loc[e, "sd_kg_m2"]))
-              for e in elements),
-        )
-    )  # fmt: skip
-    return Table(("method", *(f"I {e} [kg m²]" for e in elements)), tuple(rows))
-
-
-def _estimate(row: pd.Series) -> Cell:
-    estimate, bar = float(row["estimate_kg_m2"]), float(row["bar_rss_kg_m2"])
-    if estimate != estimate:
-        return Cell(MISSING, "muted")
-    return Cell(plus_minus(estimate, bar))
+    posterior = review.inertia.assign(label="posterior of this run").rename(
+        columns={"mean_kg_m2": "estimate_kg_m2", "sd_kg_m2": "bar_rss_kg_m2"}
+    )
+    rows = pd.concat([table, posterior[posterior["element"].isin(table["element"])]])
+    return _wide(rows, "element", "I {} [kg m²]", _inertia)
 
 
 def thrust_method_tables(review: Review) -> list[Table]:
@@ -313,25 +274,36 @@ def thrust_method_tables(review: Review) -> list[Table]:
     """
     if review.baseline.empty:
         return []
-    tables = []
-    for event in [term.id for term in review.model.telemetry if term.event.fires]:
-        own = review.baseline[review.baseline["event"] == event]
-        if own.empty:
-            continue
-        names = list(dict.fromkeys(own["thruster"]))
-        rows = []
-        for method, estimates in own.groupby("method", sort=False):
-            by_name = estimates.set_index("thruster")
-            label = str(method).replace(", per event", "")
-            label += "" if "," in label else ", divided by T"
-            cells = (
-                _thrust(by_name.loc[n]) if n in by_name.index else Cell(MISSING, "muted")
-                for n in names
-            )
-            rows.append((Cell(label), *cells))
-        columns = ("method", *(f"{name} [N]" for name in names))
-        tables.append(Table(columns, tuple(rows), title=str(event)))
-    return tables
+    fired = [term.id for term in review.model.telemetry if term.event.fires]
+    rows = review.baseline.assign(label=[_method(str(m)) for m in review.baseline["method"]])
+    return [
+        replace(_wide(own, "thruster", "{} [N]", _thrust), title=event)
+        for event in fired
+        if not (own := rows[rows["event"] == event]).empty
+    ]
+
+
+def _wide(rows: pd.DataFrame, item: str, head: str, cell: Callable[[pd.Series], Cell]) -> Table:
+    """Methods one under another, one column per ``item``; a dash where there is nothing."""
+    items, labels = (list(dict.fromkeys(rows[column])) for column in (item, "label"))
+    cells = {(row["label"], row[item]): cell(row) for _, row in rows.iterrows()}
+    return Table(
+        ("method", *(head.format(name) for name in items)),
+        tuple(
+            (Cell(label), *(cells.get((label, own), Cell(MISSING, "muted")) for own in items))
+            for label in labels
+        ),
+    )
+
+
+def _method(name: str) -> str:
+    label = name.replace(", per event", "")
+    return label if "," in label else f"{label}, divided by T"
+
+
+def _inertia(row: pd.Series) -> Cell:
+    text = plus_minus(float(row["estimate_kg_m2"]), float(row["bar_rss_kg_m2"]))
+    return Cell(text, "muted" if text == MISSING else "")
 
 
 def _thrust(row: pd.Series) -> Cell:
@@ -341,75 +313,56 @@ def _thrust(row: pd.Series) -> Cell:
 
 def torque_table(review: Review) -> Table:
     """External torque of quiescent events: from the wheels' drift, and the posterior."""
-    summary = review.summary[review.summary["quantity"] == "external_torque_n_m"]
-    after = summary.set_index(["event", "item"])
-    rows = []
-    for _, row in review.torque_methods.iterrows():
-        own = after.loc[(row["event"], row["axis"])]
-        rows.append(
-            (
-                Cell(str(row["event"])),
-                Cell(str(row["axis"])),
-                Cell(plus_minus(MICRO * row["estimate_n_m"], MICRO * row["bar_rss_n_m"])),
-                Cell(plus_minus(MICRO * own["mean"], MICRO * own["sd"])),
-                Cell(plus_minus(MICRO * own["prior_mean"], MICRO * own["prior_sd"])),
-            )
-        )
-    return Table(
-        (
-            "event",
-            "axis",
-            "from the wheels' drift ± perturbations (rss) [µN m]",
-            "posterior mean ± sd [µN m]",
-            "prior mean ± sd [µN m]",
-        ),
-        tuple(rows),
+    posterior = review.summary[review.summary["quantity"] == "external_torque_n_m"]
+    rows = review.torque_methods.merge(
+        posterior.rename(columns={"item": "axis"}), on=["event", "axis"], how="left"
+    )
+    values = ["estimate_n_m", "bar_rss_n_m", "mean", "sd", "prior_mean", "prior_sd"]
+    rows[values] *= MICRO
+    return tabulate(
+        rows,
+        {
+            "event": "event",
+            "axis": "axis",
+            "from the wheels' drift ± perturbations (rss) [µN m]": mean_sd(*values[:2]),
+            "posterior mean ± sd [µN m]": mean_sd(),
+            "prior mean ± sd [µN m]": mean_sd("prior_mean", "prior_sd"),
+        },
         heads=2,
     )
 
 
 def event_table(review: Review) -> Table:
     """Telemetry events: rows read and used, and how many of them the noise explains."""
-    rows = tuple(
-        (
-            Cell(str(row["event"])),
-            Cell(str(row["kind"])),
-            Cell(f"{row['duration_s']:.0f}"),
-            Cell(f"{row['rows_read']:,}"),
-            Cell(f"{row['rows_used']:,}"),
-            *(Cell(percent(float(row[f"inside_90_{axis}"]))) for axis in "xyz"),
-        )
-        for _, row in review.events.iterrows()
-    )
-    return Table(
-        (
-            "event",
-            "kind",
-            "duration [s]",
-            "rows read",
-            "rows in the balance",
-            *(f"inside the 90 % band, {axis}" for axis in "xyz"),
-        ),
-        rows,
+    return tabulate(
+        review.events,
+        {
+            "event": "event",
+            "kind": "kind",
+            "duration [s]": formatted("duration_s", ".0f"),
+            "rows read": lambda row: f"{row['rows_read']:,}",
+            "rows in the balance": lambda row: f"{row['rows_used']:,}",
+            **{f"inside the 90 % band, {axis}": as_percent(f"inside_90_{axis}") for axis in "xyz"},
+        },
     )
 
 
 def observability_table(review: Review) -> Table:
     """Expected posterior over prior width of every quantity."""
-    rows = []
-    for _, row in review.observability.table.iterrows():
-        scale = display_scale(str(row["unit"]), float(row["prior_sd"]), float(row["expected_sd"]))
-        before, after = (float(row[c]) * scale.factor for c in ("prior_sd", "expected_sd"))
-        rows.append(
-            (
-                Cell(observed_name(str(row["quantity"]))),
-                Cell(scale.unit),
-                Cell(number(before, before)),
-                Cell(number(after, after)),
-                Cell(percent(float(row["ratio"]))),
-                Cell(str(row["verdict"]), "muted" if row["verdict"] == "not seen" else ""),
-            )
-        )
-    return Table(
-        ("quantity", "unit", "prior sd", "expected sd", "expected / prior", "verdict"), tuple(rows)
+
+    def verdict(row: pd.Series) -> Cell:
+        return Cell(row["verdict"], "muted" if row["verdict"] == "not seen" else "")
+
+    table = review.observability.table
+    widths = table[["unit", "prior_sd", "expected_sd"]].itertuples(index=False)
+    return tabulate(
+        in_units(table, [display_scale(*own) for own in widths], "prior_sd", "expected_sd"),
+        {
+            "quantity": lambda row: observed_name(row["quantity"]),
+            "unit": "unit",
+            "prior sd": own_digits("prior_sd"),
+            "expected sd": own_digits("expected_sd"),
+            "expected / prior": as_percent("ratio"),
+            "verdict": verdict,
+        },
     )

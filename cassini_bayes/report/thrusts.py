@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.report.cells import MN, Cell, Table, or_missing, percent
+from cassini_bayes.report.cells import (
+    MN,
+    Cell,
+    Column,
+    Table,
+    between,
+    formatted,
+    mean_sd,
+    percent,
+    tabulate,
+)
 from cassini_bayes.report.page import JOINT, NUMBERS, THRUSTS, Drawing, Paragraph, Section, Shown
+from cassini_bayes.report.plots.corners import thrust_corner
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
     INTERVAL_SHORT,
@@ -30,10 +41,8 @@ from cassini_bayes.report.plots.tables import (
     thrust_grid,
     thrusters_of,
 )
+from cassini_bayes.report.plots.thrusts import thrust_figure
 from cassini_bayes.results.review import Review
-
-if TYPE_CHECKING:
-    from cassini_bayes.report.plots import Figure
 
 PSEUDO_INVERSE: Final = "pseudo-inverse, per event"
 POOLED: Final = "pseudo-inverse, pooled"
@@ -61,14 +70,8 @@ def thrusts(review: Review) -> Iterator[Section]:
         "Posterior thrust of every thruster in every bias with prior, least-squares estimates and "
         "printed thrust"
     )
-    drawing = Drawing("thrusts", alt, caption, partial(_thrust_figure, review))
+    drawing = Drawing("thrusts", alt, caption, partial(thrust_figure, review))
     yield Section(THRUSTS, (drawing,), name="baseline", frame=review.baseline)
-
-
-def _thrust_figure(review: Review) -> Figure:
-    from cassini_bayes.report.plots.thrusts import thrust_figure
-
-    return thrust_figure(review)
 
 
 def thrust_numbers(review: Review) -> Iterator[Section]:
@@ -121,17 +124,11 @@ def thrust_levels(review: Review) -> Iterator[Section]:
                 "deviations of a two-dimensional normal). Dashed: prior, same contours; where the "
                 "prior is far wider than the posterior they run outside the view. Above each "
                 "column: mean ± standard deviation; r: correlation where it is 0.2 or more.",
-                partial(_corner_figure, review),
+                partial(thrust_corner, review),
                 portrait=True,
             ),
         ),
     )
-
-
-def _corner_figure(review: Review) -> Figure | None:
-    from cassini_bayes.report.plots.corners import thrust_corner
-
-    return thrust_corner(review)
 
 
 def _common(review: Review) -> pd.Series:
@@ -243,81 +240,66 @@ def _thrust_numbers(review: Review) -> list[tuple[str, str]]:
 
 def thrust_matrix(review: Review) -> Table:
     """Events × thrusters, mean ± sd; last row the level over all events."""
-    mean, sd = thrust_grid(review, "mean"), thrust_grid(review, "sd")
-    rows = [
-        (Cell(event), *(Cell(plus_minus(m, s)) for m, s in zip(mean[e], sd[e], strict=True)))
-        for e, event in enumerate(events_of(review))
-    ]
-    level = zip(level_row(review, "mean"), level_row(review, "sd"), strict=True)
-    rows.append((Cell("all events"), *(Cell(plus_minus(m, s)) for m, s in level)))
-    return Table(("event", *(f"{t} [N]" for t in thrusters_of(review))), tuple(rows))
+    mean, sd = (
+        np.vstack([thrust_grid(review, column), level_row(review, column)])
+        for column in ("mean", "sd")
+    )
+    rows = tuple(
+        (Cell(name), *(Cell(plus_minus(m, s)) for m, s in zip(mean[i], sd[i], strict=True)))
+        for i, name in enumerate([*events_of(review), "all events"])
+    )
+    return Table(("event", *(f"{t} [N]" for t in thrusters_of(review))), rows)
 
 
 def thrust_tables(review: Review) -> list[Table]:
     """One table per event, posterior beside baseline; last the level over all events."""
-    baseline = {
-        (row["method"], row["event"], row["thruster"]): row for _, row in review.baseline.iterrows()
-    }
-    events, thrusters = events_of(review), thrusters_of(review)
-    observed = review.fit.groups["observed_data"].sel(event=events)
-    on_time, pulses = observed["on_time_s"].values, observed["pulses"].values
-    mean, sd, low, high = (
-        thrust_grid(review, c) for c in ("mean", "sd", "hdi_90_low", "hdi_90_high")
+    table, baseline = (
+        review.summary,
+        {
+            (row["method"], row["event"], row["thruster"]): row
+            for _, row in review.baseline.iterrows()
+        },
     )
-    tables = []
-    for e, event in enumerate(events):
-        rows = tuple(
-            (
-                Cell(name),
-                Cell(or_missing(on_time[e, k], ".2f")),
-                Cell(or_missing(pulses[e, k], ".0f")),
-                Cell(plus_minus(mean[e, k], sd[e, k])),
-                Cell(interval(low[e, k], high[e, k])),
-                _baseline_cell(baseline.get((PSEUDO_INVERSE, event, name))),
-                _baseline_cell(baseline.get((MEAN_OF_ALL, event, name))),
-            )
-            for k, name in enumerate(thrusters)
-        )
-        tables.append(
-            Table(
-                (
-                    "thruster",
-                    "on-time [s]",
-                    "pulses",
-                    "posterior mean ± sd [N]",
-                    f"{INTERVAL_SHORT} [N]",
-                    "pseudo-inverse ± rss (worst case) [N]",
-                    "mean of all thrusters ± rss (worst case) [N]",
+
+    def beside(method: str, event: str) -> Column:
+        return lambda row: _baseline_cell(baseline.get((method, event, row["item"])))
+
+    known = {f"{INTERVAL_SHORT} [N]": between()}
+    bars = "± rss (worst case) [N]"
+    observed = review.fit.groups["observed_data"]
+    thrusts = table[table["quantity"] == "thrust_n"]
+    levels = table[table["quantity"] == "thrust_level_n"]
+    return [
+        *(
+            tabulate(
+                thrusts[thrusts["event"] == event].assign(
+                    on_time=observed["on_time_s"].sel(event=event).values,
+                    pulses=observed["pulses"].sel(event=event).values,
                 ),
-                rows,
+                {
+                    "thruster": "item",
+                    "on-time [s]": formatted("on_time", ".2f"),
+                    "pulses": formatted("pulses", ".0f"),
+                    "posterior mean ± sd [N]": mean_sd(),
+                    **known,
+                    f"pseudo-inverse {bars}": beside(PSEUDO_INVERSE, event),
+                    f"mean of all thrusters {bars}": beside(MEAN_OF_ALL, event),
+                },
                 title=event,
             )
-        )
-    return [*tables, _level_table(review, baseline)]
-
-
-def _level_table(review: Review, baseline: Mapping[tuple[str, str, str], pd.Series]) -> Table:
-    mean, sd, low, high = (
-        level_row(review, c) for c in ("mean", "sd", "hdi_90_low", "hdi_90_high")
-    )
-    return Table(
-        (
-            "thruster",
-            "level, mean ± sd [N]",
-            f"{INTERVAL_SHORT} [N]",
-            "pseudo-inverse of all events ± rss (worst case) [N]",
+            for event in events_of(review)
         ),
-        tuple(
-            (
-                Cell(name),
-                Cell(plus_minus(mean[k], sd[k])),
-                Cell(interval(low[k], high[k])),
-                _baseline_cell(baseline.get((POOLED, "", name))),
-            )
-            for k, name in enumerate(thrusters_of(review))
+        tabulate(
+            levels,
+            {
+                "thruster": "item",
+                "level, mean ± sd [N]": mean_sd(),
+                **known,
+                f"pseudo-inverse of all events {bars}": beside(POOLED, ""),
+            },
+            title="all events",
         ),
-        title="all events",
-    )
+    ]
 
 
 def _baseline_cell(row: pd.Series | None) -> Cell:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.files.checkpoint import CheckpointStore
 
-Array = NDArray[np.float64]
 GRID: Final = 99
 NULL_DRAWS: Final = 40_000
 _NULL_SEED: Final = 2022
@@ -52,7 +52,7 @@ class Ranks:
     names: tuple[str, ...]
     ranks: Array
     pareto_k: Array
-    by_chain: NDArray[np.bool_]
+    by_chain: Flags
 
     def of_fitted(self) -> Ranks:
         """Only the parameters that the fitted model has: a control may fix one of the true ones."""

@@ -18,13 +18,12 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.processes import in_lock_step
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.sampling.warmstart import LogDensity, Proposal
-
-Array = NDArray[np.float64]
 
 BURN_IN_TAU: Final = 5.0
 LENGTH_IN_TAU: Final = 50.0

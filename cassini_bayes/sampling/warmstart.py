@@ -11,14 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import gammaln, logsumexp
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.errors import CassiniBayesError
 
-Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 
 GRADIENT_STEP = 1e-4

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.arrays import (
@@ -29,7 +29,6 @@ from cassini_bayes.simulation.motion import RPM_PER_RAD_S, Motion, PulseLog
 from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.spacecraft import wheel_inertias
 
-Array = NDArray[np.float64]
 RAMP_TIME_CONSTANTS = 6.0
 """Paper 001 section IV: a wheel has arrived n = 6 time constants after its linear ramp."""
 MOST_CYCLES: Final = 2_000_000

@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.compilation import compiled
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665

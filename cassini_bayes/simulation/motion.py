@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.simulation.kernel import Body
 
-Array = NDArray[np.float64]
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
 
 

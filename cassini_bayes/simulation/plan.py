@@ -10,9 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cassini_bayes.simulation.settings import (
     Appendage,
     EventSettings,
@@ -24,7 +21,6 @@ from cassini_bayes.simulation.settings import (
 )
 from cassini_bayes.spacecraft import Spacecraft
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 NO_VECTOR: Vector = (0.0, 0.0, 0.0)
 

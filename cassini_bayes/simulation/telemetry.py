@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation.kernel import STANDARD_GRAVITY_M_S2, specific_impulse
 from cassini_bayes.simulation.motion import Motion
@@ -25,7 +25,6 @@ from cassini_bayes.simulation.settings import TelemetrySettings
 from cassini_bayes.simulation.streams import stream
 from cassini_bayes.spacecraft import thruster_directions
 
-Array = NDArray[np.float64]
 DIGITS: Final = 12
 _WITHOUT_COUNTERS: Final = ("slew", "quiescent")
 _TICK_MS: Final = 5

@@ -9,12 +9,10 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft.parameters import ParameterSpec
-
-Array = NDArray[np.float64]
 
 CONTROL_CYCLE_S: Final = 0.125
 """Where a spacecraft file does not say: paper 001 section III."""

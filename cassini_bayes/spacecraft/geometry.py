@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft.description import AXIS_DEMANDS, CENTRE_OF_MASS, Spacecraft
 
-Array = NDArray[np.float64]
 Parameters = Mapping[str, ArrayLike]
 
 

@@ -16,9 +16,10 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
+
 EffectiveTime = Callable[[Array, Array, Array, Array], Array]
 ThrustFraction = Callable[[Array, Array, Array, Array, Array], Array]
 

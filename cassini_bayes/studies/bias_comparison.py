@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.published import WheelBiasTable
 from cassini_bayes.simulation import (
     Motion,
@@ -27,7 +27,6 @@ from cassini_bayes.simulation import (
 from cassini_bayes.simulation.telemetry import computed_delta_v_m_s
 from cassini_bayes.studies.scenario import draw_truth
 
-Array = NDArray[np.float64]
 FIRST_OF_PAIR: Final[Mapping[str, str]] = {"y1_y3": "y1", "y2_y4": "y2"}
 UNITS: Final = ("y1_y3", "y2_y4", "z1", "z2", "z3", "z4")
 ROWS: Final = (

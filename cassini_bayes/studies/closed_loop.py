@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.requests import BiasRequest
-
-Array = NDArray[np.float64]
 
 RCS: Final = {"rate_gain_s": 10.0, "hysteresis": 0.15, "rate_knowledge_rad_s": 5e-5}
 """Settings of the controller that come nearest to flight (docs/simulation.md §7)."""

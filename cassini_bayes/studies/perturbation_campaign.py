@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from cassini_bayes import __version__
+from cassini_bayes.arrays import Array
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.report.plots import encode
@@ -35,8 +35,6 @@ from cassini_bayes.studies.perturbation_coverage import (
 )
 from cassini_bayes.studies.totals_calibration import model_code_digest
 from cassini_bayes.sweep.grid import Workers, run_cells, stored_cell
-
-Array = NDArray[np.float64]
 
 LEAST_TOLERANCE: Final = 0.03
 

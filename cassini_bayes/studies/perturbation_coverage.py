@@ -24,6 +24,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import wheel_momentum
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.code import code_digest
@@ -44,7 +45,6 @@ from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import laplace, warm_start
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
-Array = NDArray[np.float64]
 Reading = Literal["one sigma", "maximum"]
 READINGS: Final[tuple[Reading, ...]] = ("one sigma", "maximum")
 

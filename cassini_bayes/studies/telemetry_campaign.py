@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from cassini_bayes import __version__
 from cassini_bayes.files.storage import write_bytes, write_text
@@ -32,7 +30,6 @@ from cassini_bayes.studies.telemetry_calibration import (
     model_code_digest,
 )
 
-Array = NDArray[np.float64]
 LEVEL: Final = 0.01
 REPETITIONS: Final[Mapping[str, int]] = {
     **{variant.name: 100 for variant in VARIANTS},

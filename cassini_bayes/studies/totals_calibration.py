@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import kstest, norm
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, wheel_momentum
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
@@ -36,7 +36,6 @@ from cassini_bayes.spacecraft import (
 )
 from cassini_bayes.spacecraft.pulses import effective_on_time
 
-Array = NDArray[np.float64]
 Control = Literal["none", "hold-rates-ignored", "rectangular-pulses"]
 CONTROLS: Final[tuple[Control, ...]] = ("none", "hold-rates-ignored", "rectangular-pulses")
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
@@ -38,7 +39,6 @@ from cassini_bayes.sweep.weights import (
     smoothed_weights,
 )
 
-Array = NDArray[np.float64]
 Refit = Literal["auto", "always", "never"]
 
 REFIT_DRAWS: Final = 4_000

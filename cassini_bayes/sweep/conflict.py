@@ -20,14 +20,12 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.results.ranks import holm
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.coordinates import Coordinates
-
-Array = NDArray[np.float64]
 
 TOLD: Final = 1.0 - 0.95**2
 RANK: Final = 1e-6

@@ -8,15 +8,13 @@ from typing import Final
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.model.totals import SOFTWARE
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.models import SweepModel, walked_values
-
-Array = NDArray[np.float64]
 
 LEVELS: Final = "thrust_level_n"
 THRUST: Final = "thrust"

@@ -13,13 +13,11 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.results.record import Fit
 from cassini_bayes.spacecraft.parameters import BLOCKS
 from cassini_bayes.sweep.weights import smoothed_weights
-
-Array = NDArray[np.float64]
 
 DELTA: Final = 1.01
 SENSITIVE: Final = 0.05

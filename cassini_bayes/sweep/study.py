@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.checks import nearest
@@ -32,8 +33,6 @@ from cassini_bayes.sweep.scaling import LIKELIHOOD, components
 from cassini_bayes.sweep.specification import EVENTS, SweepFile
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of
 from cassini_bayes.sweep.weights import BATCHES, batch_labels, moments
-
-Array = NDArray[np.float64]
 
 SAME_DENSITY: Final = 1e-5
 _CHECKED: Final = 20

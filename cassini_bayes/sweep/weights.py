@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
-
-Array = NDArray[np.float64]
 
 WORST_PARETO_K: Final = 0.7
 FEWEST_DRAWS: Final = 400.0

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics.counters import (
     counter_step,
     expected_on_times,
     is_quantised,
 )
 
-Array = NDArray[np.float64]
 CYCLE_S = 0.125
 
 

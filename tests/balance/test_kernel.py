@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance import kernel
 from cassini_bayes.balance.kernel import Entries, FastBands, Noise, Placed, SlowBand, Turns
-
-Array = NDArray[np.float64]
 
 
 def positive(size: int, seed: int) -> Array:

@@ -8,11 +8,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.processes import PART, LogDensity, in_lock_step, in_parts, in_processes
-
-Array = NDArray[np.float64]
 
 
 def square(z: Array) -> Array:

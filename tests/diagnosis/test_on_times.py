@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.gauss_newton import Model, fit, importance_draws, predict_left_out
 from cassini_bayes.diagnosis.on_time_report import findings_of
 from cassini_bayes.diagnosis.on_time_verdict import (
@@ -35,7 +35,6 @@ from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.report.plots.on_times import on_time_figure
 from cassini_bayes.spacecraft import lever_arms
 
-Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
 FEW = ("thrust_scale", "tail_off", "pulse_shape", "center_of_mass:y", "firing_logic")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from totals_cases import ROOT
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.diagnosis.extended import none_hypothesis
 from cassini_bayes.diagnosis.innovations import EventRows, Linear, linearise
 from cassini_bayes.diagnosis.oscillation import Oscillation, find_oscillation, flexible_case
@@ -18,7 +18,6 @@ from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.shift import Seen, held, seen_at_truth, squared_size
 from cassini_bayes.studies.blind.sizes import hidden_oscillation
 
-Array = NDArray[np.float64]
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
 TIME = np.arange(0.0, 1_200.0)
 INERTIA = np.array([8_000.0, 7_000.0, 4_000.0])

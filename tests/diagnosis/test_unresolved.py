@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.diagnosis.unresolved import driven_answers, firings, late_firings
 from cassini_bayes.effects.columns import TAIL_S
 
-Array = NDArray[np.float64]
 TIME = np.arange(41.0)
 WIDTH_S = 0.05
 FORCE = np.array([[0.0, 0.0], [1.5, -0.5], [0.2, 0.4]])  # N m of two thrusters

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from totals_cases import flight, plain_log_likelihood, point
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_system import TotalsSystem
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model import (
@@ -24,8 +24,6 @@ from cassini_bayes.model import (
 )
 from cassini_bayes.model.thrusts import collapse_thrusts, draw_thrusts
 from cassini_bayes.priors.reader import Priors
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from prediction_cases import SIZE, beliefs, flights, learned, model, physics
 from scipy import stats
 from scipy.optimize import linprog
 from spacecraft_cases import TWELVE
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.demand import pair_layout, pair_solver
 from cassini_bayes.prediction.firing import (
@@ -42,7 +42,6 @@ from cassini_bayes.prediction.wheel_profile import (
 from cassini_bayes.spacecraft import load_spacecraft
 from cassini_bayes.spacecraft.pulses import effective_on_time
 
-Array = NDArray[np.float64]
 MANAGER = WheelManager({1: 0.562, 2: 0.5585, 4: 0.5585}, 16.5)
 
 

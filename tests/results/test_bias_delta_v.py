@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from event_cases import document, priors
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.model import (
     Model,
     ReducedEvent,
@@ -24,7 +24,6 @@ from cassini_bayes.model import (
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
 
-Array = NDArray[np.float64]
 NOISE_M_S = 3.0e-5
 
 

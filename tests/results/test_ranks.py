@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.results.ranks import (
     NULL_DRAWS,
@@ -21,8 +21,6 @@ from cassini_bayes.results.ranks import (
     read_ranks,
     run_repetitions,
 )
-
-Array = NDArray[np.float64]
 
 
 def test_envelope_p_values_are_uniform_for_uniform_ranks() -> None:

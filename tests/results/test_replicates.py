@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from event_cases import model, simulated
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.model import draw, log_posterior
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, read_fit, save_fit
@@ -18,7 +18,6 @@ from cassini_bayes.results.replicates import REPLICATED_ROWS, Replicates, replic
 from cassini_bayes.results.time_series import DRAWS, BalanceRows, balances, shown_places
 from cassini_bayes.sampling.warmstart import warm_start
 
-Array = NDArray[np.float64]
 NAMES = ("bias", "slews")
 INNER = 0.9  # nominal share of the measured values inside
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import arviz
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import gumbel_r, multivariate_normal, norm
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.sampling.ensembles import (
@@ -23,8 +23,6 @@ from cassini_bayes.sampling.ensembles import (
     sample,
 )
 from cassini_bayes.sampling.warmstart import LogDensity, Proposal
-
-Array = NDArray[np.float64]
 
 MEAN = np.array([1.0, -2.0, 0.5, 0.0, 3.0])
 COVARIANCE = np.diag([1.0, 0.25, 4.0, 0.01, 1.0]) + 0.05 * np.ones((5, 5))

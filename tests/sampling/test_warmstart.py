@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, multivariate_t
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.sampling.warmstart import (
     LogDensity,
@@ -17,8 +17,6 @@ from cassini_bayes.sampling.warmstart import (
     laplace,
     warm_start,
 )
-
-Array = NDArray[np.float64]
 
 
 def linear_gaussian(seed: int, d: int, n: int) -> tuple[Array, Array, float]:

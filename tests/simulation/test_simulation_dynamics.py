@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from simulation_cases import BIAS, PARAMETERS, SLEWS, make_plan, run
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation.arrays import make_thrusters
 from cassini_bayes.simulation.engine import Steps
@@ -21,7 +21,6 @@ from cassini_bayes.simulation.settings import (
 )
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
-Array = NDArray[np.float64]
 BOOM = Appendage(
     name="boom", axis=(1.0, 0.0, 0.2), inertia_kg_m2=300.0, frequency_hz=0.7, damping=0.005
 )

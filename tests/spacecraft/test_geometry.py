@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 from spacecraft_cases import FILES, middle, plain_arm, plain_position, plain_wheel_axis, table
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft import (
     AXIS_DEMANDS,
@@ -31,7 +31,6 @@ from cassini_bayes.spacecraft import (
     wheel_inertias,
 )
 
-Array = NDArray[np.float64]
 SPACECRAFT = {name: load_spacecraft(path) for name, path in FILES.items()}
 BRANCHES = [(name, branch) for name, craft in SPACECRAFT.items() for branch in craft.branches]
 A_BRANCH = {

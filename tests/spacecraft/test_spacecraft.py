@@ -10,16 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from numpy.typing import NDArray
 from spacecraft_cases import CASSINI, FILES, PRIORS, TWELVE, balanced_events, priors_of, table
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
 from cassini_bayes.model import Model, build_model, draw, log_posterior
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.spacecraft import AXIS_DEMANDS, Spacecraft, lever_arms, load_spacecraft
 
-Array = NDArray[np.float64]
 TEXT = TWELVE.read_text(encoding="utf-8")
 
 # what is changed: (old, new) in the made-up file, and what the message must name

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import run_cases
-from numpy.typing import NDArray
 from prediction_cases import SIZE, beliefs, flights, folds, learned, model, write_run_folder
 from totals_cases import B_BRANCH, FLIGHT
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.prediction.ground_software import (
@@ -60,7 +60,6 @@ from cassini_bayes.studies.prediction.study import (
     table_csv,
 )
 
-Array = NDArray[np.float64]
 LINE = "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"
 
 

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from simulation_cases import EFFECT_CASES
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.priors.reader import read_priors
@@ -24,7 +24,6 @@ from cassini_bayes.simulation import ScenarioFile, read_scenario, scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
 from cassini_bayes.studies.scenario import draw_truth, simulate_file, simulate_scenario
 
-Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "runs" / "scenarios"
 TEXT = """\

@@ -16,7 +16,7 @@ from cassini_bayes.studies.telemetry_calibration import (
     TelemetryCampaign,
     flat_draws,
     flat_truth,
-    joint_model_of,
+    model_of,
     with_torque_noise,
 )
 from cassini_bayes.studies.telemetry_campaign import QUICK, REPETITIONS, judge
@@ -48,7 +48,7 @@ def test_names_are_those_of_draws_and_truth() -> None:
     rng = np.random.default_rng(1)
     priors = joint.priors()
     simulation = joint.simulate(priors, rng)
-    model = joint_model_of(simulation, joint.variant, priors, np.random.default_rng(2))
+    model = model_of(simulation, joint.variant, priors, np.random.default_rng(2))
     drawn = flat_draws(model, model.space.sample(rng, 3), rng)
     truth = flat_truth(simulation)
     assert set(joint.names()) <= set(drawn)
@@ -77,7 +77,7 @@ def test_the_pulse_blind_control_keeps_more_rows() -> None:
     priors = one.priors()
     simulation = one.simulate(priors, np.random.default_rng(3))
     rows = [
-        joint_model_of(
+        model_of(
             simulation, replace(one.variant, control=control), priors, np.random.default_rng(2)
         )
         .telemetry[0]

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from sweep_cases import TOY_NAMES, small_fit, toy_baseline, toy_exact
 from telemetry_cases import event_of, made_up_samples, telemetry_priors
 from totals_cases import flight
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.results.record import Fit
@@ -20,8 +20,6 @@ from cassini_bayes.sweep.specification import GridTable, GroupTable, SweepFile
 from cassini_bayes.sweep.study import plan
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of, with_family
 from cassini_bayes.sweep.weights import Weights, smoothed_weights
-
-Array = NDArray[np.float64]
 
 CENTRE = "centre of mass"
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 from sweep_cases import small_fit
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.conflict import (
     conflict_table,
@@ -17,8 +17,6 @@ from cassini_bayes.sweep.conflict import (
     pull_before,
 )
 from cassini_bayes.sweep.coordinates import Coordinates, block_coordinates
-
-Array = NDArray[np.float64]
 
 NOISE = 0.5
 

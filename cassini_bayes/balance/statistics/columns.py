@@ -20,11 +20,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.statistics.rows import Samples, quiet_rows
 from cassini_bayes.balance.statistics.turning import turned_into_body
 from cassini_bayes.spacecraft.pulses import PulseShape
 
-Array = NDArray[np.float64]
 AXES = "xyz"
 PULSE_COLUMNS = ("reference", "rise", "fall")
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
@@ -400,7 +400,7 @@ def _context(now: Samples, guard_s: float) -> int:
     return int(counted[before][-1]) if before.any() else len(now) - 1
 
 
-def _usable(samples: Samples, time: Array, sampling: Sampling) -> NDArray[np.bool_]:
+def _usable(samples: Samples, time: Array, sampling: Sampling) -> Flags:
     if samples.on_time_s.shape[1] == 0:
         return np.ones(len(time), dtype=bool)
     counted = samples.has_counters

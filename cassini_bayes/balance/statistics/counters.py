@@ -23,10 +23,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, solveh_banded
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
+
 # Least step that counts as rounding, s: what is finer leaves a hundredth of a rate sample's noise.
 LEAST_STEP_S: Final = 5e-4
 # Widths' variances tried, in units of the rounding's: from none to no rounding at all.

@@ -12,10 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from cassini_bayes.arrays import Array, Flags
 
 
 @dataclass(frozen=True)

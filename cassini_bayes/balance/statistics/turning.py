@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cassini_bayes.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled_sums
-
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
 
 
 @compiled_sums

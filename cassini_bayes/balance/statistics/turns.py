@@ -22,12 +22,10 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.statistics.columns import Layout, Rows
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 LONGEST_S: Final = 32.0
 LEAST_PIECE: Final = 3  # rows: two contrasts, of which one is the mean rate
 GAP: Final = 2.5  # times the usual time between rows

@@ -21,8 +21,8 @@ from itertools import permutations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.rates import check_rates
 from cassini_bayes.events.plausibility.rows import MomentumRows, Rows, conventions
@@ -35,8 +35,6 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
-
-Array = NDArray[np.float64]
 
 RPM_RAD_S: Final = 2.0 * np.pi / 60.0
 TOLERANCE: Final = 0.05

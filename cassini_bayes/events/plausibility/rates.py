@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.rows import Rows, conventions
 from cassini_bayes.events.telemetry import TelemetryEvent
-
-Array = NDArray[np.float64]
 
 LONGEST_STEP_S: Final = 120.0
 """Rates sampled more seldom say nothing about turns."""

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.telemetry import Chunk
-
-Array = NDArray[np.float64]
 
 MOST_ROWS: Final = 4096
 LEAST_ROWS: Final = 12

@@ -7,12 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.events.telemetry.rows import HIGHEST_RATE_RAD_S
-
-Array = NDArray[np.float64]
 
 NORM_TOLERANCE: Final = 1e-3
 """A unit quaternion with three decimals is off by less; more is no rounding."""

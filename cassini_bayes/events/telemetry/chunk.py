@@ -6,9 +6,8 @@ from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cassini_bayes.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

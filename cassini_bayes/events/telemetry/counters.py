@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.events.totals import SHORTEST_PULSE_S
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 SLACK_S: Final = 0.3
@@ -194,9 +194,7 @@ class Agreement:
         self._check_uncounted(block, rows, seconds, longer, more)
         self._last = seconds[-1].copy(), counts[-1].copy()
 
-    def _check_frozen(
-        self, block: Block, rows: Rows, counts: Array, longer: NDArray[np.bool_]
-    ) -> None:
+    def _check_frozen(self, block: Block, rows: Rows, counts: Array, longer: Flags) -> None:
         marks = np.where(longer, counts, -1.0)
         marks[0] = np.maximum(marks[0], self._since)
         since = np.maximum.accumulate(marks, axis=0)
@@ -217,8 +215,8 @@ class Agreement:
         block: Block,
         rows: Rows,
         seconds: Array,
-        longer: NDArray[np.bool_],
-        more: NDArray[np.bool_],
+        longer: Flags,
+        more: Flags,
     ) -> None:
         assert self._last is not None
         idle = ~longer & ~more

@@ -12,10 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled
-
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
 
 COMMA: Final = 44
 NEWLINE: Final = 10

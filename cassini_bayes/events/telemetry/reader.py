@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.attitude import Attitudes
 from cassini_bayes.events.telemetry.block import Block
-from cassini_bayes.events.telemetry.chunk import Array, Chunk, join
+from cassini_bayes.events.telemetry.chunk import Chunk, join
 from cassini_bayes.events.telemetry.columns import NEEDED, Layout, make_layout
 from cassini_bayes.events.telemetry.counters import Agreement, Counter
 from cassini_bayes.events.telemetry.event import TelemetryEvent

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 HIGHEST_RATE_RAD_S: Final = 0.05
 """Ten times the fastest slew of Cassini on thrusters; a slew in deg/s exceeds it."""

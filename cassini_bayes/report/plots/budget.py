@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
-from cassini_bayes.report.plots.style import BLOCK_FILLS, INK, new_figure
+from cassini_bayes.arrays import Array
+from cassini_bayes.report.plots.style import (
+    BLOCK_FILLS,
+    INK,
+    headline,
+    new_figure,
+    patch,
+)
 from cassini_bayes.report.plots.tables import (
     NOISE_ONLY,
     NONLINEAR,
@@ -23,7 +26,10 @@ from cassini_bayes.report.plots.tables import (
 )
 from cassini_bayes.results.review import Review
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 LEAST_SHOWN: Final = 0.003  # a share too thin to be seen is not in the legend
 
@@ -51,16 +57,14 @@ def budget_figure(review: Review) -> Figure:
     shares.set_ylabel("thruster")
     sigmas.set_ylabel("thruster")
     sigmas.yaxis.label.set_visible(False)
-    figure.suptitle(
+    headline(
+        figure,
         "Error budget of the thrusts" + (f", mean over {events} events" if events > 1 else ""),
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
     )
     blocks = budget_blocks(budget)
     figure.legend(
         handles=[
-            Patch(facecolor=fill, hatch=hatch, edgecolor="white", label=block_label(block))
+            patch(facecolor=fill, hatch=hatch, edgecolor="white", label=block_label(block))
             for block, (fill, hatch) in _fills(blocks).items()
             if (budget[block + SHARE].abs() >= LEAST_SHOWN).any()
         ],

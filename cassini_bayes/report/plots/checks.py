@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from cassini_bayes.report.plots.quantities import (
     INTERVAL_SHORT,
@@ -25,11 +21,20 @@ from cassini_bayes.report.plots.style import (
     POSTERIOR,
     ThrusterStyle,
     event_axis,
+    headline,
+    line,
     new_figure,
+    patch,
     thruster_styles,
 )
 from cassini_bayes.report.plots.tables import all_events_of, grid, thrusters_of
 from cassini_bayes.results.review import Review
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
 BAND: Final = "#e6e6e6"
 LEGEND_COLUMN_IN: Final = 2.3
@@ -68,11 +73,9 @@ def predictive_figure(review: Review) -> Figure:
         axes.tick_params(axis="x", rotation=0)
         axes.grid(axis="y")
     totals.xaxis.label.set_visible(False)
-    figure.suptitle(
+    headline(
+        figure,
         f"On-times: measured, and the same bias flown again – {INTERVAL_SHORT} of the replicates",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
     )
     figure.legend(
         handles=_predictive_legend(styles),
@@ -106,15 +109,13 @@ def _measured(
 
 def _predictive_legend(styles: Mapping[str, ThrusterStyle]) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
-        Line2D([], [], ls="", marker=s.marker, color=s.colour, ms=5.5, label=name)
+        line(ls="", marker=s.marker, color=s.colour, ms=5.5, label=name)
         for name, s in styles.items()
     ]
     return [
         *handles,
-        Patch(facecolor="#777777", alpha=0.35, label=f"replicates, {INTERVAL_SHORT}"),
-        Line2D(
-            [],
-            [],
+        patch(facecolor="#777777", alpha=0.35, label=f"replicates, {INTERVAL_SHORT}"),
+        line(
             ls="",
             marker="o",
             ms=4,
@@ -148,24 +149,17 @@ def balance_figure(review: Review) -> Figure:
         axes.set_title(f"body axis {name}", loc="left", fontweight="bold")
         axes.set_ylabel("momentum left over [N m s]")
         axes.yaxis.label.set_visible(axes is panels[0])
-    figure.suptitle(
-        "Momentum balance: thruster impulse plus torque minus the wheels' change",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, "Momentum balance: thruster impulse plus torque minus the wheels' change")
     figure.legend(
         handles=[
-            Line2D(
-                [],
-                [],
+            line(
                 color=POSTERIOR,
                 marker="o",
                 mfc="white",
                 lw=2.2,
                 label=f"posterior, {NORMAL_INTERVAL}",
             ),
-            Patch(
+            patch(
                 facecolor=BAND,
                 edgecolor="#c4c4c4",
                 label=f"noise the model allows for, {NORMAL_INTERVAL}",
@@ -229,11 +223,11 @@ def convergence_figure(review: Review) -> Figure:
         sizes.set_xlabel(f"effective sample size [draws]; dashed: target {target:g}")
     for axes in (agreement, sizes):
         axes.grid(axis="x")
-    figure.suptitle("Convergence of every scalar", fontsize=11.5, fontweight="bold", color=INK)
+    headline(figure, "Convergence of every scalar")
     figure.legend(
         handles=[
-            Line2D([], [], ls="", marker="o", ms=5, color=POSTERIOR, label="bulk"),
-            Line2D([], [], ls="", marker="^", ms=5, mfc="white", color="#CC6677", label="tail"),
+            line(ls="", marker="o", ms=5, color=POSTERIOR, label="bulk"),
+            line(ls="", marker="^", ms=5, mfc="white", color="#CC6677", label="tail"),
         ],
         loc="outside lower right",
         ncols=2,

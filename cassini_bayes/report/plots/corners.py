@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.computing.arviz_import import corner
 from cassini_bayes.report.plots.quantities import MISSING, plus_minus, wrapped_name
-from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR_LINE
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    PRIOR_LINE,
+    headline,
+    line,
+    new_figure,
+)
 from cassini_bayes.report.plots.tables import Column, level_columns, nuisance_column
 from cassini_bayes.results.review import Review
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 MOST_DRAWS: Final = 8_000
 CONTOUR_LEVELS: Final = (0.393, 0.865)  # 1 and 2 standard deviations of a two-dimensional normal
@@ -65,7 +73,7 @@ def corner_figure(columns: Sequence[Column], title: str) -> Figure | None:
     size = max(PANEL_IN * len(usable) + 0.9, SMALLEST_IN)
     key_in = KEY_IN if len(usable) < ROOM_FOR_KEY else 0.0  # above the panels where few are
     height = size + key_in
-    figure = Figure(figsize=(size, height))
+    figure = new_figure(size, height, by_hand=True)
     library.corner(
         draws,
         fig=figure,
@@ -212,15 +220,15 @@ def _labels(cells: NDArray[np.object_], columns: Sequence[Column]) -> None:
 
 
 def _key(figure: Figure, title: str, left_out: Sequence[str]) -> None:
-    figure.suptitle(title, x=0.99, ha="right", fontsize=11.5, fontweight="bold", color=INK)
+    headline(figure, title, x=0.99, ha="right")
     inside = " and ".join(f"{100 * level:.0f} %" for level in CONTOUR_LEVELS)
     handles = [
-        Line2D([], [], color=POSTERIOR, lw=1.5, label=f"posterior; contours hold {inside}"),
-        Line2D([], [], color=PRIOR_LINE, ls="--", lw=1.2, label="prior; same contours"),
-        Line2D([], [], lw=0, label="above: mean ± standard deviation; r: correlation"),
+        line(color=POSTERIOR, lw=1.5, label=f"posterior; contours hold {inside}"),
+        line(color=PRIOR_LINE, ls="--", lw=1.2, label="prior; same contours"),
+        line(lw=0, label="above: mean ± standard deviation; r: correlation"),
     ]
     if left_out:
-        handles.append(Line2D([], [], lw=0, label=f"fixed, not drawn: {', '.join(left_out)}"))
+        handles.append(line(lw=0, label=f"fixed, not drawn: {', '.join(left_out)}"))
     figure.legend(
         handles=handles,
         loc="upper right",

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from cassini_bayes.report.plots.panels import (
     bars,
@@ -17,9 +15,19 @@ from cassini_bayes.report.plots.panels import (
     thruster_panels,
 )
 from cassini_bayes.report.plots.quantities import INTERVAL, NORMAL_90, NORMAL_INTERVAL, short_events
-from cassini_bayes.report.plots.style import INK, POSTERIOR, event_axis, new_figure
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    event_axis,
+    headline,
+    line,
+    new_figure,
+)
 from cassini_bayes.report.plots.tables import grid, thrusters_of
 from cassini_bayes.results.review import Review
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CHANNEL_NOISE: Final = "delta_v_noise_m_s"
 MM_PER_M: Final = 1e3
@@ -53,33 +61,12 @@ def delta_v_figure(review: Review) -> Figure:
     values.set_ylabel("ΔV [mm/s]")
     values.set_ylim(bottom=0.0)
     differences.set_ylabel("ΔV minus the fit's mean [mm/s]")
-    figure.suptitle(
-        "ΔV: printed, and the on-board computation as fitted",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, "ΔV: printed, and the on-board computation as fitted")
     figure.legend(
         handles=[
-            Line2D(
-                [],
-                [],
-                ls="",
-                marker="D",
-                ms=5,
-                mfc="white",
-                color=INK,
-                label="printed with the event",
-            ),
-            Line2D(
-                [],
-                [],
-                color=POSTERIOR,
-                lw=6,
-                alpha=0.4,
-                label="computed value",
-            ),
-            Line2D([], [], color=POSTERIOR, lw=1.2, label="with the channel's own noise"),
+            line(ls="", marker="D", ms=5, mfc="white", color=INK, label="printed with the event"),
+            line(color=POSTERIOR, lw=6, alpha=0.4, label="computed value"),
+            line(color=POSTERIOR, lw=1.2, label="with the channel's own noise"),
         ],
         loc="outside lower center",
         ncols=3,
@@ -119,16 +106,11 @@ def delta_v_thrust_figure(review: Review) -> Figure:
             bars(axes, mean[:, k], low[:, k], high[:, k], colour, marker, offset=offset, width=2.4)
         finish(axes, name, labels, limits)
     outer_labels(panels)
-    figure.suptitle(
-        f"Thrust under the uses of ΔV – posterior mean and {INTERVAL}",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, f"Thrust under the uses of ΔV – posterior mean and {INTERVAL}")
     legend_below(
         figure,
         [
-            Line2D([], [], color=colour, marker=marker, lw=2.4, ms=5, mfc="white", label=variant)
+            line(color=colour, marker=marker, lw=2.4, ms=5, mfc="white", label=variant)
             for variant, (colour, marker, _) in zip(variants, looks, strict=True)
         ],
     )

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from cassini_bayes.balance.inertia import ELEMENTS, WITH_WHEELS
 from cassini_bayes.report.plots.quantities import INTERVAL_SHORT, observed_name
-from cassini_bayes.report.plots.style import BASELINE, INK, POSTERIOR, PRIOR, new_figure
+from cassini_bayes.report.plots.style import (
+    BASELINE,
+    INK,
+    POSTERIOR,
+    PRIOR,
+    headline,
+    line,
+    new_figure,
+    patch,
+)
 from cassini_bayes.report.plots.tables import flat_draws
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
 VERDICT_FILLS: Final = {
     "seen well": "#22558c",
@@ -43,12 +54,7 @@ def inertia_figure(review: Review) -> Figure | None:
         _element(axes, review, element, labels)
     for axes in panels[len(walked) :]:
         axes.remove()
-    figure.suptitle(
-        "Inertia about the centre of mass, wheels included as if not spinning",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, "Inertia about the centre of mass, wheels included as if not spinning")
     figure.legend(handles=_inertia_legend(bool(labels)), loc="outside lower center", ncols=3)
     return figure
 
@@ -89,20 +95,18 @@ def _method(axes: Axes, place: int, row: pd.Series) -> None:
 
 def _inertia_legend(methods: bool) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
-        Line2D(
-            [],
-            [],
+        line(
             color=POSTERIOR,
             marker="o",
             lw=5,
             mfc="white",
             label=f"posterior mean and {INTERVAL_SHORT}",
         ),
-        Patch(facecolor="#ececec", edgecolor=PRIOR, label="prior, 90 % equal-tailed interval"),
+        patch(facecolor="#ececec", edgecolor=PRIOR, label="prior, 90 % equal-tailed interval"),
     ]
     if methods:
         label = "least squares ± perturbations (rss)"
-        handles.append(Line2D([], [], color=BASELINE, marker="D", ms=4.2, lw=1.0, label=label))
+        handles.append(line(color=BASELINE, marker="D", ms=4.2, lw=1.0, label=label))
     return handles
 
 
@@ -128,19 +132,12 @@ def observability_figure(review: Review) -> Figure:
     axes.axvline(1.0, color="#999999", lw=0.8)
     axes.grid(axis="x")
     axes.set_xlabel("posterior over prior standard deviation (1: the prior is returned)")
-    figure.suptitle(
-        "What these events can see: expected before sampling, and what came out",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, "What these events can see: expected before sampling, and what came out")
     handles: list[Line2D | Patch] = [
-        Patch(facecolor=fill, label=f"expected: {verdict}")
+        patch(facecolor=fill, label=f"expected: {verdict}")
         for verdict, fill in VERDICT_FILLS.items()
     ]
-    handles.append(
-        Line2D([], [], ls="", marker="o", mfc="white", mec=INK, ms=5, label="came out (sd ratio)")
-    )
+    handles.append(line(ls="", marker="o", mfc="white", mec=INK, ms=5, label="came out (sd ratio)"))
     figure.legend(handles=handles, loc="outside lower center", ncols=5)
     return figure
 

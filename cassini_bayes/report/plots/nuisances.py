@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
@@ -23,7 +18,15 @@ from cassini_bayes.report.plots.quantities import (
     short_events,
     short_name,
 )
-from cassini_bayes.report.plots.style import INK, PRIOR, VERDICT_COLOURS, new_figure
+from cassini_bayes.report.plots.style import (
+    INK,
+    PRIOR,
+    VERDICT_COLOURS,
+    headline,
+    line,
+    new_figure,
+    patch,
+)
 from cassini_bayes.report.plots.tables import (
     all_events_of,
     nuisance_column,
@@ -31,7 +34,12 @@ from cassini_bayes.report.plots.tables import (
 )
 from cassini_bayes.results.review import Review
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
 
 PRIOR_UNITS: Final = "departure from the prior mean [prior standard deviations]"
 MARKERS: Final = {"conflict": "X", "informed": "o", "prior returned": "s"}
@@ -160,15 +168,13 @@ def forest_figure(rows: Sequence[ForestRow], title: str) -> Figure:
     axes.grid(axis="x")
     axes.set_xlabel(PRIOR_UNITS)
     axes.set_ylabel("parameter (units at the right)")
-    figure.suptitle(title, fontsize=11.5, fontweight="bold", color=INK)
+    headline(figure, title)
     used = [v for v in VERDICT_COLOURS if any(r.verdict == v for r in ordered)]
     handles: list[Line2D | Patch] = [
-        Patch(facecolor="#dedede", edgecolor=PRIOR, label="prior, 90 % equal-tailed")
+        patch(facecolor="#dedede", edgecolor=PRIOR, label="prior, 90 % equal-tailed")
     ]
     handles += [
-        Line2D(
-            [],
-            [],
+        line(
             color=VERDICT_COLOURS[v],
             marker=MARKERS[v],
             lw=2.5,

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
-from cassini_bayes.report.plots.style import event_axis, new_figure
+from cassini_bayes.arrays import Array
+from cassini_bayes.report.plots.style import (
+    event_axis,
+    new_figure,
+)
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
 
 PANELS_ACROSS: Final = 4
 NARROWEST_IN: Final = 9.2  # title and legend need it

@@ -9,16 +9,14 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.leave_one_out import HeldOut, draws_by_kind, outcome_by_kind
 from cassini_bayes.prediction.navigation import TOLERANCE, Requirement
 from cassini_bayes.prediction.planning import Plan
 from cassini_bayes.prediction.predict import SOURCES, Prediction
 from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, event_axis, new_figure
-
-Array = NDArray[np.float64]
 
 COLUMN_STYLES: Final[Mapping[str, tuple[str, str, str]]] = {
     "gsw_ideal": ("ideal", "x", "#999933"),

@@ -9,12 +9,11 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, STYLE
 from cassini_bayes.simulation import SimulatedEvent
 
-Array = NDArray[np.float64]
 LEAST_MOMENTUM_N_M_S = 1e-3
 """Below it a gain of momentum is rounding: the axis is not stretched over that."""
 AXIS_COLOURS = ("#332288", "#117733", "#CC6677")

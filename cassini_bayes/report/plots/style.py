@@ -1,14 +1,20 @@
-"""One look for every figure: colours that survive colour blindness and grey print."""
+"""One look for every figure: colours that survive colour blindness and grey print.
+
+matplotlib is imported when a figure is made, not before.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
 STYLE: Final[Mapping[Any, object]] = MappingProxyType(
     {
@@ -81,9 +87,33 @@ def thruster_styles(thrusters: Sequence[str]) -> dict[str, ThrusterStyle]:
     }
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """An empty figure outside any plotting session, laid out so that labels never overlap."""
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+def new_figure(width_in: float, height_in: float, *, by_hand: bool = False) -> Figure:
+    """An empty figure outside any plotting session, laid out so that labels never overlap.
+
+    ``by_hand``: the caller lays it out.
+    """
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), layout=None if by_hand else "constrained")
+
+
+def headline(figure: Figure, text: str, **place: Any) -> None:
+    """The title of a whole figure."""
+    figure.suptitle(text, fontsize=11.5, fontweight="bold", color=INK, **place)
+
+
+def line(**look: Any) -> Line2D:
+    """A line or symbol for a legend."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], **look)
+
+
+def patch(**look: Any) -> Patch:
+    """A filled area for a legend."""
+    from matplotlib.patches import Patch
+
+    return Patch(**look)
 
 
 def event_axis(axes: Axes, labels: Sequence[str], axis_label: str = "event") -> None:

@@ -11,13 +11,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 from scipy.stats import gaussian_kde
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_events, short_name
 from cassini_bayes.report.plots.style import INK, STYLE, new_figure
-
-Array = NDArray[np.float64]
 
 KNOBS_SHOWN: Final = 16
 PANELS_ACROSS: Final = 4

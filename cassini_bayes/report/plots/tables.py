@@ -8,13 +8,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_name
 from cassini_bayes.results.review import Review
-
-Array = NDArray[np.float64]
-
 
 SHARE: Final = "|share"
 NOISE_ONLY: Final = "noise-only"

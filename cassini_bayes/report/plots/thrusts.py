@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.report.plots.panels import (
     bars,
     finish,
@@ -22,7 +18,15 @@ from cassini_bayes.report.plots.panels import (
     thruster_panels,
 )
 from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT, short_events
-from cassini_bayes.report.plots.style import BASELINE, INK, PRIOR, thruster_styles
+from cassini_bayes.report.plots.style import (
+    BASELINE,
+    INK,
+    PRIOR,
+    headline,
+    line,
+    patch,
+    thruster_styles,
+)
 from cassini_bayes.report.plots.tables import (
     events_of,
     flat_draws,
@@ -33,7 +37,12 @@ from cassini_bayes.report.plots.tables import (
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
 
 ALL_EVENTS: Final = "all events"
 
@@ -94,12 +103,7 @@ def thrust_figure(review: Review) -> Figure:
         axes.axvline(len(events) - 0.5, color="#777777", lw=0.8, zorder=1)
         finish(axes, name, labels, limits)
     outer_labels(panels)
-    figure.suptitle(
-        f"Thrust of every thruster in every bias – posterior mean and {INTERVAL}",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, f"Thrust of every thruster in every bias – posterior mean and {INTERVAL}")
     legend_below(figure, _thrust_legend(review, printed))
     return figure
 
@@ -226,9 +230,7 @@ def _caret(axes: Axes, x: float, value: float, limits: tuple[float, float], *, v
 
 def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
-        Line2D(
-            [],
-            [],
+        line(
             color="#332288",
             marker="o",
             lw=5,
@@ -236,17 +238,13 @@ def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
             mfc="white",
             label=f"posterior, {INTERVAL_SHORT}",
         ),
-        Patch(facecolor="#e9e9e9", edgecolor=PRIOR, label=f"prior, {INTERVAL_SHORT}"),
+        patch(facecolor="#e9e9e9", edgecolor=PRIOR, label=f"prior, {INTERVAL_SHORT}"),
     ]
     if np.isfinite(printed).any():
-        handles.append(
-            Line2D([], [], color=INK, lw=1.1, ls=(0, (3, 1.5)), label="printed with the event")
-        )
+        handles.append(line(color=INK, lw=1.1, ls=(0, (3, 1.5)), label="printed with the event"))
     if not review.baseline.empty:
         handles += [
-            Line2D(
-                [],
-                [],
+            line(
                 color=BASELINE,
                 marker=look.marker,
                 lw=0.9,
@@ -256,9 +254,7 @@ def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
             for look in BASELINES
         ]
         handles += [
-            Line2D(
-                [],
-                [],
+            line(
                 color=BASELINE,
                 marker="D",
                 lw=0,
@@ -266,14 +262,6 @@ def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
                 mfc="white",
                 label="hollow: on-time < 5 s, not valid",
             ),
-            Line2D(
-                [],
-                [],
-                color=BASELINE,
-                marker="^",
-                lw=0,
-                ms=4.5,
-                label="beyond the axes: value printed",
-            ),
+            line(color=BASELINE, marker="^", lw=0, ms=4.5, label="beyond the axes: value printed"),
         ]
     return handles

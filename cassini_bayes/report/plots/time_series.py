@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from cassini_bayes.report.plots.quantities import NORMAL_90
-from cassini_bayes.report.plots.style import INK, POSTERIOR, new_figure
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    headline,
+    line,
+    new_figure,
+    patch,
+)
 from cassini_bayes.results.time_series import EventSeries
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
 BAND: Final = "#dcdcdc"
 MEASURED: Final = "#b5651d"
@@ -35,12 +44,7 @@ def series_figure(series: EventSeries) -> Figure:
     panels[0, 0].set_ylabel(f"{series.quantity} [N m s]")
     panels[1, 0].set_ylabel("measured − predicted [N m s]")
     thinned = f", every {_ordinal(series.every)} row" if series.every > 1 else ""
-    figure.suptitle(
-        f"{series.event} ({series.kind}): angular momentum balance{thinned}",
-        fontsize=11.5,
-        fontweight="bold",
-        color=INK,
-    )
+    headline(figure, f"{series.event} ({series.kind}): angular momentum balance{thinned}")
     figure.legend(handles=_legend(), loc="outside lower center", ncols=4)
     return figure
 
@@ -89,8 +93,8 @@ def _residual(axes: Axes, series: EventSeries, axis: int) -> None:
 
 def _legend() -> list[Line2D | Patch]:
     return [
-        Line2D([], [], ls="", marker=".", ms=6, color=MEASURED, label="measured"),
-        Line2D([], [], color=POSTERIOR, lw=1.4, label="predicted, posterior mean"),
-        Patch(facecolor=POSTERIOR, alpha=0.2, label="prediction, 90 % interval"),
-        Patch(facecolor=BAND, label="noise of a row, 90 % interval"),
+        line(ls="", marker=".", ms=6, color=MEASURED, label="measured"),
+        line(color=POSTERIOR, lw=1.4, label="predicted, posterior mean"),
+        patch(facecolor=POSTERIOR, alpha=0.2, label="prediction, 90 % interval"),
+        patch(facecolor=BAND, label="noise of a row, 90 % interval"),
     ]

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
@@ -21,8 +20,6 @@ from cassini_bayes.prediction.navigation import Requirement, requirements
 from cassini_bayes.prediction.requests import request_of
 from cassini_bayes.prediction.scores import central_interval
 from cassini_bayes.priors.reader import Priors
-
-Array = NDArray[np.float64]
 
 COLUMNS: Final[Mapping[str, str]] = {
     "gsw_ideal": "ideal (paper 001)",

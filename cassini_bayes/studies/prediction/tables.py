@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.prediction.firing import NAMES
 from cassini_bayes.prediction.ground_software import (
     GroundInputs,
@@ -20,8 +20,6 @@ from cassini_bayes.prediction.predict import SOURCES
 from cassini_bayes.prediction.requests import request_of
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.studies.prediction.study import COLUMNS, Study
-
-Array = NDArray[np.float64]
 
 AIMS: Final[Mapping[str, float]] = {"on_time": 0.45, "delta_v_z": 0.5, "hydrazine": 0.8}
 

@@ -8,15 +8,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.published import published_constants
 from cassini_bayes.simulation import Motion, SimulatedEvent, read_scenario
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated
 from cassini_bayes.studies.simulation.tables import markdown
 
-Array = NDArray[np.float64]
 SEEDS: Final = range(1, 9)
 DIGITS: Final = (2, 0, 0, 0, 1, 0, 3, 4, 3)
 

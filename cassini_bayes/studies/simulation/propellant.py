@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from cassini_bayes.arrays import Array
 from cassini_bayes.published import WheelBiasTable, wheel_bias_tables
 from cassini_bayes.simulation.kernel import STANDARD_GRAVITY_M_S2
 from cassini_bayes.studies.bias_comparison import PRINTED, UNITS, printed_rows
 from cassini_bayes.studies.simulation.tables import markdown
 
-Array = NDArray[np.float64]
 THRUSTERS_PER_UNIT: Final = np.array([2.0 if "_" in unit else 1.0 for unit in UNITS])
 START: Final = (180.0, 10.0, 100.0)
 GROUPS: Final = {
