@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import trapezoid
-from scipy.linalg import block_diag, helmert, sqrtm
+from scipy.linalg import block_diag, null_space, sqrtm
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
@@ -271,7 +271,10 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         row_white = white
         for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
             size = round(np.trace(share))
-            white = row_white + plain_open(model, term, rows, arms, tau, share) / size
+            white = (
+                row_white
+                + plain_open(model, term, rows, arms, tau, share, np.array(rows.times)) / size
+            )
             if not fires:
                 kept, density = np.eye(3), 0.0
             elif band == 0:
@@ -295,19 +298,25 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
         unknown = np.array(own).T
         turns = plain_turns(rows, term.event.sampling)
-        if turns.weights:
+        if len(turns.of_rates):
             # turns in the place of rates, all else integrated; the noise of wheels is summed up
             gained = turns.of_rates @ inertia + turns.of_rows @ np.array(rows.wheels) @ weights.T
-            noise = values["attitude_noise_rad"] ** 2 * inertia @ inertia
-            noise = noise + turns.summed * wheel_noise * weights @ weights.T
-            noise = noise + turns.walked * drift_square * np.eye(3)
-            everywhere = np.eye(n)
-            noise = noise + turns.ramped / n * plain_open(model, term, rows, arms, tau, everywhere)
+            attitude = values["attitude_noise_rad"] ** 2 * inertia @ inertia
+            by_wheels = wheel_noise * weights @ weights.T
+            noise = np.zeros((len(gained), 3, len(gained), 3))
+            for share, summed, walked in turns.bands:
+                own_noise = attitude + summed * by_wheels + walked * drift_square * np.eye(3)
+                on_slopes = share[: len(turns.times), : len(turns.times)]
+                open_square = plain_open(
+                    model, term, rows, arms, tau, on_slopes, turns.times, turns.ramps
+                )
+                own_noise = own_noise + open_square / np.trace(share)
+                noise += np.einsum("ij,ab->iajb", share, own_noise)
             on_turns = np.kron(turns.of_rows, np.eye(3))
             y, mean = np.concatenate([y, gained]), np.concatenate([mean, turns.of_rows @ mean])
             columns = np.concatenate([columns, on_turns @ columns])
             unknown = np.concatenate([unknown, on_turns @ unknown])
-            total = block_diag(total, np.kron(np.eye(len(gained)), noise))
+            total = block_diag(total, noise.reshape(3 * len(gained), -1))
             constant += len(gained) * np.linalg.slogdet(inertia)[1]
         if fires:
             total = total + columns @ linear.own @ linear.own.T @ columns.T
@@ -374,9 +383,14 @@ def plain_open(
     arms: Array,
     tau: tuple[float, ...],
     share: Array,
+    times: Array,
+    ramps: Array | float = 1.0,
 ) -> Array:
-    """Covariance summed over the rows that ``share`` (n, n) projects on, of what is open."""
-    times, total = np.array(rows.times), np.zeros((3, 3))
+    """Covariance of what is open, summed over rows at ``times`` that ``share`` (n, n) projects on.
+
+    Whatever is constant enters row i by ``ramps[i]``.
+    """
+    total = np.zeros((3, 3))
     if not rows.shots:
         return total
     sampling = term.event.sampling
@@ -388,14 +402,14 @@ def plain_open(
         for part in range(PARTS):
             pairs = [p for p in rows.pairs_of(g) if rows.part(p, sampling) == part]
             whole = sum(v for _, _, v in pairs)
-            steps = [(times >= t).astype(float) for t, _, _ in pairs]
+            steps = [ramps * (times >= t) for t, _, _ in pairs]
             mean = sum(v * step for (_, _, v), step in zip(pairs, steps, strict=True))
             for (_, _, v), step in zip(pairs, steps, strict=True):
                 apart = step - mean / whole
                 square += lost**2 * v * apart @ share @ apart
         ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
         for start, stop in pairwise(ends):
-            level = ((times >= start) & (times < stop)).astype(float)
+            level = ramps * ((times >= start) & (times < stop))
             square += left[g] * level @ share @ level
         total += square * np.outer(arm, arm)
     return total
@@ -403,18 +417,21 @@ def plain_open(
 
 @dataclass(frozen=True)
 class PlainTurns:
-    """Contrasts of quiet pieces: of the turns since a piece began, and as integrals of rows."""
+    """Contrasts of quiet pieces: of the turns since a piece began, and as integrals of rows.
 
-    weights: bool
+    First the slopes of P pieces at ``times``, by ``ramps`` of what is constant in them, then all
+    others. ``bands`` are projectors (N, N) and squares of wheel noise and of a random walk.
+    """
+
     of_rates: Array  # (N, 3)
     of_rows: Array  # (N, n)
-    summed: float
-    walked: float
-    ramped: float
+    times: Array
+    ramps: Array
+    bands: list[tuple[Array, float, float]]
 
 
 def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
-    """Pieces found by a loop over rows, contrasts by Helmert matrices."""
+    """Pieces found by a loop over rows, their slopes and an orthonormal basis of all else."""
     n, times = len(rows.times), rows.times
     usual = float(np.median(np.diff(times)))
     wheels = np.array(rows.wheels)
@@ -437,9 +454,11 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
             pieces.append(piece)
             piece = []
         piece.append(i + 1)
-    of_rates, of_rows, sums = [np.zeros((0, 3))], [np.zeros((0, n))], np.zeros(3)
-    every = [own for own in [*pieces, piece] if len(own) >= 3]
-    for piece in every:
+    slope_rates, slope_rows, waves, other_rates, other_rows = [], [], [], [], []
+    slope_times, ramps, sums = [], [], np.zeros(3)
+    duration = sampling.duration_s
+    pieces.append(piece)
+    for piece in [own for own in pieces if len(own) >= 2]:
         m, step = len(piece), np.diff(np.array(times)[piece])
         integral, turn = np.zeros((m, m)), np.zeros((m, 3))
         walk = np.zeros((m, m))
@@ -451,16 +470,50 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
             relative = rows.bodies[piece[i]] @ rows.bodies[piece[i - 1]].T
             # the body turns by φ: its axes' matrix by the inverse rotation
             turn[i] = turn[i - 1] + Rotation.from_matrix(relative.T).as_rotvec()
-        contrast = helmert(m)
-        of_rates.append(contrast @ turn)
-        own = np.zeros((m - 1, n))
-        own[:, piece] = contrast @ integral
-        of_rows.append(own)
-        ramp = np.array(times)[piece]
-        sums += [np.sum((contrast @ x) ** 2) for x in (integral, integral @ walk, ramp)]
-    count = sum(map(len, of_rates))
+        ramp = np.array(times)[piece] - np.mean(np.array(times)[piece])
+        slope = ramp / np.sqrt(np.sum(ramp**2))
+        # orthonormal to a constant and to the ramp, whichever basis
+        contrast = null_space(np.stack([np.ones(m), slope])).T
+        on_all = np.zeros((m, n))
+        on_all[:, piece] = integral
+        slope_rates.append(slope @ turn)
+        slope_rows.append(slope @ on_all)
+        other_rates.append(contrast @ turn)
+        other_rows.append(contrast @ on_all)
+        slope_times.append(np.mean(np.array(times)[piece]))
+        ramps.append(np.sqrt(np.sum(ramp**2)))
+        waves.append(
+            [
+                slope @ integral @ np.cos(order * np.pi * np.array(times)[piece] / duration)
+                for order in range(129)
+            ]
+        )
+        sums += [
+            np.sum((slope @ integral) ** 2),
+            np.sum((contrast @ integral) ** 2),
+            np.sum((contrast @ integral @ walk) ** 2),
+        ]
+    if not slope_rates:
+        return PlainTurns(np.zeros((0, 3)), np.zeros((0, n)), np.zeros(0), np.zeros(0), [])
+    of_rates = np.concatenate([np.array(slope_rates), *other_rates])
+    count, total = len(slope_rates), len(of_rates)
+    order = np.arange(1, 129)
+    scale = np.r_[np.sqrt(duration / 3.0), np.sqrt(2 * duration) / (order * np.pi)]
+    modes, size, _ = np.linalg.svd(np.array(waves) * scale, full_matrices=False)
+    bands = []
+    for start, stop in pairwise([0, *(edge for edge in (2, 8, 32) if edge < count), count]):
+        share = np.zeros((total, total))
+        share[:count, :count] = modes[:, start:stop] @ modes[:, start:stop].T
+        bands.append((share, sums[0] / count, float(np.mean(size[start:stop] ** 2))))
+    if total > count:
+        rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
+        bands.append((rest, sums[1] / (total - count), sums[2] / (total - count)))
     return PlainTurns(
-        count > 0, np.concatenate(of_rates), np.concatenate(of_rows), *(sums / max(count, 1))
+        of_rates,
+        np.concatenate([np.array(slope_rows), *other_rows]),
+        np.array(slope_times),
+        np.array(ramps),
+        bands,
     )
 
 

@@ -23,6 +23,7 @@ from cassini_bayes.balance.statistics import EventStatistics, Layout
 from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
+SLOPE_EDGES: Final = (2, 8, 32)  # the same of slopes of quiet pieces
 ROWS_PER_MODE: Final = 2
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
@@ -81,7 +82,9 @@ def make_bands(statistics: EventStatistics) -> Bands:
 
 def _bands(statistics: EventStatistics) -> Bands:
     walk, modes, turned = turned_modes(statistics)
-    left_open = open_squares(statistics, turned)
+    counters = statistics.counters
+    places = Places(counters.row_time_s, np.ones(len(counters.row_time_s)), counters.stride)
+    left_open = open_squares(statistics, places, turned)
     turning = statistics.kind == "slew"
     edges, still = _edges(statistics, len(walk)), STILL
     bands, grams, rest = [], [], statistics.gram
@@ -166,16 +169,25 @@ class OpenSquares:
         return np.maximum(cut, 0.0) / rows, np.maximum(level, 0.0) / rows
 
 
-def open_squares(statistics: EventStatistics, turned: Array) -> OpenSquares:
+@dataclass(frozen=True)
+class Places:
+    """Times (r,) of evenly thinned rows, their weights, and how many each of them stands for."""
+
+    time_s: Array
+    weight: Array
+    stride: int
+
+
+def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> OpenSquares:
     """What counters leave open, on modes that ``turned`` (1 + cosines, M) makes of the cosines."""
     counters, duration = statistics.counters, statistics.duration_s
-    time, couples = counters.row_time_s, counters.variance.shape[1]
+    couples = counters.variance.shape[1]
     modes, rows = np.zeros((2, turned.shape[1], couples)), np.zeros((2, couples))
     if couples == 0 or len(counters.end_s) == 0:
         return OpenSquares(*modes, *rows)
-    order = np.arange(len(turned))
-    on_modes = np.cos(np.pi / duration * time[:, None] * order) @ turned
-    step = (time[:, None] >= counters.end_s).astype(np.float64)
+    time, weight = places.time_s[:, None], places.weight[:, None]
+    on_modes = weight * np.cos(np.pi / duration * time * np.arange(len(turned))) @ turned
+    step = weight * (time >= counters.end_s)
     part = quarter_of(counters.end_s, duration)
     for g in range(couples):
         variance = counters.variance[:, g]
@@ -185,20 +197,20 @@ def open_squares(statistics: EventStatistics, turned: Array) -> OpenSquares:
             for own in (np.flatnonzero((part == j) & (variance > 0.0)) for j in range(CUT_PARTS))
             if len(own) > 0
         ]
-        levels = np.diff(step[:, counters.fired[:, g]], axis=1, prepend=1.0, append=0.0)
-        levels = -levels * np.sqrt(counters.open_s2[g])
+        ends = np.concatenate([weight, step[:, counters.fired[:, g]]], axis=1)
+        levels = -np.diff(ends, axis=1, append=0.0) * np.sqrt(counters.open_s2[g])
         for which, pattern in enumerate((np.concatenate([step[:, :0], *patterns], axis=1), levels)):
-            modes[which, :, g] = ((counters.stride * on_modes.T @ pattern) ** 2).sum(axis=1)
-            rows[which, g] = counters.stride * (pattern**2).sum()
+            modes[which, :, g] = ((places.stride * on_modes.T @ pattern) ** 2).sum(axis=1)
+            rows[which, g] = places.stride * (pattern**2).sum()
     return OpenSquares(*modes, *rows)
 
 
 @dataclass(frozen=True)
 class TurnBand:
-    """Contrasts of the turns over quiet pieces, and what beside the attitude is in their noise.
+    """Contrasts of turns over quiet pieces, and what beside the attitude is in their noise.
 
-    Mean squares per contrast of the wheels' summed noise and of torque noise, and per couple of
-    what counters leave open: constants within a piece, hence ramps of its integral.
+    Mean squares per contrast: of the wheels' summed noise, of a unit random walk, and per couple of
+    what counters leave open.
     """
 
     contrasts: int
@@ -208,46 +220,78 @@ class TurnBand:
     level: Array  # (G,) s⁴
 
 
-def turn_band(statistics: EventStatistics) -> TurnBand:
-    """The turns of an event."""
+def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array]:
+    """Slopes of the quiet pieces by frequency, then the rest; and their Gram matrices.
+
+    Torque noise and what counters leave open are slow, so that slopes are told apart by modes as
+    rows are (:func:`turned_modes`). Returns the bands and (T, 3, 3, A, A).
+    """
     turns = statistics.turns
-    *_, turned = turned_modes(statistics)
-    left_open = open_squares(statistics, turned[:, :0])
-    ramp = turns.ramped_s2 / statistics.rows
-    return TurnBand(
-        turns.contrasts,
-        turns.summed_s2,
-        turns.walked_s3,
-        ramp * left_open.cut_rows,
-        ramp * left_open.level_rows,
-    )
+    bands, grams = _slope_bands(statistics) if turns.pieces > 0 else ([], [])
+    if turns.contrasts > 0:
+        nothing = np.zeros(statistics.counters.variance.shape[1])
+        bands.append(TurnBand(turns.contrasts, turns.summed_s2, turns.walked_s3, nothing, nothing))
+        grams.append(turns.gram)
+    return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
+
+
+def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array]]:
+    turns = statistics.turns
+    walk, turned = diagonal_walk(turns.slope_mode_gram, statistics.duration_s, turns.pieces)
+    modes = np.tensordot(turns.slope_projection, turned, (0, 0))
+    places = Places(turns.slope_time_s, turns.slope_weight_s, turns.slope_stride)
+    left_open = open_squares(statistics, places, turned)
+    bands, grams, rest = [], [], turns.slope_gram
+    inner = [edge for edge in SLOPE_EDGES if edge < len(walk)]
+    for start, stop in pairwise([0, *inner, len(walk)]):
+        part = modes[..., start:stop]
+        gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
+        walked = float(walk[start:stop].mean())
+        noise = left_open.of_modes(start, stop)
+        bands.append(TurnBand(stop - start, turns.slope_summed_s2, walked, *noise))
+        grams.append(gram)
+        rest = rest - gram
+    if (rows := turns.pieces - len(walk)) > 0:
+        beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
+        walked = float(beyond * turns.slope_mode_gram[0, 0] / rows)
+        bands.append(TurnBand(rows, turns.slope_summed_s2, walked, *left_open.of_rest(rows)))
+        grams.append(rest)
+    return bands, grams
 
 
 def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array]:
     """Constant and cosines, turned to be orthonormal over the rows with a diagonal random walk.
 
-    Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
-    coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
-    mean). Returns the variances (M,) over a², all columns' coordinates (3, A, M), and the matrix
-    (1 + cosines, M) that makes the modes of a constant and cosines.
+    Returns the variances (M,) of a unit random walk, all columns' coordinates (3, A, M), and the
+    matrix (1 + cosines, M) that makes the modes of a constant and cosines.
     """
     layout, gram = statistics.layout, statistics.gram
-    count = len(statistics.mode_gram)
-    order = np.arange(1, count + 1)
-    scale = np.sqrt(statistics.duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi]
     one = layout.one
     mixed = statistics.projection[:, 0, one]
     square = np.block(
         [[gram[0, 0, one, one][None, None], mixed[None]], [mixed[:, None], statistics.mode_gram]]
     )
-    values, turn = np.linalg.eigh(scale[:, None] * square * scale)
-    most = max(statistics.rows // (1 if is_sparse(statistics) else ROWS_PER_MODE), 1)
-    kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][:most]
-    values, turn = values[kept], turn[:, kept]
+    most = statistics.rows // (1 if is_sparse(statistics) else ROWS_PER_MODE)
+    values, turned = diagonal_walk(square, statistics.duration_s, most)
     constant = np.stack([gram[0, c, one] for c in range(3)])
     seen = np.concatenate([constant[None], statistics.projection])
-    turned = turn / np.sqrt(values) * scale[:, None]
     return values, np.tensordot(seen, turned, (0, 0)), turned
+
+
+def diagonal_walk(square: Array, duration_s: float, most: int) -> tuple[Array, Array]:
+    """Combinations of a constant and cosines that are orthonormal, with a diagonal random walk.
+
+    Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
+    coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
+    mean). ``square`` (1 + cosines, 1 + cosines) are inner products over rows. Returns the variances
+    (M,) over a², largest first and at most ``most`` of them, and the matrix (1 + cosines, M).
+    """
+    order = np.arange(1, len(square))
+    scale = np.sqrt(duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi]
+    values, turn = np.linalg.eigh(scale[:, None] * square * scale)
+    kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][: max(most, 1)]
+    values, turn = values[kept], turn[:, kept]
+    return values, turn / np.sqrt(values) * scale[:, None]
 
 
 @lru_cache(maxsize=64)

@@ -65,10 +65,10 @@ class FastBands(NamedTuple):
 
 
 class Turns(NamedTuple):
-    """The band of integrated columns, whose noise is white."""
+    """T bands of integrated columns, white noise in each."""
 
-    gram: Array  # (A', 3, 3, A')
-    contrasts: float
+    grams: Array  # (T, A', 3, 3, A')
+    contrasts: Array  # (T,)
 
 
 class Noise(NamedTuple):
@@ -78,7 +78,7 @@ class Noise(NamedTuple):
     beside: Array  # (n, 1 + F, 3, 3) covariance without wheels and torque noise, (N m s)²
     wheel: Array  # (n,) variance of measured wheel rates, rad²/s²
     walk: Array  # (n,) density of torque noise, N² m² s
-    turns: Array  # (n, 3, 3) covariance of a contrast of integrated columns, (N m s²)²
+    turns: Array  # (n, T, 3, 3) covariance of a contrast of integrated columns, (N m s²)²
 
 
 class Placed(NamedTuple):
@@ -170,11 +170,11 @@ def normal_equations(
             if not is_told:
                 log_scale[i] -= 0.5 * fast.rows[f] * log_determinant
             _contract(fast.grams[f], entries, used, other, normal[i])
-    if turns.contrasts > 0:
+    for t in range(turns.contrasts.size):
         for i in range(n):
-            log_determinant = _invert(noise.turns[i], other)
-            log_scale[i] -= 0.5 * turns.contrasts * log_determinant
-            _contract(turns.gram, entries, turned[i], other, normal[i])
+            log_determinant = _invert(noise.turns[i, t], other)
+            log_scale[i] -= 0.5 * turns.contrasts[t] * log_determinant
+            _contract(turns.grams[t], entries, turned[i], other, normal[i])
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):

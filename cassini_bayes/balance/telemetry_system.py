@@ -21,7 +21,7 @@ from cassini_bayes.balance.telemetry_terms import (
     balance_weights,
     band_covariances,
     own_prior,
-    turn_covariance,
+    turn_covariances,
     turn_weights,
     wheel_variance,
 )
@@ -75,7 +75,7 @@ def event_system(
         band_covariances(event, physics, parameters, thrust_n),
         wheel_variance(event, parameters),
         parameters["torque_noise_n_m_s05"] ** 2,
-        turn_covariance(event, physics, parameters, thrust_n),
+        turn_covariances(event, physics, parameters, thrust_n),
     )
     placed = Placed(np.r_[np.full(k, thrust_n), own_mean], _THRUST_SPREAD * thrust_n, own_sd)
     used = np.ascontiguousarray(weights[:, reduced.entries])
@@ -90,5 +90,6 @@ def event_system(
         for per_unit in (physics.momentum_per_rate, physics.inertia_kg_m2)
     )
     log_scale += event.statistics.rows * (by_rate - 0.5 * channels * np.log(2.0 * np.pi))
-    log_scale += event.turns.contrasts * (by_turn - 1.5 * np.log(2.0 * np.pi))
+    contrasts = sum(band.contrasts for band in event.turns)
+    log_scale += contrasts * (by_turn - 1.5 * np.log(2.0 * np.pi))
     return EventSystem(normal, log_scale, own_sd, own_mean, kept)

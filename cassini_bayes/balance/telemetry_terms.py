@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.arrays import Array, Places
-from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_band
+from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
@@ -112,7 +112,7 @@ class Reduced:
     wheel_entries: Places  # (W,) places among the entries
     grams: Array  # (F, 3, 3, A', A') of the fast bands
     slow: Array  # (3, A', M) coordinates on the slow modes
-    turns: Array  # (3, 3, A', A') of the integrated columns of quiet pieces
+    turns: Array  # (T, 3, 3, A', A') of the integrated columns of quiet pieces
 
     @cached_property
     def places(self) -> Entries:
@@ -137,7 +137,7 @@ class TelemetryBalance:
     wheel_places: tuple[int, ...]
     slow: Band
     fast: tuple[Band, ...]
-    turns: TurnBand
+    turns: tuple[TurnBand, ...]
     initial_mean_n_m_s: Array
     spin: Array
     reduced: Reduced
@@ -171,8 +171,8 @@ class TelemetryBalance:
             np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
             np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
         )
-        turns = np.ascontiguousarray(self.reduced.turns.transpose(2, 0, 1, 3))
-        return slow, fast, Turns(turns, float(self.turns.contrasts))
+        turns = np.ascontiguousarray(self.reduced.turns.transpose(0, 3, 1, 2, 4))
+        return slow, fast, Turns(turns, np.array([float(own.contrasts) for own in self.turns]))
 
     @property
     def fires(self) -> bool:
@@ -215,6 +215,7 @@ def make_balance(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
     slow, fast, slow_modes, grams = make_bands(statistics)
+    turns, turn_grams = turn_bands(statistics)
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
     return TelemetryBalance(
@@ -224,7 +225,7 @@ def make_balance(
         wheel_places=places,
         slow=slow,
         fast=fast,
-        turns=turn_band(statistics),
+        turns=turns,
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
         reduced=Reduced(
@@ -236,7 +237,7 @@ def make_balance(
             pattern.wheels,
             grams,
             slow_modes,
-            statistics.turns.gram,
+            turn_grams,
         ),
     )
 
@@ -417,21 +418,25 @@ def band_covariances(
     return np.ascontiguousarray(white[:, None] + np.stack(each, axis=1))
 
 
-def turn_covariance(
+def turn_covariances(
     event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
 ) -> Array:
-    """Covariance (n, 3, 3) of a contrast of the integrated balance, (N m s²)²."""
-    turns, wheels = event.turns, event.wheel_weights(physics)
-    inertia = physics.inertia_kg_m2
+    """Covariance (n, T, 3, 3) of a contrast of the integrated balance by band, (N m s²)²."""
+    wheels, inertia = event.wheel_weights(physics), physics.inertia_kg_m2
     attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
-    wheel = turns.summed_s2 * wheel_variance(event, parameters)[:, None, None]
-    torque = turns.walked_s3 * parameters["torque_noise_n_m_s05"][:, None, None] ** 2
-    return np.ascontiguousarray(
-        attitude * inertia @ np.swapaxes(inertia, -1, -2)
-        + wheel * wheels @ np.swapaxes(wheels, -1, -2)
-        + torque * np.eye(3)
-        + _open_covariance(event, physics, thrust_n, turns.cut, turns.level)
+    by_attitude = attitude * inertia @ np.swapaxes(inertia, -1, -2)
+    by_wheels = wheel_variance(event, parameters)[:, None, None] * (
+        wheels @ np.swapaxes(wheels, -1, -2)
     )
+    by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
+    each = [
+        by_attitude
+        + band.summed_s2 * by_wheels
+        + band.walked_s3 * by_torque
+        + _open_covariance(event, physics, thrust_n, band.cut, band.level)
+        for band in event.turns
+    ]
+    return np.ascontiguousarray(np.array(each).reshape(-1, *by_attitude.shape).swapaxes(0, 1))
 
 
 def _open_covariance(

@@ -27,17 +27,22 @@ from cassini_bayes.balance.statistics.columns import (
     settle,
 )
 from cassini_bayes.balance.statistics.rows import Samples
-from cassini_bayes.balance.statistics.turns import PieceRule, piece_breaks, piece_ends, turned
+from cassini_bayes.balance.statistics.turns import (
+    SLOPE_WAVES,
+    PieceRule,
+    piece_breaks,
+    piece_ends,
+    turned,
+)
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.storage import write_bytes
 
 Array = NDArray[np.float64]
 MODES: Final = 512
-_FORMAT: Final = 2
+_FORMAT: Final = 3
 BLOCK_ROWS: Final = 4_096
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
-_SQUARES: Final = (("summed", "s2"), ("walked", "s3"), ("ramped", "s2"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +72,28 @@ class EventStatistics:
 
 @dataclass(frozen=True, eq=False)
 class TurnStatistics:
-    """Inner products (3, 3, A, A) of integrated, centred columns, and their noise.
+    """Inner products of integrated, centred columns of quiet pieces, and their noise.
 
-    ``contrasts`` counts what is left of the pieces' rows after centring; the others are mean
-    squares per contrast (:class:`cassini_bayes.balance.statistics.turns.Turned`).
+    Of the ``pieces`` slopes: ``slope_gram`` (3, 3, A, A), and with the cosines m = 0 … M of the
+    momentum ``slope_projection`` (1 + M, 3, A) and ``slope_mode_gram`` (1 + M, 1 + M);
+    ``slope_time_s`` (r,) and ``slope_weight_s`` (r,) are evenly thinned times and weights |t − t̄|
+    of the pieces, each for ``slope_stride`` of them. Of the ``contrasts`` that are left: ``gram``.
+    The others are mean squares per slope or contrast
+    (:class:`cassini_bayes.balance.statistics.turns.Turned`).
     """
 
-    gram: Array
+    pieces: int
+    slope_gram: Array
+    slope_projection: Array
+    slope_mode_gram: Array
+    slope_time_s: Array
+    slope_weight_s: Array
+    slope_stride: int
+    slope_summed_s2: float
     contrasts: int
+    gram: Array
     summed_s2: float
     walked_s3: float
-    ramped_s2: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +249,7 @@ def reduce_chunks(
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
-    turns, times = _Turns(layout, sampling), ThinnedTimes()
+    turns, times = _Turns(layout, sampling), Thinned()
     for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
@@ -269,31 +285,29 @@ def reduce_chunks(
     )
 
 
-class ThinnedTimes:
-    """Times of rows that come in stretches, evenly thinned in constant memory."""
+class Thinned:
+    """Rows of arrays (n, …) that come in stretches, evenly thinned in constant memory.
+
+    ``kept`` are those that stay, each for ``stride`` rows.
+    """
 
     def __init__(self) -> None:
         self.stride = 1
         self._seen = 0
-        self._kept: list[Array] = []
+        self.kept: list[Array] = []
 
-    def add(self, time_s: Array) -> None:
-        """Take the times of some more rows."""
-        number = np.arange(self._seen, self._seen + len(time_s))
-        self._seen += len(time_s)
-        self._kept.append(time_s[number % self.stride == 0])
-        while sum(map(len, self._kept)) > MOST_TIMES:
-            self._kept = [np.concatenate(self._kept)[::2]]
+    def add(self, values: Array) -> None:
+        """Take some more rows."""
+        number = np.arange(self._seen, self._seen + len(values))
+        self._seen += len(values)
+        self.kept.append(values[number % self.stride == 0])
+        while sum(map(len, self.kept)) > MOST_TIMES:
+            self.kept = [np.concatenate(self.kept)[::2]]
             self.stride *= 2
-
-    @property
-    def time_s(self) -> Array:
-        """Those that were kept, each for ``stride`` rows."""
-        return np.concatenate([np.zeros(0), *self._kept])
 
 
 def _counter_statistics(
-    pairs: Pairs, times: ThinnedTimes, layout: Layout, open_s2: Sequence[float]
+    pairs: Pairs, times: Thinned, layout: Layout, open_s2: Sequence[float]
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
     every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
@@ -305,7 +319,7 @@ def _counter_statistics(
     by_thruster = open_s2 or np.zeros(len(layout.thrusters))
     by_couple = [max(by_thruster[k] for k in own) for own in layout.couples]
     return CounterStatistics(
-        times.time_s,
+        np.concatenate(times.kept),
         times.stride,
         pairs.end_s[first],
         fired,
@@ -318,13 +332,17 @@ class _Turns:
     """Gathers the inner products of quiet pieces from rows that come in stretches."""
 
     def __init__(self, layout: Layout, sampling: Sampling) -> None:
-        size = 3 * len(layout.vector) + len(layout.scalar)
+        size, waves = 3 * len(layout.vector) + len(layout.scalar), SLOPE_WAVES + 1
         self._layout, self._sampling = layout, sampling
         self._rule: PieceRule | None = None
         self._waiting: list[Rows] = []
         self._before = 0  # rows of the piece before, by which a corner at the first row shows
-        self._gram = np.zeros((size, size))
-        self._contrasts = 0
+        self._places = Thinned()  # (p, 2) times and weights
+        self._pieces, self._contrasts = 0, 0
+        self._slopes = _Inner(
+            np.zeros((size, size)), np.zeros((waves, size)), np.zeros((waves, waves))
+        )
+        self._rest = np.zeros((size, size))
         self._squares = np.zeros(3)
 
     def add(self, rows: Rows) -> None:
@@ -345,19 +363,38 @@ class _Turns:
         ends = [first + end for end in piece_ends(rows.time_s[first:], breaks[first:])]
         if not is_last:
             ends = ends[:-1]
-        found = turned(rows, self._layout, ends)
-        self._gram += found.columns.T @ found.columns
+        found = turned(rows, self._layout, ends, self._sampling.duration_s)
+        slopes, waves = found.slopes, found.waves
+        self._slopes.gather(_Inner(slopes.T @ slopes, waves.T @ slopes, waves.T @ waves))
+        self._places.add(np.stack([found.time_s, waves[:, 0]], axis=1))
+        self._pieces += len(slopes)
+        self._rest += found.rest.T @ found.rest
         self._contrasts += found.contrasts
-        self._squares += (found.summed, found.walked, found.ramped)
+        self._squares += (found.slopes_summed, found.rest_summed, found.rest_walked)
         self._before = min(ends[-1], 1)
         self._waiting = [rows.part(slice(ends[-1] - self._before, None))]
 
     def statistics(self) -> TurnStatistics:
         """All of it, once the last rows have been added."""
         self._work_up(is_last=True)
-        squares = self._squares / max(self._contrasts, 1)
-        gram, _ = _by_axes(self._gram, self._layout)
-        return TurnStatistics(gram, self._contrasts, *squares.tolist())
+        slope_gram, places = _by_axes(self._slopes.columns, self._layout)
+        counts = np.maximum([self._pieces, self._contrasts, self._contrasts], 1)
+        by_slope, by_contrast, walked = (self._squares / counts).tolist()
+        time, weight = np.concatenate([np.zeros((0, 2)), *self._places.kept]).T
+        return TurnStatistics(
+            self._pieces,
+            slope_gram,
+            np.stack([self._slopes.mixed[:, own] for own in places], axis=1),
+            self._slopes.modes,
+            time,
+            weight,
+            self._places.stride,
+            by_slope,
+            self._contrasts,
+            _by_axes(self._rest, self._layout)[0],
+            by_contrast,
+            walked,
+        )
 
 
 def _in_blocks(chunks: Iterable[Samples], rows: int) -> Iterator[Samples]:
@@ -460,9 +497,12 @@ def load_statistics(path: Path) -> EventStatistics | None:
                 stored["cuts"],
                 float(stored["counter_interval_s"]),
                 TurnStatistics(
-                    stored["turns.gram"],
-                    int(stored["turns.contrasts"]),
-                    *(float(stored[f"turns.{name}_{unit}"]) for name, unit in _SQUARES),
+                    *(
+                        stored[f"turns.{own.name}"][()]
+                        if stored[f"turns.{own.name}"].ndim == 0
+                        else stored[f"turns.{own.name}"]
+                        for own in fields(TurnStatistics)
+                    )
                 ),
                 CounterStatistics(
                     stored["counters.row_time_s"],
