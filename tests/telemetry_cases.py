@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import trapezoid
-from scipy.linalg import block_diag, null_space, sqrtm
+from scipy.linalg import block_diag, null_space, solve_triangular, sqrtm
 from scipy.spatial.transform import Rotation
-from scipy.stats import multivariate_normal
 
 from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import (
@@ -44,21 +43,29 @@ def telemetry_priors() -> Priors:
 
 
 def made_up_samples(
-    rng: np.random.Generator, rows: int = 70, *, fires: bool = True, every_s: float = 1.0
+    rng: np.random.Generator,
+    rows: int = 70,
+    *,
+    fires: bool = True,
+    every_s: float = 1.0,
+    firing: float = 0.06,
+    wander: float = 0.03,
 ) -> Samples:
     """Telemetry that no spacecraft flew: a wandering attitude, random rates, bursts of firing.
 
     The wheels are such that the momentum balance holds at the prior means, up to some noise.
+    ``firing`` is the chance of a thruster to begin a burst at a row, ``wander`` (rad) how far the
+    attitude goes from one row to the next.
     """
     time = every_s * np.arange(rows)
-    angle = np.cumsum(0.03 * rng.standard_normal((rows, 3)), axis=0)
+    angle = np.cumsum(wander * rng.standard_normal((rows, 3)), axis=0)
     size = np.linalg.norm(angle, axis=1, keepdims=True) + 1e-12
     attitude = np.concatenate([angle / size * np.sin(size / 2), np.cos(size / 2)], axis=1)
-    rate = 1e-3 * rng.standard_normal((rows, 3))
+    rate = wander / 30.0 * rng.standard_normal((rows, 3))
     counters = 8 if fires else 0
     on_time, pulses = np.zeros((rows, counters)), np.zeros((rows, counters))
     for k in range(counters):
-        starts = rng.random(rows) < 0.06
+        starts = rng.random(rows) < firing
         starts[0] = False
         number = np.where(starts, rng.integers(1, 4, rows), 0)
         width = rng.choice([0.03, 0.125, 0.25], rows)
@@ -76,7 +83,7 @@ def made_up_samples(
             gained = on_time[i] - on_time[i - 1] + 0.03 * (pulses[i] - pulses[i - 1])
             inertial = inertial + 0.76 * body.T @ arms @ gained
         momentum = body @ inertial - inertia_tensor(values) @ rate[i]
-        wheels[i] = np.linalg.solve(weights, momentum) + 0.03 * rng.standard_normal(3)
+        wheels[i] = np.linalg.solve(weights, momentum) + min(0.03, wander) * rng.standard_normal(3)
     return Samples(time, attitude, rate, wheels, on_time, pulses)
 
 
@@ -268,12 +275,16 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         lacking = y
         total = np.zeros((3 * n, 3 * n))
         still = 0.2 if plain_sparse(n, samples) else 0.5
+        turns = plain_turns(rows, term.event.sampling)
+        by_rows, by_slopes = plain_shared(model, turns, n)
         row_white = white
         for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
             size = round(np.trace(share))
             white = (
                 row_white
-                + plain_open(model, term, rows, arms, tau, share, np.array(rows.times)) / size
+                + by_rows
+                * plain_open(model, term, rows, arms, tau, share, np.array(rows.times))
+                / size
             )
             if not fires:
                 kept, density = np.eye(3), 0.0
@@ -297,7 +308,6 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         if fires:
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
         unknown = np.array(own).T
-        turns = plain_turns(rows, term.event.sampling)
         if len(turns.of_rates):
             # turns in the place of rates, all else integrated; the noise of wheels is summed up
             gained = turns.of_rates @ inertia + turns.of_rows @ np.array(rows.wheels) @ weights.T
@@ -310,7 +320,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
                 open_square = plain_open(
                     model, term, rows, arms, tau, on_slopes, turns.times, turns.ramps
                 )
-                own_noise = own_noise + open_square / np.trace(share)
+                own_noise = own_noise + by_slopes * open_square / np.trace(share)
                 noise += np.einsum("ij,ab->iajb", share, own_noise)
             on_turns = np.kron(turns.of_rows, np.eye(3))
             y, mean = np.concatenate([y, gained]), np.concatenate([mean, turns.of_rows @ mean])
@@ -332,8 +342,10 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         place += len(block)
     between = np.concatenate(shared)
     dense += between @ between.T
-    log_density = multivariate_normal.logpdf(np.concatenate(means), np.zeros(size), dense)
-    return float(log_density) + constant
+    lower, residual = np.linalg.cholesky(dense), np.concatenate(means)
+    white = solve_triangular(lower, residual, lower=True)
+    log_density = -0.5 * white @ white - np.log(np.diagonal(lower)).sum()
+    return float(log_density - 0.5 * size * np.log(2.0 * np.pi)) + constant
 
 
 def _unknowns(
@@ -428,6 +440,16 @@ class PlainTurns:
     times: Array
     ramps: Array
     bands: list[tuple[Array, float, float]]
+
+
+def plain_shared(model: Model, turns: PlainTurns, rows: int) -> tuple[float, float]:
+    """Factors of disturbances that rows and slopes share: 1 + a/b and 1 + b/a, of prior means."""
+    if not len(turns.ramps):
+        return 1.0, 1.0
+    means = nominal_values()
+    a = means["rate_noise_rad_s"] ** 2 / rows
+    b = means["attitude_noise_rad"] ** 2 / np.sum(turns.ramps**2)
+    return 1.0 + a / b, 1.0 + b / a
 
 
 def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:

@@ -83,7 +83,9 @@ def make_bands(statistics: EventStatistics) -> Bands:
 def _bands(statistics: EventStatistics) -> Bands:
     walk, modes, turned = turned_modes(statistics)
     counters = statistics.counters
-    places = Places(counters.row_time_s, np.ones(len(counters.row_time_s)), counters.stride)
+    time = counters.row_time_s
+    waves = np.cos(np.pi / statistics.duration_s * time[:, None] * np.arange(len(turned)))
+    places = Places(time, waves, counters.stride)
     left_open = open_squares(statistics, places, turned)
     turning = statistics.kind == "slew"
     edges, still = _edges(statistics, len(walk)), STILL
@@ -171,24 +173,26 @@ class OpenSquares:
 
 @dataclass(frozen=True)
 class Places:
-    """Times (r,) of evenly thinned rows, their weights, and how many each of them stands for."""
+    """Times (r,) of evenly thinned rows, each for ``stride`` of them.
+
+    ``waves`` (r, 1 + cosines): a constant and cosines there.
+    """
 
     time_s: Array
-    weight: Array
+    waves: Array
     stride: int
 
 
 def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> OpenSquares:
     """What counters leave open, on modes that ``turned`` (1 + cosines, M) makes of the cosines."""
-    counters, duration = statistics.counters, statistics.duration_s
+    counters = statistics.counters
     couples = counters.variance.shape[1]
     modes, rows = np.zeros((2, turned.shape[1], couples)), np.zeros((2, couples))
     if couples == 0 or len(counters.end_s) == 0:
         return OpenSquares(*modes, *rows)
-    time, weight = places.time_s[:, None], places.weight[:, None]
-    on_modes = weight * np.cos(np.pi / duration * time * np.arange(len(turned))) @ turned
-    step = weight * (time >= counters.end_s)
-    part = quarter_of(counters.end_s, duration)
+    on_modes, weight = places.waves @ turned, places.waves[:, :1]
+    step = weight * (places.time_s[:, None] >= counters.end_s)
+    part = quarter_of(counters.end_s, statistics.duration_s)
     for g in range(couples):
         variance = counters.variance[:, g]
         patterns = [
@@ -239,7 +243,7 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     turns = statistics.turns
     walk, turned = diagonal_walk(turns.slope_mode_gram, statistics.duration_s, turns.pieces)
     modes = np.tensordot(turns.slope_projection, turned, (0, 0))
-    places = Places(turns.slope_time_s, turns.slope_weight_s, turns.slope_stride)
+    places = Places(turns.slope_time_s, turns.slope_waves, turns.slope_stride)
     left_open = open_squares(statistics, places, turned)
     bands, grams, rest = [], [], turns.slope_gram
     inner = [edge for edge in SLOPE_EDGES if edge < len(walk)]

@@ -128,7 +128,8 @@ class TelemetryBalance:
     ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`), ``turns``
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
-    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters.
+    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``shared`` are
+    factors of what counters leave open, which rows and slopes share (:func:`shared_factors`).
     """
 
     statistics: EventStatistics
@@ -140,6 +141,7 @@ class TelemetryBalance:
     turns: tuple[TurnBand, ...]
     initial_mean_n_m_s: Array
     spin: Array
+    shared: tuple[float, float]
     reduced: Reduced
 
     @property
@@ -228,6 +230,7 @@ def make_balance(
         turns=turns,
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
+        shared=shared_factors(statistics, nominal),
         reduced=Reduced(
             everything,
             np.arange(slow_modes.shape[1]),
@@ -240,6 +243,26 @@ def make_balance(
             turn_grams,
         ),
     )
+
+
+def shared_factors(
+    statistics: EventStatistics, nominal: Mapping[str, float]
+) -> tuple[float, float]:
+    """Factors, for rows and for slopes of turns, of variances of one disturbance in both.
+
+    A momentum seen with variances a and b of their own and a disturbance of variance L in both is
+    known with L + ab/(a + b). Taken for independent they would make it 1/(1/(a + L) + 1/(b + L));
+    with L (1 + a/b) and L (1 + b/a) for L they make it what it is. a/b is that of the prior means:
+    with noise levels that are fitted the factors would pull at them.
+    """
+    if statistics.turns.pieces == 0:
+        return 1.0, 1.0
+    rate = nominal["rate_noise_rad_s"] ** 2 + statistics.steps.rate_rad_s**2 / 12.0
+    by_rows = rate / statistics.rows
+    by_slopes = nominal["attitude_noise_rad"] ** 2 / float(statistics.turns.slope_mode_gram[0, 0])
+    if min(by_rows, by_slopes) <= 0.0:
+        return 1.0, 1.0
+    return 1.0 + by_rows / by_slopes, 1.0 + by_slopes / by_rows
 
 
 def without_idle_columns(
@@ -415,7 +438,7 @@ def band_covariances(
     white = covariance_beside_wheels(event, physics, parameters)
     bands = (event.slow, *event.fast)
     each = [_open_covariance(event, physics, thrust_n, own.cut, own.level) for own in bands]
-    return np.ascontiguousarray(white[:, None] + np.stack(each, axis=1))
+    return np.ascontiguousarray(white[:, None] + event.shared[0] * np.stack(each, axis=1))
 
 
 def turn_covariances(
@@ -433,7 +456,7 @@ def turn_covariances(
         by_attitude
         + band.summed_s2 * by_wheels
         + band.walked_s3 * by_torque
-        + _open_covariance(event, physics, thrust_n, band.cut, band.level)
+        + event.shared[1] * _open_covariance(event, physics, thrust_n, band.cut, band.level)
         for band in event.turns
     ]
     return np.ascontiguousarray(np.array(each).reshape(-1, *by_attitude.shape).swapaxes(0, 1))

@@ -37,9 +37,15 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
         made_up_samples(rng, 50, fires=False),
         made_up_samples(rng, 300),  # enough for all bands
         made_up_samples(rng, 110, every_s=4.0),  # sparse: as many modes as rows
+        made_up_samples(
+            rng, 400, firing=0.008, wander=1e-4
+        ),  # turns of quiet pieces between cut tails
     ]
     model = model_of(events)
-    assert [is_sparse(term.event.statistics) for term in model.telemetry] == [False] * 3 + [True]
+    sparse = [is_sparse(term.event.statistics) for term in model.telemetry]
+    assert sparse == [False] * 3 + [True, False]
+    assert model.telemetry[4].event.statistics.turns.pieces > 8
+    assert model.telemetry[4].balance.turns[0].cut.max() > 0.1
     for z in 0.5 * model.space.sample(rng, 2):
         parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
         plain = plain_log_likelihood(model, parameters)

@@ -76,9 +76,9 @@ class TurnStatistics:
 
     Of the ``pieces`` slopes: ``slope_gram`` (3, 3, A, A), and with the cosines m = 0 … M of the
     momentum ``slope_projection`` (1 + M, 3, A) and ``slope_mode_gram`` (1 + M, 1 + M);
-    ``slope_time_s`` (r,) and ``slope_weight_s`` (r,) are evenly thinned times and weights |t − t̄|
-    of the pieces, each for ``slope_stride`` of them. Of the ``contrasts`` that are left: ``gram``.
-    The others are mean squares per slope or contrast
+    ``slope_time_s`` (r,) and ``slope_waves`` (r, 1 + M) are evenly thinned times of the pieces and
+    the cosines there, the first of them |t − t̄|, each for ``slope_stride`` pieces. Of the
+    ``contrasts`` that are left: ``gram``. The others are mean squares per slope or contrast
     (:class:`cassini_bayes.balance.statistics.turns.Turned`).
     """
 
@@ -87,7 +87,7 @@ class TurnStatistics:
     slope_projection: Array
     slope_mode_gram: Array
     slope_time_s: Array
-    slope_weight_s: Array
+    slope_waves: Array
     slope_stride: int
     slope_summed_s2: float
     contrasts: int
@@ -337,7 +337,7 @@ class _Turns:
         self._rule: PieceRule | None = None
         self._waiting: list[Rows] = []
         self._before = 0  # rows of the piece before, by which a corner at the first row shows
-        self._places = Thinned()  # (p, 2) times and weights
+        self._places = Thinned()  # (p, 1 + waves) times, and cosines there
         self._pieces, self._contrasts = 0, 0
         self._slopes = _Inner(
             np.zeros((size, size)), np.zeros((waves, size)), np.zeros((waves, waves))
@@ -366,7 +366,7 @@ class _Turns:
         found = turned(rows, self._layout, ends, self._sampling.duration_s)
         slopes, waves = found.slopes, found.waves
         self._slopes.gather(_Inner(slopes.T @ slopes, waves.T @ slopes, waves.T @ waves))
-        self._places.add(np.stack([found.time_s, waves[:, 0]], axis=1))
+        self._places.add(np.concatenate([found.time_s[:, None], waves], axis=1))
         self._pieces += len(slopes)
         self._rest += found.rest.T @ found.rest
         self._contrasts += found.contrasts
@@ -377,17 +377,17 @@ class _Turns:
     def statistics(self) -> TurnStatistics:
         """All of it, once the last rows have been added."""
         self._work_up(is_last=True)
-        slope_gram, places = _by_axes(self._slopes.columns, self._layout)
+        slope_gram, columns = _by_axes(self._slopes.columns, self._layout)
         counts = np.maximum([self._pieces, self._contrasts, self._contrasts], 1)
         by_slope, by_contrast, walked = (self._squares / counts).tolist()
-        time, weight = np.concatenate([np.zeros((0, 2)), *self._places.kept]).T
+        places = np.concatenate([np.zeros((0, SLOPE_WAVES + 2)), *self._places.kept])
         return TurnStatistics(
             self._pieces,
             slope_gram,
-            np.stack([self._slopes.mixed[:, own] for own in places], axis=1),
+            np.stack([self._slopes.mixed[:, own] for own in columns], axis=1),
             self._slopes.modes,
-            time,
-            weight,
+            places[:, 0],
+            places[:, 1:],
             self._places.stride,
             by_slope,
             self._contrasts,
