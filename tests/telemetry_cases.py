@@ -50,12 +50,13 @@ def made_up_samples(
     every_s: float = 1.0,
     firing: float = 0.06,
     wander: float = 0.03,
+    rate_noise: float = 0.0,
 ) -> Samples:
     """Telemetry that no spacecraft flew: a wandering attitude, random rates, bursts of firing.
 
     The wheels are such that the momentum balance holds at the prior means, up to some noise.
     ``firing`` is the chance of a thruster to begin a burst at a row, ``wander`` (rad) how far the
-    attitude goes from one row to the next.
+    attitude goes from one row to the next, ``rate_noise`` (rad/s) what measured rates have on top.
     """
     time = every_s * np.arange(rows)
     angle = np.cumsum(wander * rng.standard_normal((rows, 3)), axis=0)
@@ -84,6 +85,8 @@ def made_up_samples(
             inertial = inertial + 0.76 * body.T @ arms @ gained
         momentum = body @ inertial - inertia_tensor(values) @ rate[i]
         wheels[i] = np.linalg.solve(weights, momentum) + min(0.03, wander) * rng.standard_normal(3)
+    if rate_noise > 0.0:
+        rate = rate + rate_noise * rng.standard_normal((rows, 3))
     return Samples(time, attitude, rate, wheels, on_time, pulses)
 
 
@@ -276,15 +279,12 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         total = np.zeros((3 * n, 3 * n))
         still = 0.2 if plain_sparse(n, samples) else 0.5
         turns = plain_turns(rows, term.event.sampling)
-        by_rows, by_slopes = plain_shared(model, turns, n)
         row_white = white
         for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
             size = round(np.trace(share))
             white = (
                 row_white
-                + by_rows
-                * plain_open(model, term, rows, arms, tau, share, np.array(rows.times))
-                / size
+                + plain_open(model, term, rows, arms, tau, share, np.array(rows.times)) / size
             )
             if not fires:
                 kept, density = np.eye(3), 0.0
@@ -320,7 +320,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
                 open_square = plain_open(
                     model, term, rows, arms, tau, on_slopes, turns.times, turns.ramps
                 )
-                own_noise = own_noise + by_slopes * open_square / np.trace(share)
+                own_noise = own_noise + open_square / np.trace(share)
                 noise += np.einsum("ij,ab->iajb", share, own_noise)
             on_turns = np.kron(turns.of_rows, np.eye(3))
             y, mean = np.concatenate([y, gained]), np.concatenate([mean, turns.of_rows @ mean])
@@ -440,16 +440,6 @@ class PlainTurns:
     times: Array
     ramps: Array
     bands: list[tuple[Array, float, float]]
-
-
-def plain_shared(model: Model, turns: PlainTurns, rows: int) -> tuple[float, float]:
-    """Factors of disturbances that rows and slopes share: 1 + a/b and 1 + b/a, of prior means."""
-    if not len(turns.ramps):
-        return 1.0, 1.0
-    means = nominal_values()
-    a = means["rate_noise_rad_s"] ** 2 / rows
-    b = means["attitude_noise_rad"] ** 2 / np.sum(turns.ramps**2)
-    return 1.0 + a / b, 1.0 + b / a
 
 
 def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:

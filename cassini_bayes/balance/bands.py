@@ -24,6 +24,7 @@ from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 SLOPE_EDGES: Final = (2, 8, 32)  # the same of slopes of quiet pieces
+WORTH_ADDING: Final = 3.0  # times the information of the rates that slopes must have
 ROWS_PER_MODE: Final = 2
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
@@ -224,19 +225,38 @@ class TurnBand:
     level: Array  # (G,) s⁴
 
 
-def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array]:
+def turn_bands(
+    statistics: EventStatistics, rate_square: float
+) -> tuple[tuple[TurnBand, ...], Array]:
     """Slopes of the quiet pieces by frequency, then the rest; and their Gram matrices.
 
     Torque noise and what counters leave open are slow, so that slopes are told apart by modes as
-    rows are (:func:`turned_modes`). Returns the bands and (T, 3, 3, A, A).
+    rows are (:func:`turned_modes`). The latter is in rates and in slopes alike, and would count
+    twice where both say as much: where something fires and rates are so good that slopes would add
+    little, these are left out. ``rate_square`` is the variance of a measured rate, (rad/s)².
+    Returns the bands and (T, 3, 3, A, A).
     """
     turns = statistics.turns
-    bands, grams = _slope_bands(statistics) if turns.pieces > 0 else ([], [])
+    bands: list[TurnBand] = []
+    grams: list[Array] = []
+    if turns.pieces > 0 and _adds(statistics, rate_square):
+        bands, grams = _slope_bands(statistics)
     if turns.contrasts > 0:
         nothing = np.zeros(statistics.counters.variance.shape[1])
         bands.append(TurnBand(turns.contrasts, turns.summed_s2, turns.walked_s3, nothing, nothing))
         grams.append(turns.gram)
     return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
+
+
+def _adds(statistics: EventStatistics, rate_square: float) -> bool:
+    """Whether nothing fires, or slopes say several times what the rates do by the noise of both."""
+    turns = statistics.turns
+    if len(statistics.layout.thrusters) == 0 or turns.contrasts == 0:
+        return len(statistics.layout.thrusters) == 0
+    turned = statistics.layout.rate
+    attitude_square = float(np.diagonal(turns.gram[0, 0])[turned].mean()) / turns.contrasts
+    by_slopes = float(turns.slope_mode_gram[0, 0]) * rate_square
+    return by_slopes > WORTH_ADDING * statistics.rows * attitude_square
 
 
 def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array]]:

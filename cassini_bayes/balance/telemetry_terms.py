@@ -128,8 +128,7 @@ class TelemetryBalance:
     ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`), ``turns``
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
-    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``shared`` are
-    factors of what counters leave open, which rows and slopes share (:func:`shared_factors`).
+    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters.
     """
 
     statistics: EventStatistics
@@ -141,7 +140,6 @@ class TelemetryBalance:
     turns: tuple[TurnBand, ...]
     initial_mean_n_m_s: Array
     spin: Array
-    shared: tuple[float, float]
     reduced: Reduced
 
     @property
@@ -217,7 +215,7 @@ def make_balance(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
     slow, fast, slow_modes, grams = make_bands(statistics)
-    turns, turn_grams = turn_bands(statistics)
+    turns, turn_grams = turn_bands(statistics, _rate_square(statistics, fast, grams))
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
     return TelemetryBalance(
@@ -230,7 +228,6 @@ def make_balance(
         turns=turns,
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
-        shared=shared_factors(statistics, nominal),
         reduced=Reduced(
             everything,
             np.arange(slow_modes.shape[1]),
@@ -245,24 +242,12 @@ def make_balance(
     )
 
 
-def shared_factors(
-    statistics: EventStatistics, nominal: Mapping[str, float]
-) -> tuple[float, float]:
-    """Factors, for rows and for slopes of turns, of variances of one disturbance in both.
-
-    A momentum seen with variances a and b of their own and a disturbance of variance L in both is
-    known with L + ab/(a + b). Taken for independent they would make it 1/(1/(a + L) + 1/(b + L));
-    with L (1 + a/b) and L (1 + b/a) for L they make it what it is. a/b is that of the prior means:
-    with noise levels that are fitted the factors would pull at them.
-    """
-    if statistics.turns.pieces == 0:
-        return 1.0, 1.0
-    rate = nominal["rate_noise_rad_s"] ** 2 + statistics.steps.rate_rad_s**2 / 12.0
-    by_rows = rate / statistics.rows
-    by_slopes = nominal["attitude_noise_rad"] ** 2 / float(statistics.turns.slope_mode_gram[0, 0])
-    if min(by_rows, by_slopes) <= 0.0:
-        return 1.0, 1.0
-    return 1.0 + by_rows / by_slopes, 1.0 + by_slopes / by_rows
+def _rate_square(statistics: EventStatistics, fast: Sequence[Band], grams: Array) -> float:
+    """Mean square of the measured rates in the fastest band: their noise, or somewhat more."""
+    rate = statistics.layout.rate
+    if not fast:
+        return float(np.diagonal(statistics.gram[0, 0])[rate].mean()) / statistics.rows
+    return float(np.diagonal(grams[-1][0, 0])[rate].mean()) / fast[-1].rows
 
 
 def without_idle_columns(
@@ -438,7 +423,7 @@ def band_covariances(
     white = covariance_beside_wheels(event, physics, parameters)
     bands = (event.slow, *event.fast)
     each = [_open_covariance(event, physics, thrust_n, own.cut, own.level) for own in bands]
-    return np.ascontiguousarray(white[:, None] + event.shared[0] * np.stack(each, axis=1))
+    return np.ascontiguousarray(white[:, None] + np.stack(each, axis=1))
 
 
 def turn_covariances(
@@ -456,7 +441,7 @@ def turn_covariances(
         by_attitude
         + band.summed_s2 * by_wheels
         + band.walked_s3 * by_torque
-        + event.shared[1] * _open_covariance(event, physics, thrust_n, band.cut, band.level)
+        + _open_covariance(event, physics, thrust_n, band.cut, band.level)
         for band in event.turns
     ]
     return np.ascontiguousarray(np.array(each).reshape(-1, *by_attitude.shape).swapaxes(0, 1))
