@@ -149,9 +149,9 @@ class PlainRows:
     wheels: list[Array]
     impulses: list[Array]  # (3 inertial, K) effective impulse per newton, body arms folded in
     torques: list[Array]  # (3, 3) integral of inertial torque directions
-    cuts: list[Array]  # (G,) tails cut on average so far
+    cuts: list[Array]  # (G,) pairs so far that may be close
     fired: list[Array]  # (K,) pulses so far
-    pairs: list[tuple[float, int, float]]  # time, couple, variance of the number cut
+    pairs: list[tuple[float, int, float]]  # time, couple, how many may be close
     shots: list[tuple[float, int]]  # time and couple of every interval with firing
 
     def pairs_of(self, couple: int) -> list[tuple[float, int, float]]:
@@ -185,13 +185,12 @@ def plain_rows(
             for g, couple in enumerate(sampling.couples):
                 started = max(samples.pulses[i, k] - samples.pulses[i - 1, k] for k in couple)
                 gained = max(samples.on_time_s[i, k] - samples.on_time_s[i - 1, k] for k in couple)
-                close, rare = min(0.3, 0.3 / length), min(0.05, 0.05 / length)
                 within, across = max(started - 1, 0), float(started > 0 and before[g])
-                cuts[g] += close * within + rare * across
-                variance = close * (1 - close) * within + rare * (1 - rare) * across
+                number = min(1.0, 1.0 / length) * (within + across / 6.0)
+                cuts[g] += number
                 before[g] = started > 0 or gained > 0
-                if variance > 0:
-                    rows.pairs.append((float(time), g, variance))
+                if number > 0:
+                    rows.pairs.append((float(time), g, number))
                 if before[g]:
                     rows.shots.append((float(time), g))
         if thrusters and not is_quiet(samples, i, sampling.guard_s):
@@ -261,6 +260,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         :, [0, 1, 3]
     ]
     arms = lever_arms(model.spacecraft, model.branch, values)
+    close = values["close_pulse_share"]
     tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
     for term in model.telemetry:
         samples = Samples.joined(list(term.event.rows))
@@ -272,7 +272,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         white = values["rate_noise_rad_s"] ** 2 * inertia @ inertia
         white = white + values["attitude_noise_rad"] ** 2 * spin
         wheels, wheel_noise = np.array(rows.wheels), (values["wheel_noise_rpm"] * RPM) ** 2
-        own, columns, mean = _unknowns(model, term, samples, rows, arms, tau)
+        own, columns, mean = _unknowns(model, term, samples, rows, arms, tau, close)
         drift_square = values["torque_noise_n_m_s05"] ** 2
         y = np.array(rows.rates) @ inertia
         lacking = y
@@ -284,7 +284,8 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             size = round(np.trace(share))
             white = (
                 row_white
-                + plain_open(model, term, rows, arms, tau, share, np.array(rows.times)) / size
+                + plain_open(model, term, rows, arms, tau, close, share, np.array(rows.times))
+                / size
             )
             if not fires:
                 kept, density = np.eye(3), 0.0
@@ -318,7 +319,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
                 own_noise = attitude + summed * by_wheels + walked * drift_square * np.eye(3)
                 on_slopes = share[: len(turns.times), : len(turns.times)]
                 open_square = plain_open(
-                    model, term, rows, arms, tau, on_slopes, turns.times, turns.ramps
+                    model, term, rows, arms, tau, close, on_slopes, turns.times, turns.ramps
                 )
                 own_noise = own_noise + open_square / np.trace(share)
                 noise += np.einsum("ij,ab->iajb", share, own_noise)
@@ -355,6 +356,7 @@ def _unknowns(
     rows: PlainRows,
     arms: Array,
     tau: tuple[float, ...],
+    close: float,
 ) -> tuple[list[Array], Array, Array]:
     """Columns of unit-variance unknowns and of thrusts (3 n, K); mean (n, 3) of the former."""
     n, thrusters = len(rows.times), arms.shape[1]
@@ -373,18 +375,19 @@ def _unknowns(
     couples = term.event.sampling.couples
     for k in range(thrusters):
         couple = next(g for g, c in enumerate(couples) if k in c)
-        cut = lost * counts[:, couple][:, None] * arms[:, k]
+        cut = close * lost * counts[:, couple][:, None] * arms[:, k]
         columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
     for g, members in enumerate(couples):
         step = model.thrust_prior.common_mean_n * lost * arms[:, list(members)].sum(1)
         if rows.pairs_of(g):
-            own.append((counts[:, g][:, None] * step).reshape(-1))
+            own.append((0.5 * close * counts[:, g][:, None] * step).reshape(-1))
         for part in range(PARTS):
             pairs = [p for p in rows.pairs_of(g) if rows.part(p, term.event.sampling) == part]
             if pairs:
-                variance = sum(v for _, _, v in pairs)
-                cut = sum(v * (np.array(rows.times) >= t) for t, _, v in pairs)
-                own.append((cut[:, None] / np.sqrt(variance) * step).reshape(-1))
+                number = sum(m for _, _, m in pairs)
+                cut = sum(m * (np.array(rows.times) >= t) for t, _, m in pairs) / number
+                scatter = np.sqrt(close * (1.0 - close) * number)
+                own.append((scatter * cut[:, None] * step).reshape(-1))
     return own, columns, mean
 
 
@@ -394,6 +397,7 @@ def plain_open(
     rows: PlainRows,
     arms: Array,
     tau: tuple[float, ...],
+    close: float,
     share: Array,
     times: Array,
     ramps: Array | float = 1.0,
@@ -418,7 +422,7 @@ def plain_open(
             mean = sum(v * step for (_, _, v), step in zip(pairs, steps, strict=True))
             for (_, _, v), step in zip(pairs, steps, strict=True):
                 apart = step - mean / whole
-                square += lost**2 * v * apart @ share @ apart
+                square += close * (1.0 - close) * lost**2 * v * apart @ share @ apart
         ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
         for start, stop in pairwise(ends):
             level = ramps * ((times >= start) & (times < stop))

@@ -150,9 +150,10 @@ def _band(
 class OpenSquares:
     """Squares, summed over rows, of what counters leave open in the number of tails and in on-time.
 
-    Pairs of pulses that may be close are steps s_i H_i(t) of variance v_i. What the columns of cut
-    tails do not take up of them, s_i (H_i − c_j) with c_j the part's mean, is noise; so is the
-    rounding of a counter, constant between two firings (docs/telemetry-likelihood.md §6). Modes
+    Pairs of pulses that may be close are steps s_i H_i(t) of variance s (1 − s) m_i, s the share of
+    close pairs. What the columns of cut tails do not take up of them, s_i (H_i − c_j) with c_j the
+    part's mean, is noise, here of s (1 − s) = 1; so is the rounding of a counter, constant between
+    two firings (docs/telemetry-likelihood.md §6). Modes
     (M, G) and all rows (G,), of cut tails and of levels (s²).
     """
 
@@ -187,7 +188,7 @@ class Places:
 def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> OpenSquares:
     """What counters leave open, on modes that ``turned`` (1 + cosines, M) makes of the cosines."""
     counters = statistics.counters
-    couples = counters.variance.shape[1]
+    couples = counters.weight.shape[1]
     modes, rows = np.zeros((2, turned.shape[1], couples)), np.zeros((2, couples))
     if couples == 0 or len(counters.end_s) == 0:
         return OpenSquares(*modes, *rows)
@@ -195,11 +196,11 @@ def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> 
     step = weight * (places.time_s[:, None] >= counters.end_s)
     part = quarter_of(counters.end_s, statistics.duration_s)
     for g in range(couples):
-        variance = counters.variance[:, g]
+        pairs = counters.weight[:, g]
         patterns = [
-            (step[:, own] - step[:, own] @ variance[own][:, None] / variance[own].sum())
-            * np.sqrt(variance[own])
-            for own in (np.flatnonzero((part == j) & (variance > 0.0)) for j in range(CUT_PARTS))
+            (step[:, own] - step[:, own] @ pairs[own][:, None] / pairs[own].sum())
+            * np.sqrt(pairs[own])
+            for own in (np.flatnonzero((part == j) & (pairs > 0.0)) for j in range(CUT_PARTS))
             if len(own) > 0
         ]
         ends = np.concatenate([weight, step[:, counters.fired[:, g]]], axis=1)
@@ -242,7 +243,7 @@ def turn_bands(
     if turns.pieces > 0 and _adds(statistics, rate_square):
         bands, grams = _slope_bands(statistics)
     if turns.contrasts > 0:
-        nothing = np.zeros(statistics.counters.variance.shape[1])
+        nothing = np.zeros(statistics.counters.weight.shape[1])
         bands.append(TurnBand(turns.contrasts, turns.summed_s2, turns.walked_s3, nothing, nothing))
         grams.append(turns.gram)
     return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)

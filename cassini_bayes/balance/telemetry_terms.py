@@ -27,6 +27,7 @@ from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.spacecraft import Spacecraft
 
 INITIAL_SD_N_M_S: Final = 10.0
+SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses about that of all
 
 
 @dataclass(frozen=True)
@@ -457,7 +458,8 @@ def _open_covariance(
     arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
     together = np.stack([arms[..., list(own)].sum(-1) for own in couples], axis=-1)
     lost = lost_per_cut_s(physics, event.sampling.control_cycle_s)
-    square = lost[:, None] ** 2 * cut + level
+    share = np.broadcast_to(physics.close_share, (n,))
+    square = (share * (1.0 - share) * lost**2)[:, None] * cut + level
     return np.asarray(thrust_n**2 * (together * square[:, None]) @ np.swapaxes(together, -1, -2))
 
 
@@ -511,14 +513,15 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
         fired = arm[..., :, None] * strength[..., None, :]
         weights[:, pattern.fired] = fired.reshape(n, 9 * k, 1)
         weights[:, pattern.pulses] = offset[:, :, None] * arm
-        weights[:, pattern.lost] = -lost[:, None, None] * arm[:, pattern.lost_by]
+        share = np.broadcast_to(physics.close_share, (n,))
+        weights[:, pattern.lost] = -(share * lost)[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
             if name in physics.extra:
                 on_time = factor[:, thruster] * np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
-        per_unit = cut_unit(event.statistics, pattern.cuts)
-        weights[:, tails : tails + len(pattern.cuts)] = (
-            thrust_n * lost[:, None, None] * (pattern.members @ arm) * per_unit[:, None]
+        per_unit = thrust_n * lost[:, None] * cut_unit(event.statistics, pattern.cuts, share)
+        weights[:, tails : tails + len(pattern.cuts)] = per_unit[..., None] * (
+            pattern.members @ arm
         )
     return weights
 
@@ -534,15 +537,16 @@ def own_prior(
     )
 
 
-def cut_unit(statistics: EventStatistics, cuts: Sequence[int]) -> Array:
-    """Cut tails per standard deviation of every unknown (S,), over their columns.
+def cut_unit(statistics: EventStatistics, cuts: Sequence[int], share: Array) -> Array:
+    """Cut tails per standard deviation of every unknown (n, S), over their columns.
 
-    Of a couple's share of close pairs: as many as are expected; of a part of the event: the square
-    root of the variance about that.
+    Of a couple's departure from the ``share`` (n,) of close pairs: half of it. Of a part of the
+    event: the square root of the variance s (1 − s) Σ m about that.
     """
     places = np.array(cuts, dtype=np.int64)
-    variance = statistics.cuts[places]
-    return np.where(places % CUT_COLUMNS == 0, 1.0, 1.0 / np.sqrt(variance))
+    of_all = SHARE_SPREAD * share[:, None]
+    of_part = np.sqrt((share * (1.0 - share))[:, None] / statistics.cuts[places])
+    return np.where(places % CUT_COLUMNS == 0, of_all, of_part)
 
 
 def pulse_weights(sampling: Sampling, physics: Physics) -> Array:

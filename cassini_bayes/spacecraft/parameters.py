@@ -20,6 +20,9 @@ BLOCKS: Final = (
 )
 
 
+CLOSE_SHARE: Final = "close_pulse_share"
+
+
 @dataclass(frozen=True)
 class ParameterSpec:
     """Name, unit (``"1"`` when dimensionless), block (one of :data:`BLOCKS`) and meaning."""
@@ -56,6 +59,11 @@ _GENERIC: Final = (
         cm_x_m="centre of mass, X, in the frame of the thruster positions",
         cm_y_m="centre of mass, Y, in the frame of the thruster positions",
         cm_z_m="centre of mass, Z, in the frame of the thruster positions",
+    ),
+    *_specs(
+        "tail-off",
+        "1",
+        close_pulse_share="share of pulses within a second that start one control cycle apart",
     ),
     *_specs(
         "inertia",

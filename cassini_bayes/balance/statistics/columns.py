@@ -28,12 +28,12 @@ from cassini_bayes.spacecraft.pulses import PulseShape
 AXES = "xyz"
 PULSE_COLUMNS = ("reference", "rise", "fall")
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
-CUT_COLUMNS = 1 + CUT_PARTS  # per couple: tails cut on average, then the variance in every part
+CUT_COLUMNS = 1 + CUT_PARTS  # per couple: pairs that may be close, of all and of every part
 # Chance that two pulses of one counter interval, or of two neighbouring ones, are a control cycle
 # apart: times the interval, and at most. That is the controller's business (0.45 to 0 at 1 s), so
 # the share is inferred about these, within as much again (docs/telemetry-likelihood.md §6).
-CLOSE_WITHIN_S, CLOSE_WITHIN = 0.3, 0.3
-CLOSE_ACROSS_S, CLOSE_ACROSS = 0.05, 0.05
+ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
+ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
 _SAME_S = 1e-6  # times closer than this are the same
 _STEP_S = 1e-6  # of the derivatives of the effective on-time
@@ -189,15 +189,14 @@ class Layout:
 class Pairs:
     """Pairs of pulses that may be close together, by counter interval (m,) and couple (G,).
 
-    Of every pair the tail of the first pulse may have been cut: ``mean`` (m, G) is the number of
-    cut tails that is expected, ``variance`` (m, G) that of the number about its share; ``fired``
-    (m, G) tells which couples fired at all.
+    Of every pair the tail of the first pulse may have been cut: ``weight`` (m, G) counts pairs,
+    each by how often it is close against one of two pulses within a second. ``fired`` (m, G) tells
+    which couples fired at all.
     """
 
     end_s: Array
     fired: NDArray[np.bool_]
-    mean: Array
-    variance: Array
+    weight: Array
 
     @staticmethod
     def joined(parts: Sequence[Pairs]) -> Pairs:
@@ -236,7 +235,7 @@ class Carry:
         fired = np.zeros((len(layout.thrusters), len(PULSE_COLUMNS), 3, 3))
         cuts = np.zeros(CUT_COLUMNS * len(layout.couples))
         none = np.zeros((0, len(layout.couples)))
-        pairs = Pairs(np.zeros(0), none > 0.0, none, none)
+        pairs = Pairs(np.zeros(0), none > 0.0, none)
         return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, pairs, None)
 
 
@@ -441,8 +440,8 @@ def close_pairs(
 ) -> Pairs:
     """Pairs within each of some counter intervals, and across the reading before it.
 
-    Counters tell neither which pairs were a control cycle apart nor how many: both are as the
-    controller has it (docs/telemetry-likelihood.md §6).
+    Counters tell neither which pairs were a control cycle apart nor what share: that is as the
+    controller has it, and inferred (docs/telemetry-likelihood.md §6).
 
     Parameters
     ----------
@@ -455,14 +454,8 @@ def close_pairs(
     """
     within = np.maximum(pulses - 1.0, 0.0)
     across = (fired & before & (pulses > 0)).astype(np.float64)
-    close = np.minimum(CLOSE_WITHIN, CLOSE_WITHIN_S / length_s)[:, None]
-    rare = np.minimum(CLOSE_ACROSS, CLOSE_ACROSS_S / length_s)[:, None]
-    return Pairs(
-        end_s,
-        fired,
-        close * within + rare * across,
-        close * (1.0 - close) * within + rare * (1.0 - rare) * across,
-    )
+    alike = np.minimum(1.0, ALIKE_S / length_s)[:, None]
+    return Pairs(end_s, fired, alike * (within + ACROSS * across))
 
 
 def _pairs(counted: _Counted, layout: Layout) -> Pairs:
@@ -489,8 +482,8 @@ def _cut_columns(pairs: Pairs, layout: Layout, duration_s: float) -> Array:
     """What every active interval adds to the columns of cut tails, (m, S)."""
     m, part = len(pairs.end_s), quarter_of(pairs.end_s, duration_s)
     table = np.zeros((m, len(layout.couples), CUT_COLUMNS))
-    table[:, :, 0] = pairs.mean
-    table[np.arange(m), :, 1 + part] = pairs.variance
+    table[:, :, 0] = pairs.weight
+    table[np.arange(m), :, 1 + part] = pairs.weight
     return table.reshape(m, CUT_COLUMNS * len(layout.couples))
 
 

@@ -39,7 +39,7 @@ from cassini_bayes.files.storage import write_bytes
 
 Array = NDArray[np.float64]
 MODES: Final = 512
-_FORMAT: Final = 3
+_FORMAT: Final = 4
 BLOCK_ROWS: Final = 4_096
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -63,7 +63,7 @@ class EventStatistics:
     gram: Array
     projection: Array
     mode_gram: Array
-    cuts: Array  # (S,) of every cut column: tails expected to be cut, then variances by part
+    cuts: Array  # (S,) pairs that may be close, of every cut column
     counter_interval_s: float  # usual time between two readings of the counters, 0 without
     turns: TurnStatistics
     counters: CounterStatistics
@@ -101,16 +101,16 @@ class CounterStatistics:
     """What counters leave open, by the times of the intervals in which something fired.
 
     ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
-    ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``variance``
-    (R, G) those of the cut tails in them (:class:`Pairs`); ``open_s2`` (G,) is the variance of a
-    couple's cumulative on-time that rounded counters leave open.
+    ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
+    (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2`` (G,) is the variance of
+    a couple's cumulative on-time that rounded counters leave open.
     """
 
     row_time_s: Array
     stride: int
     end_s: Array
     fired: NDArray[np.bool_]
-    variance: Array
+    weight: Array
     open_s2: Array
 
 
@@ -312,9 +312,9 @@ def _counter_statistics(
     """Intervals with firings, neighbours joined where there are very many."""
     every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
     first = np.arange(0, len(pairs.end_s), every)
-    variance, fired = pairs.variance, pairs.fired
+    weight, fired = pairs.weight, pairs.fired
     if every > 1:
-        variance = np.add.reduceat(variance, first, axis=0)
+        weight = np.add.reduceat(weight, first, axis=0)
         fired = np.logical_or.reduceat(fired, first, axis=0)
     by_thruster = open_s2 or np.zeros(len(layout.thrusters))
     by_couple = [max(by_thruster[k] for k in own) for own in layout.couples]
@@ -323,7 +323,7 @@ def _counter_statistics(
         times.stride,
         pairs.end_s[first],
         fired,
-        variance,
+        weight,
         np.array(by_couple),
     )
 
@@ -509,7 +509,7 @@ def load_statistics(path: Path) -> EventStatistics | None:
                     int(stored["counters.stride"]),
                     *(
                         stored[f"counters.{name}"]
-                        for name in ("end_s", "fired", "variance", "open_s2")
+                        for name in ("end_s", "fired", "weight", "open_s2")
                     ),
                 ),
                 ChannelSteps(*(float(stored[f"steps.{f.name}"]) for f in fields(ChannelSteps))),
