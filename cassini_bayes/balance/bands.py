@@ -153,7 +153,7 @@ class OpenSquares:
     Pairs of pulses that may be close are steps s_i H_i(t) of variance s (1 − s) m_i, s the share of
     close pairs. What the columns of cut tails do not take up of them, s_i (H_i − c_j) with c_j the
     part's mean, is noise, here of s (1 − s) = 1; so is the rounding of a counter, constant between
-    two firings (docs/telemetry-likelihood.md §6). Modes
+    two firings (docs/telemetry-likelihood.md §7). Modes
     (M, G) and all rows (G,), of cut tails and of levels (s²).
     """
 

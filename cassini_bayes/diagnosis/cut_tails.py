@@ -2,7 +2,7 @@
 
 Counters do not say which pulses were a control cycle apart. For pairs within one counter interval
 the likelihood has the mean loss and one unknown per couple of thrusters and quarter of the event
-(docs/telemetry-likelihood.md §6). Two things it lacks, because a Gram matrix has few columns:
+(docs/telemetry-likelihood.md §7). Two things it lacks, because a Gram matrix has few columns:
 
 - which pairs of a quarter lost their tails;
 - pairs with a counter reading in between, a quarter of all cut tails at 1 Hz. They are 4 % of the
