@@ -29,9 +29,9 @@ AXES = "xyz"
 PULSE_COLUMNS = ("reference", "rise", "fall")
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
 CUT_COLUMNS = 1 + CUT_PARTS  # per couple: pairs that may be close, of all and of every part
-# Chance that two pulses of one counter interval, or of two neighbouring ones, are a control cycle
-# apart: times the interval, and at most. That is the controller's business (0.45 to 0 at 1 s), so
-# the share is inferred about these, within as much again (docs/telemetry-likelihood.md §7).
+# How often pulses are a control cycle apart is the controller's business (0.45 to 0 of the pairs
+# within a second): a share that is inferred, and how it falls with the time between two counter
+# readings (docs/telemetry-likelihood.md §7).
 ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
