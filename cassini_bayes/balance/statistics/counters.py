@@ -91,13 +91,14 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
 
     By chance a reading is so with probability 2 step/quantum; with five different ones, of a step
     of a quarter of the quantum or less, that is nobody's chance. With a step that is the quantum
-    itself all readings are multiples; shorter pulses are seen by a gain of less than one each.
+    itself all readings are multiples; shorter pulses are seen by a gain of less than one each (but
+    for the last, which may have been counted and not yet fired).
     """
     gained = on_time_s - on_time_s[0]
     if quantum_s <= 0.0 or len(np.unique(gained)) < LEAST_RUNS:
         return False
     if abs(step_s - quantum_s) < _SLACK:
-        return bool(np.all(np.diff(on_time_s) >= quantum_s * np.diff(pulses) - _SLACK))
+        return bool(np.all(gained >= quantum_s * (pulses - pulses[0] - 1.0) - _SLACK))
     off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
     # the first reading is rounded, too
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
