@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.arrays import make_body, make_thrusters, rcs_law, rwa_law

@@ -48,7 +48,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 Verdict = Literal["equal", "rounding", "draws", "no error", "different", "one side"]
 Say = Callable[[str], None]

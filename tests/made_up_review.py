@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report import figures_of, render_report, sections_of
 from cassini_bayes.results.record import Fit
 from cassini_bayes.results.review import Review

@@ -21,7 +21,7 @@ import numpy as np
 import test_pinned
 from pinned_cases import CAUSES, SUBJECTS, Subject, mode_and_factor
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 NEAR, FAR = 18, 4  # points within the posterior, and drawn from half the prior
 SEED = 1

@@ -19,34 +19,32 @@ import numpy as np
 import spacecraft_cases
 import telemetry_cases
 import totals_cases
-from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import EventStatistics
-from cassini_bayes.diagnosis.diagnosis import catalogue_of
-from cassini_bayes.diagnosis.estimates import estimate_case, read_estimates
-from cassini_bayes.diagnosis.evidence import weigh_beside
-from cassini_bayes.diagnosis.extended import (
-    Case,
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.estimate_case import EstimateCase
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.evidence import weigh_extensions
+from cassini_bayes.diagnosis.gauss_newton import evidence_with_noise, predict_left_out
+from cassini_bayes.diagnosis.gauss_newton import fit as fit_on_times
+from cassini_bayes.diagnosis.hypotheses import (
     Hypothesis,
-    Oscillation,
     compact,
     extend,
     none_hypothesis,
     unknown_hypothesis,
 )
-from cassini_bayes.diagnosis.gauss_newton import evidence_with_noise, predict_left_out
-from cassini_bayes.diagnosis.gauss_newton import fit as fit_on_times
-from cassini_bayes.diagnosis.modes import Mode, baseline_mode, mode_at
-from cassini_bayes.diagnosis.naming import name_causes
-from cassini_bayes.diagnosis.on_time_verdict import weigh_on_times
-from cassini_bayes.diagnosis.on_times import Hypothesis as OnTimeHypothesis
-from cassini_bayes.diagnosis.on_times import OnTimeCase, on_time_case
+from cassini_bayes.diagnosis.modes import Mode, mode_at
+from cassini_bayes.diagnosis.modes import find_mode as mode_with_curvature
+from cassini_bayes.diagnosis.on_time_case import OnTimeCase
+from cassini_bayes.diagnosis.on_times import OnTimeHypothesis, OnTimes, read_on_times
 from cassini_bayes.diagnosis.on_times import hypothesis as on_time_hypothesis
-from cassini_bayes.diagnosis.oscillation import flexible_case
-from cassini_bayes.diagnosis.read import read_case
-from cassini_bayes.diagnosis.search import near_mode
-from cassini_bayes.diagnosis.summaries import SummaryCause, weigh_summaries
+from cassini_bayes.diagnosis.read import read_estimate_case, read_events
+from cassini_bayes.diagnosis.search import newton_search
+from cassini_bayes.diagnosis.verdict import ranked, weigh
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
+from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.model import (
     Model,
@@ -68,7 +66,6 @@ from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.studies.published_cases import a_branch, flight_2004, fsds
 from cassini_bayes.studies.scenario import Simulation, simulate_file, write_simulation
 
-Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
 Numbers = Callable[[], Array]
 
@@ -253,39 +250,40 @@ NAMED: Final = (LEAK, "thruster_degraded:z3")
 
 
 @cache
-def telemetry_case() -> Case:
+def telemetry_case() -> Events:
     """The bias of tests/event_cases.py, read as a diagnosis reads it."""
-    return read_case([str(event_cases.simulated() / "bias")], event_cases.PRIORS)
+    return read_events([str(event_cases.simulated() / "bias")], event_cases.PRIORS)
 
 
 @cache
-def leaking_case() -> Case:
+def leaking_case() -> Events:
     """The same bias with a leaking valve, far from what the baseline can follow."""
     content = event_cases.document()
     content["event"] = content["event"][:1]
     content["effect"] = [{"name": LEAK, "parameters": {"leak_n": 4e-4}}]
     with TemporaryDirectory() as folder:
         write_simulation(simulate_file(scenario_of(content), SEED), Path(folder))
-        return read_case([str(Path(folder) / "bias")], event_cases.PRIORS)
+        return read_events([str(Path(folder) / "bias")], event_cases.PRIORS)
 
 
 @cache
-def totals_case() -> Case:
+def totals_case() -> Events:
     """The eight flight biases as totals rows."""
-    return read_case([str(totals_cases.FLIGHT)], totals_cases.B_BRANCH)
+    return read_events([str(totals_cases.FLIGHT)], totals_cases.B_BRANCH)
 
 
-def causes_of(case: Case, names: Sequence[str]) -> dict[str, Hypothesis]:
+def causes_of(events: Events, names: Sequence[str]) -> dict[str, Hypothesis]:
     """``none``, ``unknown`` and some causes of the catalogue."""
-    catalogue = catalogue_of(case)
     found = {
-        "none": compact(none_hypothesis(case, catalogue)),
-        "unknown": compact(unknown_hypothesis(case, catalogue)),
+        "none": compact(none_hypothesis(events)),
+        "unknown": compact(unknown_hypothesis(events)),
     }
     for name in names:
-        own = flexible_case(case, LINE) if name == "flexible_mode" else case
-        base = none_hypothesis(own, catalogue)
-        found[name] = compact(extend(base, [catalogue.effect(name)], own))
+        effect = events.catalogue.effect(name)
+        if effect.needs_search:
+            effect = replace(effect, search_result=LINE)
+        own = events.with_columns_of([effect])
+        found[name] = compact(extend(none_hypothesis(own), [effect]))
     return found
 
 
@@ -334,17 +332,17 @@ def sought(cause: Cause) -> Mode:
     """Where a diagnosis ends its search: from the prior's centre, or beside the baseline."""
     own = cause.hypotheses()[cause.name]
     if cause.name in ("none", "unknown"):
-        return baseline_mode(own.log_density, own.dimension)
+        return mode_with_curvature(own.log_density, own.dimension)
     base = sought(replace(cause, name="none"))
-    (found,) = weigh_beside([own], [near_mode(own, base)], base, lambda _: None)
+    (found,) = weigh_extensions([own], [newton_search(own, base)], base, lambda _: None)
     return found.mode
 
 
 def verdict() -> Array:
     """Log evidences and probabilities of none, unknown and two causes of the leak."""
-    case = leaking_case()
-    catalogue = few(catalogue_of(case), NAMED)
-    found = name_causes(case, catalogue, np.random.default_rng(1), pairs=False)
+    events = leaking_case()
+    case = BalanceCase(replace(events, catalogue=few(events.catalogue, NAMED)))
+    found = weigh(case, np.random.default_rng(1), pairs=False)
     names = ("none", "unknown", *NAMED)
     evidence = {own.name: own.net_evidence for own in found.weighed}
     return np.array([[evidence[name], found.probabilities[name]] for name in names])
@@ -384,10 +382,10 @@ ON_TIME_CAUSES: Final = ("thrust_scale", "tail_off", "center_of_mass:y", "firing
 
 
 @cache
-def on_times() -> OnTimeCase:
+def on_times() -> OnTimes:
     """Four flight biases."""
     rows = read_totals(totals_cases.FLIGHT, flight_priors().spacecraft, "flight")
-    return on_time_case((*rows[:2], rows[3], rows[5]), flight_priors(), read_beliefs())
+    return read_on_times((*rows[:2], rows[3], rows[5]), flight_priors(), read_beliefs())
 
 
 @cache
@@ -422,7 +420,7 @@ def on_time_noise(name: str) -> Array:
 
 def on_time_evidence(name: str) -> Array:
     """Log evidence, χ², and log evidence with noise of two sizes added."""
-    seen = on_times().seen_s
+    seen = on_times().printed_s
     found = fit_on_times(seen, on_time_model(name).model)
     noisy = evidence_with_noise(seen, found, np.array([0.3, 1.0]))
     return np.array([found.log_evidence, found.chi_square, *noisy])
@@ -431,37 +429,38 @@ def on_time_evidence(name: str) -> Array:
 def on_time_left_out() -> Array:
     """The second bias predicted from the others: means and covariance (U, 1 + U)."""
     model = on_time_model("firing_logic").model
-    mean, covariance = predict_left_out(on_times().seen_s, model, 1, np.zeros(model.dimension))
+    mean, covariance = predict_left_out(on_times().printed_s, model, 1, np.zeros(model.dimension))
     return np.column_stack([mean, covariance])
 
 
 def on_time_verdict() -> Array:
     """Log evidences and probabilities of none, unknown and the few causes; last row p-value."""
-    found = weigh_on_times(on_times(), on_time_catalogue(), np.random.default_rng(1))
+    case = OnTimeCase(on_times(), on_time_catalogue())
+    found = weigh(case, np.random.default_rng(1))
     names = ("none", "unknown", *ON_TIME_CAUSES)
-    rows = [[found.weighed[n].log_evidence, found.probability[1.0][n]] for n in names]
-    return np.array([*rows, [found.second_nats, found.p_value]])
+    rows = [[found.named(n).log_evidence, found.probabilities[n]] for n in names]
+    first = found.best.mode.log_evidence
+    second = max((own.mode.log_evidence - first for own in found.pairs), default=np.nan)
+    return np.array([*rows, [second, case.p_value(found.none, np.random.default_rng(0))]])
 
 
 # Printed estimates.
 
 
 @cache
-def estimates() -> Mapping[str, tuple[Array, Array, list[SummaryCause]]]:
-    """Published cases and the example file: estimates, their errors and hypotheses."""
-    cases = {"flight 2004": flight_2004(), "test bed": fsds(), "A branch": a_branch()}
-    found = {name: (own.estimate_n, own.sd_n, own.causes()) for name, own in cases.items()}
-    priors = read_priors(ESTIMATES.with_suffix(".toml"))
-    thrusters = priors.spacecraft.thruster_names(priors.branch)
-    rows = read_estimates(ESTIMATES.with_suffix(".csv"), thrusters)
-    values = np.array([row.thrust_n for row in rows]), np.array([row.sd_n for row in rows])
-    return {**found, "example file": (*values, estimate_case(rows, priors).causes())}
+def estimates() -> Mapping[str, EstimateCase]:
+    """Published cases and the example file."""
+    example = read_estimate_case(
+        [str(ESTIMATES.with_suffix(".csv"))], ESTIMATES.with_suffix(".toml")
+    )
+    published = {"flight 2004": flight_2004(), "test bed": fsds(), "A branch": a_branch()[1]}
+    return {**published, "example file": example}
 
 
 def predicted_estimates(name: str) -> Array:
     """Estimates and their own spread of every hypothesis at two points, (C, 2, 2, E)."""
     rng, parts = np.random.default_rng(SEED), []
-    for cause in estimates()[name][2]:
+    for cause in estimates()[name].hypotheses(1.0):
         own = cause.predict(rng.standard_normal((2, cause.dimension)))
         parts.append(np.stack([own.estimate_n, own.own_sd_n]))
     return np.stack(parts)
@@ -469,10 +468,10 @@ def predicted_estimates(name: str) -> Array:
 
 def weighed_estimates(name: str) -> Array:
     """Log evidence and probability of every hypothesis, (C, 2)."""
-    values, sd, causes = estimates()[name]
-    verdicts = weigh_summaries(values, sd, causes, np.random.default_rng(SEED), 4_000)
-    found = {own.name: [own.log_evidence, own.probability] for own in verdicts}
-    return np.array([found[cause.name] for cause in causes])
+    case = estimates()[name]
+    found = case.weighed(case.hypotheses(1.0), np.random.default_rng(SEED), 4_000)
+    shares = ranked(found).probabilities
+    return np.array([[own.log_evidence, shares[own.name]] for own in found])
 
 
 # Simulated telemetry and its reduction.
@@ -562,7 +561,9 @@ def of_event(name: str) -> EventStatistics:
 
 def of_diagnosis() -> EventStatistics:
     """The bias reduced with all columns that effects need."""
-    return flexible_case(telemetry_case(), LINE).reduced[0].statistics
+    events = telemetry_case()
+    line = replace(events.catalogue.effect("flexible_mode"), search_result=LINE)
+    return events.with_columns_of([line]).telemetry[0].statistics
 
 
 # What random numbers everything above leans on.

@@ -10,7 +10,7 @@ import numpy as np
 import tomli_w
 from totals_cases import B_BRANCH, FLIGHT, flight
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model import Model, build_model, draw

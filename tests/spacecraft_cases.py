@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.priors.reader import Priors, read_priors
 

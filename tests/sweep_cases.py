@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from totals_cases import flight
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import log_posterior
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors

@@ -13,7 +13,6 @@ from scipy.integrate import trapezoid
 from scipy.linalg import block_diag, null_space, solve_triangular, sqrtm
 from scipy.spatial.transform import Rotation
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     Layout,
@@ -21,6 +20,7 @@ from cassini_bayes.balance.statistics import (
     Sampling,
     reduce_chunks,
 )
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.model.telemetry import TelemetryTerm

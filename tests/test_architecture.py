@@ -26,7 +26,6 @@ ROOT: Final = Path(cassini_bayes.__file__).parent
 # own line or from one below; modules inside one package may import each other, without cycles. A
 # name that is missing here is an error.
 LAYERS: Final[tuple[tuple[str, ...], ...]] = (
-    ("arrays",),
     ("errors", "computing"),
     ("files",),
     ("spacecraft", "published"),
@@ -48,7 +47,7 @@ LAYERS: Final[tuple[tuple[str, ...], ...]] = (
 # Packages that know less than their line would let them: the simulation is what inference is tested
 # against, so it shares the physics, the way to compile, and nothing else.
 MAY_ONLY_IMPORT: Final[Mapping[str, frozenset[str]]] = {
-    "simulation": frozenset({"arrays", "errors", "computing", "files", "spacecraft"}),
+    "simulation": frozenset({"errors", "computing", "files", "spacecraft"}),
 }
 
 # And who may know of it: those that put inference to the test, from this line on.

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility import check_momentum
 from cassini_bayes.events.telemetry import Mends, load_event, read_chunks, read_event
 from cassini_bayes.model.event_reduction import nominal_values

@@ -29,7 +29,7 @@ from pinned_cases import (
     evidence_draws,
 )
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 NUMBERS: Final = Path(__file__).parent / "data" / "pinned.json"
 INPUTS: Final = Path(__file__).parent / "data" / "pinned_inputs.npz"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import multivariate_normal
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model import Model
 from cassini_bayes.priors.reader import Priors, read_priors

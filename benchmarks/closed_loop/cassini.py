@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 Table = dict[str, Any]
 

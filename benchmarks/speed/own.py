@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics import Samples, reduce_chunks
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model, build_model, log_posterior

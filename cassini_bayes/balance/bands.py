@@ -17,10 +17,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.kernel import LEAST_SQUARE
+from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
 from cassini_bayes.balance.statistics import EventStatistics, Layout
-from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
+from cassini_bayes.computing.arrays import Array
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 SLOPE_EDGES: Final = (2, 8, 32)  # the same of slopes of quiet pieces
@@ -150,11 +150,8 @@ def _band(
 class OpenSquares:
     """Squares, summed over rows, of what counters leave open in the number of tails and in on-time.
 
-    Pairs of pulses that may be close are steps s_i H_i(t) of variance s (1 − s) m_i, s the share of
-    close pairs. What the columns of cut tails do not take up of them, s_i (H_i − c_j) with c_j the
-    part's mean, is noise, here of s (1 − s) = 1; so is the rounding of a counter, constant between
-    two firings (docs/telemetry-likelihood.md §7). Modes
-    (M, G) and all rows (G,), of cut tails and of levels (s²).
+    Of the patterns of :mod:`cassini_bayes.balance.open_counters`, cut tails with s (1 − s) = 1.
+    Modes (M, G) and all rows (G,), of cut tails and of levels (s²).
     """
 
     cut_modes: Array
@@ -194,18 +191,9 @@ def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> 
         return OpenSquares(*modes, *rows)
     on_modes, weight = places.waves @ turned, places.waves[:, :1]
     step = weight * (places.time_s[:, None] >= counters.end_s)
-    part = quarter_of(counters.end_s, statistics.duration_s)
     for g in range(couples):
-        pairs = counters.weight[:, g]
-        patterns = [
-            (step[:, own] - step[:, own] @ pairs[own][:, None] / pairs[own].sum())
-            * np.sqrt(pairs[own])
-            for own in (np.flatnonzero((part == j) & (pairs > 0.0)) for j in range(CUT_PARTS))
-            if len(own) > 0
-        ]
-        ends = np.concatenate([weight, step[:, counters.fired[:, g]]], axis=1)
-        levels = -np.diff(ends, axis=1, append=0.0) * np.sqrt(counters.open_s2[g])
-        for which, pattern in enumerate((np.concatenate([step[:, :0], *patterns], axis=1), levels)):
+        cuts = cut_patterns(counters, g, statistics.duration_s, step)
+        for which, pattern in enumerate((cuts, level_patterns(counters, g, step, weight))):
             modes[which, :, g] = ((places.stride * on_modes.T @ pattern) ** 2).sum(axis=1)
             rows[which, g] = places.stride * (pattern**2).sum()
     return OpenSquares(*modes, *rows)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.totals_terms import TotalsStack
+from cassini_bayes.computing.arrays import Array, Flags
 
 
 @dataclass(frozen=True)

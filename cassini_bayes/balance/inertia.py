@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Physics
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft import Spacecraft
 
 ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled_sums
 
 LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured to move at all

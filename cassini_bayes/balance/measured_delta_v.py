@@ -15,12 +15,12 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import DELTA_V_NOISE, Physics, delta_v_variance
 from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.balance.telemetry_terms import pulse_weights
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 
 OFFSET_SD_M_S: Final = 0.1

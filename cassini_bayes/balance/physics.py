@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.spacecraft import (
     Spacecraft,
     inertia_tensor,

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.bands import Band, TurnBand
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
@@ -22,6 +21,7 @@ from cassini_bayes.balance.telemetry_terms import (
     turn_weights,
     wheel_variance,
 )
+from cassini_bayes.computing.arrays import Array
 
 
 def row_information(

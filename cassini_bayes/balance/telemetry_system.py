@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.kernel import Noise, Placed, normal_equations
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
@@ -25,6 +24,7 @@ from cassini_bayes.balance.telemetry_terms import (
     turn_weights,
     wheel_variance,
 )
+from cassini_bayes.computing.arrays import Array
 
 _THRUST_SPREAD: Final = 0.3  # of thrusts about their level, where slow modes place them
 

@@ -17,13 +17,13 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Places
 from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
 
 INITIAL_SD_N_M_S: Final = 10.0

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.physics import Physics, delta_v_variance
 from cassini_bayes.balance.totals_terms import (
     ResponseJacobian,
@@ -25,6 +24,7 @@ from cassini_bayes.balance.totals_terms import (
     wheel_momentum,
     wheel_rounding_covariance,
 )
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.spacecraft.pulses import PulseShape, effective_on_time
 
 NOISE: Final = (

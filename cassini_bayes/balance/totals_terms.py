@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.spacecraft import Spacecraft, couples, pair_indicator

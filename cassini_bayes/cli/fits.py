@@ -9,7 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet, Resume, Seed
+from cassini_bayes.cli.options import ConsoleReporter, Effects, Force, Json, Quiet, Resume, Seed
+from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.pipeline.run import Outcome, execute
 from cassini_bayes.pipeline.run_file import RunFile, check_run, read_run_file
 
@@ -17,6 +18,7 @@ from cassini_bayes.pipeline.run_file import RunFile, check_run, read_run_file
 def run_command(
     run_file: Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the run.")] = None,
+    effects: Effects = None,
     seed: Seed = None,
     force: Force = False,
     resume: Resume = False,
@@ -38,6 +40,7 @@ def run_command(
             reporter=ConsoleReporter(quiet),
             force=force,
             resume=resume,
+            kinds=read_kinds(effects or ()),
         ),
         as_json=as_json,
         quiet=quiet,
@@ -55,6 +58,11 @@ def fit_command(
     priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", help="Effect to fit by name, thruster_leak:z3; may be repeated."),
+    ] = None,
+    effects: Effects = None,
     seed: Seed = None,
     force: Force = False,
     resume: Resume = False,
@@ -68,6 +76,7 @@ def fit_command(
             "events": list(events),
             "priors": str(priors),
             "source": source,
+            "model": {"effects": effect or []},
             "sampler": sampler,
             "output": {"report": False},
         },
@@ -83,6 +92,7 @@ def fit_command(
             reporter=ConsoleReporter(quiet),
             force=force,
             resume=resume,
+            kinds=read_kinds(effects or ()),
         ),
         as_json=as_json,
         quiet=quiet,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -18,6 +19,10 @@ Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on s
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")]
+Effects = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", help="Own effects (.py) or tables of effects (.toml)."),
+]
 
 
 class ConsoleReporter:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Force, Json, Quiet
+from cassini_bayes.cli.options import ConsoleReporter, Effects, Force, Json, Quiet
 
 
 def simulate_command(
@@ -16,14 +16,17 @@ def simulate_command(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed.")],
     plot: Annotated[bool, typer.Option("--plot", help="Draw every event.")] = False,
+    effects: Effects = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate a scenario: event folders, totals.csv and truth.json."""
-    from cassini_bayes.studies.scenario import simulate_scenario  # numba takes a moment to import
+    # numba takes a moment to import
+    from cassini_bayes.studies.scenario import own_effects, simulate_scenario
 
-    simulation = simulate_scenario(scenario, out, seed, ConsoleReporter(quiet), force)
+    own = own_effects(effects or ())
+    simulation = simulate_scenario(scenario, out, seed, ConsoleReporter(quiet), force, own)
     if plot:
         from cassini_bayes.report.plots import save_figures
         from cassini_bayes.report.plots.simulation import motion_figure

@@ -1,1 +1,1 @@
-"""Cores, compiled code and heavy imports: how this package uses the machine."""
+"""Types of arrays, cores, compiled code and heavy imports: how this package computes."""

@@ -23,23 +23,25 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
+from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.statistics.columns import direction_cosines
-from cassini_bayes.diagnosis.extended import none_hypothesis
-from cassini_bayes.diagnosis.innovations import EventRows, Linear, innovations
-from cassini_bayes.diagnosis.naming import Verdict
+from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
+from cassini_bayes.diagnosis.innovations import innovations
+from cassini_bayes.diagnosis.verdict import Verdict
 from cassini_bayes.priors.distributions import Distribution
 
-Array = NDArray[np.float64]
 MODES: Final = 32
-DRAWS: Final = 2_000
-TIMES: Final = 200
+"""Cosines of an event: judgement, a curve down to a thirtieth of it; each costs three columns."""
+DRAWS: Final = 2_000  # behind a band: its ends scatter by a twentieth of a standard deviation
+TIMES: Final = 200  # points of a curve
 POWERS: Final = (1, 2)  # of 1/m: random walk, slow drift
 PROBABILITY: Final = 0.90
-_NODES: Final = 121
-FARTHEST: Final = 5.0  # prior standard deviations
+_NODES: Final = 121  # of the amplitude, twelve to a standard deviation of its prior
+FARTHEST: Final = 5.0  # prior standard deviations of these
 
 
 @dataclass(frozen=True)
@@ -57,20 +59,23 @@ class Curve:
     high: Array
 
 
-def verdict_curves(verdict: Verdict, rng: np.random.Generator) -> tuple[Curve, ...]:
+def curves_of(
+    case: BalanceCase, verdict: Verdict[Hypothesis], rng: np.random.Generator
+) -> tuple[Curve, ...]:
     """The curves of a verdict's events, about the mode of ``unknown``.
 
     There nuisances are not bent to explain what is missing, as they are at the baseline's mode.
     """
-    if verdict.linear is None:
+    events = case.events
+    if not events.telemetry:
         return ()
-    full = none_hypothesis(verdict.case, verdict.catalogue)
-    unknown = verdict.unknown
+    full, unknown = none_hypothesis(events), verdict.unknown
     names = unknown.hypothesis.model.space.names
     at = dict(zip(names, unknown.mode.point, strict=True))
     point = np.array([at[name] for name in full.model.space.names])
-    linear, rows = innovations(verdict.case, full, point)
-    return discrepancy_curves(linear, rows, point, verdict.catalogue.unknown.torque_noise, rng)
+    left = innovations(full, point)
+    prior = events.catalogue.unknown.torque_noise
+    return discrepancy_curves(left.linear, left.rows, point, prior, rng)
 
 
 def discrepancy_curves(
@@ -95,18 +100,21 @@ def discrepancy_curves(
     """
     if not rows:
         return ()
-    matrix, seen = _information(linear, rows, point)
-    kinds = [_Kind.of(matrix, seen, rows, power) for power in POWERS]
+    matrix, projection = _information(linear, rows, point)
+    kinds = [_Kind.of(matrix, projection, rows, power) for power in POWERS]
     nodes, chosen = _amplitudes(kinds, torque_noise, rng)
-    weights = np.empty((DRAWS, len(seen)))
+    weights = np.empty((DRAWS, len(projection)))
     for i, kind in enumerate(kinds):
-        own = np.flatnonzero(chosen // _NODES == i)
-        square = nodes[chosen[own] % _NODES, None] ** 2
+        of_kind = np.flatnonzero(chosen // _NODES == i)
+        square = nodes[chosen[of_kind] % _NODES, None] ** 2
         spread = square / (1.0 + square * kind.kappa)
-        eta = spread * kind.seen + np.sqrt(spread) * rng.standard_normal((len(own), len(seen)))
-        weights[own] = (eta @ kind.vectors.T) * kind.root
+        eta = spread * kind.projection + np.sqrt(spread) * rng.standard_normal(
+            (len(of_kind), len(projection))
+        )
+        weights[of_kind] = (eta @ kind.vectors.T) * kind.root
     return tuple(
-        _curve(own, weights[:, 3 * MODES * e : 3 * MODES * (e + 1)]) for e, own in enumerate(rows)
+        _curve(of_kind, weights[:, 3 * MODES * e : 3 * MODES * (e + 1)])
+        for e, of_kind in enumerate(rows)
     )
 
 
@@ -117,39 +125,39 @@ class _Kind:
     root: Array
     kappa: Array
     vectors: Array
-    seen: Array
+    projection: Array
 
     @classmethod
-    def of(cls, matrix: Array, seen: Array, rows: Sequence[EventRows], power: int) -> _Kind:
-        root = np.concatenate([np.repeat(_mode_sd(own, power), 3) for own in rows])
+    def of(cls, matrix: Array, projection: Array, rows: Sequence[EventRows], power: int) -> _Kind:
+        root = np.concatenate([np.repeat(_mode_sd(event, power), 3) for event in rows])
         kappa, vectors = np.linalg.eigh(root[:, None] * matrix * root)
-        return cls(root, np.maximum(kappa, 0.0), vectors, vectors.T @ (root * seen))
+        return cls(root, np.maximum(kappa, 0.0), vectors, vectors.T @ (root * projection))
 
     def log_evidence(self, amplitude: Array) -> Array:
         """log p(y | a) (n,) up to a constant."""
         square = amplitude[:, None] ** 2
         grown = 1.0 + square * self.kappa
-        return np.asarray(0.5 * (square * self.seen**2 / grown - np.log(grown)).sum(-1))
+        return np.asarray(0.5 * (square * self.projection**2 / grown - np.log(grown)).sum(-1))
 
 
-def _waves(own: EventRows, time_s: Array) -> Array:
+def _waves(event: EventRows, time_s: Array) -> Array:
     """cos(m π t/T) − 1 (n, M): nothing at the start, where the initial momentum is free."""
-    span = own.time_s[-1] - own.time_s[0]
+    span = event.time_s[-1] - event.time_s[0]
     order = np.arange(1.0, MODES + 1.0)
-    return np.asarray(np.cos(np.pi * np.outer((time_s - own.time_s[0]) / span, order)) - 1.0)
+    return np.asarray(np.cos(np.pi * np.outer((time_s - event.time_s[0]) / span, order)) - 1.0)
 
 
-def _gained(own: EventRows) -> Array:
+def _gained(event: EventRows) -> Array:
     """P(t) ∫ Pᵀ e_c d(wave) (n, 3, M, 3): what a torque about body axis c leaves in the balance."""
-    turn = direction_cosines(own.attitude)
-    steps = np.diff(_waves(own, own.time_s), axis=0)
+    turn = direction_cosines(event.attitude)
+    steps = np.diff(_waves(event, event.time_s), axis=0)
     back = 0.5 * (turn[1:] + turn[:-1])
     inertial = np.zeros((len(turn), 3, MODES, 3))
     inertial[1:] = np.cumsum(np.einsum("nm,nci->nimc", steps, back), axis=0)
     return np.asarray(np.einsum("nai,nimc->namc", turn, inertial, optimize=True))
 
 
-def _mode_sd(own: EventRows, power: int) -> Array:
+def _mode_sd(event: EventRows, power: int) -> Array:
     """Standard deviations (M,) of the cosines' weights at a = 1, s^½: that of the end is T^½.
 
     g(T) − g(0) is minus twice the sum of the odd weights.
@@ -157,7 +165,7 @@ def _mode_sd(own: EventRows, power: int) -> Array:
     order = np.arange(1.0, MODES + 1.0)
     shape = order**-power
     end = 2.0 * np.sqrt((shape[::2] ** 2).sum())
-    return np.asarray(np.sqrt(own.time_s[-1] - own.time_s[0]) / end * shape)
+    return np.asarray(np.sqrt(event.time_s[-1] - event.time_s[0]) / end * shape)
 
 
 def _information(linear: Linear, rows: Sequence[EventRows], point: Array) -> tuple[Array, Array]:
@@ -165,24 +173,24 @@ def _information(linear: Linear, rows: Sequence[EventRows], point: Array) -> tup
     mean = np.zeros(len(linear.precision))
     mean[: len(point)] = -point
     target = linear.target - linear.columns @ mean
-    own_gram, mixed, own_seen = [], [], []
-    for own, part in zip(rows, linear.parts, strict=True):
-        n = len(own.time_s)
-        inverse = np.linalg.inv(own.noise_factor)
-        columns = np.einsum("ba,namc->nbmc", inverse, _gained(own)).reshape(3 * n, -1)
+    own_gram, mixed, own_projection = [], [], []
+    for event, part in zip(rows, linear.parts, strict=True):
+        n = len(event.time_s)
+        inverse = np.linalg.inv(event.noise_factor)
+        columns = np.einsum("ba,namc->nbmc", inverse, _gained(event)).reshape(3 * n, -1)
         own_gram.append(columns.T @ columns)
         mixed.append(linear.columns[part].T @ columns)
-        own_seen.append(columns.T @ target[part])
+        own_projection.append(columns.T @ target[part])
     across = np.concatenate(mixed, axis=1)
     factor = cho_factor(linear.gram(), lower=True)
     fitted = cho_solve(factor, np.column_stack([across, linear.columns.T @ target]))
     matrix = block_diag(*own_gram) - across.T @ fitted[:, :-1]
-    return matrix, np.concatenate(own_seen) - across.T @ fitted[:, -1]
+    return matrix, np.concatenate(own_projection) - across.T @ fitted[:, -1]
 
 
 def _amplitudes(
     kinds: Sequence[_Kind], prior: Distribution, rng: np.random.Generator
-) -> tuple[Array, NDArray[np.int64]]:
+) -> tuple[Array, Places]:
     """Nodes of a, even in the prior's standard normal, and draws (DRAWS,) of kind and node."""
     standard = np.linspace(-FARTHEST, FARTHEST, _NODES)
     nodes = prior.quantile_of_standard(standard)
@@ -191,10 +199,10 @@ def _amplitudes(
     return nodes, rng.choice(len(weight), size=DRAWS, p=weight / weight.sum())
 
 
-def _curve(own: EventRows, weights: Array) -> Curve:
-    time = np.linspace(own.time_s[0], own.time_s[-1], TIMES)
-    wave = _waves(own, time)
+def _curve(event: EventRows, weights: Array) -> Curve:
+    time = np.linspace(event.time_s[0], event.time_s[-1], TIMES)
+    wave = _waves(event, time)
     draws = np.einsum("tm,dmc->dtc", wave, weights.reshape(len(weights), MODES, 3), optimize=True)
     tail = 0.5 * (1.0 - PROBABILITY)
     low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
-    return Curve(own.event, time, draws.mean(axis=0), low, high)
+    return Curve(event.event, time, draws.mean(axis=0), low, high)

@@ -1,39 +1,31 @@
-"""Published thrust estimates as input of a diagnosis: a CSV of thrusts with their pulses.
+"""Published thrust estimates: a CSV of thrusts with their pulses, and what may be wrong with them.
 
 An estimate is y = F R(τ_f) k (1 + ε): F the thrust (common level, a thruster's departure), R the
 ratio of delivered to commanded impulse of its pulses, 1 where the estimate was corrected for tails,
-k what all estimates share (geometry, inertia), ε the event's own departure.
+k what all estimates share (geometry, inertia), ε the event's own departure. Every hypothesis is a
+prior on these, written as a function of standard normals z.
 """
 
 from __future__ import annotations
 
 import csv
-import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
-from cassini_bayes.diagnosis.score import gain_verdict, summed
-from cassini_bayes.diagnosis.summaries import (
-    LeftOut,
-    Prediction,
-    SummaryCause,
-    SummaryVerdict,
-    leave_out,
-    positive_normal,
-    pulse_ratio,
-    untrusted,
-    weigh_summaries,
-)
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN
+from cassini_bayes.effects.printed import FACTOR, Printed
+from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.pulses import PULSE_SHAPES, PulseShape
 
-Array = NDArray[np.float64]
+Predict = Callable[[Array], "Prediction"]
 COLUMNS: Final = (
     "id", "thruster", "thrust_n", "thrust_sd_n", "shared_sd", "pulses", "on_time_per_pulse_s",
     "tail_corrected", "source",
@@ -42,12 +34,74 @@ ALL: Final = "all"
 NEEDED: Final = (
     "thrust_common_n", "thrust_individual_n", "thrust_event_n", "tau_rise_s", "tau_fall_s",
 )  # fmt: skip
-FACTOR: Final = 5.0
-NONE, UNKNOWN, CATALOGUED = 0.5, 0.05, 0.45
-DEFICIT, OFFSET_S, UNKNOWN_SD = 0.2, 0.04, 0.15
-WIDTHS: Final = (0.5, 1.0, 2.0)
-LEAST_ESTIMATES: Final = 3
-LEAST_THRUST_SD, LEAST_TAIL_SD_S, LEAST_SHARED_SD = 0.02, 0.002, 0.004
+GEOMETRY: Final = "geometry or inertia"
+CLOSED_FORM: Final = "pulse_shape, first-order closed form"
+DELAY_S: Final = 0.005
+"""Of the valve, in closed forms that have it: it cancels in all but the shortest pulses."""
+MOST_DEFICIT: Final = 0.9  # of a thrust: what lacks more would be called dead
+FARTHEST: Final = 37.0
+"""Standard deviations beyond which a normal's tail is zero in floating point."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a hypothesis predicts: estimates and the parameters behind them, each (n,).
+
+    ``own_sd_n`` is the spread of every estimate about its prediction that nothing shares.
+    """
+
+    estimate_n: Array  # (n, E)
+    own_sd_n: Array  # (n, E)
+    parameters: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class EstimateHypothesis:
+    """One hypothesis: what it predicts at standard normals (n, d), and its prior probability."""
+
+    name: str
+    prior_probability: float
+    dimension: int
+    predict: Predict
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names joined by a plus sign, one or two; none where it is no cause."""
+        return () if self.name in (NONE, UNKNOWN) else tuple(self.name.split("+"))
+
+    @property
+    def log_penalty(self) -> float:
+        """Nothing is searched for before the fit."""
+        return 0.0
+
+
+def positive_normal(z: Array, mean: float, sd: float) -> Array:
+    """N(mean, sd²) cut off at zero (mean ≥ 0), as a rising function of a standard normal z.
+
+    Rising, so that a posterior has one mode where the absolute value of a normal would have two.
+    """
+    if sd == 0.0:
+        return np.full_like(z, mean)
+    kept, cut = float(ndtr(mean / sd)), float(ndtr(-mean / sd))
+    inside = np.clip(z, -FARTHEST, FARTHEST)
+    above, below = kept * ndtr(-inside), cut + kept * ndtr(inside)
+    # each tail by its own small probability: the other's would be one less that
+    white = np.where(above < 0.5, -ndtri(above), ndtri(below))
+    return np.asarray(mean + sd * white)
+
+
+def deficit(z: Array, sd: float) -> Array:
+    """Share (n,) that a thruster lacks: half a normal, at most nine tenths."""
+    return np.minimum(positive_normal(z, 0.0, sd), MOST_DEFICIT)
+
+
+def pulse_ratio(
+    shape: PulseShape, widths_s: Array, counts: Array, rise_s: float, fall_s: Array
+) -> Array:
+    """Delivered over commanded impulse R (n,) of a set of pulses at tail-off times (n,)."""
+    fall = np.asarray(fall_s, dtype=np.float64)[..., None]
+    effective = shape.effective_time(widths_s, DELAY_S, rise_s, fall)
+    return np.asarray((effective * counts).sum(-1) / (widths_s @ counts))
 
 
 @dataclass(frozen=True)
@@ -151,91 +205,130 @@ def _numbers(where: str, row: dict[str, str], column: str) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class EstimateCase:
-    """Estimates with the priors that they are held against."""
+class Estimates:
+    """Estimates with the priors that they are held against.
+
+    ``printed`` are the widths of what all share or name, ``event_sd`` (a fraction) that of an
+    event's own departure, ``individual_sd_n`` that of a thruster's.
+    """
 
     rows: tuple[Estimate, ...]
     thrust_n: float
-    thrust_sd_n: float
-    individual_sd_n: float
-    event_sd: float  # fraction
+    event_sd: float
     rise_s: float
     fall_s: float
-    fall_sd_s: float
-    scale_sd: float  # fraction
+    printed: Printed
+    individual_sd_n: float = 0.0
     shape: str = "published_2005"
-    offset_sd_s: float = 0.0
-    degraded: str = ""
-    deficit_sd: float = DEFICIT
 
     @property
-    def named(self) -> tuple[str, ...]:
-        """Thrusters that rows name."""
-        return tuple(sorted({row.thruster for row in self.rows} - {ALL}))
+    def thrust_estimates_n(self) -> Array:
+        """(E,)"""
+        return np.array([row.thrust_n for row in self.rows])
+
+    @property
+    def sd_n(self) -> Array:
+        """Own errors (E,) of the estimates."""
+        return np.array([row.sd_n for row in self.rows])
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """What the standard normals are of, in order."""
+        pulsed = ("fall", "offset") if self.printed.is_pulsed else ()
+        weak = tuple(f"deficit:{name}" for name in self.printed.degraded)
+        return ("thrust", *pulsed, "scale", *weak, *self.printed.thrusters)
 
     def predict(self, z: Array) -> Prediction:
-        """What would have been estimated at standard normals (n, 5 + named thrusters)."""
-        common = self.thrust_n + self.thrust_sd_n * z[:, 0]
-        fall = positive_normal(z[:, 1], self.fall_s, self.fall_sd_s)
-        scale = 1.0 + self.scale_sd * z[:, 2]
-        offset = self.offset_sd_s * z[:, 3]
-        factor = 1.0 - np.minimum(positive_normal(z[:, 4], 0.0, self.deficit_sd), 0.9)
-        departures = self.individual_sd_n * z.T[5:]
-        own = dict(zip(self.named, departures, strict=True))
-        columns = []
+        """What would have been estimated at standard normals (n, d)."""
+        at, errors = dict(zip(self.coordinates, z.T, strict=True)), self.printed
+        thrust, scale = 1.0 + errors.thrust_sd * at["thrust"], 1.0 + errors.scale_sd * at["scale"]
+        weak = {
+            name: 1.0 - deficit(at[f"deficit:{name}"], errors.deficit_sd)
+            for name in errors.degraded
+        }
+        parameters = {"thrust_common_n": self.thrust_n * thrust}
+        if not weak:
+            parameters["thrust_factor"] = thrust
+        if errors.is_pulsed:
+            parameters["tau_fall_s"] = positive_normal(at["fall"], self.fall_s, errors.fall_sd_s)
+            parameters["impulse_time_offset_s"] = errors.offset_sd_s * at["offset"]
+        parameters["scale"] = scale
+        for name, factor in weak.items():
+            parameters["thrust_factor" if len(weak) == 1 else f"thrust_factor[{name}]"] = factor
+        columns, ratios = [], {}
         for row in self.rows:
-            thrust = common + own.get(row.thruster, 0.0)
-            thrust = thrust * factor if row.thruster == self.degraded else thrust
-            columns.append(thrust * scale * self._ratio(row, fall, offset))
+            level = self.thrust_n * thrust
+            if row.thruster in errors.thrusters:
+                level = level + self.individual_sd_n * at[row.thruster]
+            level = level * weak.get(row.thruster, 1.0)
+            pulses = () if row.corrected else (row.widths_s, row.pulses)
+            if pulses not in ratios:
+                ratios[pulses] = self._ratio(row, parameters)
+            columns.append(level * scale * ratios[pulses])
+        if errors.is_pulsed and len(ratios) == 1:
+            (parameters["ratio"],) = ratios.values()
         estimate = np.stack(columns, axis=1)
-        parameters = {"thrust_common_n": common, "tau_fall_s": fall, "scale": scale}
-        if self.offset_sd_s > 0.0:
-            parameters["impulse_time_offset_s"] = offset
-        if self.degraded:
-            parameters["thrust_factor"] = factor
         return Prediction(estimate, self.event_sd * estimate, parameters)
 
-    def _ratio(self, row: Estimate, fall: Array, offset: Array) -> Array:
+    def _ratio(self, row: Estimate, parameters: Mapping[str, Array]) -> Array | float:
         if row.corrected:
-            return np.ones_like(fall)
+            return 1.0
         widths, counts = np.array(row.widths_s), np.array(row.pulses)
+        fall, offset = parameters["tau_fall_s"], parameters["impulse_time_offset_s"]
         ratio = pulse_ratio(PULSE_SHAPES[self.shape], widths, counts, self.rise_s, fall)
         return np.asarray(ratio + offset * counts.sum() / (widths @ counts))
 
-    def as_cause(self, name: str, prior_probability: float) -> SummaryCause:
+    def hypothesis(self, name: str, prior_probability: float) -> EstimateHypothesis:
         """These priors as a hypothesis."""
-        return SummaryCause(name, prior_probability, 5 + len(self.named), self.predict)
+        return EstimateHypothesis(name, prior_probability, len(self.coordinates), self.predict)
 
-    def causes(self, width: float = 1.0) -> list[SummaryCause]:
+    def doubted(self, kinds: Kinds, width: float) -> dict[str, Estimates]:
+        """One thing doubted at a time, by name of the cause, at a width of the effects' priors."""
+        doubted = {
+            name: replace(self, printed=printed)
+            for kind, table in kinds.kinds
+            if kind.doubt is not None and "estimates" in table.inputs
+            for name, printed in kind.doubt(self.printed, width).items()
+        }
+        scale_sd = FACTOR * width * self.printed.scale_sd
+        doubted[GEOMETRY] = replace(self, printed=replace(self.printed, scale_sd=scale_sd))
+        if self.printed.is_pulsed and self.shape != "first_order":
+            doubted[CLOSED_FORM] = replace(self, shape="first_order")
+        return doubted
+
+    def hypotheses(self, kinds: Kinds, width: float = 1.0) -> list[EstimateHypothesis]:
         """``none``, ``unknown`` and what may be wrong with such estimates."""
-        wide = FACTOR * width
-        least = LEAST_THRUST_SD * self.thrust_n
-        changed = {
-            "thrust_scale": replace(self, thrust_sd_n=wide * max(self.thrust_sd_n, least)),
-            "geometry or inertia": replace(
-                self, scale_sd=wide * max(self.scale_sd, LEAST_SHARED_SD)
-            ),
-        }
-        if not all(row.corrected for row in self.rows):
-            changed |= {
-                "tail_off": replace(self, fall_sd_s=wide * max(self.fall_sd_s, LEAST_TAIL_SD_S)),
-                "pulse_shape": replace(self, offset_sd_s=OFFSET_S * width),
-                "pulse_shape, first-order closed form": replace(self, shape="first_order"),
-            }
-        weak = {
-            f"thruster_degraded:{name}": replace(self, degraded=name, deficit_sd=DEFICIT * width)
-            for name in self.named
-        }
-        share = CATALOGUED / (len(changed) + bool(weak))
+        unknown = replace(self, event_sd=kinds.unknown.estimate_sd)
         return [
-            self.as_cause("none", NONE),
-            replace(self, event_sd=UNKNOWN_SD).as_cause("unknown", UNKNOWN),
-            *(case.as_cause(name, share) for name, case in changed.items()),
-            *(case.as_cause(name, share / len(weak)) for name, case in weak.items()),
+            self.hypothesis(NONE, kinds.odds.none),
+            unknown.hypothesis(UNKNOWN, kinds.odds.unknown),
+            *self._shared_out(self.doubted(kinds, width), kinds.odds.catalogued),
+        ]
+
+    def pairs(self, kinds: Kinds, first: str) -> list[EstimateHypothesis]:
+        """The first cause doubted together with every other, each with its prior probability."""
+        alone = {h.name: h.prior_probability for h in self.hypotheses(kinds)}
+        both = self.doubted(kinds, 1.0)[first].doubted(kinds, 1.0)
+        return [
+            h.hypothesis(f"{first}+{second}", alone[first] * alone[second])
+            for second, h in both.items()
+            if second in alone and second != first
+        ]
+
+    @staticmethod
+    def _shared_out(
+        causes: Mapping[str, Estimates], probability: float
+    ) -> list[EstimateHypothesis]:
+        """Prior probability shared by kinds, a kind's by its targets."""
+        kinds = [name.partition(":")[0] for name in causes]
+        share = probability / len(set(kinds))
+        return [
+            estimates.hypothesis(name, share / kinds.count(kind))
+            for kind, (name, estimates) in zip(kinds, causes.items(), strict=True)
         ]
 
 
-def estimate_case(rows: Sequence[Estimate], priors: Priors) -> EstimateCase:
+def estimates_of(rows: Sequence[Estimate], priors: Priors) -> Estimates:
     """Estimates held against a priors file.
 
     Raises
@@ -250,113 +343,23 @@ def estimate_case(rows: Sequence[Estimate], priors: Priors) -> EstimateCase:
                 f"{priors.path}: parameters.{name}", "a prior", "none", "add the table"
             )
         prior = priors.parameters[name]
-        own = prior.distribution
         fixed = 0.0 if prior.fixed is None else float(prior.fixed)
-        values[name] = (fixed, 0.0) if own is None else (own.mean(), own.sd())
+        known = prior.distribution
+        values[name] = (fixed, 0.0) if known is None else (known.mean(), known.sd())
     thrust, sd = values["thrust_common_n"]
     fall, fall_sd = values["tau_fall_s"]
-    return EstimateCase(
+    return Estimates(
         tuple(rows),
         thrust,
-        sd,
-        values["thrust_individual_n"][1],
         values["thrust_event_n"][1] / thrust,
         values["tau_rise_s"][0],
         fall,
-        fall_sd,
-        rows[0].shared_sd,
+        Printed(
+            sd / thrust,
+            fall_sd,
+            rows[0].shared_sd,
+            tuple(sorted({row.thruster for row in rows} - {ALL})),
+            not all(row.corrected for row in rows),
+        ),
+        values["thrust_individual_n"][1],
     )
-
-
-def diagnose_estimates(case: EstimateCase, rng: np.random.Generator) -> dict[str, Any]:
-    """The record of ``diagnosis.json`` for estimates: causes, sensitivity, gain if three or more.
-
-    Warns of hypotheses whose draws do not cover their posterior.
-    """
-    estimate = np.array([row.thrust_n for row in case.rows])
-    sd = np.array([row.sd_n for row in case.rows])
-    found = {w: weigh_summaries(estimate, sd, case.causes(w), rng) for w in WIDTHS}
-    doubt = untrusted([verdict for own in found.values() for verdict in own])
-    if doubt:
-        warnings.warn(doubt, RuntimeWarning, stacklevel=2)
-    middle = found[1.0]
-    none = next(v for v in middle if v.name == "none")
-    causes = {cause.name: cause for cause in case.causes()}
-    base, own = None, None
-    if len(estimate) >= LEAST_ESTIMATES:
-        base = leave_out(estimate, sd, causes["none"], rng)
-        own = base if middle[0] is none else leave_out(estimate, sd, causes[middle[0].name], rng)
-    return {
-        "format": 1,
-        "events": [row.id for row in case.rows],
-        "baseline": _fit_record(none, base),
-        "discrepant": none.probability < 0.5,
-        "p_value": None,
-        "symptoms": [],
-        "closure": [],
-        "causes": [_cause_record(v, none) for v in middle],
-        "extended": {
-            "causes": [] if middle[0] is none else [middle[0].name],
-            **_fit_record(middle[0], own),
-        },
-        "gain": _gain(base, own),
-        "sensitivity": {
-            f"{w:g}": {v.name: v.probability for v in found[w]} for w in WIDTHS if w != 1.0
-        },
-        "second_cause_nats": None,
-        "separation": [],
-    }
-
-
-def _gain(base: LeftOut | None, own: LeftOut | None) -> dict[str, Any]:
-    """Difference of the held-out log scores, with its standard error over estimates."""
-    nothing = {"still_discrepant": None, "p_value": None}
-    if base is None or own is None:
-        return {
-            "elpd_diff": None,
-            "elpd_diff_se": None,
-            "heldout_rmse_ratio": None,
-            "verdict": "held-out gain: not measurable",
-            **nothing,
-        }
-    total, error = summed(own.log_scores - base.log_scores)
-    ratio = own.rmse_n / base.rmse_n
-    return {
-        "elpd_diff": total,
-        "elpd_diff_se": error,
-        "heldout_rmse_ratio": ratio,
-        "verdict": gain_verdict(total, error, ratio),
-        **nothing,
-    }
-
-
-def _fit_record(verdict: SummaryVerdict, score: LeftOut | None) -> dict[str, Any]:
-    total, error = (None, None) if score is None else summed(score.log_scores)
-    return {
-        "elpd": total,
-        "elpd_se": error,
-        "rmse_nms": None,
-        "rmse_n": float(np.sqrt((verdict.residual_n**2).mean())),
-        "heldout_rmse_nms": None,
-        "heldout_rmse_n": None if score is None else score.rmse_n,
-        "heldout_coverage_90": None,
-        "log_evidence": verdict.log_evidence,
-    }
-
-
-def _cause_record(verdict: SummaryVerdict, none: SummaryVerdict) -> dict[str, Any]:
-    """Sizes as means and standard deviations; the interval is that of a normal."""
-    return {
-        "name": verdict.name,
-        "probability": verdict.probability,
-        "log_bayes_factor": verdict.log_evidence - none.log_evidence,
-        "log_evidence_se": verdict.log_evidence_se,
-        "effective_draws": verdict.effective_draws,
-        "pareto_k": verdict.pareto_k,
-        "parameters": {
-            key: {"mean": mean, "sd": sd, "hdi_90": [mean - 1.645 * sd, mean + 1.645 * sd]}
-            for key, (mean, sd) in verdict.parameters.items()
-            if sd > 0.0
-        },
-        "confounded_with": [],
-    }

@@ -1,116 +1,108 @@
-"""Evidence of every cause: Laplace for all, importance sampling for those near the best."""
+"""Evidence of causes: Laplace's for all, importance sampling for those near the best."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cassini_bayes.computing.processes import in_processes
-from cassini_bayes.diagnosis.extended import Hypothesis
+from cassini_bayes.diagnosis.case import TRUSTED_K, Log, Weighed
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.search import (
     UNSURE_NATS,
-    Sought,
-    extended_mode,
+    ModeSearch,
     has_moved,
-    higher,
-    renewed,
+    higher_of,
+    search_from_starts,
+    with_whole_curvature,
 )
 from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, importance, refined
 
-Array = NDArray[np.float64]
+Candidate = Weighed[Hypothesis]
 LEAST_EFFICIENCY: Final = 0.1
-TRUSTED_K: Final = 0.7
+"""Of importance draws, below which the curvature is taken anew: 20 effective draws of 200 leave the
+evidence 0.2 nats unsure."""
 FEW_DRAWS: Final = 200
+"""Of every cause near the best: an evidence good to 0.05 nats at an efficiency of 0.7, where a
+probability of a few percent is all that is asked."""
 FIRST: Final = 2  # searched at once, so that two processes have work
 DOF: Final = 8.0
+"""Of the Student-t proposal: judgement, tails wide enough for ridges that bend against draws that
+are lost where they do not."""
 MARGIN_NATS: Final = 30.0
+"""Behind the best, what is not searched further: its probability is below 1e-13, and with what
+searches may still lack (``search.LACKING_NATS``) no rank within ten nats changes."""
 MOVED_NATS: Final = 10.0
-Say = Callable[[str], None]
+"""By which Laplace's evidence is held to be unsure where nuisances went far (docs/criticism.md §1):
+judgement, so that importance draws decide whatever is within ten nats of the best."""
 
 
-@dataclass(frozen=True)
-class Weighed:
-    """A hypothesis with its evidence, and posterior draws where it was sampled."""
-
-    hypothesis: Hypothesis
-    mode: Mode
-    log_evidence: float
-    log_evidence_se: float
-    z: Array | None = None  # (n, d)
-    log_weights: Array | None = None
-    pareto_k: float = float("nan")
-    proposal: Proposal | None = None  # that the draws came from
-    unsure: float = 0.0  # nats by which Laplace's evidence may be short
-
-    @property
-    def name(self) -> str:
-        """Name of the cause."""
-        return self.hypothesis.name
-
-    @property
-    def net_evidence(self) -> float:
-        """Log evidence less what a search before the fit cost (nats)."""
-        return self.log_evidence - self.hypothesis.log_penalty
-
-
-def by_laplace(hypothesis: Hypothesis, mode: Mode) -> Weighed:
+def by_laplace(hypothesis: Hypothesis, mode: Mode) -> Candidate:
     """A hypothesis with Laplace's evidence at its mode."""
-    return Weighed(hypothesis, mode, mode.log_evidence, float("nan"))
+    return Weighed(hypothesis, mode, mode.log_evidence)
 
 
-def weigh_beside(
+def weigh_extensions(
     hypotheses: Sequence[Hypothesis],
-    found: Sequence[Sought],
+    searches: Sequence[ModeSearch],
     base: Mode,
-    say: Say,
+    log: Log,
     workers: int = 1,
     floor: float = -np.inf,
-) -> list[Weighed]:
+) -> list[Candidate]:
     """Extensions of one baseline by Laplace evidence.
 
-    ``found`` are their Newton steps beside the baseline's mode (:func:`search.near_mode`). Longer
-    and longer searches follow, each for those whose search has not ended and that could still come
-    to ``floor`` and within thirty nats of the best. The best are searched for before the others.
-    What is out of reach keeps what it has.
+    ``searches`` are their Newton steps beside the baseline's mode (:func:`search.newton_search`).
+    Longer and longer searches follow, each for those whose search has not ended and that could
+    still come to ``floor`` and within thirty nats of the best. The best are searched for before the
+    others. What is out of reach keeps what it has.
     """
     if not hypotheses:
         return []
-    longer: tuple[tuple[str, Callable[[int], Sought]], ...] = (
-        ("searched further", lambda i: higher(extended_mode(hypotheses[i], base), found[i], base)),
-        ("searched along all axes", lambda i: Sought(renewed(hypotheses[i], found[i].mode))),
+    ended = list(searches)
+    longer: tuple[tuple[str, Callable[[int], ModeSearch]], ...] = (
+        (
+            "searched further",
+            lambda i: higher_of(search_from_starts(hypotheses[i], base), ended[i], base),
+        ),
+        (
+            "searched along all axes",
+            lambda i: ModeSearch(with_whole_curvature(hypotheses[i], ended[i].mode)),
+        ),
     )
     for what, search in longer:
-        due = hopeful(found, floor)
+        due = worth_continuing(ended, floor)
         if due:
-            say(f"{len(due)} causes {what}")
+            log(f"{len(due)} causes {what}")
         for part in (due[:FIRST], due[FIRST:]):
-            still = [i for i in hopeful(found, floor) if i in part]
-            anew = dict(zip(still, in_processes(search, still, workers), strict=True))
-            found = [anew.get(i, own) for i, own in enumerate(found)]
-    weighed = [by_laplace(own, at.mode) for own, at in zip(hypotheses, found, strict=True)]
+            still = [i for i in worth_continuing(ended, floor) if i in part]
+            for i, result in zip(still, in_processes(search, still, workers), strict=True):
+                ended[i] = result
+    weighed = [by_laplace(h, at.mode) for h, at in zip(hypotheses, ended, strict=True)]
     return [
-        replace(w, unsure=MOVED_NATS if has_moved(w.mode, base) else min(at.reach, UNSURE_NATS))
-        for w, at in zip(weighed, found, strict=True)
+        replace(w, unsure=MOVED_NATS if has_moved(w.mode, base) else min(at.lacking, UNSURE_NATS))
+        for w, at in zip(weighed, ended, strict=True)
     ]
 
 
-def hopeful(found: Sequence[Sought], floor: float) -> list[int]:
-    """Those whose search has not ended and that could be of use, the best first.
+def worth_continuing(searches: Sequence[ModeSearch], floor: float) -> list[int]:
+    """Places of those whose search has not ended and that could be of use, the best first.
 
     Of use is what comes to ``floor`` and within thirty nats of the best.
     """
-    least = max(floor, *(own.mode.log_evidence - MARGIN_NATS for own in found))
-    reached = [own.mode.log_evidence + own.reach for own in found]
-    due = [i for i, own in enumerate(found) if own.reach > UNSURE_NATS and reached[i] > least]
-    return sorted(due, key=lambda i: -found[i].mode.log_evidence)
+    least = max(floor, *(s.mode.log_evidence - MARGIN_NATS for s in searches))
+    reached = [s.mode.log_evidence + s.lacking for s in searches]
+    due = [i for i, s in enumerate(searches) if s.lacking > UNSURE_NATS and reached[i] > least]
+    return sorted(due, key=lambda i: -searches[i].mode.log_evidence)
 
 
-def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = FEW_DRAWS) -> Weighed:
+def importance_sampled(
+    weighed: Candidate, rng: np.random.Generator, draws: int = FEW_DRAWS
+) -> Candidate:
     """The evidence by importance sampling from the Laplace approximation.
 
     Where that was poor the curvature is taken anew, and refined by the draws themselves if that
@@ -120,23 +112,23 @@ def sampled(weighed: Weighed, rng: np.random.Generator, draws: int = FEW_DRAWS) 
 
 
 def _draw(
-    weighed: Weighed, rng: np.random.Generator, draws: int
+    weighed: Candidate, rng: np.random.Generator, draws: int
 ) -> tuple[Mode, Proposal, ImportanceDraws]:
     density, mode = weighed.hypothesis.log_density, weighed.mode
     if weighed.proposal is not None:
         return mode, weighed.proposal, importance(density, weighed.proposal, rng, draws)
     proposal = Proposal(mode.point, mode.factor, DOF)
-    found = importance(density, proposal, rng, draws)
-    if _is_poor(found) and not mode.is_whole:
-        mode = renewed(weighed.hypothesis, mode)
+    sampled = importance(density, proposal, rng, draws)
+    if _is_poor(sampled) and not mode.is_whole:
+        mode = with_whole_curvature(weighed.hypothesis, mode)
         proposal = Proposal(mode.point, mode.factor, DOF)
-        found = importance(density, proposal, rng, draws)
-    if _is_poor(found):
-        turned = refined(proposal, found)
+        sampled = importance(density, proposal, rng, draws)
+    if _is_poor(sampled):
+        turned = refined(proposal, sampled)
         again = importance(density, turned, rng, 2 * draws)
-        if again.efficiency > found.efficiency:
-            proposal, found = turned, again
-    return mode, proposal, found
+        if again.efficiency > sampled.efficiency:
+            proposal, sampled = turned, again
+    return mode, proposal, sampled
 
 
 def _is_poor(draws: ImportanceDraws) -> bool:
@@ -145,8 +137,8 @@ def _is_poor(draws: ImportanceDraws) -> bool:
 
 
 def _with_draws(
-    weighed: Weighed, mode: Mode, proposal: Proposal, draws: ImportanceDraws
-) -> Weighed:
+    weighed: Candidate, mode: Mode, proposal: Proposal, draws: ImportanceDraws
+) -> Candidate:
     return replace(
         weighed,
         mode=mode,
@@ -160,22 +152,17 @@ def _with_draws(
     )
 
 
-def drawn(
-    weighed: Sequence[Weighed],
+def with_draws(
+    weighed: Sequence[Candidate],
     which: Sequence[int],
     draws: int,
     rng: np.random.Generator,
     workers: int,
-) -> list[Weighed]:
+) -> list[Candidate]:
     """Those named (places) with importance draws, each with a generator of its own."""
-    own = dict(zip(which, rng.spawn(len(which)), strict=True))
+    generators = dict(zip(which, rng.spawn(len(which)), strict=True))
     # what is unsure may take long: it goes first, so that the work is shared out evenly
     order = sorted(which, key=lambda i: -weighed[i].unsure)
-    found = in_processes(lambda i: _draw(weighed[i], own[i], draws), order, workers)
-    anew = dict(zip(order, found, strict=True))
-    return [_with_draws(w, *anew[i]) if i in anew else w for i, w in enumerate(weighed)]
-
-
-def score(weighed: Weighed) -> float:
-    """Log of evidence times prior probability, what a search cost taken off."""
-    return weighed.net_evidence + float(np.log(weighed.hypothesis.prior_probability))
+    sampled = in_processes(lambda i: _draw(weighed[i], generators[i], draws), order, workers)
+    results = dict(zip(order, sampled, strict=True))
+    return [_with_draws(w, *results[i]) if i in results else w for i, w in enumerate(weighed)]

@@ -1,76 +1,68 @@
-"""What naming a cause gains, on data that were held out.
+"""What naming a cause gains on events of the momentum balance that were held out.
 
-Leave one event out: its log score given the others is log Z(all) − log Z(others). Its rows are
-predicted with everything shared fitted to the other events; its own initial momentum comes from its
-first rows.
+Leave one event out: its log score given the others is log Z(all) − log Z(others), by Laplace's
+approximation. Telemetry's rows are predicted with everything shared fitted to the other events; an
+event's own initial momentum comes from its first rows. What a totals row misses by is the balance
+of its momentum, r = ΔH − D F − T τ, with thrusts F, inertias and the rest drawn from the posterior
+of the others; on-times are the row's own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.diagnosis.evidence import Weighed
-from cassini_bayes.diagnosis.extended import (
-    Case,
+from cassini_bayes.balance.linearised import Linear
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import UNKNOWN, Log, Weighed, silent
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import (
     Hypothesis,
     compact,
     extend,
     none_hypothesis,
     unknown_hypothesis,
 )
-from cassini_bayes.diagnosis.innovations import Linear, linearise
-from cassini_bayes.diagnosis.modes import Mode, climb, settled
-from cassini_bayes.diagnosis.naming import Verdict
-from cassini_bayes.diagnosis.oscillation import case_of
-from cassini_bayes.effects.catalogue import Catalogue
+from cassini_bayes.diagnosis.innovations import linearise
+from cassini_bayes.diagnosis.modes import Mode, maximise, mode_near
+from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
+from cassini_bayes.model.posterior import collapse
+from cassini_bayes.model.thrusts import draw_thrusts
 from cassini_bayes.sampling.warmstart import lower_factor
 
-Array = NDArray[np.float64]
-FIRST_SHARE: Final = 0.1  # of an event's rows, which give its initial momentum
-WITHIN: Final = 1.6449
-LEAST_EVENTS: Final = 3
+FIRST_SHARE: Final = 0.1
+"""Of an event's rows, which give its initial momentum: judgement, enough to average its noise."""
+DRAWS: Final = 400  # that predict a totals row: their mean is good to a twentieth of their spread
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Scores of the events held out: log score per event, residual, and interval coverage."""
+def held_out(
+    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator, log: Log = silent
+) -> HeldOut | None:
+    """Telemetry events or totals rows held out in turn; None for few of them and for a mix.
 
-    log_scores: Array  # (E,)
-    rmse_n_m_s: float
-    coverage_90: float
-
-    @property
-    def elpd(self) -> float:
-        """Sum of the log scores."""
-        return float(self.log_scores.sum())
-
-    @property
-    def elpd_se(self) -> float:
-        """Its standard error over events."""
-        n = len(self.log_scores)
-        return float(np.sqrt(n) * self.log_scores.std(ddof=1)) if n > 1 else float("nan")
+    ``rng`` is for the posterior draws that predict totals rows.
+    """
+    if not events.rows and len(events.telemetry) >= LEAST_PIECES:
+        return held_out_telemetry(events, weighed, log)
+    if not events.telemetry and len(events.rows) >= LEAST_PIECES:
+        return held_out_totals(events, weighed, rng, log)
+    return None
 
 
-def fitted_to(case: Case, catalogue: Catalogue, weighed: Weighed) -> tuple[Hypothesis, Mode]:
-    """A weighed hypothesis and its mode on another case, such as one with an event left out."""
-    needed = case_of(case, weighed.hypothesis)
-    if weighed.name == "unknown":
-        full = unknown_hypothesis(case, catalogue)
-    else:
-        full = none_hypothesis(needed, catalogue)
+def fitted_to(events: Events, weighed: Weighed[Hypothesis]) -> tuple[Hypothesis, Mode]:
+    """A weighed hypothesis and its mode on other events, such as those with one left out."""
     effects = weighed.hypothesis.effects
-    hypothesis = compact(extend(full, effects, needed) if effects else full)
+    needed = events.with_columns_of(effects)
+    full = (unknown_hypothesis if weighed.name == UNKNOWN else none_hypothesis)(needed)
+    hypothesis = compact(extend(full, effects) if effects else full)
     density = hypothesis.log_density
-    start = carried(weighed.mode, weighed.hypothesis, hypothesis)
-    return hypothesis, settled(density, climb(density, start.point, start.factor), start.factor)
+    start = carried_over(weighed.mode, weighed.hypothesis, hypothesis)
+    point = maximise(density, start.point, start.factor)
+    return hypothesis, mode_near(density, point, start.factor)
 
 
-def carried(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
+def carried_over(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
     """A mode in the coordinates of a hypothesis on other events, its new ones at their prior."""
     before = list(old.model.space.names)
     both = [i for i, name in enumerate(new.model.space.names) if name in before]
@@ -81,42 +73,27 @@ def carried(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
     return Mode(point, factor, float("nan"))
 
 
-def held_out(
-    verdict: Verdict,
-    weighed: Weighed,
-    say: Callable[[str], None] | None = None,
-) -> HeldOut:
-    """Every telemetry event of the verdict's case held out in turn."""
-    events = [source.id for source in verdict.case.sources]
+def held_out_telemetry(events: Events, weighed: Weighed[Hypothesis], log: Log = silent) -> HeldOut:
+    """Every telemetry event held out in turn."""
     whole = weighed.mode
     if not whole.is_whole:
-        _, whole = fitted_to(verdict.case, verdict.catalogue, weighed)
+        _, whole = fitted_to(events, weighed)
 
     def score(event: str) -> float:
-        others = verdict.case.without(event)
-        _, mode = fitted_to(others, verdict.catalogue, weighed)
-        if say is not None:
-            say(f"{weighed.name}: {event} held out")
+        _, mode = fitted_to(events.without(event), weighed)
+        log(f"{weighed.name}: {event} held out")
         return whole.log_evidence - mode.log_evidence
 
-    scores = np.array([score(event) for event in events])
-    case = case_of(verdict.case, weighed.hypothesis)
-    linear, _, factors = linearise(case, weighed.hypothesis, weighed.mode.point)
-    centre = -weighed.mode.point
+    scores = np.array([score(event.id) for event in events.telemetry])
+    linear, factors = linearise(weighed.hypothesis, weighed.mode.point)
     residuals, inside = [], []
-    for place in range(len(events)):
-        white, spread = predicted_rows(linear, place, centre)
-        residuals.append((white.reshape(-1, 3) @ factors[place].T).ravel())
+    for place, factor in enumerate(factors):
+        white, spread = predicted_rows(linear, place, -weighed.mode.point)
+        residuals.append((white.reshape(-1, 3) @ factor.T).ravel())
         inside.append(np.abs(white) < WITHIN * spread)
-    return HeldOut(
-        scores,
-        float(
-            np.sqrt(
-                np.concatenate(residuals) @ np.concatenate(residuals) / sum(map(len, residuals))
-            )
-        ),
-        float(np.concatenate(inside).mean()),
-    )
+    together = np.concatenate(residuals)
+    rmse = float(np.sqrt(together @ together / len(together)))
+    return HeldOut(scores, rmse, float(np.concatenate(inside).mean()))
 
 
 def predicted_rows(linear: Linear, place: int, centre: Array) -> tuple[Array, Array]:
@@ -125,18 +102,57 @@ def predicted_rows(linear: Linear, place: int, centre: Array) -> tuple[Array, Ar
     ``centre`` is the prior mean of the walked parameters as a departure from the point about which
     the model is linear.
     """
-    ends = 3 * np.cumsum([0, *linear.rows])
-    own = slice(int(ends[place]), int(ends[place + 1]))
+    rows = linear.parts[place]
     first = max(3, int(FIRST_SHARE * linear.rows[place])) * 3
+    hidden = slice(rows.start + first, rows.stop)
     used = np.ones(len(linear.target), dtype=bool)
-    used[own.start + first : own.stop] = False
+    used[hidden] = False
     columns, target = linear.columns[used], linear.target[used]
     mean = np.zeros(len(linear.precision))
     mean[: len(centre)] = centre
     precision = columns.T @ columns + np.diag(linear.precision)
-    answer = np.linalg.solve(precision, columns.T @ target + linear.precision * mean)
-    hidden = slice(own.start + first, own.stop)
+    fitted = np.linalg.solve(precision, columns.T @ target + linear.precision * mean)
     new = linear.columns[hidden]
     covariance = np.linalg.inv(precision)
     spread = np.sqrt(1.0 + np.einsum("mp,pq,mq->m", new, covariance, new))
-    return linear.target[hidden] - new @ answer, spread
+    return linear.target[hidden] - new @ fitted, spread
+
+
+def held_out_totals(
+    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator, log: Log = silent
+) -> HeldOut:
+    """Every totals row held out in turn."""
+    whole, mode = fitted_to(events, weighed)
+    scores, residuals, inside = [], [], []
+    for place, row in enumerate(events.rows):
+        log(f"{weighed.name}: {row.id} held out")
+        hypothesis, mode_without = fitted_to(events.without(row.id), weighed)
+        scores.append(mode.log_evidence - mode_without.log_evidence)
+        residual, sd = predicted_balance(whole, place, hypothesis, mode_without, rng)
+        residuals.append(residual)
+        inside.append(np.abs(residual) < WITHIN * sd)
+    return HeldOut(
+        np.array(scores),
+        float(np.sqrt((np.array(residuals) ** 2).mean())),
+        float(np.mean(inside)),
+    )
+
+
+def predicted_balance(
+    whole: Hypothesis, place: int, others: Hypothesis, mode: Mode, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Mean and standard deviation (3,) about body axes of a row's balance, N m s.
+
+    The mean is over posterior draws of the model fitted to the others; the deviation has theirs,
+    the row's own thrust departures, torque and noise.
+    """
+    z = mode.point + rng.standard_normal((DRAWS, len(mode.point))) @ mode.factor.T
+    prior = others.model.thrust_prior
+    level = draw_thrusts(prior, collapse(others.model, z).thrusts, rng).level_n
+    system = whole.model.totals_rows.at(whole.model.points(z)).system
+    design = system.design[:, place, :3]
+    residual = system.target[:, place, :3] - (design @ level[..., None])[..., 0]
+    noise = system.covariance[:, place, :3, :3] + system.torque_covariance[place, :3, :3]
+    thrusts = design @ prior.own
+    spread = np.einsum("nii->ni", noise) + (thrusts**2).sum(-1)
+    return residual.mean(0), np.sqrt(residual.var(0) + spread.mean(0))

@@ -13,20 +13,21 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, solve_triangular
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, importance
 
-Array = NDArray[np.float64]
 Forward = Callable[[Array], Array]  # z (n, d) → predicted (n, E, U)
 Noise = Callable[[Array], Array]  # z (d,) → covariance (E, U, U)
 
 STEP: Final = 0.02
-MOST_STEPS: Final = 40
-SETTLED: Final = 1e-4
-SHORTER: Final = 0.5 ** np.arange(8)
-DEGREES: Final = 8.0
+"""Standard normals, for slopes: judgement, long enough to see over the kinks where another thruster
+needs least."""
+MOST_STEPS: Final = 40  # judgement: a few are enough but on kinks
+SETTLED: Final = 1e-4  # standard normals that a last step moves
+SHORTER: Final = 0.5 ** np.arange(8)  # shares of a step that are tried
+DEGREES: Final = 8.0  # of the Student-t proposal, as in evidence
 LOG_2PI: Final = float(np.log(2.0 * np.pi))
 
 
@@ -65,7 +66,7 @@ def fit(y: Array, model: Model, start: Array | None = None) -> Fit:
     for _ in range(MOST_STEPS):
         mean, slope = _linearise(model.forward, z)
         noise = model.noise(z)
-        covariance, gain = _posterior(slope, noise)
+        _, gain = _posterior(slope, noise)
         step = gain @ (y - mean + slope @ z).ravel() - z
         trial = np.vstack([z, z + SHORTER[:, None] * step])
         losses = _losses(y, model.forward(trial), noise, trial)
@@ -73,6 +74,11 @@ def fit(y: Array, model: Model, start: Array | None = None) -> Fit:
         z = trial[best]
         if best == 0 or np.abs(SHORTER[best - 1] * step).max() < SETTLED:
             break
+    return linearised(y, model, z)
+
+
+def linearised(y: Array, model: Model, z: Array) -> Fit:
+    """The model linearised at z (d,), with the evidence of its linear form."""
     mean, slope = _linearise(model.forward, z)
     noise = model.noise(z)
     covariance, _ = _posterior(slope, noise)
@@ -92,14 +98,14 @@ def normal_log_density(y: Array, mean: Array, covariance: Array) -> tuple[float,
     return -0.5 * (square + log_det + len(y) * LOG_2PI), square
 
 
-def evidence_with_noise(y: Array, found: Fit, sizes: Array) -> Array:
+def evidence_with_noise(y: Array, fitted: Fit, sizes: Array) -> Array:
     """Log evidence (n,) with independent noise of the given sizes (n,) added to every figure.
 
     The linearisation stays as it is.
     """
-    flat = _flat(found.slope)
-    values, vectors = np.linalg.eigh(flat @ flat.T + block_diag(*found.noise))
-    turned = vectors.T @ (y - found.mean + found.slope @ found.mode).ravel()
+    flat = _flat(fitted.slope)
+    values, vectors = np.linalg.eigh(flat @ flat.T + block_diag(*fitted.noise))
+    turned = vectors.T @ (y - fitted.mean + fitted.slope @ fitted.mode).ravel()
     variance = np.maximum(values, 0.0) + sizes[:, None] ** 2
     return np.asarray(-0.5 * (turned**2 / variance + np.log(variance) + LOG_2PI).sum(-1))
 
@@ -110,28 +116,28 @@ def predict_left_out(y: Array, model: Model, event: int, start: Array) -> tuple[
     taught = Model(
         lambda z: model.forward(z)[:, others], lambda z: model.noise(z)[others], model.dimension
     )
-    found = fit(y[others], taught, start)
-    mean, slope = _linearise(model.forward, found.mode)
-    own = slope[event]
-    return mean[event], own @ found.covariance @ own.T + model.noise(found.mode)[event]
+    fitted = fit(y[others], taught, start)
+    mean, slope = _linearise(model.forward, fitted.mode)
+    gradient = slope[event]
+    return mean[event], gradient @ fitted.covariance @ gradient.T + model.noise(fitted.mode)[event]
 
 
 def importance_draws(
-    y: Array, model: Model, found: Fit, rng: np.random.Generator, n: int, batch: int = 250
+    y: Array, model: Model, fitted: Fit, rng: np.random.Generator, n: int, batch: int = 250
 ) -> ImportanceDraws:
     """Importance draws from the posterior with the noise as at the mode: they check the evidence.
 
     Proposals are Student-t with the mode's covariance.
     """
-    factor = np.asarray(np.linalg.cholesky(found.covariance), dtype=np.float64)
-    proposal = Proposal(found.mode, factor, DEGREES)
-    factors = np.linalg.cholesky(found.noise)
+    factor = np.asarray(np.linalg.cholesky(fitted.covariance), dtype=np.float64)
+    proposal = Proposal(fitted.mode, factor, DEGREES)
+    factors = np.linalg.cholesky(fitted.noise)
     log_det = 2.0 * float(np.log(np.diagonal(factors, axis1=1, axis2=2)).sum())
     constant = -0.5 * (log_det + (y.size + model.dimension) * LOG_2PI)
 
     def log_density(z: Array) -> Array:
         parts = [
-            _losses(y, model.forward(part), found.noise, part)
+            _losses(y, model.forward(part), fitted.noise, part)
             for part in np.array_split(z, max(len(z) // batch, 1))
         ]
         return np.asarray(constant - np.concatenate(parts))

@@ -9,84 +9,29 @@ prior precision, the innovations are r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.statistics.columns import Carry, Layout, Rows, settle
+from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away
+from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.balance.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryBalance,
     balance_weights,
-    cut_tail_sd,
     noise_covariance,
 )
-from cassini_bayes.diagnosis.extended import Case, Hypothesis
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.unresolved import unresolved
+from cassini_bayes.effects.effect import Remainder
 
-Array = NDArray[np.float64]
 SMOOTHED_ROWS: Final = 31
-_STEP: Final = 1e-3
-_WIDE: Final = 1e-12
-
-
-@dataclass(frozen=True)
-class EventRows:
-    """One event's innovations at the mode of a hypothesis.
-
-    ``residual_n_m_s`` (n, 3) is momentum about body axes, ``white`` (n, 3) the same whitened:
-    ``residual_n_m_s = white @ noise_factor.T`` with the lower factor (3, 3) of a row's noise.
-    """
-
-    event: str
-    time_s: Array
-    white: Array
-    residual_n_m_s: Array
-    rate_rad_s: Array
-    wheel_rad_s: Array
-    on_time_s: Array  # (n, K)
-    wheels: tuple[int, ...]  # numbers of the columns of wheel_rad_s
-    thrusters: tuple[str, ...]
-    noise_factor: Array
-    attitude: Array  # (n, 4) Euler parameters, scalar last
-
-
-@dataclass(frozen=True)
-class Linear:
-    """Whitened linear model of all events: target (m,), columns (m, p), prior precision (p,)."""
-
-    target: Array
-    columns: Array
-    precision: Array
-    rows: tuple[int, ...]  # of every event, three values each
-
-    @property
-    def parts(self) -> tuple[slice, ...]:
-        """Where every event's values are in ``target``."""
-        ends = 3 * np.cumsum([0, *self.rows])
-        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
-
-    def gram(self) -> Array:
-        """XᵀX + P (p, p), summed over events on the columns that each of them has."""
-        total = np.diag(self.precision)
-        for part in self.parts:
-            own = self.columns[part]
-            kept = np.flatnonzero(np.any(own, axis=0))
-            own = own[:, kept]
-            total[np.ix_(kept, kept)] += own.T @ own
-        return total
-
-
-def event_rows(case: Case, place: int) -> Rows:
-    """Columns of one event's usable rows."""
-    source = case.sources[place]
-    reduced = case.reduced[place]
-    layout = reduced.statistics.layout
-    rows, _ = settle(source.samples, Carry.start(layout), layout, reduced.sampling, final=True)
-    return rows
+"""Of running means of channels behind slopes: judgement, noise a fifth or less, and half a minute
+is short beside a slew."""
+_STEP: Final = 1e-3  # standard normals, for slopes: central differences good to 1e-6
+_WIDE: Final = 1e-12  # N m, the least width of a torque's prior: one that is fixed has none
 
 
 def _columns(terms: TelemetryBalance, rows: Rows, weights: Array) -> Array:
@@ -127,17 +72,11 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
 
 
 def linearise(
-    case: Case,
-    hypothesis: Hypothesis,
-    z: Array,
-    *,
-    smooth_channels: bool = True,
-    known: Sequence[Rows] | None = None,
-) -> tuple[Linear, list[Rows], list[Array]]:
-    """The whitened linear model at z (d,), the rows of every event and its noise factors.
+    hypothesis: Hypothesis, z: Array, *, smooth_channels: bool = True
+) -> tuple[Linear, list[Array]]:
+    """The whitened linear model at z (d,), and the lower factor (3, 3) of every event's noise.
 
     ``smooth_channels``: slopes see running means of the channels; not for channels without noise.
-    ``known`` are the rows of the case where they are at hand (:func:`event_rows`).
     """
     model = hypothesis.model
     d = len(z)
@@ -145,10 +84,9 @@ def linearise(
     located = model.points(points)
     thrust = model.thrust_prior.common_mean_n
     levels = model.thrust_prior.shared
-    targets, blocks, own_precision, factors, all_rows = [], [], [], [], []
-    for place, term in enumerate(model.telemetry):
-        terms, physics = term.balance, term.physics(located)
-        rows = event_rows(case, place) if known is None else known[place]
+    targets, blocks, own_precision, factors = [], [], [], []
+    for term in model.telemetry:
+        terms, physics, rows = term.balance, term.physics(located), term.event.usable_rows
         weights = balance_weights(terms, physics, thrust)
         noise = noise_covariance(terms, physics, located.parameters)[0]
         factor = np.linalg.cholesky(noise)
@@ -160,17 +98,16 @@ def linearise(
         at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
         target = centre[:, :, -1] - unknown @ at
         slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
-        own = unknown[:, :, k:]
+        rest = unknown[:, :, k:]
         shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
-        apart = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
+        individual = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
         sd = _own_sd(terms, model.torque_sd_n_m)
-        blocks.append((shared, np.concatenate([apart, own], axis=2)))
-        own_precision.append(np.concatenate([np.ones(apart.shape[2]), sd**-2]))
+        blocks.append((shared, np.concatenate([individual, rest], axis=2)))
+        own_precision.append(np.concatenate([np.ones(individual.shape[2]), sd**-2]))
         targets.append(target)
         factors.append(factor)
-        all_rows.append(rows)
     shared_width = d + (levels.shape[1] if levels.size else 0)
-    return _stacked(targets, blocks, own_precision, factors, shared_width), all_rows, factors
+    return _stacked(targets, blocks, own_precision, factors, shared_width), factors
 
 
 def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) -> Array:
@@ -195,7 +132,7 @@ def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) 
 
 def _own_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
     sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
-    return np.concatenate([sd, cut_tail_sd(terms)])
+    return np.concatenate([sd, np.ones(len(terms.pattern.cuts))])
 
 
 def _stacked(
@@ -210,31 +147,25 @@ def _stacked(
     columns = np.zeros((sum(sizes), shared + sum(widths)))
     target = np.zeros(sum(sizes))
     row, column = 0, shared
-    for own_target, (common, own), factor, size, width in zip(
+    for of_rows, (common, of_event), factor, size, width in zip(
         targets, blocks, factors, sizes, widths, strict=True
     ):
         inverse = np.linalg.inv(factor)
         stop = row + size
-        target[row:stop] = (own_target @ inverse.T).reshape(-1)
+        target[row:stop] = (of_rows @ inverse.T).reshape(-1)
         white = np.einsum("ab,nbp->nap", inverse, common)
         columns[row:stop, : white.shape[2]] = white.reshape(size, -1)
-        columns[row:stop, column : column + width] = np.einsum("ab,nbp->nap", inverse, own).reshape(
-            size, -1
-        )
+        columns[row:stop, column : column + width] = np.einsum(
+            "ab,nbp->nap", inverse, of_event
+        ).reshape(size, -1)
         row, column = stop, column + width
     precision = np.concatenate([np.ones(shared), *own_precision])
     return Linear(target, columns, precision, tuple(size // 3 for size in sizes))
 
 
-def fitted_away(linear: Linear, target: Array) -> Array:
-    """Innovations (m, …) of one or more targets (m, …): what the prior and fit leave."""
-    answer = np.linalg.solve(linear.gram(), linear.columns.T @ target)
-    return np.asarray(target - linear.columns @ answer)
-
-
 def with_unknowns(
     linear: Linear,
-    opened: Sequence[tuple[Array, Array, Array]],
+    opened: Sequence[tuple[Array, Array]],
     factors: Sequence[Array],
 ) -> Linear:
     """The linear model with a column for everything that counters leave open.
@@ -244,56 +175,62 @@ def with_unknowns(
     linear
         Of the likelihood's columns.
     opened
-        Columns (n, 3, s) in N m s, their variances (s,) and the mean (n, 3) of every event
+        Columns (n, 3, s) in N m s and their variances (s,), of every event
         (:func:`unresolved.unresolved`).
     factors
         Lower factors (3, 3) of every event's noise.
     """
-    widths = [len(variance) for _, variance, _ in opened]
-    added = np.zeros((len(linear.target), sum(widths)))
-    target, place = linear.target.copy(), 0
-    for part, (columns, variance, mean), factor in zip(linear.parts, opened, factors, strict=True):
-        inverse, stop = np.linalg.inv(factor), place + len(variance)
-        white = np.einsum("ab,nbs->nas", inverse, columns)
-        added[part, place:stop] = white.reshape(3 * len(mean), len(variance))
-        target[part] -= (mean @ inverse.T).reshape(-1)
+    widths = [len(variance) for _, variance in opened]
+    added, place = np.zeros((len(linear.target), sum(widths))), 0
+    for part, (columns, variance), factor in zip(linear.parts, opened, factors, strict=True):
+        white = np.einsum("ab,nbs->nas", np.linalg.inv(factor), columns)
+        stop = place + len(variance)
+        added[part, place:stop] = white.reshape(-1, len(variance))
         place = stop
-    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance, _ in opened)])
-    return Linear(
-        target,
-        np.concatenate([linear.columns, added], axis=1),
-        np.concatenate([linear.precision, precision]),
-        linear.rows,
+    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance in opened)])
+    return replace(
+        linear,
+        columns=np.concatenate([linear.columns, added], axis=1),
+        precision=np.concatenate([linear.precision, precision]),
     )
 
 
-def innovations(case: Case, hypothesis: Hypothesis, z: Array) -> tuple[Linear, list[EventRows]]:
-    """Innovations of every telemetry event at the mode z, what counters leave open fitted away."""
-    linear, rows, factors = linearise(case, hypothesis, z)
-    opened = [unresolved(case, hypothesis, z, place, own.time_s) for place, own in enumerate(rows)]
+def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
+    """What a hypothesis leaves of telemetry at its mode z (d,), what counters leave open as well.
+
+    Its linear model has a column for everything that counters leave open (:mod:`.unresolved`).
+    """
+    events = [term.event for term in hypothesis.model.telemetry]
+    linear, factors = linearise(hypothesis, z)
+    opened = [unresolved(hypothesis, z, place) for place in range(len(events))]
     linear = with_unknowns(linear, opened, factors)
     left = fitted_away(linear, linear.target)
-    result = []
-    place = 0
-    for source, own, factor in zip(case.sources, rows, factors, strict=True):
-        n = len(own.time_s)
-        white = left[place : place + 3 * n].reshape(n, 3)
-        place += 3 * n
-        samples = source.samples
-        at = np.searchsorted(samples.time_s, own.time_s)
-        result.append(
+    rows = []
+    for event, part, factor in zip(events, linear.parts, factors, strict=True):
+        usable = event.usable_rows
+        white = left[part].reshape(-1, 3)
+        samples = event.samples
+        at = np.searchsorted(samples.time_s, usable.time_s)
+        fires = samples.on_time_s.shape[1] > 0
+        rows.append(
             EventRows(
-                source.id,
-                own.time_s,
+                event.id,
+                usable.time_s,
                 white,
                 white @ factor.T,
                 samples.rate_rad_s[at],
                 samples.wheel_rad_s[at],
-                samples.on_time_s[at] if samples.on_time_s.shape[1] else np.zeros((n, 0)),
-                source.wheels,
-                source.thrusters,
+                samples.on_time_s[at] if fires else np.zeros((len(at), 0)),
+                event.wheels,
+                event.thrusters,
                 factor,
                 samples.attitude[at],
             )
         )
-    return linear, result
+    parameters = hypothesis.model.space.to_parameters(z[None])
+    return Remainder(
+        tuple(event.samples for event in events),
+        tuple(rows),
+        linear,
+        {name: float(np.ravel(value)[0]) for name, value in parameters.items()},
+    )

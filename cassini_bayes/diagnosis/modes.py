@@ -11,27 +11,43 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.sampling.warmstart import hessian, no_wider_than_prior
 
-Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 LOG_2_PI: Final = float(np.log(2.0 * np.pi))
-STEP: Final = 0.02  # standard deviations, for slopes
+STEP: Final = 0.02
+"""Of one-sided slopes, in standard deviations. Judgement: a mode is off by half of it, 5e-5 nats,
+and rounding of 1e-6 nats (``search.ROUNDING``) is a slope of 5e-5."""
 CURVATURE_STEP: Final = 0.2
+"""In standard deviations. Judgement: rounding of 1e-6 nats is 2.5e-5 of a curvature; third
+derivatives cancel in central differences."""
 LEAST_CURVATURE: Final = 0.05
-FIRST_AXES: Final = 0.05  # prior standard deviations
+"""Of a direction in white coordinates: no look makes one more than 4.5 times as wide (judgement;
+what is a saddle or noise would run away, and the next look widens again)."""
+FIRST_AXES: Final = 0.05
+"""Prior standard deviations, before any curvature is known: judgement, between what telemetry tells
+well (a thousandth) and what it does not."""
 FIRST_STEPS: Final = 15
-LOOKS: Final = 6
-WHITE: Final = (0.8, 1.25)  # curvature along axes that follow a ridge
-SEEN_RIGHT: Final = (0.4, 2.5)  # curvature along axes whose differences tell it right
-SETTLED_LEFT: Final = 0.01  # nats
-NEWTON_STEPS: Final = 8
-GAIN_LEFT: Final = 1e-3  # nats
-LEAST_SHARE: Final = 0.2  # of the gain that a Newton step foretells
+"""Of L-BFGS before the first curvature: judgement, a rough point is enough for that."""
+MOST_CURVATURES: Final = 6
+"""Curvatures taken until axes are white (docs/criticism.md §1). Judgement: each takes d² points;
+what has not ended by then goes on by importance draws."""
+WHITE: Final = (0.8, 1.25)
+"""Curvature along axes that follow a ridge: Laplace's evidence is then good to 0.1 nats."""
+NEARLY_WHITE: Final = (0.4, 2.5)
+"""Curvature along axes whose differences tell it right (docs/criticism.md §1): the step is then
+0.13 to 0.32 of the standard deviation there."""
+SLOPE_LEFT: Final = 0.01
+"""Nats that a last Newton step may still predict (docs/criticism.md §1)."""
+NEWTON_STEPS: Final = 8  # before L-BFGS: in white axes three or four are enough (judgement)
+GAIN_LEFT: Final = 1e-3  # nats: a tenth of SLOPE_LEFT
+LEAST_SHARE: Final = 0.2
+"""Of the gain that a Newton step predicts; less, and the density is not quadratic there (judgement,
+the sufficient decrease of line searches)."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +71,7 @@ class Mode:
         return self.value - prior
 
 
-def look(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Array]:
+def value_and_gradient(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Array]:
     """Value and gradient (k,) in the coordinates u of z = point (d,) + axes (d, k) u, one-sided.
 
     Along white axes the curvature is one: g_j = (f(h e_j) − f(0)) / h + h / 2. Where it is not, the
@@ -65,55 +81,55 @@ def look(log_density: LogDensity, point: Array, axes: Array) -> tuple[float, Arr
     return float(values[0]), (values[1:] - values[0]) / STEP + 0.5 * STEP
 
 
-def climb(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -> Array:
+def maximise(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -> Array:
     """Maximum (d,) from ``point`` (d,) in the coordinates that ``axes`` (d, k) make white.
 
     Where the axes are white a gradient is a Newton step; L-BFGS goes on where that does not gain
-    what it foretells.
+    what it predicts.
     """
-    value, slope = look(log_density, point, axes)
+    value, gradient = value_and_gradient(log_density, point, axes)
     for _ in range(NEWTON_STEPS):
-        foretold = 0.5 * float(slope @ slope)
-        if foretold < GAIN_LEFT:
+        predicted = 0.5 * float(gradient @ gradient)
+        if predicted < GAIN_LEFT:
             return point
-        ahead = point + axes @ slope
-        higher, following = look(log_density, ahead, axes)
-        if not higher - value > LEAST_SHARE * foretold:
+        ahead = point + axes @ gradient
+        next_value, next_gradient = value_and_gradient(log_density, ahead, axes)
+        if not next_value - value > LEAST_SHARE * predicted:
             break
-        point, value, slope = ahead, higher, following
+        point, value, gradient = ahead, next_value, next_gradient
 
     def objective(u: Array) -> tuple[float, Array]:
-        value, slope = look(log_density, point + axes @ u, axes)
-        return -value, -slope
+        value, gradient = value_and_gradient(log_density, point + axes @ u, axes)
+        return -value, -gradient
 
     options = {"maxiter": steps, "ftol": 1e-8}
     start = np.zeros(axes.shape[1])
-    found = minimize(objective, start, jac=True, method="L-BFGS-B", options=options)
-    return np.asarray(point + axes @ found.x)
+    result = minimize(objective, start, jac=True, method="L-BFGS-B", options=options)
+    return np.asarray(point + axes @ result.x)
 
 
-def settled(log_density: LogDensity, point: Array, axes: Array) -> Mode:
+def mode_near(log_density: LogDensity, point: Array, axes: Array) -> Mode:
     """Mode with its whole curvature, from a point (d,) and rough axes (d, d).
 
-    Looks at the curvature and climbs along the axes that it whitens, until a look finds its own
-    axes nearly white: along the ridge on which all masses and thrusts scale together one look from
+    Takes the curvature and maximises along the axes that it whitens, until a curvature finds its
+    own axes nearly white: along the ridge on which all masses and thrusts scale together one from
     the wrong axes is short by a factor of several.
     """
-    for left in reversed(range(LOOKS)):
-        slope, bend = hessian(log_density, point, axes, CURVATURE_STEP)
+    for left in reversed(range(MOST_CURVATURES)):
+        gradient, bend = hessian(log_density, point, axes, CURVATURE_STEP)
         values, vectors = np.linalg.eigh(-bend)
         turned = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
-        is_right = SEEN_RIGHT[0] < values[0] and values[-1] < SEEN_RIGHT[1]
+        is_right = NEARLY_WHITE[0] < values[0] and values[-1] < NEARLY_WHITE[1]
         axes = no_wider_than_prior(axes @ turned)
-        has_ended = is_right and 0.5 * float(((slope @ turned) ** 2).sum()) < SETTLED_LEFT
+        has_ended = is_right and 0.5 * float(((gradient @ turned) ** 2).sum()) < SLOPE_LEFT
         if left == 0 or has_ended:
             break
-        point = climb(log_density, point, axes)
+        point = maximise(log_density, point, axes)
     return replace(mode_at(log_density, point, axes), is_whole=has_ended)
 
 
-def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
-    """Mode and Laplace factor from the centre of the prior or a start (d,).
+def find_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
+    """Mode with its whole curvature from the centre of the prior or a start (d,).
 
     Raises
     ------
@@ -124,7 +140,7 @@ def baseline_mode(log_density: LogDensity, d: int, start: Array | None = None) -
     if not np.isfinite(log_density(first[None])).all():
         raise CassiniBayesError("the posterior is not finite at the centre of the prior")
     axes = FIRST_AXES * np.eye(d)
-    return settled(log_density, climb(log_density, first, axes, FIRST_STEPS), axes)
+    return mode_near(log_density, maximise(log_density, first, axes, FIRST_STEPS), axes)
 
 
 def mode_at(log_density: LogDensity, point: Array, factor: Array) -> Mode:

@@ -4,30 +4,26 @@ Wheel changes and rectangular pulses give ideal on-times: about the couple axis 
 the right way, about the other two the two single thrusters that need least (docs/prediction.md §7).
 With p the parameters (geometry, wheels, thrust of every thruster) an event's on-times are
 y_e = f_e(p) + ε_e. ε_e holds the event's own thrusts, body rates left in the dead-band and one
-control cycle per printed on-time. Effects change the physics as everywhere; ``firing_logic``
-changes what the controller makes of it,
-
-    y = M + (1 − s) single(h − B M) + s pair(h − B M),
-
-s the share of pairs (paper 001 Table 2), M opposing firings, M_c = b0 + b1 D + b2 U_c of each
-pair of the couple axis and M_r = 2 b0 + 2 b1 D + b2 U_r of the four others (docs/prediction.md §2),
-B M what they turn, which the rest takes out: momentum stays what it was.
+control cycle per printed on-time. Effects change the physics as everywhere, or what the controller
+makes of it (``fire`` of their kind).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, hold_rate_covariance
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import NONE
 from cassini_bayes.diagnosis.gauss_newton import Model
-from cassini_bayes.effects.catalogue import Effect
-from cassini_bayes.effects.modifiers import modifier_of
+from cassini_bayes.effects.controller import Fired
+from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.beliefs import Beliefs
@@ -51,24 +47,24 @@ from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import inertia_tensor
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
-Array = NDArray[np.float64]
-
-FIRING: Final = "firing_logic"
 COMMON: Final = "thrust_common_n"
-TAIL_STEP: Final = 0.5  # of the wheels' loop time
+TAIL_STEP: Final = 0.5
+"""Of the wheels' loop time, for pieces of the profile after a ramp: on-times agree with those of 1
+s pieces to 10 ms (tests/diagnosis/test_on_time_case.py)."""
 THRUSTS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
 CHANCE: Final = ("minor_quantum_s", "event_spread", "shared_shape")
-LEAST_SHARED_S: Final = 1e-6
-LEAST_FACTOR: Final = 1e-2  # a thruster that pushes less is none
+LEAST_FACTOR: Final = 1e-2
+"""Effective per commanded second: a thruster that pushes less is none, and a search may step
+there."""
 
 
 @dataclass(frozen=True)
-class OnTimeCase:
+class OnTimes:
     """Events whose on-times are predicted: what was commanded, what was seen.
 
     Attributes
     ----------
-    seen_s
+    printed_s
         (E, U) printed on-times of the layout's units.
     steps_rad_s
         (E, S, W) changes of the wheel rates over pieces of the profile, all wheels in file order.
@@ -83,7 +79,7 @@ class OnTimeCase:
     priors: Priors
     layout: PairLayout
     event_ids: tuple[str, ...]
-    seen_s: Array
+    printed_s: Array
     steps_rad_s: Array
     share: Array
     duration_s: Array
@@ -111,15 +107,27 @@ class Nudge:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class OnTimeHypothesis:
     """The ideal calculation with some effects: a model of the on-times and its parameters."""
 
+    name: str
     effects: tuple[Effect, ...]
+    prior_probability: float
     space: ParameterSpace  # of the baseline and the effects; individual thrusts come after it
     model: Model = field(repr=False)
 
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(effect.name for effect in self.effects)
 
-def on_time_case(events: Sequence[TotalsEvent], priors: Priors, beliefs: Beliefs) -> OnTimeCase:
+    @property
+    def log_penalty(self) -> float:
+        """Nothing is searched for before the fit."""
+        return 0.0
+
+
+def read_on_times(events: Sequence[TotalsEvent], priors: Priors, beliefs: Beliefs) -> OnTimes:
     """Wheel profiles, prior knowledge and printed on-times of events of one branch.
 
     Raises
@@ -148,11 +156,11 @@ def on_time_case(events: Sequence[TotalsEvent], priors: Priors, beliefs: Beliefs
     positions = spacecraft.geometry[priors.branch].parameters
     names = tuple(dict.fromkeys([*CENTRE_PARAMETERS, *positions, *wheels, COMMON]))
     space = priors.space(names)
-    return OnTimeCase(
+    return OnTimes(
         priors=priors,
         layout=layout,
         event_ids=tuple(event.id for event in events),
-        seen_s=np.array([event.on_time_s[first] for event in events]),
+        printed_s=np.array([event.on_time_s[first] for event in events]),
         steps_rad_s=np.stack([np.pad(s, ((0, most - len(s)), (0, 0))) for s, _ in pieces]),
         share=np.stack([np.pad(share, (0, most - len(share))) for _, share in pieces]),
         duration_s=np.array([_duration(event, manager) for event in events]),
@@ -185,149 +193,163 @@ def _pieces(event: TotalsEvent, manager: WheelManager, priors: Priors) -> tuple[
 
 
 @dataclass(frozen=True)
-class Flown:
-    """On-times and, where the firing logic is doubted, what its chance acts on; n points.
+class IdealController:
+    """The ideal calculation at n points, as effects on the firings see it (:class:`Controller`).
 
-    ``minor_s`` (n, E, 2) are the opposing on-times of ring and couple axis, ``common_s`` (n, E)
-    what the common thruster is expected to fire alone, ``alone`` (n, E, U) the change of the
-    on-times per second of that.
+    ``torque_n_m`` (n, E, 3, K) is that of every thruster per commanded second, ``steps_n_m_s``
+    (n, E, S, 3) what is to be turned, ``nudge_s`` (n, E, 2) a change of the opposing firings.
     """
 
-    on_time_s: Array  # (n, E, U)
-    minor_s: Array | None = None
-    common_s: Array | None = None
-    alone: Array | None = None
+    data: OnTimes
+    torque_n_m: Array
+    steps_n_m_s: Array
+    nudge_s: Array | float
+
+    @cached_property
+    def _demand(self) -> Features:
+        layout, nothing = self.data.layout, np.zeros(())
+        demand = self._pair_on_times(self.steps_n_m_s)  # (n, E, 6)
+        couple = demand[..., [2 * layout.couple_axis, 2 * layout.couple_axis + 1]].sum(-1)
+        a, b = (demand[..., [2 * axis, 2 * axis + 1]].sum(-1) for axis in layout.ring_axes)
+        return Features(self.data.duration_s, nothing, nothing, a + b, couple, np.minimum(a, b))
+
+    def common_s(self) -> Array:
+        """What the thruster that both axes of the ring demand has to fire alone, (n, E)."""
+        return self._demand.common_s
+
+    def expected_opposing(self, values: Mapping[str, Array]) -> Array:
+        """Mean opposing firings (n, E, 2) of the firing model (docs/prediction.md §2)."""
+        at = {key: value[:, None] for key, value in values.items()}
+        return np.stack(expected_minor(at, self._demand), axis=-1)
+
+    def opposing(self, each_s: Array) -> Array:
+        """On-times (n, E, K) of opposing firings, as nudged."""
+        layout, each = self.data.layout, each_s + self.nudge_s
+        ring = np.zeros(layout.pairs.shape[1])
+        ring[layout.ring.ravel()] = 1.0
+        return np.asarray(each[..., :1] * ring + each[..., 1:] * (1.0 - ring))
+
+    def rest(self, opposing_s: Array) -> Array:
+        """Momentum steps less what opposing firings turn, evenly over the event."""
+        turned = np.einsum("neak,nek->nea", self.torque_n_m, opposing_s)
+        return np.asarray(self.steps_n_m_s - self.data.share[..., None] * turned[..., None, :])
+
+    def singles(self, steps_n_m_s: Array) -> Array:
+        """On-times (n, E, K) of the two single thrusters that need least."""
+        return np.asarray(ideal_on_times(steps_n_m_s, self.torque_n_m, self.data.layout).sum(-2))
+
+    def pairs(self, steps_n_m_s: Array) -> Array:
+        """On-times (n, E, K) of pairs, both thrusters alike."""
+        return np.asarray(self._pair_on_times(steps_n_m_s) @ self.data.layout.pairs)
+
+    def _pair_on_times(self, steps: Array) -> Array:
+        """On-times (n, E, 6) of the pairs that answer momentum steps (n, E, S, 3)."""
+        n, e = self.torque_n_m.shape[:2]
+        solver = pair_solver(
+            self.torque_n_m.reshape(n * e, 3, -1),
+            np.ones((n * e, self.torque_n_m.shape[-1])),
+            self.data.layout.pairs,
+        )
+        fired = solver.on_times(steps.reshape(n * e, -1, 3)).sum(1)
+        return np.asarray(fired.reshape(n, e, 6))
 
 
-def hypothesis(case: OnTimeCase, effects: tuple[Effect, ...] = ()) -> Hypothesis:
+@dataclass(frozen=True)
+class Flown:
+    """On-times (n, E, U), and all firings where an effect changes them."""
+
+    on_time_s: Array
+    fired: Fired | None = None
+
+
+def hypothesis(
+    data: OnTimes, effects: tuple[Effect, ...] = (), prior_probability: float = 1.0
+) -> OnTimeHypothesis:
     """The ideal calculation with some effects added."""
-    base, own = case.space, [p for effect in effects for p in effect.parameters]
+    base, added = data.space, [p for effect in effects for p in effect.parameters]
     space = ParameterSpace(
-        (*base.names, *(p.name for p in own)),
-        {**base.fixed, **case.fixed},
-        (*base.distributions, *(p.distribution for p in own)),
-        (*base.blocks, *("effect" for _ in own)),
+        (*base.names, *(p.name for p in added)),
+        {**base.fixed, **data.fixed},
+        (*base.distributions, *(p.distribution for p in added)),
+        (*base.blocks, *("effect" for _ in added)),
     )
 
     def flown(z: Array, nudge: Nudge) -> Flown:
-        return _fly(case, effects, space, z, nudge)
+        return _fly(data, effects, space, z, nudge)
 
-    return Hypothesis(
+    return OnTimeHypothesis(
+        "+".join(effect.name for effect in effects) or NONE,
         effects,
+        prior_probability,
         space,
         Model(
             lambda z: flown(z, Nudge()).on_time_s,
-            lambda z: _noise(case, flown, z),
-            space.dimension + case.thrusters,
+            lambda z: _noise(data, flown, z),
+            space.dimension + data.thrusters,
         ),
     )
 
 
-def parameters_at(found: Hypothesis, z: Array) -> dict[str, Array]:
+def parameters_at(space: ParameterSpace, z: Array) -> dict[str, Array]:
     """Parameters by name, (n,), at standard coordinates z (n, d)."""
-    own = found.space.to_parameters(z[:, : found.space.dimension])
-    return {k: np.broadcast_to(np.asarray(v, dtype=np.float64), len(z)) for k, v in own.items()}
+    return {
+        name: np.broadcast_to(np.asarray(value, dtype=np.float64), len(z))
+        for name, value in space.to_parameters(z[:, : space.dimension]).items()
+    }
 
 
 def _fly(
-    case: OnTimeCase, effects: tuple[Effect, ...], space: ParameterSpace, z: Array, nudge: Nudge
+    data: OnTimes, effects: tuple[Effect, ...], space: ParameterSpace, z: Array, nudge: Nudge
 ) -> Flown:
-    d = space.dimension
-    parameters = {
-        name: np.broadcast_to(np.asarray(value, dtype=np.float64), len(z))
-        for name, value in space.to_parameters(z[:, :d]).items()
-    }
+    parameters = parameters_at(space, z)
     # rectangular pulses: the tail adds what the rise takes
     parameters["tau_fall_s"] = parameters["tau_rise_s"]
-    spacecraft, branch = case.priors.spacecraft, case.priors.branch
-    modifiers = tuple(
-        modifier_of(effect, spacecraft, branch) for effect in effects if effect.kind != FIRING
-    )
+    spacecraft, branch = data.priors.spacecraft, data.priors.branch
+    modifiers = tuple(effect.modifier(spacecraft, branch) for effect in effects)
     physics = physics_of(spacecraft, branch, parameters, modifiers)
-    level = parameters[COMMON] - case.thrust_centre_n
-    own = level[:, None] + case.thrust_sd_n["thrust_individual_n"] * z[:, d:]
-    thrust = case.thrust_n[:, None] + own[:, None, :] + nudge.force_n
-    torque = physics.arms_m[:, None] * (thrust * _per_second(case, physics))[:, :, None, :]
-    steps = np.einsum("esw,naw->nesa", case.steps_rad_s, physics.wheel_weights)
-    between = np.asarray(nudge.momentum_n_m_s - _steady(case, physics))
-    steps = steps + case.share[..., None] * between[..., None, :]
+    level = parameters[COMMON] - data.thrust_centre_n
+    departures = level[:, None] + data.thrust_sd_n["thrust_individual_n"] * z[:, space.dimension :]
+    thrust = data.thrust_n[:, None] + departures[:, None, :] + nudge.force_n
+    torque = physics.arms_m[:, None] * (thrust * _per_second(data, physics))[:, :, None, :]
+    steps = np.einsum("esw,naw->nesa", data.steps_rad_s, physics.wheel_weights)
+    between = np.asarray(nudge.momentum_n_m_s - _steady(data, physics))
+    steps = steps + data.share[..., None] * between[..., None, :]
+    controller = IdealController(data, torque, steps, nudge.opposing_s)
     for effect in effects:
-        if effect.kind == FIRING:
-            values = {p.key: parameters[p.name][:, None] for p in effect.parameters}
-            return _fired(case, torque, steps, values, nudge)
-    return Flown(_units(case, ideal_on_times(steps, torque, case.layout).sum(-2)))
+        if effect.kind.fire is not None:
+            fired = effect.kind.fire(controller, effect.values(parameters))
+            return Flown(_units(data, fired.on_time_s), fired)
+    return Flown(_units(data, controller.singles(steps)))
 
 
-def _per_second(case: OnTimeCase, physics: Physics) -> Array:
+def _per_second(data: OnTimes, physics: Physics) -> Array:
     """Effective per commanded second of every thruster (n, 1, K), at equally wide pulses."""
-    rate = case.pulses_per_second
+    rate = data.pulses_per_second
     seconds = PULSE_SHAPES["first_order"].effective_time(1.0 / rate, *physics.tau_s)[..., None]
     factor = rate * (seconds * physics.thrust_factor + np.asarray(physics.impulse_offset_s))
-    return np.asarray(np.maximum(factor, LEAST_FACTOR) * np.ones(case.thrusters))[:, None, :]
+    return np.asarray(np.maximum(factor, LEAST_FACTOR) * np.ones(data.thrusters))[:, None, :]
 
 
-def _steady(case: OnTimeCase, physics: Physics) -> Array:
+def _steady(data: OnTimes, physics: Physics) -> Array:
     """Momentum (n, E, 3) or (1, E, 3) that a steady torque brings in."""
     torque = np.broadcast_to(np.asarray(physics.steady_torque_n_m), (len(physics.arms_m), 3))
-    return np.asarray(torque[:, None, :] * case.duration_s[:, None])
+    return np.asarray(torque[:, None, :] * data.duration_s[:, None])
 
 
-def _fired(
-    case: OnTimeCase, torque: Array, steps: Array, values: Mapping[str, Array], nudge: Nudge
-) -> Flown:
-    """On-times of a controller that fires pairs, and pairs against each other."""
-    layout = case.layout
-    demand = _pair_on_times(torque, steps, layout)  # (n, E, 6)
-    couple = demand[..., [2 * layout.couple_axis, 2 * layout.couple_axis + 1]].sum(-1)
-    a, b = (demand[..., [2 * axis, 2 * axis + 1]].sum(-1) for axis in layout.ring_axes)
-    nothing = np.zeros(())
-    features = Features(case.duration_s, nothing, nothing, a + b, couple, np.minimum(a, b))
-    minor = np.stack(expected_minor(values, features), axis=-1)
-    opposing = _opposing(layout, minor + nudge.opposing_s)
-    turned = np.einsum("neak,nek->nea", torque, opposing)
-    rest = steps - case.share[..., None] * turned[..., None, :]
-    single = ideal_on_times(rest, torque, layout).sum(-2)
-    pair = _pair_on_times(torque, rest, layout) @ layout.pairs
-    share = values["pairing_share"][..., None]
-    shared = np.maximum(2.0 * features.common_s, LEAST_SHARED_S)
-    return Flown(
-        _units(case, opposing + (1.0 - share) * single + share * pair),
-        minor,
-        (1.0 - share[..., 0]) * shared,
-        _units(case, (single - pair) / shared[..., None]),
-    )
+def _units(data: OnTimes, on_time: Array) -> Array:
+    return np.asarray(on_time[..., [unit[0] for unit in data.layout.units]])
 
 
-def _pair_on_times(torque: Array, steps: Array, layout: PairLayout) -> Array:
-    """On-times (n, E, 6) of the pairs that answer the momentum steps (n, E, S, 3)."""
-    n, e = torque.shape[:2]
-    solver = pair_solver(
-        torque.reshape(n * e, 3, -1), np.ones((n * e, torque.shape[-1])), layout.pairs
-    )
-    return np.asarray(solver.on_times(steps.reshape(n * e, -1, 3)).sum(1).reshape(n, e, 6))
-
-
-def _opposing(layout: PairLayout, minor: Array) -> Array:
-    """On-times (n, E, K) of opposing firings (n, E, 2) of ring and couple axis."""
-    ring = np.zeros(layout.pairs.shape[1])
-    ring[layout.ring.ravel()] = 1.0
-    return np.asarray(minor[..., :1] * ring + minor[..., 1:] * (1.0 - ring))
-
-
-def _units(case: OnTimeCase, on_time: Array) -> Array:
-    return np.asarray(on_time[..., [unit[0] for unit in case.layout.units]])
-
-
-def _noise(case: OnTimeCase, flown: Callable[[Array, Nudge], Flown], z: Array) -> Array:
+def _noise(data: OnTimes, flown: Callable[[Array, Nudge], Flown], z: Array) -> Array:
     """Covariance (E, U, U) of an event's own departures at z (d,), s²."""
-    events, k = len(case.event_ids), case.thrusters
+    events, k = len(data.event_ids), data.thrusters
     held = hold_rate_covariance(
-        inertia_tensor(case.fixed), np.asarray(case.fixed["hold_rate_rad_s"])
+        inertia_tensor(data.fixed), np.asarray(data.fixed["hold_rate_rad_s"])
     )
     forces = np.vstack(
         [
-            case.thrust_sd_n["thrust_jitter_n"] * np.eye(k),
-            case.thrust_sd_n["thrust_event_n"] * np.ones((1, k)),
+            data.thrust_sd_n["thrust_jitter_n"] * np.eye(k),
+            data.thrust_sd_n["thrust_event_n"] * np.ones((1, k)),
         ]
     )
     size = k + 1 + 3
@@ -339,34 +361,34 @@ def _noise(case: OnTimeCase, flown: Callable[[Array, Nudge], Flown], z: Array) -
         flown(np.tile(z, (size, 1)), Nudge(sign * force, sign * momentum)).on_time_s
         for sign in (1.0, -1.0)
     )
-    columns = [*(0.5 * (up - down)), *_chance(case, flown, z)]
+    columns = [*(0.5 * (up - down)), *_chance(data, flown, z)]
     slopes = np.stack(columns, axis=-1)
-    floor = CYCLE_S**2 + case.fixed["on_time_resolution_s"] ** 2 / 12.0
+    floor = CYCLE_S**2 + data.fixed["on_time_resolution_s"] ** 2 / 12.0
     return np.asarray(slopes @ np.swapaxes(slopes, -1, -2) + floor * np.eye(slopes.shape[1]))
 
 
-def _chance(case: OnTimeCase, flown: Callable[[Array, Nudge], Flown], z: Array) -> list[Array]:
+def _chance(data: OnTimes, flown: Callable[[Array, Nudge], Flown], z: Array) -> list[Array]:
     """One-sigma changes (E, U) of the on-times by the chance of a doubted firing logic.
 
     Opposing firings M come in quanta q and vary from event to event by their own size, variance
     q M + (g M)²; the common thruster's are negative binomial in control cycles N, variance
     N + N²/k (docs/prediction.md §2).
     """
-    events = len(case.event_ids)
+    events = len(data.event_ids)
     nudge = np.zeros((3, events, 2))
     nudge[1, :, 0] = nudge[2, :, 1] = CYCLE_S
-    found = flown(np.tile(z, (3, 1)), Nudge(opposing_s=nudge))
-    if found.minor_s is None or found.common_s is None or found.alone is None:
+    nudged = flown(np.tile(z, (3, 1)), Nudge(opposing_s=nudge))
+    if nudged.fired is None:
         return []
-    middle = {name: case.beliefs.distributions[name].mean() for name in CHANCE}
-    minor = found.minor_s[0]
+    middle = {name: data.beliefs.distributions[name].mean() for name in CHANCE}
+    minor = nudged.fired.opposing_s[0]
     quantum, spread = middle["minor_quantum_s"], middle["event_spread"]
     sd = np.sqrt(quantum * minor + (spread * minor) ** 2)
-    slopes = (found.on_time_s[1:] - found.on_time_s[0]) / CYCLE_S
-    cycles = found.common_s[0] / CYCLE_S
+    slopes = (nudged.on_time_s[1:] - nudged.on_time_s[0]) / CYCLE_S
+    cycles = nudged.fired.common_s[0] / CYCLE_S
     alone = CYCLE_S * np.sqrt(cycles + cycles**2 / middle["shared_shape"])
     return [
         slopes[0] * sd[:, :1],
         slopes[1] * sd[:, 1:],
-        found.alone[0] * alone[:, None],
+        _units(data, nudged.fired.alone)[0] * alone[:, None],
     ]

@@ -2,51 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.balance.statistics.columns import Rows
-from cassini_bayes.balance.telemetry_terms import CONTROL_CYCLE_S
-from cassini_bayes.diagnosis.evidence import TRUSTED_K, Weighed
-from cassini_bayes.diagnosis.extended import Case, Hypothesis, Oscillation
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import TRUSTED_K, Size, Weighed
+from cassini_bayes.diagnosis.cut_tails import single_cuts
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
-from cassini_bayes.diagnosis.oscillation import case_of
-from cassini_bayes.diagnosis.unresolved import unresolved
+from cassini_bayes.diagnosis.unresolved import timed
+from cassini_bayes.model.posterior import TORQUES
 
-Array = NDArray[np.float64]
 SUMMARY_DRAWS: Final = 2_000
-LATE: Final = "time_offset_s"
+"""Of a Laplace approximation: the ends of a 90 % interval scatter by 0.05 standard deviations."""
 
 
 def size_draws(
-    case: Case, weighed: Weighed, rng: np.random.Generator, rows: Sequence[Rows] | None = None
+    weighed: Weighed[Hypothesis], rng: np.random.Generator
 ) -> tuple[dict[str, Array], Array]:
-    """Draws (n,) of every effect parameter by key, and their weights (n,).
+    """Draws (n,) of every size of a cause by key, and their weights (n,).
 
-    ``rows`` are those of the case where they are at hand.
-
-    What counters leave open is in them (:func:`with_unresolved`). Pulses start with control cycles,
-    and rows with a pulse under way do not enter the balance: those that do cannot tell records late
-    by τ from records late by the whole cycles in τ. So is what a term's form leaves out
-    (``form_error`` of its entry in the catalogue).
+    What counters leave open is in them (:func:`with_unresolved`), how finely the data tell a size
+    (``known_to`` of its kind), and what a term's form leaves out (``form_error`` of its table).
     """
+    hypothesis = weighed.hypothesis
     z, weights = effect_draws(weighed, rng)
-    own = case_of(case, weighed.hypothesis)
-    known = rows if own is case else None
-    z = with_unresolved(own, weighed.hypothesis, weighed.mode.point, z, rng, known)
-    values = effect_values(weighed, z)
-    if LATE in values:
-        values[LATE] = values[LATE] + rng.uniform(0.0, CONTROL_CYCLE_S, len(z))
-    for effect in weighed.hypothesis.effects:
+    z = with_unresolved(hypothesis, weighed.mode.point, z, rng)
+    values = effect_values(hypothesis, z)
+    for effect in hypothesis.effects:
+        for key, step in effect.kind.known_to.items():
+            values[key] = values[key] + rng.uniform(0.0, step, len(z))
+    for effect in hypothesis.effects:
         for key, share in effect.form_error:
             values[key] = values[key] * (1.0 + share * rng.standard_normal(len(z)))
     return values, weights
 
 
-def effect_draws(weighed: Weighed, rng: np.random.Generator) -> tuple[Array, Array]:
+def effect_draws(
+    weighed: Weighed[Any], rng: np.random.Generator, draws: int = SUMMARY_DRAWS
+) -> tuple[Array, Array]:
     """Posterior draws (n, d) in z and their weights (n,): importance or Laplace draws.
 
     Importance draws of a Pareto k̂ above 0.7 are a few that outweigh all others: an interval of
@@ -55,47 +51,35 @@ def effect_draws(weighed: Weighed, rng: np.random.Generator) -> tuple[Array, Arr
     if weighed.z is not None and weighed.log_weights is not None and weighed.pareto_k < TRUSTED_K:
         return weighed.z, np.exp(weighed.log_weights)
     mode = weighed.mode
-    white = rng.standard_normal((SUMMARY_DRAWS, len(mode.point)))
-    return mode.point + white @ mode.factor.T, np.full(SUMMARY_DRAWS, 1.0 / SUMMARY_DRAWS)
+    white = rng.standard_normal((draws, len(mode.point)))
+    return mode.point + white @ mode.factor.T, np.full(draws, 1.0 / draws)
 
 
-def effect_values(weighed: Weighed, z: Array) -> dict[str, Array]:
-    """The effect parameters' values (n,) at z: departures added to the baseline's parameter.
-
-    An oscillation is given as it shows itself: amplitude, frequency and damping.
-    """
-    model = weighed.hypothesis.model
+def effect_values(hypothesis: Hypothesis, z: Array) -> dict[str, Array]:
+    """Sizes (n,) of a hypothesis's effects at z: departures added to the baseline's parameter."""
+    model = hypothesis.model
     parameters = model.space.to_parameters(z)
-    means = dict(zip("xyz", model.torque_mean_n_m, strict=True))
-    values = {}
-    for effect in weighed.hypothesis.effects:
+    baseline = {**dict(zip(TORQUES, model.torque_mean_n_m, strict=True)), **parameters}
+    sizes: dict[str, Array] = {}
+    for effect in hypothesis.effects:
+        values = effect.values(parameters)
         for parameter in effect.parameters:
-            value = np.asarray(parameters[parameter.name], dtype=np.float64)
-            if parameter.is_departure and parameter.key in parameters:
-                value = value + parameters[parameter.key]
-            elif parameter.is_departure and parameter.key.startswith("external_torque_"):
-                value = value + means[parameter.key.split("_")[2]]
-            values[parameter.key] = value
-    if weighed.hypothesis.oscillation is not None:
-        return _seen_from_outside(values, weighed.hypothesis.oscillation)
-    return values
+            if parameter.is_departure and parameter.key in baseline:
+                values[parameter.key] = values[parameter.key] + baseline[parameter.key]
+        setting = effect.setting(model.spacecraft, model.branch)
+        sizes |= effect.kind.report(values, setting) if effect.kind.report else values
+    return sizes
 
 
-def _seen_from_outside(values: dict[str, Array], line: Oscillation) -> dict[str, Array]:
-    """An oscillation's values as the free body shows it: amplitude, frequency, damping.
-
-    A body that gives makes its appendage faster by 1/√(1 − φ). What it gives is in its rates, but
-    of a swing between rows straight lines show the share sinc² fΔ only, so that the line is found
-    with the rest of that already in it.
-    """
-    by_line, by_damping = values.pop("frequency_shift"), values.pop("damping_shift")
-    frequency = line.frequency_hz + by_line / line.span_s
-    damping = line.damping + by_damping / (2.0 * np.pi * line.frequency_hz * line.span_s)
-    seen = np.sinc(line.frequency_hz * line.step_s) ** 2
-    free = np.sqrt(1.0 - seen * values["inertia_fraction"])
-    amplitude = np.hypot(values.pop("cosine_rad_s"), values.pop("sine_rad_s"))
-    shown = {"frequency_hz": frequency / free, "damping": np.maximum(damping, 0.0) / free}
-    return {**values, **shown, "amplitude_rad_s": amplitude}
+def summarised(values: Mapping[str, Array], weights: Array) -> dict[str, Size]:
+    """Mean, standard deviation and shortest 90 % interval of weighted draws (n,) by key."""
+    total = weights.sum()
+    sizes = {}
+    for key, draws in values.items():
+        mean = float(weights @ draws / total)
+        sd = float(np.sqrt(weights @ (draws - mean) ** 2 / total))
+        sizes[key] = Size(mean, sd, weighted_interval(draws, weights))
+    return sizes
 
 
 def weighted_interval(
@@ -113,14 +97,9 @@ def weighted_interval(
 
 
 def with_unresolved(
-    case: Case,
-    hypothesis: Hypothesis,
-    mode: Array,
-    z: Array,
-    rng: np.random.Generator,
-    rows: Sequence[Rows] | None = None,
+    hypothesis: Hypothesis, mode: Array, z: Array, rng: np.random.Generator
 ) -> Array:
-    """Posterior draws z (n, d) about a mode (d,), moved and widened by what counters leave open.
+    """Posterior draws z (n, d) about a mode (d,), moved and widened by when pulses were fired.
 
     With X the linear model's columns, U those of what is open (:mod:`unresolved`), r what the
     model leaves at its mode, G and G' the Gram matrices of X and of (X, U) with their priors'
@@ -128,24 +107,24 @@ def with_unresolved(
 
         (Δ, u) = G'⁻¹ (0, Uᵀ r),  Σ = (G⁻¹)_zz,  Σ' = (G'⁻¹)_zz,
 
-    and (−Xᵀ m, Uᵀ (r − m)) in place of (0, Uᵀ r) where what is open has a mean m. Stay as they are:
-    hypotheses of gyro errors, of which attitudes speak that are not in the rows, and cases with
-    totals rows, whose information the linear model does not have.
+    U those of :func:`cassini_bayes.diagnosis.unresolved.timed`. Cases with totals rows, whose
+    information the linear model does not have, stay as they are.
     """
-    if not case.sources or case.totals or hypothesis.rates is not None:
+    model = hypothesis.model
+    opened = [timed(hypothesis, mode, i) for i in range(len(model.telemetry))]
+    if model.totals or not any(len(variance) for _, variance in opened):
         return z
-    linear, rows, factors = linearise(case, hypothesis, mode, known=rows)
-    opened = [unresolved(case, hypothesis, mode, i, own.time_s) for i, own in enumerate(rows)]
+    linear, factors = linearise(hypothesis, mode)
+    cuts = [single_cuts(hypothesis, mode, i) for i in range(len(model.telemetry))]
+    linear = with_unknowns(linear, cuts, factors)
     wide = with_unknowns(linear, opened, factors)
-    d, own = len(mode), linear.columns.shape[1]
+    d, size = len(mode), linear.columns.shape[1]
     gram = linear.gram()
-    pull = np.zeros(own)
+    pull = np.zeros(size)
     pull[:d] = mode  # of the prior, whose centre is not the mode
-    rest = linear.columns.T @ linear.target - pull
-    answer = np.linalg.solve(gram, rest)
-    left = linear.target - linear.columns @ answer
-    slope = wide.columns.T @ (wide.target - linear.columns @ answer)
-    slope[:own] -= linear.columns.T @ left
+    fitted = np.linalg.solve(gram, linear.columns.T @ linear.target - pull)
+    slope = wide.columns.T @ (linear.target - linear.columns @ fitted)
+    slope[:size] = 0.0
     wider = wide.gram()
     move = np.linalg.solve(wider, slope)[:d]
     added = np.linalg.inv(wider)[:d, :d] - np.linalg.inv(gram)[:d, :d]

@@ -7,24 +7,27 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.correlations import (
     AXES,
     WINDOW_ROWS,
-    Shown,
+    InnovationTests,
     Tested,
     Whiteness,
     filled,
     running_mean,
 )
-from cassini_bayes.diagnosis.innovations import EventRows
 
-Array = NDArray[np.float64]
-DRIFT_Z: Final = 6.0  # the largest of many windows
-LEAST_Z: Final = 4.0
-IN_STEP: Final = 0.9
-MOST: Final = 24
+DRIFT_Z: Final = 6.0
+"""Of the largest of many windows of a random path: judgement, so that a flight with nothing hidden
+names none."""
+LEAST_Z: Final = 4.0  # of a single test among some fifty: a false one in 300 records
+IN_STEP: Final = 0.9  # correlation of a drift with a thruster's on-time: judgement, 80 % of it
+MOST: Final = 24  # symptoms in a record: more are not read
+MEDIAN_STEP: Final = 0.954
+"""Median of |x − y| of two independent standard normals: √2 × 0.6745."""
 
 
 @dataclass(frozen=True)
@@ -38,55 +41,55 @@ class Symptom:
     z: float
 
 
-def find_symptoms(rows: Sequence[EventRows], shown: Shown) -> tuple[Symptom, ...]:
+def find_symptoms(rows: Sequence[EventRows], tests: InnovationTests) -> tuple[Symptom, ...]:
     """All symptoms of all events, the strongest first.
 
     Parameters
     ----------
     rows
         Innovations of every event.
-    shown
-        Their tests (:func:`correlations.show`).
+    tests
+        Their tests (:func:`correlations.innovation_tests`).
     """
-    found = [symptom for own in rows for axis in range(3) for symptom in _drift(own, axis)]
-    for own in rows:
+    symptoms = [symptom for event in rows for axis in range(3) for symptom in _drift(event, axis)]
+    for event in rows:
         for axis in AXES:
-            found += _correlation(
-                [t for t in shown.drivers if (t.event, t.axis) == (own.event, axis)],
-                shown.family_z,
+            symptoms += _correlation(
+                [t for t in tests.drivers if (t.event, t.axis) == (event.event, axis)],
+                tests.family_z,
             )
-    found += [symptom for white in shown.whiteness for symptom in _whiteness(white)]
-    found += [symptom for tested in shown.closure for symptom in _closure(tested)]
-    return tuple(sorted(found, key=lambda symptom: -abs(symptom.z))[:MOST])
+    symptoms += [symptom for white in tests.whiteness for symptom in _whiteness(white)]
+    symptoms += [symptom for tested in tests.closure for symptom in _closure(tested)]
+    return tuple(sorted(symptoms, key=lambda symptom: -abs(symptom.z))[:MOST])
 
 
-def _drift(own: EventRows, axis: int) -> list[Symptom]:
+def _drift(event: EventRows, axis: int) -> list[Symptom]:
     """The largest change of the smoothed innovations between two times."""
-    smooth = running_mean(own.residual_n_m_s[:, axis], WINDOW_ROWS)
+    smooth = running_mean(event.residual_n_m_s[:, axis], WINDOW_ROWS)
     low, high = int(smooth.argmin()), int(smooth.argmax())
     first, last = min(low, high), max(low, high)
     change = float(smooth[last] - smooth[first])
-    sigma = float(np.median(np.abs(np.diff(own.residual_n_m_s[:, axis]))) / 0.954)
+    sigma = float(np.median(np.abs(np.diff(event.residual_n_m_s[:, axis]))) / MEDIAN_STEP)
     z = change / (sigma * np.sqrt(2.0 / WINDOW_ROWS) + 1e-30)
     if abs(z) < DRIFT_Z:
         return []
     verb = "gains" if change > 0 else "loses"
-    start, stop = own.time_s[first], own.time_s[last]
+    start, stop = event.time_s[first], event.time_s[last]
     what = (
         f"between t = {start:.0f} and {stop:.0f} s the {AXES[axis].upper()} axis {verb} "
-        f"{abs(change):.2g} N m s more than predicted{_in_step(own, smooth, first, last)}"
+        f"{abs(change):.2g} N m s more than predicted{_in_step(event, smooth, first, last)}"
     )
-    return [Symptom(own.event, AXES[axis], f"t={start:.0f}..{stop:.0f} s", what, float(z))]
+    return [Symptom(event.event, AXES[axis], f"t={start:.0f}..{stop:.0f} s", what, float(z))]
 
 
-def _in_step(own: EventRows, smooth: Array, first: int, last: int) -> str:
+def _in_step(event: EventRows, smooth: Array, first: int, last: int) -> str:
     """The thruster whose on-time rises most like the drift, as the end of a sentence."""
     if last - first <= WINDOW_ROWS:
         return ""
     part = slice(first, last + 1)
     fits = {}
-    for k, name in enumerate(own.thrusters[: own.on_time_s.shape[1]]):
-        on_time = filled(own.on_time_s[:, k])[part]
+    for k, name in enumerate(event.thrusters[: event.on_time_s.shape[1]]):
+        on_time = filled(event.on_time_s[:, k])[part]
         if np.ptp(on_time) > 0:
             fits[name.upper()] = abs(float(np.corrcoef(on_time, smooth[part])[0, 1]))
     if not fits or max(fits.values()) < IN_STEP:

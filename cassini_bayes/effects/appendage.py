@@ -1,22 +1,108 @@
-"""Damped oscillations and the answers of appendages to their body's motion, compiled."""
+"""An appendage on a spring that moves against its body: what it answers to the body's own motion.
+
+With Ω = 2π f and ζ of the clamped appendage its rate against the body, q, obeys
+q'' + 2 ζ Ω q' + Ω² q = −ω'': a free oscillation, and an answer to the body's rate ω. Recursions
+over rows are compiled.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled
 
-Array = NDArray[np.float64]
-Places = NDArray[np.int64]
-RENEWED: Final = 64  # rows after which cosine and sine are not those of the last row, turned
-SAME_S: Final = 1e-9  # between two gaps
+RENEWED: Final = 64
+"""Rows after which cosine and sine are computed anew and not turned from the last row's: rounding
+grows by some 1e-16 a row, so that 64 leave it below 1e-14."""
+SAME_S: Final = 1e-9  # two gaps between rows that differ by less are one: rounding of times
+
+
+def oscillation_series(
+    time_s: Array, motion: KnownMotion, frequency_hz: float, damping: float
+) -> tuple[Array, Array, Array]:
+    """exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt (n,), and the driven rate (n, c), Ω = 2π f."""
+    phase = 2.0 * np.pi * frequency_hz * time_s
+    decay = np.exp(-damping * phase)
+    driven = motion.driven(time_s, frequency_hz, damping)
+    return decay * np.cos(phase), decay * np.sin(phase), driven
+
+
+@dataclass(frozen=True)
+class KnownMotion:
+    """What the rates before each row say of the body's motion, on a grid of their median step.
+
+    The last line before a row is that of the step before, so that a row's own noise is not in it:
+    it would be taken for an answer to it.
+    """
+
+    start_s: float
+    step_s: float
+    slope: Array  # (g, c) of the rate after each grid point, rad/s²
+    change: Array  # (g, c) of the last slope by that of the step before
+
+    def driven(self, time_s: Array, frequency_hz: float, damping: float) -> Array:
+        """Rate (n, c) of an appendage against its body at times (n,) of rows, rad/s.
+
+        θ'' + 2 ζ Ω θ' + Ω² θ = −ω' with Ω = 2π f, at rest at the first row; ω goes in straight
+        lines from row to row, and the response to them is exact.
+        """
+        slope, change, coefficients, place = self._recursion(
+            time_s, np.array([frequency_hz]), damping
+        )
+        return np.asarray(_answer(slope, change, coefficients[0], place))
+
+    def products(
+        self, time_s: Array, frequency_hz: Array, damping: float, left: Array
+    ) -> tuple[Array, Array]:
+        """Inner products of :func:`oscillation_series` at many frequencies (f,), rows summed over.
+
+        With each other, (f, 2 + c, 2 + c) in order of cosine, sine and driven rates, and with what
+        is left, ``left`` (n, 3), (f, 2 + c, 3).
+        """
+        motion = self._recursion(time_s, frequency_hz, damping)
+        lower, along = _products(time_s, (2.0 * np.pi * frequency_hz, damping), motion, left)
+        return lower + np.swapaxes(np.tril(lower, -1), 1, 2), along
+
+    def _recursion(
+        self, time_s: Array, frequency_hz: Array, damping: float
+    ) -> tuple[Array, Array, Array, Places]:
+        """What :func:`_answer` takes."""
+        omega, step = 2.0 * np.pi * frequency_hz, self.step_s
+        turned = omega * np.sqrt(1.0 - damping**2)
+        decay = np.exp(-damping * omega * step)
+        cosine, sine = decay * np.cos(turned * step), decay * np.sin(turned * step) / turned
+        # of the transition of (θ, θ') over a step: its first column, and what a steady ω' adds
+        first, second = cosine + damping * omega * sine, -(omega**2) * sine
+        added = -(1.0 - first) / omega**2, -sine
+        ahead = second * added[0] - first * added[1]
+        coefficients = np.stack([added[1], ahead, -2.0 * cosine, decay**2], axis=1)
+        place = np.round((time_s - self.start_s) / step).astype(np.int64)
+        return self.slope, self.change, coefficients, np.clip(place, 0, len(self.slope) - 1)
+
+
+def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
+    """The motion that samples of the rate (n, c) at times (n,) tell; NaN is not sampled.
+
+    All samples count, those during pulses as well. Where some are missing the line goes to the
+    next one, whose noise is then in it.
+    """
+    measured = np.isfinite(rate_rad_s).all(1)
+    time_s, rate_rad_s = time_s[measured], rate_rad_s[measured]
+    step = float(np.median(np.diff(time_s)))
+    grid = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
+    shown = np.stack([np.interp(grid, time_s, rate) for rate in rate_rad_s.T], axis=1)
+    slope = np.diff(shown, axis=0, append=shown[-1:]) / step
+    change = np.zeros_like(slope)
+    change[2:] = slope[:-2] - slope[1:-1]
+    return KnownMotion(float(time_s[0]), step, slope, change)
 
 
 @compiled
-def answer(
+def _answer(
     slope: Array, change: Array, coefficients: Array, place: Places
 ) -> Array:  # pragma: no cover - compiled
     """Rates (n, c) of an appendage against its body, y_t = b1 x_t−1 + b2 x_t−2 − a1 y… − a2 y…
@@ -41,7 +127,7 @@ def answer(
 
 
 @compiled
-def products(
+def _products(
     time_s: Array,
     frequencies: tuple[Array, float],
     motion: tuple[Array, Array, Array, Places],
@@ -56,7 +142,7 @@ def products(
     frequencies
         Ω (f,) in rad/s and the damping ζ of exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt.
     motion
-        As for :func:`answer`, coefficients (f, 4).
+        As for :func:`_answer`, coefficients (f, 4).
     left
         (n, 3) what is left, about every axis.
 

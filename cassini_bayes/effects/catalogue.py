@@ -1,89 +1,39 @@
-"""The catalogue of causes: names, priors of their sizes, prior probabilities.
-
-``effects.toml`` beside this module is the default; another file of the same form may stand in. An
-:class:`Effect` is one entry with its target filled in; what it does to the physics is in
-:mod:`cassini_bayes.effects.modifiers`.
-"""
+"""The catalogue of causes for some events: kinds on all their targets, with prior probabilities."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from cassini_bayes.effects.changes import AXES
+from cassini_bayes.effects.effect import Effect, EffectParameter, Kind
+from cassini_bayes.effects.registry import Kinds, Odds, Unknown, standard
+from cassini_bayes.effects.tables import ParameterTable, Table
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.priors.distributions import Distribution
-from cassini_bayes.priors.reader import Priors
+from cassini_bayes.priors.reader import Priors, known_parameters
 
-DEFAULT: Final = Path(__file__).with_name("effects.toml")
-AXES: Final = ("x", "y", "z")
 ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
-ROLES: Final = ("value", "departure")
-OSCILLATION_SIZES: Final = ("amplitude_rad_s", "frequency_hz", "damping", "inertia_fraction")
-_OWN_KEYS: Final = ("role", "dist", "times_prior", "low", "high", "unit")
-
-
-@dataclass(frozen=True)
-class EffectParameter:
-    """One parameter of an effect, walked under ``name``.
-
-    ``key`` is its name in a diagnosis; a departure is added to the baseline's parameter of that
-    name, whose prior mean is ``centre``.
-    """
-
-    name: str
-    key: str
-    unit: str
-    distribution: Distribution
-    is_departure: bool
-
-
-@dataclass(frozen=True)
-class Effect:
-    """A cause: an entry of the catalogue with its target and its share of prior probability.
-
-    ``form_error`` is the standard deviation, by the name of a size and as a share of it, of what
-    the term's form leaves out.
-    """
-
-    name: str
-    kind: str
-    target: str
-    parameters: tuple[EffectParameter, ...]
-    prior_probability: float
-    inputs: tuple[str, ...]
-    form_error: tuple[tuple[str, float], ...] = ()
-
-    def scaled(self, width: float) -> Effect:
-        """The same effect with all priors of its size wider by a factor."""
-        return replace(
-            self,
-            parameters=tuple(
-                replace(p, distribution=_wider(p.distribution, width)) for p in self.parameters
-            ),
-        )
-
-
-@dataclass(frozen=True)
-class UnknownPrior:
-    """What ``unknown`` believes of the discrepancy."""
-
-    torque_noise: Distribution
-    hold_rate_factor: float
-    on_time_noise_s: Distribution | None = None  # of every printed on-time; None: not given
 
 
 @dataclass(frozen=True)
 class Catalogue:
-    """All causes for some events, with the probabilities of ``none`` and ``unknown``."""
+    """All causes for some events, and the kinds that they are of."""
 
     effects: tuple[Effect, ...]
-    none_probability: float
-    unknown_probability: float
-    unknown: UnknownPrior
+    kinds: Kinds
+
+    @property
+    def odds(self) -> Odds:
+        """Prior probabilities of ``none``, of all causes together, and of ``unknown``."""
+        return self.kinds.odds
+
+    @property
+    def unknown(self) -> Unknown:
+        """What ``unknown`` believes of the discrepancy."""
+        return self.kinds.unknown
 
     def effect(self, name: str) -> Effect:
         """The effect of a name.
@@ -97,7 +47,7 @@ class Catalogue:
             if effect.name == name:
                 return effect
         raise InputError(
-            f"cause {name}", "a cause of the catalogue", repr(name), nearest(name, self.names)
+            f"effect {name}", "an effect of these events", repr(name), nearest(name, self.names)
         )
 
     @property
@@ -106,21 +56,10 @@ class Catalogue:
         return tuple(effect.name for effect in self.effects)
 
 
-def _wider(distribution: Distribution, width: float) -> Distribution:
-    """The distribution with its scale times ``width``; a log-normal time constant stays."""
-    if distribution.name == "lognorm":
-        return distribution
-    keywords = dict(distribution.keywords)
-    return replace(distribution, keywords={**keywords, "scale": keywords["scale"] * width})
-
-
 def read_catalogue(
-    priors: Priors,
-    wheels: Sequence[int],
-    inputs: Sequence[str],
-    path: Path = DEFAULT,
+    priors: Priors, wheels: Sequence[int], inputs: Sequence[str], kinds: Kinds | None = None
 ) -> Catalogue:
-    """Read the catalogue and fill in the targets that these events have.
+    """Fill in the targets that these events have.
 
     Parameters
     ----------
@@ -131,170 +70,192 @@ def read_catalogue(
     inputs
         ``telemetry``, ``totals`` or both, or ``on_times``: effects that only other inputs show are
         left out.
+    kinds
+        What effects there are; those of the package by default.
 
     Raises
     ------
     InputError
-        The file is no catalogue: file and dotted key are named.
+        A table that does not fit its effect: file and dotted key are named.
     """
-    document = _parse(path)
-    weights = document["causes"]
-    kinds = document["effects"]
-    if path != DEFAULT:
-        _check_known(path, kinds, _parse(DEFAULT)["effects"])
-    effects = []
-    kept = {}
-    for kind, entry in kinds.items():
-        where = f"{path}: effects.{kind}"
-        if not set(entry["inputs"]) & set(inputs):
-            continue
-        found = [
-            _effect(where, kind, target, entry, priors)
-            for target in _targets(entry["targets"], priors, wheels)
-        ]
-        kept[kind] = [effect for effect in found if effect is not None]
-    shown = [kind for kind, found in kept.items() if found]
-    for kind in shown:
-        share = float(weights["catalogued"]) / len(shown) / len(kept[kind])
-        effects += [replace(effect, prior_probability=share) for effect in kept[kind]]
-    unknown = document["unknown"]
-    return Catalogue(
-        tuple(effects),
-        float(weights["none"]),
-        float(weights["unknown"]),
-        UnknownPrior(
-            Distribution(
-                "lognorm",
-                {
-                    "s": float(unknown["torque_noise_log_sd"]),
-                    "scale": float(unknown["torque_noise_median_n_m_s05"]),
-                },
-            ),
-            float(unknown["hold_rate_factor"]),
-            _on_time_noise(unknown),
-        ),
+    known = standard() if kinds is None else kinds
+    by_kind: dict[str, list[Effect]] = {}
+    for kind, table in known.kinds:
+        if set(table.inputs) & set(inputs):
+            each = [_effect(kind, table, t, priors) for t in _targets(table, priors, wheels)]
+            by_kind[kind.name] = [effect for effect in each if effect is not None]
+    shown = [effects for effects in by_kind.values() if effects]
+    effects = (
+        replace(effect, prior_probability=known.odds.catalogued / len(shown) / len(same_kind))
+        for same_kind in shown
+        for effect in same_kind
     )
+    return Catalogue(tuple(effects), known)
 
 
-def _on_time_noise(unknown: Mapping[str, Any]) -> Distribution | None:
-    if "on_time_noise_median_s" not in unknown:
-        return None
-    return Distribution(
-        "lognorm",
-        {
-            "s": float(unknown["on_time_noise_log_sd"]),
-            "scale": float(unknown["on_time_noise_median_s"]),
-        },
-    )
+def named_effects(
+    names: Sequence[str],
+    priors: Priors,
+    wheels: Sequence[int],
+    inputs: Sequence[str],
+    kinds: Kinds | None = None,
+    where: str = "effects",
+) -> tuple[Effect, ...]:
+    """Effects by name, to be fitted: their parameters have the names that they have in a fit.
 
+    Parameters
+    ----------
+    names
+        Kind, and the target behind a colon where it has one: ``thruster_leak:z3``.
+    priors, wheels, inputs, kinds
+        As for :func:`read_catalogue`.
+    where
+        What gave the names, for messages.
 
-def _parse(path: Path) -> dict[str, Any]:
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(
-            str(path), "a catalogue of effects (TOML)", str(error), "mend the file"
-        ) from None
-    for table in ("causes", "unknown", "effects"):
-        if not isinstance(document.get(table), dict):
-            raise InputError(f"{path}: {table}", f"a table [{table}]", "nothing", "add it")
-    for kind, entry in document["effects"].items():
-        for key in ("targets", "inputs", "source", "parameters"):
-            if key not in entry:
-                raise InputError(f"{path}: effects.{kind}.{key}", "a value", "nothing", "add it")
-    return document
-
-
-def _check_known(path: Path, kinds: Mapping[str, Any], known: Mapping[str, Any]) -> None:
-    """Every effect has the parameters that its change of the physics reads."""
-    for kind, entry in kinds.items():
-        where = f"{path}: effects.{kind}"
-        if kind not in known:
-            raise InputError(where, "an effect that there is", repr(kind), nearest(kind, known))
-        needed, given = set(known[kind]["parameters"]), set(entry["parameters"])
-        if needed != given:
+    Raises
+    ------
+    InputError
+        A name twice; one that there is not, with the nearest; an effect that such events cannot
+        show, that departs from a parameter without prior, or that has to be searched for first.
+    """
+    if not names:
+        return ()
+    catalogue = read_catalogue(priors, wheels, inputs, kinds)
+    chosen: list[Effect] = []
+    for name in names:
+        if name in (effect.name for effect in chosen):
+            raise InputError(where, "every effect once", f"{name!r} twice", "leave one out")
+        if name not in catalogue.names:
+            raise _not_there(name, catalogue, priors, inputs, where)
+        effect = catalogue.effect(name)
+        if effect.needs_search:
             raise InputError(
-                f"{where}.parameters",
-                ", ".join(sorted(needed)),
-                ", ".join(sorted(given)) or "nothing",
-                "add what is missing, drop what is not known",
+                where,
+                "effects that can be fitted at once",
+                f"{name!r}, for which a search comes first",
+                "use cassini-bayes diagnose --then-fit",
             )
+        chosen.append(effect.as_fitted())
+    taken = set(known_parameters(priors.spacecraft))
+    for spec in (spec for effect in chosen for spec in effect.specs):
+        if spec.name in taken:
+            raise InputError(
+                where,
+                "parameters of names of their own",
+                f"{spec.name!r} twice",
+                "rename the effect",
+            )
+        taken.add(spec.name)
+    return tuple(chosen)
 
 
-def _targets(what: str, priors: Priors, wheels: Sequence[int]) -> tuple[str, ...]:
+def _not_there(
+    name: str, catalogue: Catalogue, priors: Priors, inputs: Sequence[str], where: str
+) -> InputError:
+    """Why a name is none of a catalogue's."""
+    tables = {kind.name: table for kind, table in catalogue.kinds.kinds}
+    kind, _, target = name.partition(":")
+    if kind in tables and not set(tables[kind].inputs) & set(inputs):
+        return InputError(
+            where,
+            f"effects that {' or '.join(inputs)} can show",
+            f"{name!r}, which only {' and '.join(tables[kind].inputs) or 'nothing'} can",
+            "leave it out",
+        )
+    if kind in tables and target in _targets(tables[kind], priors, priors.wheels):
+        return InputError(
+            where,
+            "effects of these events and priors",
+            f"{name!r}, whose wheel they lack or whose parameter is fixed in {priors.path}",
+            "leave it out, or give the parameter a distribution",
+        )
+    return InputError(where, "effects that there are", repr(name), nearest(name, catalogue.names))
+
+
+def _targets(table: Table, priors: Priors, wheels: Sequence[int]) -> tuple[str, ...]:
     spacecraft = priors.spacecraft
-    if what == "thruster":
-        return spacecraft.thruster_names(priors.branch)
-    if what == "wheel":
-        return tuple(str(number) for number in wheels)
-    if what == "tilting wheel":
-        return tuple(str(n) for n in wheels if spacecraft.wheel(n).tilt_parameters is not None)
-    return {"axis": AXES, "element": ELEMENTS}.get(what, ("",))
+    every: Mapping[str, tuple[str, ...]] = {
+        "none": ("",),
+        "thruster": spacecraft.thruster_names(priors.branch),
+        "wheel": tuple(str(number) for number in wheels),
+        "tilting wheel": tuple(
+            str(n) for n in wheels if spacecraft.wheel(n).tilt_parameters is not None
+        ),
+        "axis": AXES,
+        "element": ELEMENTS,
+    }
+    return every[table.targets]
 
 
-def _effect(
-    where: str, kind: str, target: str, entry: Mapping[str, Any], priors: Priors
-) -> Effect | None:
+def _effect(kind: Kind, table: Table, target: str, priors: Priors) -> Effect | None:
     """The effect on one target; None where its parameter is fixed and gives no scale."""
     parameters = []
-    for template, table in entry["parameters"].items():
-        key = template.format(target=target)
-        own = f"{where}.parameters.{template}"
-        if table.get("role") not in ROLES:
-            raise InputError(
-                f"{own}.role", " or ".join(ROLES), repr(table.get("role")), "say which it is"
-            )
-        keywords = {k: v for k, v in table.items() if k not in _OWN_KEYS}
-        if "times_prior" in table:
-            sd = _prior_sd(priors, key)
-            if sd is None:
-                return None
-            keywords |= {"loc": 0.0, "scale": float(table["times_prior"]) * sd}
-        distribution = Distribution(
-            table["dist"], keywords, table.get("low"), table.get("high"), where=own
+    for row in table.parameters:
+        parameter = _parameter(row, kind, target, priors)
+        if parameter is None:
+            return None
+        parameters.append(parameter)
+    keys = tuple(p.key for p in parameters)
+    for key in kind.reported if kind.report is None else ():
+        _size(f"{table.where / 'parameters'} (reported of {kind.name})", key, keys)
+    sizes = kind.reported or keys
+    for key in kind.known_to:
+        _size(f"{table.where / 'parameters'} (known_to of {kind.name})", key, sizes)
+    form_error = tuple(
+        (
+            _size(str(table.where / "form_error" / key), key.replace("{target}", target), sizes),
+            _share(table, key, share),
         )
-        departure = table["role"] == "departure"
-        parameters.append(
-            EffectParameter(
-                f"{'departure' if departure else 'effect'}:{kind}:{target}:{key}",
-                key,
-                str(table["unit"]),
-                distribution,
-                departure,
-            )
-        )
-    name = f"{kind}:{target}" if target else kind
-    sizes = OSCILLATION_SIZES if kind == "flexible_mode" else tuple(p.key for p in parameters)
-    form_error = _form_error(where, entry, target, sizes)
-    return Effect(name, kind, target, tuple(parameters), 0.0, tuple(entry["inputs"]), form_error)
+        for key, share in table.form_error.items()
+    )
+    return Effect(kind, target, tuple(parameters), 0.0, form_error, source=table.source)
 
 
-def _form_error(
-    where: str, entry: Mapping[str, Any], target: str, sizes: Sequence[str]
-) -> tuple[tuple[str, float], ...]:
-    table = entry.get("form_error", {})
-    if not isinstance(table, dict):
+def _parameter(
+    row: ParameterTable, kind: Kind, target: str, priors: Priors
+) -> EffectParameter | None:
+    key = row.key.replace("{target}", target)
+    prior = priors.parameters.get(key)
+    keywords = dict(row.keywords)
+    known = known_parameters(priors.spacecraft)
+    if row.is_departure and key not in known:
         raise InputError(
-            f"{where}.form_error", "a table of shares by size", repr(table), "write one, or none"
+            str(row.where),
+            f"a departure from a parameter of {priors.spacecraft.name}",
+            repr(key),
+            nearest(key, known),
         )
-    shares = {key.replace("{target}", target): share for key, share in table.items()}
-    for key, share in shares.items():
-        if key not in sizes:
-            raise InputError(
-                f"{where}.form_error.{key}", "a size of the effect", repr(key), nearest(key, sizes)
-            )
-        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share < 1:
-            raise InputError(
-                f"{where}.form_error.{key}",
-                "a share of the size, 0 to 1",
-                repr(share),
-                "give the standard deviation of what the form leaves out, over the size",
-            )
-    return tuple((key, float(share)) for key, share in shares.items())
+    if row.times_prior is not None:
+        if prior is None or prior.distribution is None:
+            return None
+        keywords |= {"loc": 0.0, "scale": row.times_prior * prior.distribution.sd()}
+    if row.is_departure and prior is not None and row.unit != prior.spec.unit:
+        raise InputError(
+            str(row.where / "unit"), f"{prior.spec.unit}, that of {key}", repr(row.unit),
+            "convert the values, then write that unit",
+        )  # fmt: skip
+    role = "departure" if row.is_departure else "effect"
+    return EffectParameter(
+        f"{role}:{kind.name}:{target}:{key}",
+        key,
+        row.unit,
+        Distribution(row.dist, keywords, row.low, row.high, where=str(row.where)),
+        row.is_departure,
+    )
 
 
-def _prior_sd(priors: Priors, name: str) -> float | None:
-    prior = priors.parameters.get(name)
-    if prior is None or prior.distribution is None:
-        return None
-    return prior.distribution.sd()
+def _size(where: str, key: str, sizes: Sequence[str]) -> str:
+    if key not in sizes:
+        raise InputError(where, "a size of the effect", repr(key), nearest(key, sizes))
+    return key
+
+
+def _share(table: Table, key: str, share: object) -> float:
+    if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share < 1:
+        raise InputError(
+            str(table.where / "form_error" / key),
+            "a share of the size, 0 to 1",
+            repr(share),
+            "give the standard deviation of what the form leaves out, over the size",
+        )
+    return float(share)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Places
 from cassini_bayes.balance.physics import Parameters
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.posterior import Collapsed, Model, collapse
 from cassini_bayes.model.terms import TORQUE, TermDraws
 from cassini_bayes.model.thrusts import ThrustDraws, draw_thrusts, prior_thrusts

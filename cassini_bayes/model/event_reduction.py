@@ -11,14 +11,13 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
 from cassini_bayes.balance.physics import INERTIA_PARAMETERS, PULSE_PARAMETERS
 from cassini_bayes.balance.statistics import (
@@ -31,9 +30,10 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
     save_statistics,
 )
+from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.statistics.preparation import Prepared, prepare
-from cassini_bayes.balance.statistics.reduction import BLOCK_ROWS
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MomentumRows, check_momentum, momentum_rows
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
@@ -80,7 +80,7 @@ class ReducedEvent:
     statistics: EventStatistics
     sampling: Sampling
     reading: ReadingRecord
-    rows: Iterable[Samples]
+    rows: PreparedRows
     source: str
     digest: str = ""  # of the files; none of telemetry that was never in one
     key: str = ""  # of the reduction in the cache
@@ -102,9 +102,35 @@ class ReducedEvent:
         return self.statistics.layout.wheels
 
     @property
+    def thrusters(self) -> tuple[str, ...]:
+        """Names of its thrusters; none without counters."""
+        return self.statistics.layout.thrusters
+
+    @property
     def fires(self) -> bool:
         """Whether the event has thruster counters."""
-        return bool(self.statistics.layout.thrusters)
+        return bool(self.thrusters)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """All rows at once."""
+        return Samples.joined(list(self.rows))
+
+    @cached_property
+    def usable_rows(self) -> Rows:
+        """The columns of all rows that enter the balance."""
+        layout = self.statistics.layout
+        return settle(self.samples, Carry.start(layout), layout, self.sampling, final=True)[0]
+
+    def with_columns(self, extra: Sequence[ExtraColumn]) -> ReducedEvent:
+        """The event reduced with columns that effects need, which see all of it at once."""
+        sampling = replace(self.sampling, extra=tuple(extra))
+        layout = replace(self.statistics.layout, extra=tuple(column.name for column in extra))
+        samples, found = self.samples, self.rows.prepared.found
+        statistics = reduce_chunks(
+            self.id, self.kind, [samples], layout, sampling, len(samples), found
+        )
+        return replace(self, statistics=statistics, sampling=sampling, key="")
 
 
 class EventRows:
@@ -182,7 +208,6 @@ def sampling_of(
     thrusters: Sequence[str],
     duration_s: float,
     pulse_shape: str,
-    extra: Sequence[ExtraColumn] = (),
 ) -> Sampling:
     """How an event's telemetry is reduced, from the priors of the pulse parameters.
 
@@ -211,10 +236,9 @@ def sampling_of(
         guard,
         tuple(tuple(list(thrusters).index(name) for name in group) for group in groups),
         duration_s,
-        tuple(extra),
-        priors.spacecraft.control_cycle_s,
-        8.0 * missed / wheel,
-        _CORNER_NOISE * np.sqrt(6.0) * noise,
+        control_cycle_s=priors.spacecraft.control_cycle_s,
+        corner_rad=8.0 * missed / wheel,
+        corner_rad_s=_CORNER_NOISE * np.sqrt(6.0) * noise,
     )
 
 
@@ -226,16 +250,11 @@ def reduce_samples(
     samples: Samples,
     sampling: Sampling,
 ) -> ReducedEvent:
-    """Reduce telemetry that is in memory, as from a simulation.
-
-    Columns that effects bring see the whole event at once.
-    """
-    extra = tuple(column.name for column in sampling.extra)
-    layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples, extra)
-    block = len(samples) if extra else BLOCK_ROWS
+    """Reduce telemetry that is in memory, as from a simulation."""
+    layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples)
     rows = PreparedRows((samples,), sampling.control_cycle_s)
     found = rows.prepared.found
-    statistics = reduce_chunks(event_id, kind, rows, layout, sampling, block, found)
+    statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=found)
     counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
     gained = np.zeros((2, len(thrusters)))
     if len(counted):

@@ -17,10 +17,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.thrusts import ThrustPrior
 from cassini_bayes.model.unknowns import Unknowns
+from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK
 
 STEP: Final = 0.05  # in prior standard deviations
 SEEN_WELL: Final = 0.3
@@ -28,6 +29,7 @@ SEEN: Final = 0.7
 HARDLY: Final = 0.95
 TOGETHER: Final = 0.9
 NOISE_BLOCK: Final = "noise"
+NOT_SEEN: Final = "not seen"
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,15 @@ class Observability:
     singular_values: Array
     together: tuple[tuple[str, str, float], ...]
     sentences: tuple[str, ...]
+
+    @property
+    def unseen_effects(self) -> tuple[str, ...]:
+        """In words: parameters of effects of which the events say nothing."""
+        of_effects = self.table["block"] == EFFECT_BLOCK
+        unseen = self.table[of_effects & (self.table["verdict"] == NOT_SEEN)]["quantity"]
+        return tuple(
+            f"These events cannot see {name}: its posterior is its prior." for name in unseen
+        )
 
 
 def observability(model: Model) -> Observability:
@@ -170,7 +181,7 @@ def _verdict(ratio: float) -> str:
     for limit, word in ((SEEN_WELL, "seen well"), (SEEN, "seen"), (HARDLY, "hardly seen")):
         if ratio < limit:
             return word
-    return "not seen"
+    return NOT_SEEN
 
 
 def _together(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
@@ -197,12 +208,14 @@ def _sentences(
     ]
     levels = table[table["quantity"].str.startswith("thrust[all events")]
     groups = [("thrust levels", levels), ("inertia", table[table["block"] == "inertia"])]
-    groups.append(("nuisances", table[~table["block"].isin(["thrust", "inertia"])]))
+    others = ["thrust", "inertia", EFFECT_BLOCK]
+    groups.append(("nuisances", table[~table["block"].isin(others)]))
+    groups.append(("effects", table[table["block"] == EFFECT_BLOCK]))
     for name, rows in groups:
         if rows.empty:
             continue
         parts = []
-        for verdict in ("seen well", "seen", "hardly seen", "not seen"):
+        for verdict in ("seen well", "seen", "hardly seen", NOT_SEEN):
             members = rows[rows["verdict"] == verdict]["quantity"]
             if len(members):
                 labels = [str(m).removeprefix("thrust[all events,").rstrip("]") for m in members]

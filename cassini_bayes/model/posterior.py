@@ -16,8 +16,9 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Parameters
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.effect import Effect, columns_of
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.event_reduction import ReducedEvent
@@ -34,7 +35,7 @@ from cassini_bayes.model.thrusts import (
 from cassini_bayes.model.totals import DeltaVUse, TotalsTerm, totals_terms
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import ParameterSpace, Priors
-from cassini_bayes.spacecraft.parameters import ParameterSpec
+from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, ParameterSpec
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
@@ -57,6 +58,7 @@ class Model(Shared):
     totals: tuple[TotalsTerm, ...]
     telemetry: tuple[TelemetryTerm, ...]
     idle: Mapping[str, float]  # parameters of wheels that no event uses
+    effects: tuple[Effect, ...] = ()  # beyond the standard physics
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -145,6 +147,7 @@ def build_model(
     *,
     pulse_shape: str = "first_order",
     delta_v: DeltaVUse = "as-declared",
+    effects: Sequence[Effect] = (),
     keep_idle: bool = False,
 ) -> Model:
     """Assemble the model of any mix of totals rows and reduced telemetry events.
@@ -160,6 +163,9 @@ def build_model(
     delta_v
         Of the totals rows. ``as-declared``: each row's ``delta_v_source`` decides; ``ignore``: ΔV
         is left out; ``as-measured``: every ΔV is taken as a measurement of thrust (a what-if).
+    effects
+        Beyond the standard physics (:func:`cassini_bayes.effects.catalogue.named_effects`); their
+        parameters are walked after all others.
     keep_idle
         Keep the columns of telemetry that have no weight yet, for effects to be added;
         :func:`without_idle` drops them.
@@ -179,7 +185,7 @@ def build_model(
         )
     _require_distinct([event.id for event in events])
     rows = [event for event in events if isinstance(event, TotalsEvent)]
-    reduced = [event for event in events if isinstance(event, ReducedEvent)]
+    reduced = [_with_columns(e, effects) for e in events if isinstance(e, ReducedEvent)]
     fires = bool(rows) or any(event.fires for event in reduced)
     shared = shared_of(priors, {number for event in events for number in event.wheels}, fires=fires)
     totals = totals_terms(rows, priors, shared, pulse_shape=pulse_shape, delta_v=delta_v)
@@ -200,7 +206,43 @@ def build_model(
         telemetry=telemetry,
         idle={name: 0.0 for name in priors.spacecraft.wheel_parameters() if name not in names},
     )
+    model = with_effects(model, effects)
     return model if keep_idle else without_idle(model)
+
+
+def _with_columns(event: ReducedEvent, effects: Sequence[Effect]) -> ReducedEvent:
+    """The event with the columns that effects need, reduced again if it lacks one."""
+    columns = columns_of((effect.kind for effect in effects), event.thrusters)
+    lacks = {column.name for column in columns} - set(event.statistics.layout.extra)
+    return event.with_columns(columns) if lacks else event
+
+
+def with_effects(model: Model, effects: Sequence[Effect]) -> Model:
+    """The model with more effects: their parameters are walked after those there are.
+
+    Its telemetry has the columns that they need.
+    """
+    if not effects:
+        return model
+    old, place = model.space, (model.spacecraft, model.branch)
+    parameters = [parameter for effect in effects for parameter in effect.parameters]
+    space = replace(
+        old,
+        names=(*old.names, *(p.name for p in parameters)),
+        distributions=(*old.distributions, *(p.distribution for p in parameters)),
+        blocks=(*old.blocks, *(EFFECT_BLOCK for _ in parameters)),
+    )
+    specs = {spec.name: spec for effect in effects for spec in effect.specs}
+    added = tuple(effect.modifier(*place) for effect in effects)
+    in_rows = tuple(effect.modifier(*place, rows=True) for effect in effects)
+    return replace(
+        model,
+        space=space,
+        specs={**model.specs, **specs},
+        totals=tuple(replace(t, modifiers=(*t.modifiers, *added)) for t in model.totals),
+        telemetry=tuple(replace(t, modifiers=(*t.modifiers, *in_rows)) for t in model.telemetry),
+        effects=(*model.effects, *effects),
+    )
 
 
 def shared_of(priors: Priors, wheels: Collection[int], *, fires: bool) -> Shared:

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.inertia import ELEMENTS, WITHOUT_WHEELS, elements_of, without_wheels
 from cassini_bayes.balance.kernel import without_own
 from cassini_bayes.balance.measured_delta_v import (
@@ -40,6 +39,7 @@ from cassini_bayes.balance.telemetry_terms import (
     merged_bands,
     without_idle_columns,
 )
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.terms import (

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Modifier, Physics, physics_of
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.thrusts import ThrustInformation, ThrustPrior
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.spacecraft import Spacecraft
@@ -25,6 +25,8 @@ TermDraws = Mapping[str, Array]
 """What a term has of its own beside thrusts, drawn: name → (n, …)."""
 TORQUE = "external_torque_n_m"
 """The steady external torque (n, E, 3) of a term's events, which every term has."""
+ALL_POINTS: Final = 1_000_000
+"""As many points at once as anybody asks for: for terms whose points are small."""
 
 
 @dataclass(frozen=True)

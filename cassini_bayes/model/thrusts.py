@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Parameters
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.priors.chaining import ChainedLevels
 from cassini_bayes.priors.reader import Priors
 

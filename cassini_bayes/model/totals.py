@@ -15,7 +15,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.computed_delta_v import (
     ComputedDeltaV,
     channel_log_likelihood,
@@ -38,9 +37,11 @@ from cassini_bayes.balance.totals_system import (
     totals_system,
 )
 from cassini_bayes.balance.totals_terms import RPM_PER_RAD_S, TotalsStack, stack_events
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.terms import (
+    ALL_POINTS,
     TORQUE,
     Points,
     Shared,
@@ -59,7 +60,6 @@ DeltaVUse = Literal["as-declared", "ignore", "as-measured"]
 SOFTWARE: Final = ("fsw_acceleration_factor", "fsw_impulse_offset_s")
 MASS: Final = "mass_factor"
 KIND: Final = "totals"
-_ALL_POINTS: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class TotalsTerm:
     computed: ComputedDeltaV | None  # ΔV computed on board, where events have it
     modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
     density_name: str = "totals"
-    most_points: int = _ALL_POINTS
+    most_points: int = ALL_POINTS
 
     @property
     def stack(self) -> TotalsStack:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cassini_bayes.arrays import Places
+from cassini_bayes.computing.arrays import Places
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from cassini_bayes.effects.catalogue import named_effects
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.totals import read_totals
+from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.event_reduction import is_event_folder, reduce_event, store_reduction
+from cassini_bayes.model.event_reduction import (
+    ReducedEvent,
+    is_event_folder,
+    reduce_event,
+    store_reduction,
+)
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -30,8 +38,9 @@ class Inputs:
 
     def store(self, folder: Path) -> None:
         """Keep the reduced telemetry beside the run."""
-        for term in self.model.telemetry:
-            store_reduction(term.event, folder / STATISTICS)
+        for event in self.events:
+            if isinstance(event, ReducedEvent):
+                store_reduction(event, folder / STATISTICS)
 
 
 def read_inputs(
@@ -39,6 +48,7 @@ def read_inputs(
     base: Path,
     folder: Path | None = None,
     say: Callable[[str], None] | None = None,
+    kinds: Kinds | None = None,
 ) -> Inputs:
     """Read the events and priors a run file names, relative to ``base``, and build the model.
 
@@ -50,6 +60,8 @@ def read_inputs(
         The run's folder: telemetry that an earlier run there reduced is taken from it.
     say
         Told what was read of the telemetry.
+    kinds
+        The effects that a run file may name; those of the package by default.
     """
     priors_path = base / run.priors
     priors = read_priors(priors_path)
@@ -78,10 +90,27 @@ def read_inputs(
                 )
         given |= dict.fromkeys((event.id for event in found), reference)
         events.extend(found)
+    effects = effects_of(run, events, priors, kinds)
+    if kinds is not None:
+        digests |= kinds.files
     model = build_model(
-        events, priors, pulse_shape=run.model.pulse_shape, delta_v=run.model.delta_v
+        events,
+        priors,
+        pulse_shape=run.model.pulse_shape,
+        delta_v=run.model.delta_v,
+        effects=effects,
     )
     return Inputs(tuple(events), priors, model, digests)
+
+
+def effects_of(
+    run: RunFile, events: Sequence[Event], priors: Priors, kinds: Kinds | None
+) -> tuple[Effect, ...]:
+    """The effects that a run names, on these events."""
+    wheels = sorted({number for event in events for number in event.wheels})
+    inputs = ["totals" if isinstance(event, TotalsEvent) else "telemetry" for event in events]
+    given = tuple(dict.fromkeys(inputs))
+    return named_effects(run.model.effects, priors, wheels, given, kinds, "model.effects")
 
 
 def _file_of(base: Path, reference: str) -> str:

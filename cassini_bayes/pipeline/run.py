@@ -17,6 +17,7 @@ from typing import Final, Protocol
 import tomli_w
 
 from cassini_bayes import __version__
+from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
@@ -133,6 +134,7 @@ def execute(
     reporter: Reporter,
     force: bool = False,
     resume: bool = False,
+    kinds: Kinds | None = None,
 ) -> Outcome:
     """Run everything a run file asks for and write it to ``folder``.
 
@@ -142,6 +144,8 @@ def execute(
         The run file and the folder its paths are relative to.
     command
         The command line, for the record.
+    kinds
+        The effects that the run file may name; those of the package by default.
 
     Raises
     ------
@@ -149,13 +153,13 @@ def execute(
         Anything wrong with the inputs or the folder; nothing is sampled then.
     """
     began = time.monotonic()
-    inputs = read_inputs(run, base, folder, reporter.say)
+    inputs = read_inputs(run, base, folder, reporter.say, kinds)
     settings = run.sampler.settings()
     settings.walkers_for(len(inputs.model.space.names))
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
     if resume:
         refuse_other_run(folder / "provenance.json", provenance.identity)
-    if inputs.model.telemetry:
+    if inputs.model.telemetry or inputs.model.effects:
         for sentence in observability(inputs.model).sentences:
             reporter.say(sentence)
     prepare_folder(folder, force=force, resume=resume)
@@ -247,6 +251,7 @@ def _facts(
         **expansion,
         "Pulse shape": run.model.pulse_shape,
         "ΔV": run.model.delta_v,
+        **({"Effects": ", ".join(run.model.effects)} if run.model.effects else {}),
         "Data rows": _data_rows(run, inputs),
         "Versions": ", ".join(f"{name} {version}" for name, version in provenance.versions.items()),
         "Package": f"cassini_bayes {__version__}",

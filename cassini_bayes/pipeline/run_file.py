@@ -24,6 +24,7 @@ class ModelTable(_Table):
 
     pulse_shape: str = "first_order"
     delta_v: Literal["as-declared", "ignore", "as-measured"] = "as-declared"
+    effects: list[str] = []
 
 
 class SamplerTable(_Table):

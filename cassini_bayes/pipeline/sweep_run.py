@@ -92,6 +92,13 @@ def execute_sweep(
         No fit there, one of another model, or a sweep file that does not fit the model.
     """
     began = time.monotonic()
+    if run.model.effects:
+        raise InputError(
+            "model.effects",
+            "a run of the standard physics",
+            f"one with {', '.join(run.model.effects)}",
+            "sweep a run without effects: sweeps vary the parameters of the priors file",
+        )
     inputs, fit = _read(run, base, folder, reporter)
     factory = factory_of(run, inputs)
     study = plan(factory, fit, sweep, where)

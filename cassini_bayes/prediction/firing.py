@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 from scipy.special import gammaln
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.priors.parameter_space import ParameterSpace

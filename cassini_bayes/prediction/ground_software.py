@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
 from cassini_bayes.prediction.requests import BiasRequest, request_of

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.predict import SOURCES, predict
 from cassini_bayes.prediction.requests import BiasRequest

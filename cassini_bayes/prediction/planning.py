@@ -22,8 +22,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_rate_covariance
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.prediction.firing import mean_firing

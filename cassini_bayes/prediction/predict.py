@@ -9,12 +9,12 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import (
     hold_attitude_covariance,
     hold_rate_covariance,
     wheel_rounding_covariance,
 )
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.prediction.demand import PairSolver
 from cassini_bayes.prediction.firing import Features, FiringDraws, draw_firing, mean_firing
 from cassini_bayes.prediction.ground_knowledge import (

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 
 @dataclass(frozen=True)

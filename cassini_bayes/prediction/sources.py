@@ -54,6 +54,13 @@ def read_sources(
         )
     resolved = _resolved(fit.parent)
     model_table = resolved.get("model", {})
+    if model_table.get("effects"):
+        raise InputError(
+            str(fit),
+            "a fit of the standard physics",
+            f"one with effects {', '.join(model_table['effects'])}",
+            "predict from a fit without [model] effects: predictions do not have them",
+        )
     priors_path = priors or _locate(fit, resolved.get("priors"), "--priors")
     read = read_priors(priors_path)
     references = (

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 SETTLING_TIMES: Final = 6.0
 TAIL_POINTS: Final = (0.5, 1.0, 2.0, 3.0, SETTLING_TIMES)

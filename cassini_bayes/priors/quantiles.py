@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf, erfcinv, erfinv, log_ndtr, ndtr, ndtri, ndtri_exp
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 _HALF_LOG_2PI: Final = 0.5 * math.log(2.0 * math.pi)
 _SQRT_2: Final = math.sqrt(2.0)

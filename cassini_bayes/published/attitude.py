@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published.printed import csv_rows, package_text
 
 COLUMNS: Final = (

@@ -18,9 +18,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes import __version__
 from cassini_bayes.computing.processes import in_processes
-from cassini_bayes.diagnosis.correlations import POINTWISE, Shown
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.correlations import POINTWISE, InnovationTests
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
-from cassini_bayes.diagnosis.discrepancy import Curve, verdict_curves
+from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.report.plots import Figure, encode, settle
 from cassini_bayes.report.plots.criticism import (
@@ -32,6 +33,7 @@ from cassini_bayes.report.plots.criticism import (
 )
 
 MOST_CAUSES: Final = 12
+UNITS: Final = {"rmse_nms": "N m s", "rmse_n": "N", "rmse_s": "s"}  # of what is left
 CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "causes": "Causes, most probable first: posterior probability and evidence.",
@@ -73,23 +75,24 @@ class Drawn:
     svg: bytes
 
 
-def diagnosis_pictures(diagnosis: Diagnosis, curves: Sequence[Curve]) -> list[Picture]:
-    """``causes``; with telemetry ``innovations``, ``discrepancy``, ``correlation_1`` … too."""
-    rows = diagnosis.verdict.rows
-    changed = bool(diagnosis.extended.hypothesis.effects)
-    after_rows = diagnosis.extended_rows if changed else ()
-    pictures = [
-        cause_picture(diagnosis.record),
-        Picture("innovations", partial(innovation_figure, rows, after_rows)),
+def innovation_pictures(diagnosis: Diagnosis[Any], curves: Sequence[Curve]) -> list[Picture]:
+    """``innovations``, ``discrepancy``, ``correlation_1`` …, ``whiteness``; none without rows."""
+    left, after = diagnosis.verdict.none.remainder, diagnosis.extended.remainder
+    if left is None:
+        return []
+    before_tests, after_tests = diagnosis.shown.detail
+    has_cause = after is not None and after is not left
+    tests = before_tests, after_tests if has_cause else None
+    after_rows = after.rows if after is not None and has_cause else ()
+    return [
+        Picture("innovations", partial(innovation_figure, left.rows, after_rows)),
         Picture("discrepancy", partial(discrepancy_figure, curves)),
+        *(
+            Picture(f"correlation_{i}", partial(correlation_figure, event.event, *tests))
+            for i, event in enumerate(left.rows, start=1)
+        ),
+        Picture("whiteness", partial(whiteness_figure, *tests)),
     ]
-    if diagnosis.shown is None:
-        return pictures
-    before, after = diagnosis.shown[0], diagnosis.shown[1] if changed else None
-    for i, own in enumerate(rows, start=1):
-        make = partial(correlation_figure, own.event, before, after)
-        pictures.append(Picture(f"correlation_{i}", make))
-    return [*pictures, Picture("whiteness", partial(whiteness_figure, before, after))]
 
 
 def cause_picture(record: Mapping[str, Any]) -> Picture:
@@ -100,8 +103,8 @@ def cause_picture(record: Mapping[str, Any]) -> Picture:
 def drawn(pictures: Sequence[Picture], processes: int = 1) -> list[Drawn]:
     """Pictures that show something made, laid out and drawn, shared out among processes."""
     # the last ones take longest: they go first, so that the work is shared out evenly
-    found = in_processes(_drawn, pictures[::-1], processes)[::-1]
-    return [own for own in found if own is not None]
+    results = in_processes(_drawn, pictures[::-1], processes)[::-1]
+    return [image for image in results if image is not None]
 
 
 def _drawn(picture: Picture) -> Drawn | None:
@@ -112,7 +115,7 @@ def _drawn(picture: Picture) -> Drawn | None:
     return Drawn(picture.name, picture.caption, encode(figure, "png"), encode(figure, "svg"))
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: Path, name: str, processes: int = 1) -> None:
+def write_diagnosis(diagnosis: Diagnosis[Any], folder: Path, name: str, processes: int = 1) -> None:
     """Write ``diagnosis.json``, tables, ``figures/`` and ``report.html``.
 
     ``discrepancy.csv`` and ``correlation.csv`` hold what the figures of those names show.
@@ -123,28 +126,20 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, name: str, processes: in
     InputError
         The folder cannot be written.
     """
-    curves = verdict_curves(diagnosis.verdict, np.random.default_rng(diagnosis.record["seed"]))
-    if diagnosis.shown is not None:
+    record, curves = diagnosis.record, tuple[Curve, ...]()
+    if isinstance(diagnosis.case, BalanceCase) and diagnosis.shown.detail is not None:
+        rng = np.random.default_rng(record["seed"])
+        curves = curves_of(diagnosis.case, diagnosis.verdict, rng)
         write_text(folder / "discrepancy.csv", curve_table(curves).to_csv(index=False))
-        table = driver_table(*diagnosis.shown)
+        table = driver_table(*diagnosis.shown.detail)
         write_text(folder / "correlation.csv", table.to_csv(index=False))
-    pictures = drawn(diagnosis_pictures(diagnosis, curves), processes)
-    write_record(diagnosis.record, pictures, folder, name, curves)
-
-
-def write_record(
-    record: Mapping[str, Any],
-    pictures: Sequence[Drawn],
-    folder: Path,
-    name: str,
-    curves: Sequence[Curve] = (),
-) -> None:
-    """Write ``diagnosis.json``, ``figures/`` and ``report.html`` of any diagnosis."""
+    pictures = [cause_picture(record), *innovation_pictures(diagnosis, curves)]
+    images = drawn(pictures, processes)
     write_text(folder / "diagnosis.json", diagnosis_json(record))
-    for own in pictures:
-        write_bytes(folder / "figures" / f"{own.name}.png", own.png)
-        write_bytes(folder / "figures" / f"{own.name}.svg", own.svg)
-    write_text(folder / "report.html", render_diagnosis(record, pictures, name, curves))
+    for image in images:
+        write_bytes(folder / "figures" / f"{image.name}.png", image.png)
+        write_bytes(folder / "figures" / f"{image.name}.svg", image.svg)
+    write_text(folder / "report.html", render_diagnosis(record, images, name, curves))
 
 
 def curve_table(curves: Sequence[Curve]) -> pd.DataFrame:
@@ -162,7 +157,7 @@ def curve_table(curves: Sequence[Curve]) -> pd.DataFrame:
     )
 
 
-def driver_table(before: Shown, after: Shown) -> pd.DataFrame:
+def driver_table(before: InnovationTests, after: InnovationTests) -> pd.DataFrame:
     """Standardised correlations with every driver, σ, and their bands' half-widths."""
     later = {(t.event, t.axis, t.driver): t.z for t in after.drivers}
     return pd.DataFrame(
@@ -206,6 +201,8 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
             f"The data reject the baseline and no cause of the catalogue mends it "
             f"(probability of unknown {best['probability']:.3f})."
         )
+        if record["runner_up"] is not None:
+            lines.append(_runner_up_sentence(record))
     else:
         lines.append(
             f"{best['name']} explains what the baseline does not (probability "
@@ -224,6 +221,30 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
             f"{record['p_value']:.3f}; of the extended model: {record['gain']['p_value']:.3f}."
         )
     return lines
+
+
+def _runner_up_sentence(record: Mapping[str, Any]) -> str:
+    """The best cause that there is, its size, and what it leaves."""
+    left = record["runner_up"]
+    cause = next(item for item in record["causes"] if item["name"] == left["name"])
+    sizes = "; ".join(_size(key, size) for key, size in cause["parameters"].items())
+    remains = [
+        f"RMS {value:.3g} {unit} where the baseline leaves {record['baseline'][key]:.3g} {unit}"
+        for key, unit in UNITS.items()
+        if (value := left.get(key)) is not None
+    ]
+    if left["p_value"] is not None:
+        remains.append(f"p-value {left['p_value']:.3f}")
+    text = (
+        f"The best cause, {left['name']}, gains {cause['log_bayes_factor']:+,.1f} nats over the "
+        f"baseline and is {left['behind_unknown_nats']:,.1f} nats behind unknown ({sizes})."
+    )
+    return f"{text} It leaves {', '.join(remains)}." if remains else text
+
+
+def _size(key: str, size: Mapping[str, Any]) -> str:
+    low, high = (_number(end) for end in size["hdi_90"])
+    return f"{key}: {_number(size['mean'])} ± {_number(size['sd'], '.2g')} [{low}, {high}]"
 
 
 def gain_sentence(record: Mapping[str, Any]) -> str:
@@ -246,11 +267,7 @@ def _number(value: float | None, form: str = ".4g") -> str:
 
 
 def _cause_row(cause: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str, str]:
-    sizes = [
-        f"{key}: {_number(p['mean'])} ± {_number(p['sd'], '.2g')} "
-        f"[{_number(p['hdi_90'][0])}, {_number(p['hdi_90'][1])}]"
-        for key, p in cause["parameters"].items()
-    ]
+    sizes = [_size(key, size) for key, size in cause["parameters"].items()]
     widths = record["sensitivity"]
     return {
         "name": cause["name"],
@@ -270,13 +287,13 @@ def _closure_rows(record: Mapping[str, Any], curves: Sequence[Curve]) -> list[di
         for c, axis in enumerate("xyz")
     }
     rows = []
-    for own in record["closure"]:
-        cells = {"event": own["event"], "axis": own["axis"].upper(), "missing": "–"}
+    for row in record["closure"]:
+        cells = {"event": row["event"], "axis": row["axis"].upper(), "missing": "–"}
         for model in ("baseline", "extended"):
-            value, sd = own[f"{model}_n_m_s"], own[f"{model}_sd_n_m_s"]
+            value, sd = row[f"{model}_n_m_s"], row[f"{model}_sd_n_m_s"]
             cells[model] = f"{value:+.4f} ± {sd:.4f} ({value / sd:+.1f} σ)"
-        if (own["event"], own["axis"]) in missing:
-            mean, low, high = missing[own["event"], own["axis"]]
+        if (row["event"], row["axis"]) in missing:
+            mean, low, high = missing[row["event"], row["axis"]]
             cells["missing"] = f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]"
         rows.append(cells)
     return rows
@@ -299,10 +316,10 @@ def render_diagnosis(
     before, after = record["baseline"], record["extended"]
     labels = {
         "log_evidence": "log evidence (nats)",
-        "rmse_nms": "RMS innovation (N m s)",
+        **{key: f"RMS residual ({unit})" for key, unit in UNITS.items()},
         "elpd": "held-out log score (nats)",
         "elpd_se": "its standard error (nats)",
-        "heldout_rmse_nms": "held-out RMS residual (N m s)",
+        **{f"heldout_{key}": f"held-out RMS residual ({unit})" for key, unit in UNITS.items()},
         "heldout_coverage_90": "coverage of held-out 90 % central intervals (1)",
     }
     return environment.get_template("diagnosis.html.jinja").render(
@@ -310,7 +327,8 @@ def render_diagnosis(
         sentences=sentences(record),
         symptoms=record["symptoms"],
         pictures=[
-            {"name": own.name, "caption": own.caption, "address": _address(own)} for own in pictures
+            {"name": image.name, "caption": image.caption, "address": _address(image)}
+            for image in pictures
         ],
         closure=_closure_rows(record, curves),
         causes=[_cause_row(cause, record) for cause in record["causes"][:MOST_CAUSES]],
@@ -323,6 +341,7 @@ def render_diagnosis(
                 "after": _number(after[key], ".6g"),
             }
             for key, text in labels.items()
+            if before.get(key) is not None or after.get(key) is not None
         ],
         gain_sentence=gain_sentence(record),
         made=f"cassini_bayes {__version__}",

@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import TotalsStack, wheel_momentum
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.terms import Points
 from cassini_bayes.spacecraft.parameters import ParameterSpec

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.model.totals import DeltaVUse
@@ -44,7 +44,9 @@ def thrusts_by_delta_v_use(
                 tables.append(_table(label, model, values.reshape(-1, *values.shape[2:])))
                 continue
             shape = term.pulse_shape.name
-            other = build_model(model.sources, priors, pulse_shape=shape, delta_v=use)
+            other = build_model(
+                model.sources, priors, pulse_shape=shape, delta_v=use, effects=model.effects
+            )
             warm = warm_start(partial(log_posterior, other), other.space.dimension, rng)
             z = warm.draws.resample(rng, len(warm.draws.z))
             thrusts = draw(other, z, rng).thrusts.thrust_n

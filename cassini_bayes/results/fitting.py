@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.processes import in_parts
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore

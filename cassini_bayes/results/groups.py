@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import xarray as xr
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import Draws, draw, draw_prior, event_log_density
 from cassini_bayes.model.posterior import TORQUES, Model
 from cassini_bayes.model.terms import TORQUE, TermAt, TermDraws, Variable
@@ -85,7 +85,7 @@ def coordinates_of(model: Model) -> Coordinates:
 
 def density_name(model: Model) -> str:
     """Variable of the log density of data: the terms' own name where all have the same."""
-    names = {term.density_name for term in model.terms}
+    names = {term.density_name for term in model.terms if term.events}
     return names.pop() if len(names) == 1 else DENSITY
 
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.inertia import (
     ELEMENTS,
     WITH_WHEELS,
@@ -15,6 +14,7 @@ from cassini_bayes.balance.inertia import (
     elements_of,
     tensor_of,
 )
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.results.record import Fit
 
 

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.inertia import ELEMENTS, PLACES
 from cassini_bayes.balance.physics import Physics
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.telemetry import TelemetryTerm
 from cassini_bayes.results.baselines import assumed_points

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
-from cassini_bayes.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.files.checkpoint import CheckpointStore
 

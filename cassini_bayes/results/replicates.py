@@ -17,8 +17,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.record import Coordinates, labelled

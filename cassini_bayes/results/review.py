@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.inertia import Physicality, physicality
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.observability import Observability, observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.priors.reader import Priors
@@ -65,7 +65,8 @@ class Review:
         """What has to be read first."""
         is_broken = self.model.telemetry and self.physicality.is_broken
         physical = (self.physicality.sentence,) if is_broken else ()
-        return (*self.notes, *physical, *conflict_sentences(self.nuisances))
+        unseen = self.observability.unseen_effects if self.model.effects else ()
+        return (*self.notes, *physical, *unseen, *conflict_sentences(self.nuisances))
 
     @cached_property
     def summary(self) -> pd.DataFrame:

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.computed_delta_v import predicted_delta_v
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
@@ -102,20 +102,21 @@ def nuisance_table(model: Model, priors: Priors, z: Array) -> pd.DataFrame:
     table = prior_against_posterior(model, z)
     physical = model.space.to_parameters(z)
     rows = []
-    for name in model.space.names:
-        prior = priors.parameters[name]
-        assert prior.distribution is not None  # walked parameters have one
+    sources = {name: prior.source for name, prior in priors.parameters.items()}
+    sources |= {spec.name: effect.source for effect in model.effects for spec in effect.specs}
+    for name, prior in zip(model.space.names, model.space.distributions, strict=True):
+        spec = model.specs[name]
         values = np.asarray(physical[name])
         low, high = hdi(values)
         rows.append(
             {
                 "name": name,
-                "block": prior.spec.block,
-                "unit": prior.spec.unit,
-                "meaning": prior.spec.meaning,
-                "source": prior.source,
-                "prior_mean": prior.distribution.mean(),
-                "prior_sd": prior.distribution.sd(),
+                "block": spec.block,
+                "unit": spec.unit,
+                "meaning": spec.meaning,
+                "source": sources[name],
+                "prior_mean": prior.mean(),
+                "prior_sd": prior.sd(),
                 "mean": values.mean(),
                 "sd": values.std(ddof=1),
                 "hdi_90_low": float(low),

@@ -19,10 +19,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import direction_cosines, effective_increments
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.telemetry import TelemetryTerm

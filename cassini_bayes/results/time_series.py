@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array, Flags, Places
 from cassini_bayes.balance.statistics import Carry, Samples, settle
 from cassini_bayes.balance.statistics.columns import Rows
 from cassini_bayes.balance.telemetry_terms import (
@@ -23,6 +22,7 @@ from cassini_bayes.balance.telemetry_terms import (
     balance_weights,
     noise_covariance,
 )
+from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm, unknowns_of
@@ -120,7 +120,8 @@ def balances(
     Rows are thinned evenly to at most ``most_rows``.
     """
     points, first = model.points(z), len(model.totals)
-    thrust, own = model.fired_of_term[first:], draws.own[first:]
+    places = slice(first, first + len(model.telemetry))
+    thrust, own = model.fired_of_term[places], draws.own[places]
     for term, fired, drawn in zip(model.telemetry, thrust, own, strict=True):
         balance, physics = term.balance, term.physics(points)
         rows, every = _rows(term, most_rows)

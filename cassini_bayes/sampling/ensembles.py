@@ -18,7 +18,7 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.processes import in_lock_step
 from cassini_bayes.errors import CassiniBayesError, InputError

@@ -263,8 +263,9 @@ def choose_effect(
     branch: str,
     wheels: tuple[int, ...],
     where: str,
+    known: Mapping[str, Effect] = EFFECTS,
 ) -> ChosenEffect:
-    """Check a requested effect against the catalogue and the spacecraft.
+    """Check a requested effect against the effects that there are, and the spacecraft.
 
     Raises
     ------
@@ -272,11 +273,11 @@ def choose_effect(
         Unknown name or target, a parameter that is missing, unknown or impossible.
     """
     kind, _, target = request.name.partition(":")
-    if kind not in EFFECTS:
+    if kind not in known:
         raise InputError(
-            f"{where}.name", "the name of an effect", repr(request.name), nearest(kind, EFFECTS)
+            f"{where}.name", "the name of an effect", repr(request.name), nearest(kind, known)
         )
-    effect = EFFECTS[kind]
+    effect = known[kind]
     targets = possible_targets(effect, spacecraft, branch, wheels)
     if effect.targets is None and target:
         raise InputError(f"{where}.name", repr(kind), repr(request.name), "drop the colon")
@@ -288,14 +289,14 @@ def choose_effect(
             nearest(target, targets),
         )
     required = tuple(key.format(target=target) for key in effect.keys)
-    known = (*required, *effect.optional)
+    keys = (*required, *effect.optional)
     for key in request.parameters:
-        if key not in known:
+        if key not in keys:
             raise InputError(
                 f"{where}.parameters.{key}",
-                f"one of {', '.join(known) or 'none'}",
+                f"one of {', '.join(keys) or 'none'}",
                 "an unknown parameter",
-                nearest(key, known),
+                nearest(key, keys),
             )
     for key in required:
         if key not in request.parameters:

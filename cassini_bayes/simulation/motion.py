@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.simulation.kernel import Body
 
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)

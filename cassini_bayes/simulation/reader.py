@@ -8,13 +8,14 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number, nearest
-from cassini_bayes.simulation.effects import ChosenEffect, choose_effect
+from cassini_bayes.simulation.effects import EFFECTS, ChosenEffect, Effect, choose_effect
 from cassini_bayes.simulation.settings import (
     LARGEST,
     SMALLEST,
@@ -70,8 +71,12 @@ class ScenarioFile:
         return dict(table) if isinstance(table, dict) else {}
 
 
-def read_scenario(path: str | Path) -> ScenarioFile:
+def read_scenario(
+    path: str | Path, own: Mapping[str, Effect] = MappingProxyType({})
+) -> ScenarioFile:
     """Read and check a scenario file (``docs/simulation.md`` has the format).
+
+    ``own`` are effects by name beyond those that there are.
 
     Raises
     ------
@@ -79,11 +84,14 @@ def read_scenario(path: str | Path) -> ScenarioFile:
         Names the file, the dotted key, what was expected, what was found and the nearest name.
     """
     path = Path(path)
-    return scenario_of(_parse(path), path.parent, str(path))
+    return scenario_of(_parse(path), path.parent, str(path), own)
 
 
 def scenario_of(
-    document: Mapping[str, Any], folder: str | Path = ".", where: str = "scenario"
+    document: Mapping[str, Any],
+    folder: str | Path = ".",
+    where: str = "scenario",
+    own: Mapping[str, Effect] = MappingProxyType({}),
 ) -> ScenarioFile:
     """Check a scenario that is at hand as a mapping, as TOML gives it; no file needed.
 
@@ -95,6 +103,8 @@ def scenario_of(
         Where its relative paths start (priors to draw from, spacecraft file).
     where
         What error messages call it.
+    own
+        Effects by name beyond those that there are.
 
     Raises
     ------
@@ -113,7 +123,7 @@ def scenario_of(
         _check_direction(f"{where}: appendage.{index}.axis", appendage.axis)
     _check_truth(where, scenario, spacecraft)
     record_interval_s(scenario.telemetry)
-    effects = _effects(where, scenario, spacecraft, ids)
+    effects = _effects(where, scenario, spacecraft, ids, {**EFFECTS, **own})
     return ScenarioFile(where, folder, scenario, spacecraft, effects)
 
 
@@ -139,7 +149,11 @@ def _check_events(where: str, scenario: Scenario) -> tuple[str, ...]:
 
 
 def _effects(
-    where: str, scenario: Scenario, spacecraft: Spacecraft, ids: tuple[str, ...]
+    where: str,
+    scenario: Scenario,
+    spacecraft: Spacecraft,
+    ids: tuple[str, ...],
+    known: Mapping[str, Effect],
 ) -> tuple[ChosenEffect, ...]:
     """The requested effects, checked against the catalogue, the spacecraft and the events."""
     effects = []
@@ -151,7 +165,8 @@ def _effects(
                     f"{place}.events", "ids of events", repr(name), nearest(name, sorted(ids))
                 )
         table = scenario.spacecraft
-        effects.append(choose_effect(request, spacecraft, table.branch, table.wheels, place))
+        chosen = choose_effect(request, spacecraft, table.branch, table.wheels, place, known)
+        effects.append(chosen)
     return tuple(effects)
 
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import tomli_w
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation.kernel import STANDARD_GRAVITY_M_S2, specific_impulse
 from cassini_bayes.simulation.motion import Motion

@@ -18,6 +18,8 @@ BLOCKS: Final = (
     "noise",
     "flight software",
 )
+EFFECT_BLOCK: Final = "effect"
+"""Of parameters that no spacecraft has by itself: sizes of effects beyond the standard physics."""
 
 
 CLOSE_SHARE: Final = "close_pulse_share"
@@ -25,7 +27,10 @@ CLOSE_SHARE: Final = "close_pulse_share"
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """Name, unit (``"1"`` when dimensionless), block (one of :data:`BLOCKS`) and meaning."""
+    """Name, unit (``"1"`` when dimensionless), block and meaning.
+
+    The block is one of :data:`BLOCKS`, or :data:`EFFECT_BLOCK`.
+    """
 
     name: str
     unit: str

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 EffectiveTime = Callable[[Array, Array, Array, Array], Array]
 ThrustFraction = Callable[[Array, Array, Array, Array, Array], Array]

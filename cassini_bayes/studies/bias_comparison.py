@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published import WheelBiasTable
 from cassini_bayes.simulation import (
     Motion,

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.requests import BiasRequest

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes import __version__
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.report.plots import encode

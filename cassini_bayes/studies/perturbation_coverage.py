@@ -24,8 +24,8 @@ from scipy.stats import norm
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import wheel_momentum
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest

@@ -7,9 +7,10 @@ not know.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -17,11 +18,14 @@ from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.effects.own_files import guarded, load_module
+from cassini_bayes.effects.tables import Place, read_table, read_toml
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, write_totals
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors, read_priors
 from cassini_bayes.simulation import (
+    Effect,
     ScenarioFile,
     SimulatedEvent,
     Truth,
@@ -251,6 +255,7 @@ def simulate_scenario(
     seed: int,
     reporter: Reporter | None = None,
     force: bool = False,
+    own: Mapping[str, Effect] = MappingProxyType({}),
 ) -> Simulation:
     """Simulate a scenario file and write its event folders, ``totals.csv`` and ``truth.json``.
 
@@ -264,6 +269,8 @@ def simulate_scenario(
         Told of every event.
     force
         Replace what an earlier simulation left in ``out``.
+    own
+        Effects by name beyond those that there are (:func:`own_effects`).
 
     Raises
     ------
@@ -272,7 +279,7 @@ def simulate_scenario(
     """
     if seed < 0:
         raise InputError("--seed", "a whole number from 0", str(seed), "choose another seed")
-    file = read_scenario(path)
+    file = read_scenario(path, own)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(str(folder), "a folder", "a file", "choose another --out")
@@ -286,6 +293,31 @@ def simulate_scenario(
     simulation = simulate_file(file, seed, reporter)
     write_simulation(simulation, folder)
     return simulation
+
+
+def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
+    """The simulated sides of effects that a user brings, by name.
+
+    A Python file may have a function ``simulate(plan, target, values)``, from a plan
+    (:mod:`cassini_bayes.simulation.plan`) to one with the effect; its parameters and targets are
+    those of its table.
+
+    Raises
+    ------
+    InputError
+        A mistake in one of the files: file and line or dotted key are named.
+    """
+    found = {}
+    for path in files:
+        module = load_module(path) if path.suffix == ".py" else None
+        if module is not None and hasattr(module, "simulate"):
+            beside = path.with_suffix(".toml")
+            table = read_table(read_toml(beside), Place(beside))
+            keys = tuple(parameter.key for parameter in table.parameters)
+            targets = None if table.targets == "none" else table.targets
+            change = guarded(path, "simulate", module.simulate)
+            found[path.stem] = Effect(path.stem, keys, targets, change)
+    return found
 
 
 def write_simulation(simulation: Simulation, folder: Path) -> None:

@@ -18,8 +18,8 @@ from typing import Final, Literal
 import numpy as np
 from scipy.stats import kstest, norm
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, wheel_momentum
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.code import code_digest

@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.results.ranks import holm
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.coordinates import Coordinates

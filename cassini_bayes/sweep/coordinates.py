@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import xarray as xr
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.model.totals import SOFTWARE
 from cassini_bayes.priors.reader import Priors

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import xarray as xr
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.model.posterior import Event, Model, build_model, log_likelihood

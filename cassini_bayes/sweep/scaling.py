@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.results.record import Fit
 from cassini_bayes.spacecraft.parameters import BLOCKS
 from cassini_bayes.sweep.weights import smoothed_weights

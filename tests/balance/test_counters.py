@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.statistics.counters import (
     counter_step,
     expected_on_times,
     is_quantised,
 )
+from cassini_bayes.computing.arrays import Array
 
 CYCLE_S = 0.125
 

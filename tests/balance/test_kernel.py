@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance import kernel
 from cassini_bayes.balance.kernel import Entries, FastBands, Noise, Placed, SlowBand, Turns
+from cassini_bayes.computing.arrays import Array
 
 
 def positive(size: int, seed: int) -> Array:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.processes import PART, LogDensity, in_lock_step, in_parts, in_processes
 
 

@@ -8,29 +8,32 @@ from typing import cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import dblquad, quad
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis import evidence, modes
-from cassini_bayes.diagnosis.evidence import Weighed, hopeful, sampled, weigh_beside
-from cassini_bayes.diagnosis.extended import Hypothesis
-from cassini_bayes.diagnosis.modes import Mode, baseline_mode
+from cassini_bayes.diagnosis.case import Weighed
+from cassini_bayes.diagnosis.evidence import (
+    importance_sampled,
+    weigh_extensions,
+    worth_continuing,
+)
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.search import (
     UNSURE_NATS,
-    Sought,
-    extended_mode,
+    ModeSearch,
     has_moved,
-    higher,
-    near_mode,
-    renewed,
+    higher_of,
+    newton_search,
+    search_from_starts,
+    with_whole_curvature,
 )
-
-Array = NDArray[np.float64]
 
 
 def hypothesis(density: Callable[[Array], Array], dimension: int, name: str = "x") -> Hypothesis:
     """A hypothesis of nothing but its density."""
-    own = SimpleNamespace(name=name, log_density=density, dimension=dimension, effects=(1,))
+    own = SimpleNamespace(name=name, log_density=density, dimension=dimension)
     return cast(Hypothesis, own)
 
 
@@ -61,17 +64,17 @@ def test_evidence_beside_a_nuisance_on_a_ridge_is_exact(size: float) -> None:
     own = columns[:, :1] * 5.0 + 0.15 * rng.standard_normal((40, 1))
     together = np.concatenate([columns, own], axis=1)
     data = together @ np.array([0.5, -1.0, 0.3, 1.0, size]) + rng.standard_normal(40)
-    base = baseline_mode(linear(columns, data), 4)
+    base = find_mode(linear(columns, data), 4)
     assert base.log_evidence == pytest.approx(exact(columns, data), abs=2e-3)
     own = hypothesis(linear(together, data), 5)
-    found = extended_mode(own, base)
-    assert found.reach == 0.0
+    found = search_from_starts(own, base)
+    assert found.lacking == 0.0
     assert found.mode.log_evidence == pytest.approx(exact(together, data), abs=0.02)
-    draws = sampled(Weighed(own, found.mode, 0.0, 0.0), rng)
+    draws = importance_sampled(Weighed(own, found.mode, 0.0, 0.0), rng)
     assert abs(draws.log_evidence - exact(together, data)) < 4.0 * draws.log_evidence_se
     assert draws.pareto_k < 0.5
-    near = near_mode(own, base)
-    assert (near.reach == 0.0) == (size == 0.0)  # what gains many nats calls for a longer search
+    near = newton_search(own, base)
+    assert (near.lacking == 0.0) == (size == 0.0)  # what gains many nats calls for a longer search
     if size < 6.0:
         assert near.mode.log_evidence == pytest.approx(exact(together, data), abs=0.02)
 
@@ -84,20 +87,20 @@ def test_a_cause_that_cannot_matter_is_left_early(size: float, is_left: bool) ->
     own = columns[:, :1] + 0.15 * rng.standard_normal((40, 1))
     together = np.concatenate([columns, own], axis=1)
     data = together @ np.array([0.5, -1.0, 0.3, 1.0, size]) + rng.standard_normal(40)
-    base = baseline_mode(linear(columns, data), 4)
+    base = find_mode(linear(columns, data), 4)
     points: list[int] = []
 
     def counted(z: Array) -> Array:
         points.append(len(z))
         return linear(together, data)(z)
 
-    whole = near_mode(hypothesis(counted, 5), base)
+    whole = newton_search(hypothesis(counted, 5), base)
     needed = sum(points)
     points.clear()
-    early = near_mode(hypothesis(counted, 5), base, worth=4.0)
+    early = newton_search(hypothesis(counted, 5), base, worth=4.0)
     assert (sum(points) < needed) == is_left
     assert early.mode.log_evidence == pytest.approx(whole.mode.log_evidence, abs=1.0)
-    assert early.reach == whole.reach
+    assert early.lacking == whole.lacking
     assert (whole.mode.log_evidence - base.log_evidence < 4.0) == is_left
 
 
@@ -106,9 +109,9 @@ def test_a_search_knows_whether_it_has_ended(monkeypatch: pytest.MonkeyPatch) ->
     rng = np.random.default_rng(5)
     columns = rng.standard_normal((40, 3)) * [30.0, 1.0, 0.1]
     density = linear(columns, columns.sum(1))
-    assert baseline_mode(density, 3).is_whole
-    monkeypatch.setattr(modes, "LOOKS", 1)
-    assert not baseline_mode(density, 3).is_whole
+    assert find_mode(density, 3).is_whole
+    monkeypatch.setattr(modes, "MOST_CURVATURES", 1)
+    assert not find_mode(density, 3).is_whole
 
 
 def bent(z: Array) -> Array:
@@ -119,13 +122,15 @@ def bent(z: Array) -> Array:
 
 def test_evidence_where_curvature_changes_agrees_with_quadrature() -> None:
     """A skew density of nuisance and effect: importance draws against an integral in the plane."""
-    base = baseline_mode(lambda z: bent(np.column_stack([z, np.zeros(len(z))])), 1)
+    base = find_mode(lambda z: bent(np.column_stack([z, np.zeros(len(z))])), 1)
     own = hypothesis(bent, 2)
     wanted, _ = dblquad(
         lambda y, x: float(np.exp(bent(np.array([[x, y]]))[0])), -6, 6, -5, 6, epsabs=1e-9
     )
-    mode = renewed(own, extended_mode(own, base).mode)
-    found = sampled(Weighed(own, mode, mode.log_evidence, float("nan")), np.random.default_rng(1))
+    mode = with_whole_curvature(own, search_from_starts(own, base).mode)
+    found = importance_sampled(
+        Weighed(own, mode, mode.log_evidence, float("nan")), np.random.default_rng(1)
+    )
     assert abs(found.log_evidence - np.log(wanted)) < 4.0 * found.log_evidence_se
     assert found.log_evidence_se < 0.1
 
@@ -149,26 +154,26 @@ def test_a_search_that_has_not_ended_tells_a_volume_of_any_axes(order: tuple[int
     own = np.stack([columns[:, 0], 0.02 * columns[:, 1]], axis=1)[:, order]
     together = np.concatenate([columns, own + 0.5 * rng.standard_normal((40, 2))], axis=1)
     data = together @ np.array([0.5, -1.0, 0.3, 3.0, 3.0]) + rng.standard_normal(40)
-    base = baseline_mode(linear(columns, data), 3)
-    found = near_mode(hypothesis(linear(together, data), 5), base)
+    base = find_mode(linear(columns, data), 3)
+    found = newton_search(hypothesis(linear(together, data), 5), base)
     _, log_det = np.linalg.slogdet(found.mode.factor)
     volume = found.mode.log_evidence - linear(together, data)(found.mode.point[None])[0]
-    assert found.reach > 0.0
+    assert found.lacking > 0.0
     assert volume == pytest.approx(log_det + 2.5 * np.log(2.0 * np.pi))
     assert np.triu(found.mode.factor, 1) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_cause_that_took_a_nuisance_far_is_marked_and_sampled_right() -> None:
     """Laplace with the baseline's curvature is short by nats and says so; draws mend it."""
-    base = baseline_mode(lambda z: walled(np.column_stack([z, np.zeros(len(z))])), 1)
+    base = find_mode(lambda z: walled(np.column_stack([z, np.zeros(len(z))])), 1)
     own = hypothesis(walled, 2)
-    assert has_moved(extended_mode(own, base).mode, base)
-    (rough,) = weigh_beside([own], [near_mode(own, base)], base, print)
+    assert has_moved(search_from_starts(own, base).mode, base)
+    (rough,) = weigh_extensions([own], [newton_search(own, base)], base, print)
     assert rough.unsure > 0.0
     wanted, _ = dblquad(
         lambda y, x: float(np.exp(walled(np.array([[x, y]]))[0])), -3, 4, -3, 4, epsabs=1e-9
     )
-    found = sampled(rough, np.random.default_rng(4), 2_000)
+    found = importance_sampled(rough, np.random.default_rng(4), 2_000)
     assert rough.log_evidence < np.log(wanted) - 1.0
     assert abs(found.log_evidence - np.log(wanted)) < 4.0 * found.log_evidence_se
     assert found.unsure == 0.0
@@ -177,24 +182,35 @@ def test_a_cause_that_took_a_nuisance_far_is_marked_and_sampled_right() -> None:
 def test_a_longer_search_that_ends_lower_does_not_replace_a_shorter_one() -> None:
     """What came higher is kept, as a search that has not ended."""
     base = Mode(np.zeros(1), np.eye(1), 0.0)
-    low, high = (Sought(Mode(np.zeros(1), np.eye(1), v), r) for v, r in ((-8.0, 30.0), (68.0, 0.0)))
-    assert higher(high, low, base) is high
-    kept = higher(low, high, base)
+    low, high = (
+        ModeSearch(Mode(np.zeros(1), np.eye(1), v), r) for v, r in ((-8.0, 30.0), (68.0, 0.0))
+    )
+    assert higher_of(high, low, base) is high
+    kept = higher_of(low, high, base)
     assert kept.mode is high.mode
-    assert kept.reach > 90.0
+    assert kept.lacking > 90.0
 
 
 def test_only_causes_that_may_come_near_the_best_are_searched_further() -> None:
     """A search that has ended is not repeated; a hopeless one is left; a floor raises the bar."""
 
-    def sought(log_evidence: float, reach: float) -> Sought:
-        return Sought(Mode(np.zeros(1), np.eye(1), log_evidence), reach)
+    def search_at(log_evidence: float, reach: float) -> ModeSearch:
+        return ModeSearch(Mode(np.zeros(1), np.eye(1), log_evidence), reach)
 
-    found = [sought(0.0, 0.0), sought(-20.0, 30.0), sought(-500.0, 30.0), sought(-900.0, np.inf)]
-    assert hopeful(found, -np.inf) == [1, 3]
-    assert hopeful(found, 50.0) == [3]
-    assert hopeful([sought(0.0, 0.0), sought(-5.0, 30.0), sought(-2.0, 30.0)], -50.0) == [2, 1]
-    assert hopeful([sought(0.0, 0.0), sought(-1.0, 3.0)], -50.0) == []  # for importance draws
+    found = [
+        search_at(0.0, 0.0),
+        search_at(-20.0, 30.0),
+        search_at(-500.0, 30.0),
+        search_at(-900.0, np.inf),
+    ]
+    assert worth_continuing(found, -np.inf) == [1, 3]
+    assert worth_continuing(found, 50.0) == [3]
+    assert worth_continuing(
+        [search_at(0.0, 0.0), search_at(-5.0, 30.0), search_at(-2.0, 30.0)], -50.0
+    ) == [2, 1]
+    assert (
+        worth_continuing([search_at(0.0, 0.0), search_at(-1.0, 3.0)], -50.0) == []
+    )  # for importance draws
 
 
 def test_what_the_best_leaves_behind_is_not_searched_further(
@@ -204,16 +220,16 @@ def test_what_the_best_leaves_behind_is_not_searched_further(
     at = {"best": (100.0, 500.0), "weak": (20.0, 100.0), "strong": (50.0, 800.0)}
     searched: list[str] = []
 
-    def further(own: Hypothesis, base: Mode) -> Sought:
+    def further(own: Hypothesis, base: Mode) -> ModeSearch:
         searched.append(own.name)
         gained = {"best": 600.0}.get(own.name, 60.0)
-        return Sought(Mode(base.point, base.factor, gained))
+        return ModeSearch(Mode(base.point, base.factor, gained))
 
-    monkeypatch.setattr(evidence, "extended_mode", further)
+    monkeypatch.setattr(evidence, "search_from_starts", further)
     base = Mode(np.zeros(1), np.eye(1), 0.0)
     causes = [hypothesis(linear(np.eye(1), np.zeros(1)), 1, name) for name in at]
-    near = [Sought(Mode(base.point, base.factor, value), reach) for value, reach in at.values()]
-    found = weigh_beside(causes, near, base, lambda _: None)
+    near = [ModeSearch(Mode(base.point, base.factor, value), reach) for value, reach in at.values()]
+    found = weigh_extensions(causes, near, base, lambda _: None)
     assert searched == ["best", "strong"]
     assert [own.log_evidence for own in found] == [600.0, 20.0, 60.0]
 
@@ -236,11 +252,11 @@ def test_a_small_gain_on_a_bent_ridge_is_told_by_draws() -> None:
         return float(np.exp(-0.5 * square)) * sd / np.sqrt(2.0 * np.pi * (1.0 + sd**2))
 
     wanted = np.log(quad(along, -8.0, 8.0, points=[0.1])[0])
-    bent, base = hypothesis(banana, 2), baseline_mode(alone, 1)
-    (found,) = weigh_beside([bent], [near_mode(bent, base)], base, lambda _: None)
+    bent, base = hypothesis(banana, 2), find_mode(alone, 1)
+    (found,) = weigh_extensions([bent], [newton_search(bent, base)], base, lambda _: None)
     assert found.unsure > 0.0
     assert abs(found.log_evidence - wanted) < UNSURE_NATS
-    told = sampled(found, np.random.default_rng(6), 4_000)
+    told = importance_sampled(found, np.random.default_rng(6), 4_000)
     assert abs(told.log_evidence - wanted) < 4.0 * told.log_evidence_se
 
 
@@ -249,8 +265,8 @@ def test_a_second_sampling_starts_from_the_proposal_found() -> None:
     own = hypothesis(bent, 2)
     rough = Weighed(own, Mode(np.array([0.4, 0.0]), 0.2 * np.eye(2), 0.0), 0.0, 0.0)
     rng = np.random.default_rng(2)
-    first = sampled(rough, rng)
-    second = sampled(first, rng, 4_000)
+    first = importance_sampled(rough, rng)
+    second = importance_sampled(first, rng, 4_000)
     assert second.proposal is first.proposal
     error = np.hypot(first.log_evidence_se, second.log_evidence_se)
     assert abs(first.log_evidence - second.log_evidence) < 4.0 * error

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cassini_bayes.diagnosis.innovations import Linear
+from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.diagnosis.p_value import line_statistic, p_value
 
 TIME = np.arange(150.0)

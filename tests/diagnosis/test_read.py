@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from event_cases import PRIORS, simulated
 
-from cassini_bayes.diagnosis.read import read_case
+from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.errors import InputError
 
 RATES = [f"rate_{axis}_rad_s" for axis in "xyz"]
@@ -64,7 +64,7 @@ def test_a_mistake_is_named_before_any_cause(
 ) -> None:
     """Units and conventions that a fit refuses are refused by a diagnosis, by the same name."""
     with pytest.raises(InputError, match=told):
-        read_case([str(changed(tmp_path, event, change))], PRIORS)
+        read_events([str(changed(tmp_path, event, change))], PRIORS)
 
 
 def test_events_of_another_branch_are_refused(tmp_path: Path) -> None:
@@ -73,10 +73,10 @@ def test_events_of_another_branch_are_refused(tmp_path: Path) -> None:
     text = (copy / "event.toml").read_text(encoding="utf-8")
     (copy / "event.toml").write_text(text.replace('branch = "B"', 'branch = "A"'), encoding="utf-8")
     with pytest.raises(InputError, match="branch"):
-        read_case([str(copy)], PRIORS)
+        read_events([str(copy)], PRIORS)
 
 
 def test_honest_events_are_read() -> None:
     """The same events without a mistake pass."""
-    case = read_case([str(simulated() / name) for name in ("bias", "slews")], PRIORS)
-    assert [source.id for source in case.sources] == ["bias", "slews"]
+    events = read_events([str(simulated() / name) for name in ("bias", "slews")], PRIORS)
+    assert [event.id for event in events.telemetry] == ["bias", "slews"]

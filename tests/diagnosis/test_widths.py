@@ -10,11 +10,11 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from cassini_bayes.diagnosis.evidence import TRUSTED_K, Weighed
-from cassini_bayes.diagnosis.extended import Hypothesis
+from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.widths import reweighted
-from cassini_bayes.effects.catalogue import Effect, EffectParameter
+from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, unchanged
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.sampling.warmstart import pareto_k
@@ -22,14 +22,14 @@ from cassini_bayes.sampling.warmstart import pareto_k
 PRIOR_SD, NOISE_SD = 2.0e-3, 1.0e-3
 
 
-def weighed(seen: float, draws: int = 20_000) -> Weighed:
+def weighed(seen: float, draws: int = 20_000) -> Weighed[Hypothesis]:
     """A cause whose one parameter is measured once, with exact posterior draws."""
     precision = 1.0 / PRIOR_SD**2 + 1.0 / NOISE_SD**2
     mean, sd = seen / NOISE_SD**2 / precision, precision**-0.5
     x = mean + sd * np.random.default_rng(1).standard_normal(draws)
     prior = Distribution("norm", {"loc": 0.0, "scale": PRIOR_SD})
     parameter = EffectParameter("effect_x", "x", "", prior, is_departure=False)
-    effect = Effect("x", "x", "", (parameter,), 0.1, ("telemetry",))
+    effect = Effect(Kind("x", unchanged), "", (parameter,), 0.1)
     model = SimpleNamespace(space=ParameterSpace(("effect_x",), {}, (prior,), ("effect",)))
     hypothesis = cast(Hypothesis, SimpleNamespace(name="x", effects=(effect,), model=model))
     mode = Mode(np.array([mean / PRIOR_SD]), np.array([[sd / PRIOR_SD]]), 0.0)

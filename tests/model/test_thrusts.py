@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import multivariate_normal
 from totals_cases import flight, plain_log_likelihood, point
 
-from cassini_bayes.arrays import Array
 from cassini_bayes.balance.totals_system import TotalsSystem
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model import (
     Model,

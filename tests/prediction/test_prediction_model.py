@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.optimize import linprog
 from spacecraft_cases import TWELVE
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.demand import pair_layout, pair_solver
 from cassini_bayes.prediction.firing import (

@@ -14,7 +14,7 @@ import tomli_w
 import xarray as xr
 from totals_cases import B_BRANCH, flight
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model import (

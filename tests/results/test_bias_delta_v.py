@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from event_cases import document, priors
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import (
     Model,
     ReducedEvent,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from event_cases import model, simulated
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import draw, log_posterior
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, read_fit, save_fit

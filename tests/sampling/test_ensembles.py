@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import gumbel_r, multivariate_normal, norm
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.sampling.ensembles import (

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from simulation_cases import BIAS, PARAMETERS, SLEWS, make_plan, run
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation.arrays import make_thrusters
 from cassini_bayes.simulation.engine import Steps

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 from spacecraft_cases import FILES, middle, plain_arm, plain_position, plain_wheel_axis, table
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft import (
     AXIS_DEMANDS,

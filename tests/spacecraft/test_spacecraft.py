@@ -12,7 +12,7 @@ import pytest
 import tomli_w
 from spacecraft_cases import CASSINI, FILES, PRIORS, TWELVE, balanced_events, priors_of, table
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
 from cassini_bayes.model import Model, build_model, draw, log_posterior

@@ -7,28 +7,25 @@ from functools import cache
 import numpy as np
 import pytest
 
+from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.studies.published_cases import a_branch, fsds
-from cassini_bayes.studies.published_diagnosis import (
-    Weighing,
-    gain_text,
-    verdict_sentence,
-    weigh_summary_case,
-)
+from cassini_bayes.studies.published_diagnosis import estimate_section
+from cassini_bayes.studies.published_sections import Section, gain_text
 
 
 @cache
-def branch() -> Weighing:
+def branch() -> Section:
     """Case (d) at every width."""
-    return weigh_summary_case("d", a_branch(), 1)
+    return estimate_section("d", a_branch()[1], 1)
 
 
 def test_the_a_branch_turns_on_the_prior_width() -> None:
     """``unknown`` at default width, the far shift at double width; numbers of the recomputation."""
-    text = verdict_sentence(branch())
+    text = branch().verdict_sentence()
     assert "Most probable: `unknown` (1.00)" in text
     assert "`center_of_mass:y` at width × 2" in text
     assert branch().log_bayes_factor["center_of_mass:y"] == pytest.approx(22.5, abs=0.1)
-    assert branch().log_evidence_se["center_of_mass:y"] < 0.05
+    assert branch().verdict.named("center_of_mass:y").log_evidence_se < 0.05
     assert branch().sizes["center_of_mass:y"].split("cm_y shift (m) ")[1].startswith("-0.13")
 
 
@@ -41,7 +38,7 @@ def test_draws_and_gain_are_told() -> None:
 
 def test_one_estimate_cannot_be_left_out() -> None:
     """The test-bed case has a single thrust: its gain is not measurable."""
-    assert "not measurable" in weigh_summary_case("c", fsds(), 1).details
+    assert "not measurable" in estimate_section("c", fsds(), 1).details
 
 
 @pytest.mark.parametrize(
@@ -57,4 +54,6 @@ def test_gain_takes_two_standard_errors(
     differences: list[float], ratio: float, verdict: str
 ) -> None:
     """A sum that one event makes alone, a loss, or larger residuals are no gain."""
-    assert gain_text("cause", np.array(differences), "RMS", ratio).endswith(verdict)
+    base = HeldOut(np.zeros(len(differences)), 1.0, 0.9)
+    gain = HeldOut(np.array(differences), ratio, 0.9).gain_over(base)
+    assert gain_text("cause", gain, "RMS").endswith(verdict)

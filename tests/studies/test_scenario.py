@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from simulation_cases import EFFECT_CASES
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.priors.reader import read_priors

@@ -81,7 +81,7 @@ def test_the_pulse_blind_control_keeps_more_rows() -> None:
             simulation, replace(one.variant, control=control), priors, np.random.default_rng(2)
         )
         .telemetry[0]
-        .statistics.rows
+        .event.statistics.rows
         for control in ("none", "pulse-blind")
     ]
     assert rows[1] > rows[0] + 50

@@ -10,7 +10,7 @@ from sweep_cases import TOY_NAMES, small_fit, toy_baseline, toy_exact
 from telemetry_cases import event_of, made_up_samples, telemetry_priors
 from totals_cases import flight
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.results.record import Fit

@@ -8,7 +8,7 @@ import xarray as xr
 from scipy.stats import chi2, norm
 from sweep_cases import small_fit
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.conflict import (
     conflict_table,

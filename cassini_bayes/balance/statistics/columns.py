@@ -20,9 +20,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.statistics.rows import Samples, quiet_rows
 from cassini_bayes.balance.statistics.turning import turned_into_body
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.spacecraft.pulses import PulseShape
 
 AXES = "xyz"

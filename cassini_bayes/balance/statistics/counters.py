@@ -25,7 +25,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 
 # Least step that counts as rounding, s: what is finer leaves a hundredth of a rate sample's noise.
 LEAST_STEP_S: Final = 5e-4

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags
 
 
 @dataclass(frozen=True)

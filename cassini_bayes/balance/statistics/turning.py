@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cassini_bayes.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled_sums
 
 

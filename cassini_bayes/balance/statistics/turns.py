@@ -23,8 +23,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
 from cassini_bayes.balance.statistics.columns import Layout, Rows
+from cassini_bayes.computing.arrays import Array, Flags
 
 LONGEST_S: Final = 32.0
 LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate

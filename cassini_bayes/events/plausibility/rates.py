@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.rows import Rows, conventions
 from cassini_bayes.events.telemetry import TelemetryEvent

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.telemetry import Chunk
 
 MOST_ROWS: Final = 4096

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends

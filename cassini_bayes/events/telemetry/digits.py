@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled
 
 COMMA: Final = 44

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.attitude import Attitudes
 from cassini_bayes.events.telemetry.block import Block

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.columns import Layout

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import corner
 from cassini_bayes.report.plots.quantities import MISSING, plus_minus, wrapped_name
 from cassini_bayes.report.plots.style import (

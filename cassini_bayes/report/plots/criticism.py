@@ -13,15 +13,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, ScalarFormatter
 
+from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.diagnosis.correlations import (
     POINTWISE,
     WINDOW_ROWS,
-    Shown,
+    InnovationTests,
     Tested,
     running_mean,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve
-from cassini_bayes.diagnosis.innovations import EventRows
 from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
 
 MOST_CAUSES: Final = 12
@@ -52,15 +52,15 @@ def innovation_figure(
     with matplotlib.rc_context(dict(STYLE)):
         figure = Figure(figsize=(10.0, 1.9 * len(baseline) + 0.6), layout="constrained")
         axes = figure.subplots(len(baseline), 3, squeeze=False, sharex="row")
-        for row, own in enumerate(baseline):
-            step = max(1, len(own.time_s) // _POINTS)
+        for row, event in enumerate(baseline):
+            step = max(1, len(event.time_s) // _POINTS)
             for c, axis in enumerate("XYZ"):
                 panel = axes[row, c]
-                residual = own.residual_n_m_s[:, c]
+                residual = event.residual_n_m_s[:, c]
                 style = {"ms": 1.2, "color": "#c4c4c4", "rasterized": True}
-                panel.plot(own.time_s[::step], residual[::step], ".", **style)
+                panel.plot(event.time_s[::step], residual[::step], ".", **style)
                 mean = running_mean(residual, WINDOW_ROWS)
-                panel.plot(own.time_s, mean, lw=1.4, color=POSTERIOR, label="baseline")
+                panel.plot(event.time_s, mean, lw=1.4, color=POSTERIOR, label="baseline")
                 if len(extended):
                     after = running_mean(extended[row].residual_n_m_s[:, c], WINDOW_ROWS)
                     panel.plot(
@@ -69,7 +69,7 @@ def innovation_figure(
                 panel.axhline(0.0, lw=0.6, color=INK)
                 limit = 1.15 * float(np.quantile(np.abs(residual), 0.997))
                 panel.set_ylim(-limit, limit)
-                panel.set_title(f"{own.event}, {axis}", loc="left")
+                panel.set_title(f"{event.event}, {axis}", loc="left")
                 if row == len(baseline) - 1:
                     panel.set_xlabel("time since first row (s)")
                 if c == 0:
@@ -80,7 +80,9 @@ def innovation_figure(
     return figure
 
 
-def correlation_figure(event: str, before: Shown, after: Shown | None) -> Figure:
+def correlation_figure(
+    event: str, before: InnovationTests, after: InnovationTests | None
+) -> Figure:
     """Correlation of one event's innovations with every driver, per body axis, with bands.
 
     In standard deviations if the model is true; linear within ten, logarithmic beyond. Dark band:
@@ -97,8 +99,8 @@ def correlation_figure(event: str, before: Shown, after: Shown | None) -> Figure
             panel.axvline(0.0, lw=0.6, color=INK)
             for shown, style in ((before, BEFORE), (after, AFTER)):
                 tests = () if shown is None else shown.drivers
-                own = [t for t in tests if (t.event, t.axis) == (event, axis)]
-                panel.plot([t.z for t in own], [places[t.driver] for t in own], **style)
+                tests_of = [t for t in tests if (t.event, t.axis) == (event, axis)]
+                panel.plot([t.z for t in tests_of], [places[t.driver] for t in tests_of], **style)
             for t in before.drivers:
                 if _untested(t, event, axis):
                     panel.text(
@@ -121,12 +123,20 @@ def _untested(tested: Tested, event: str, axis: str) -> bool:
     return (tested.event, tested.axis) == (event, axis) and not np.isfinite(tested.z)
 
 
-def _largest(shown: Sequence[Shown | None], event: str) -> list[float]:
-    tests = [t for own in shown if own is not None for t in own.drivers if t.event == event]
+def _largest(shown: Sequence[InnovationTests | None], event: str) -> list[float]:
+    tests = [
+        t
+        for tests_of in shown
+        if tests_of is not None
+        for t in tests_of.drivers
+        if t.event == event
+    ]
     return [abs(t.z) for t in tests if np.isfinite(t.z)]
 
 
-def _band_legend(figure: Figure, family: float, after: Shown | None, what: str, unit: str) -> None:
+def _band_legend(
+    figure: Figure, family: float, after: InnovationTests | None, what: str, unit: str
+) -> None:
     lines = [Line2D([], [], **BEFORE)] + ([] if after is None else [Line2D([], [], **AFTER)])
     patches = [
         Patch(color=SINGLE_BAND, label=f"95 % of one alone (±{POINTWISE:.2f} {unit})"),
@@ -135,7 +145,7 @@ def _band_legend(figure: Figure, family: float, after: Shown | None, what: str, 
     figure.legend(handles=[*lines, *patches], loc="outside lower center", ncols=4)
 
 
-def whiteness_figure(before: Shown, after: Shown | None) -> Figure | None:
+def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> Figure | None:
     """Autocorrelation of every event's innovations against lag in rows, with bands."""
     events = list(dict.fromkeys(white.event for white in before.whiteness))
     if not events:
@@ -146,17 +156,17 @@ def whiteness_figure(before: Shown, after: Shown | None) -> Figure | None:
         for row, event in enumerate(events):
             for panel, axis in zip(panels[row], "xyz", strict=True):
                 for shown, style in ((before, BEFORE), (after, AFTER)):
-                    found = () if shown is None else shown.whiteness
-                    for own in (w for w in found if (w.event, w.axis) == (event, axis)):
-                        lags = np.arange(1, len(own.value) + 1)
+                    curves = () if shown is None else shown.whiteness
+                    for curve in (w for w in curves if (w.event, w.axis) == (event, axis)):
+                        lags = np.arange(1, len(curve.value) + 1)
                         if shown is before:
-                            unit = own.rows**-0.5
+                            unit = curve.rows**-0.5
                             for z, colour in (
                                 (before.family_lag_z, FAMILY_BAND),
                                 (POINTWISE, SINGLE_BAND),
                             ):
                                 panel.axhspan(-z * unit, z * unit, color=colour, lw=0)
-                        panel.plot(lags, own.value, **style)
+                        panel.plot(lags, curve.value, **style)
                 panel.axhline(0.0, lw=0.6, color=INK)
                 panel.set_title(f"{event}, {axis.upper()}", loc="left")
             panels[row, 0].set_ylabel("autocorrelation (1)")

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.leave_one_out import HeldOut, draws_by_kind, outcome_by_kind
 from cassini_bayes.prediction.navigation import TOLERANCE, Requirement

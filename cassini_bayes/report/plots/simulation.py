@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, STYLE
 from cassini_bayes.simulation import SimulatedEvent
 

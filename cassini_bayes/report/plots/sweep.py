@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.stats import gaussian_kde
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_events, short_name
 from cassini_bayes.report.plots.style import INK, STYLE, new_figure
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_name
 from cassini_bayes.results.review import Review
 

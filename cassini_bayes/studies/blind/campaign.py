@@ -60,13 +60,13 @@ def read_trials(folder: Path, seed: int) -> list[Record]:
 
     That of the running code if it left any, else the one that left most.
     """
-    found = [json.loads(path.read_text()) for path in sorted(folder.glob("trial_*.json"))]
-    records = [record for record in found if record["seed"] == seed]
+    trials = [json.loads(path.read_text()) for path in sorted(folder.glob("trial_*.json"))]
+    records = [record for record in trials if record["seed"] == seed]
     codes = Counter(record["code"] for record in records)
     if not codes:
         return []
-    own = trial_code()
-    chosen = own if own in codes else codes.most_common(1)[0][0]
+    code = trial_code()
+    chosen = code if code in codes else codes.most_common(1)[0][0]
     return [record for record in records if record["code"] == chosen]
 
 
@@ -125,8 +125,8 @@ def _faint_sentence(records: Sequence[Record], headline: pd.DataFrame) -> str:
 
 
 def _errors(records: Sequence[Record]) -> str:
-    found = [f"- trial {r['index']} ({r['stratum']}): {r['error']}" for r in records if failed(r)]
-    return "\n".join(["Trials that an exception ended, counted as misses:", "", *found, ""])
+    lines = [f"- trial {r['index']} ({r['stratum']}): {r['error']}" for r in records if failed(r)]
+    return "\n".join(["Trials that an exception ended, counted as misses:", "", *lines, ""])
 
 
 def _page(

@@ -10,7 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.diagnosis.extended import Case, TelemetrySource, prepare
+from cassini_bayes.diagnosis.events import Events, prepare
+from cassini_bayes.model.event_reduction import ReducedEvent, reduce_samples, sampling_of
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.simulation import ScenarioFile, SimulatedEvent, Truth, scenario_of
 from cassini_bayes.studies.scenario import (
@@ -69,11 +70,11 @@ class Scene:
         """All parameters and thrusts without any effect."""
         return draw_truth(self.file(()), self.seed, self.priors)
 
-    def fly(self, hidden: Sequence[Hidden]) -> Case:
+    def fly(self, hidden: Sequence[Hidden]) -> Events:
         """The flight with effects, reduced; the same seed, so the same noise and truth."""
         return reduced(simulate_file(self.file(hidden), self.seed, priors=self.priors), self.priors)
 
-    def fly_quietly(self, hidden: Sequence[Hidden]) -> Case:
+    def fly_quietly(self, hidden: Sequence[Hidden]) -> Events:
         """The same flight with channels that have no noise; counters keep their resolution."""
         truth = self.truth()
         quiet = {**truth.parameters, **dict.fromkeys(CHANNEL_NOISE, 0.0)}
@@ -83,13 +84,13 @@ class Scene:
         return reduced(flight, self.priors)
 
 
-def source_of(event: SimulatedEvent) -> TelemetrySource:
-    """A simulated event's telemetry as rows, wheel rates in rad/s."""
-    samples, thrusters = simulated_samples(event)
-    kind, numbers = event.plan.event.kind, tuple(event.plan.wheel_numbers)
-    return TelemetrySource(event.plan.event.id, kind, numbers, thrusters, samples)
-
-
-def reduced(flight: Simulation, priors: Priors) -> Case:
+def reduced(flight: Simulation, priors: Priors) -> Events:
     """All events of a flight, ready for a diagnosis."""
-    return prepare([source_of(event) for event in flight.events], priors)
+    return prepare([_reduced_event(event, priors) for event in flight.events], priors)
+
+
+def _reduced_event(event: SimulatedEvent, priors: Priors) -> ReducedEvent:
+    samples, thrusters = simulated_samples(event)
+    sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
+    declared, wheels = event.plan.event, event.plan.wheel_numbers
+    return reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)

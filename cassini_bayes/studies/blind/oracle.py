@@ -17,17 +17,21 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
-from cassini_bayes.diagnosis.extended import RATE_KINDS, Case, Hypothesis, extend, none_hypothesis
-from cassini_bayes.diagnosis.innovations import fitted_away, linearise
+from cassini_bayes.balance.linearised import fitted_away
+from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
+from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode
-from cassini_bayes.effects.catalogue import AXES, Catalogue, Effect
+from cassini_bayes.effects.changes import AXES
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.studies.blind.rate_information import RATE_KINDS, combined, rate_information
 from cassini_bayes.studies.blind.sizes import NULL_VALUES, hidden_oscillation
 
-Array = NDArray[np.float64]
 KINKED: Final = ("pulse_shape", "time_offset")
 """Kinds whose change of the data has another direction on each side of zero."""
 KINK: Final = 5e-3  # prior scales off zero, where a kinked effect's slopes are taken
@@ -70,11 +74,11 @@ class Classifier:
             axis=1,
         )
 
-    def ranks(self, scores: Array, name: str) -> NDArray[np.int64]:
+    def ranks(self, scores: Array, name: str) -> Places:
         """Place (n,) of a cause among all of them, from 0."""
-        found = self.log_scores(scores)
-        own = found[:, [self.names.index(name)]]
-        return np.asarray((found > own).sum(1), dtype=np.int64)
+        scores = self.log_scores(scores)
+        true = scores[:, [self.names.index(name)]]
+        return np.asarray((scores > true).sum(1), dtype=np.int64)
 
     def own_rank(self, name: str) -> int:
         """Place of a cause by the flight's own data."""
@@ -90,8 +94,8 @@ class Classifier:
         return float((self.ranks(draws, name) < BEST).mean())
 
     def _side_of(self, name: str, size: Array) -> Side:
-        own = [side for side in self.sides if side.name == name]
-        return next((s for s in own if s.low <= size[0] <= s.high), own[0])
+        named = [side for side in self.sides if side.name == name]
+        return next((s for s in named if s.low <= size[0] <= s.high), named[0])
 
 
 def log_evidence(gram: Array, scores: Array, side: Side) -> Array:
@@ -117,49 +121,47 @@ def _log_between(low: Array, high: Array) -> Array:
 
 
 def classifier(
-    case: Case,
-    catalogue: Catalogue,
-    base: Mode,
-    hidden: Mapping[str, float],
-    flexible: Case | None = None,
+    events: Events, base: Mode, hidden: Mapping[str, float], line: Oscillation | None = None
 ) -> Classifier:
     """Build the classifier on a flight, linear about the baseline's mode.
 
     Parameters
     ----------
-    case, catalogue, base
-        The flight, the causes, the baseline's mode on it.
+    events, base
+        The flight with its causes, and the baseline's mode on it.
     hidden
         Parameters of what is hidden, by key: a time constant is known, not searched for.
-    flexible
-        The case with columns of an oscillation of known frequency, for ``flexible_mode``.
+    line
+        Known line of an oscillation; without it no oscillation is among the causes.
     """
-    none = none_hypothesis(case, catalogue)
-    linear, _, _ = linearise(case, none, base.point)
+    none = none_hypothesis(events)
+    linear, _ = linearise(none, base.point)
     # departures count from the centre of the prior, not from the mode
     d = len(base.point)
     target = linear.target + linear.columns[:, :d] @ base.point
     sides: list[Side] = []
     columns: list[Array] = []
-    for effect in catalogue.effects:
-        own_case = flexible if effect.kind == "flexible_mode" else case
-        if own_case is None:
-            continue
-        for sign in (1.0, -1.0) if effect.kind in KINKED else (0.0,):
-            own_none = none if own_case is case else none_hypothesis(own_case, catalogue)
-            columns.append(_columns(own_case, own_none, base, effect, sign, hidden))
+    for effect in events.catalogue.effects:
+        settled, baseline = effect, none
+        if effect.needs_search:
+            if line is None:
+                continue
+            settled = replace(effect, search_result=line)
+            baseline = none_hypothesis(events.with_columns_of([settled]))
+        for sign in (1.0, -1.0) if effect.kind.name in KINKED else (0.0,):
+            columns.append(_columns(baseline, base, settled, sign, hidden))
             first = sum(part.shape[1] for part in columns[:-1])
             sides.append(_side(effect, sign, first))
     every = np.concatenate(columns, axis=1)
     weighed = np.asarray(fitted_away(linear, every))
     gram, score = every.T @ weighed, weighed.T @ target
-    _add_attitude(gram, score, case, catalogue, sides)
+    _add_attitude(gram, score, events, sides)
     return Classifier(gram, score, tuple(sides))
 
 
 def sizes_of(effect: Effect, values: Mapping[str, float], truth: Mapping[str, float]) -> Array:
     """A hidden effect's parameters in prior scales, as the classifier's columns count them."""
-    if effect.kind == "flexible_mode":
+    if effect.kind.search is not None:
         values = hidden_oscillation(values)[1]
     return np.array(
         [
@@ -188,7 +190,6 @@ def _side(effect: Effect, sign: float, first: int) -> Side:
 
 
 def _columns(
-    case: Case,
     none: Hypothesis,
     base: Mode,
     effect: Effect,
@@ -207,31 +208,30 @@ def _columns(
         middle = _null(p.key) + sign * KINK * scale
         plain.append(replace(p, distribution=Distribution("norm", {"loc": middle, "scale": scale})))
         rest.append(0.0)
-    extended = extend(none, [replace(effect, parameters=tuple(plain))], case)
-    linear, _, _ = linearise(case, extended, np.concatenate([base.point, rest]))
+    extended = extend(none, [replace(effect, parameters=tuple(plain))])
+    linear, _ = linearise(extended, np.concatenate([base.point, rest]))
     d = len(base.point)
     sized = [i for i, p in enumerate(effect.parameters) if p.distribution.name != "lognorm"]
-    return linear.columns[:, [d + i for i in sized]]
+    return np.asarray(linear.columns[:, [d + i for i in sized]])
 
 
-def _add_attitude(
-    gram: Array, score: Array, case: Case, catalogue: Catalogue, sides: Sequence[Side]
-) -> None:
+def _add_attitude(gram: Array, score: Array, events: Events, sides: Sequence[Side]) -> None:
     """Add what attitude against integrated rates says of rate bias and scale."""
+    rates = combined([rate_information(event.samples) for event in events.telemetry])
     for side in sides:
         kind, _, axis = side.name.partition(":")
         if kind not in RATE_KINDS:
             continue
         i, a = side.places[0], AXES.index(axis)
         mine = RATE_KINDS.index(kind)
-        score[i] += _scale(catalogue, side.name) * case.rates.linear[a, mine]
+        score[i] += _scale(events, side.name) * rates.linear[a, mine]
         for other in sides:
             theirs, _, same = other.name.partition(":")
             if theirs in RATE_KINDS and same == axis:
-                both = _scale(catalogue, side.name) * _scale(catalogue, other.name)
+                both = _scale(events, side.name) * _scale(events, other.name)
                 j, other_kind = other.places[0], RATE_KINDS.index(theirs)
-                gram[i, j] += both * case.rates.precision[a, mine, other_kind]
+                gram[i, j] += both * rates.precision[a, mine, other_kind]
 
 
-def _scale(catalogue: Catalogue, name: str) -> float:
-    return float(catalogue.effect(name).parameters[0].distribution.keywords["scale"])
+def _scale(events: Events, name: str) -> float:
+    return float(events.catalogue.effect(name).parameters[0].distribution.keywords["scale"])

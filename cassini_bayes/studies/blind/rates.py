@@ -163,8 +163,8 @@ def _reached(name: str, low: float, high: float, goal: float) -> bool:
 
 def expected_by_oracle(records: Sequence[Record]) -> float:
     """Mean over faint trials of how often the oracle expects the cause among the three best."""
-    found = [r["oracle_expected"] for r in records if r["stratum"] == "faint" and not failed(r)]
-    return float(np.mean(found)) if found else float("nan")
+    expected = [r["oracle_expected"] for r in records if r["stratum"] == "faint" and not failed(r)]
+    return float(np.mean(expected)) if expected else float("nan")
 
 
 def reliability(records: Sequence[Record]) -> pd.DataFrame:

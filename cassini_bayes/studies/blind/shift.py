@@ -12,32 +12,32 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.diagnosis.extended import Case, Hypothesis, extend, none_hypothesis
-from cassini_bayes.diagnosis.innovations import Linear, fitted_away, linearise
-from cassini_bayes.effects.catalogue import Catalogue, Effect
+from cassini_bayes.balance.linearised import Linear, fitted_away
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
+from cassini_bayes.diagnosis.innovations import linearise
+from cassini_bayes.effects.effect import Effect
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.simulation import Truth
 
-Array = NDArray[np.float64]
 _SAME_S = 1e-6
 
 
 @dataclass(frozen=True)
-class Seen:
-    """A flight without noise by the baseline at the truth.
+class View:
+    """A flight without noise as the baseline sees it at the truth.
 
-    ``left`` (m,) is the whitened balance that the true parameters leave; ``times`` those of the
-    rows of every event; ``factors`` the noise's lower factors (3, 3).
+    ``left`` (m,) is the whitened balance that the true parameters leave; ``factors`` are the lower
+    factors (3, 3) of every event's noise.
     """
 
-    case: Case
+    events: Events
     none: Hypothesis
     point: Array
     linear: Linear
     left: Array
-    times: tuple[Array, ...]
     factors: tuple[Array, ...]
 
 
@@ -46,18 +46,17 @@ def squared_size(linear: Linear, shift: Array) -> float:
     return float(shift @ fitted_away(linear, shift))
 
 
-def seen_at_truth(case: Case, catalogue: Catalogue, truth: Truth) -> Seen:
+def at_truth(events: Events, truth: Truth) -> View:
     """Look at a flight without noise with the true parameters, thrusts and torques."""
-    none = none_hypothesis(case, catalogue)
+    none = none_hypothesis(events)
     names = none.model.space.names
     point = none.model.space.to_standard({name: truth.parameters[name] for name in names})
-    linear, rows, factors = linearise(case, none, point, smooth_channels=False)
-    left = linear.target - linear.columns @ _known(none, case, truth, linear.columns.shape[1])
-    times = tuple(own.time_s for own in rows)
-    return Seen(case, none, point, linear, left, times, tuple(factors))
+    linear, factors = linearise(none, point, smooth_channels=False)
+    left = linear.target - linear.columns @ _known(none, events, truth, linear.columns.shape[1])
+    return View(events, none, point, linear, left, tuple(factors))
 
 
-def _known(none: Hypothesis, case: Case, truth: Truth, width: int) -> Array:
+def _known(none: Hypothesis, events: Events, truth: Truth, width: int) -> Array:
     """Coefficients of the linear columns that the truth gives; initial momentum and tails are 0.
 
     Thrusts are split into shared and own departures: any split gives the same thrusts, but the
@@ -67,50 +66,49 @@ def _known(none: Hypothesis, case: Case, truth: Truth, width: int) -> Array:
     shared = len(none.model.space.names)
     shared += model.thrust_prior.shared.shape[1] if model.thrust_prior.shared.size else 0
     known, place = np.zeros(width), shared
-    for source, term in zip(case.sources, model.telemetry, strict=True):
-        own = model.thrust_prior.own if term.event.fires else np.zeros((0, 0))
-        if own.size:
-            thrusts = truth.thrust_n(source.id, source.thrusters)
-            departure = np.array([thrusts[k] for k in source.thrusters])
+    for event, term in zip(events.telemetry, model.telemetry, strict=True):
+        individual = model.thrust_prior.own if term.balance.pattern.thrusters else np.zeros((0, 0))
+        if individual.size:
+            thrusts = truth.thrust_n(event.id, event.thrusters)
+            departure = np.array([thrusts[k] for k in event.thrusters])
             departure = departure - model.thrust_prior.common_mean_n
-            known[place : place + own.shape[1]] = np.linalg.solve(own, departure)
-        place += own.shape[1]
-        values = truth.of(source.id)
+            known[place : place + individual.shape[1]] = np.linalg.solve(individual, departure)
+        place += individual.shape[1]
+        values = truth.of(event.id)
         torque = np.array([values[f"external_torque_{axis}_n_m"] for axis in "xyz"])
         known[place + 3 : place + 6] = torque - model.torque_mean_n_m
         place += 6 + len(term.balance.pattern.cuts)
     return known
 
 
-def held(none: Hypothesis, effect: Effect, values: Mapping[str, float], case: Case) -> Hypothesis:
+def held(none: Hypothesis, effect: Effect, values: Mapping[str, float]) -> Hypothesis:
     """The baseline with an effect at fixed values (departures or values, by key)."""
-    extended, old = extend(none, [effect], case), none.model.space
+    extended, old = extend(none, [effect]), none.model.space
     fixed = {p.name: float(values[p.key]) for p in effect.parameters}
     space = ParameterSpace(old.names, {**old.fixed, **fixed}, old.distributions, old.blocks)
     return replace(extended, model=replace(extended.model, space=space))
 
 
-def modelled_size(seen: Seen, effect: Effect, values: Mapping[str, float]) -> float:
+def modelled_size(view: View, effect: Effect, values: Mapping[str, float]) -> float:
     """σ by the change that the model of the effect makes on the flight that has it."""
-    changed = held(seen.none, effect, values, seen.case)
-    other, _, factors = linearise(seen.case, changed, seen.point, smooth_channels=False)
-    before, after = _in_momentum(seen.linear, seen.factors), _in_momentum(other, tuple(factors))
+    changed = held(view.none, effect, values)
+    other, factors = linearise(changed, view.point, smooth_channels=False)
+    before, after = _in_momentum(view.linear, view.factors), _in_momentum(other, tuple(factors))
     shift = np.concatenate(
         [
             ((b - a) @ np.linalg.inv(factor).T).reshape(-1)
-            for a, b, factor in zip(before, after, seen.factors, strict=True)
+            for a, b, factor in zip(before, after, view.factors, strict=True)
         ]
     )
-    return float(np.sqrt(squared_size(seen.linear, shift)))
+    return float(np.sqrt(squared_size(view.linear, shift)))
 
 
 def _in_momentum(linear: Linear, factors: tuple[Array, ...]) -> list[Array]:
-    ends = np.cumsum([3 * n for n in linear.rows])[:-1]
-    parts = np.split(linear.target, ends)
-    return [part.reshape(-1, 3) @ f.T for part, f in zip(parts, factors, strict=True)]
+    parts = zip(linear.parts, factors, strict=True)
+    return [linear.target[part].reshape(-1, 3) @ factor.T for part, factor in parts]
 
 
-def changed_size(shown: Seen, plain: Seen) -> float:
+def changed_size(shown: View, plain: View) -> float:
     """σ by the actual change of the data from the flight without to the flight with an effect.
 
     Where the motion is the same (a misreading), rows are compared one by one. Where the controllers
@@ -119,7 +117,7 @@ def changed_size(shown: Seen, plain: Seen) -> float:
     """
     same = all(
         np.array_equal(a.samples.attitude, b.samples.attitude, equal_nan=True)
-        for a, b in zip(shown.case.sources, plain.case.sources, strict=True)
+        for a, b in zip(shown.events.telemetry, plain.events.telemetry, strict=True)
     )
     if same:
         return _paired(shown, plain)
@@ -127,11 +125,12 @@ def changed_size(shown: Seen, plain: Seen) -> float:
     return float(np.sqrt(max(excess, 0.0)))
 
 
-def _paired(shown: Seen, plain: Seen) -> float:
+def _paired(shown: View, plain: View) -> float:
     ours, theirs = [], []
     first, second = 0, 0
     counts = []
-    for a, b in zip(shown.times, plain.times, strict=True):
+    for one, other in zip(shown.events.telemetry, plain.events.telemetry, strict=True):
+        a, b = one.usable_rows.time_s, other.usable_rows.time_s
         _, i, j = np.intersect1d(np.round(a / _SAME_S), np.round(b / _SAME_S), return_indices=True)
         ours.append((first + 3 * i[:, None] + np.arange(3)).reshape(-1))
         theirs.append((second + 3 * j[:, None] + np.arange(3)).reshape(-1))

@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.diagnosis.extended import Case, Hypothesis, Oscillation, none_hypothesis
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
 from cassini_bayes.diagnosis.modes import Mode
-from cassini_bayes.diagnosis.oscillation import flexible_case
-from cassini_bayes.effects.catalogue import Catalogue, Effect
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import Hidden, Scene
-from cassini_bayes.studies.blind.shift import Seen, changed_size, held, modelled_size, seen_at_truth
+from cassini_bayes.studies.blind.rate_information import RATE_KINDS
+from cassini_bayes.studies.blind.shift import View, at_truth, changed_size, held, modelled_size
 
-Array = NDArray[np.float64]
 LARGEST_IN_PRIOR_SCALES: Final = 4.0
 NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
 NEWTON_STEPS: Final = 3
@@ -39,8 +39,6 @@ _ONE_SIDED: Final[Mapping[str, float]] = {
     "thrust_warmup": 1.0,
     "thruster_degraded": -1.0,
 }
-CURVED: Final = ("rate_bias", "rate_scale")
-"""Kinds whose size is the curvature's: attitude against rates speaks too, and nothing answers."""
 
 
 @dataclass(frozen=True)
@@ -48,23 +46,20 @@ class Stage:
     """A trial before anything is hidden: its flight, baseline and truth, and the quiet flight."""
 
     scene: Scene
-    case: Case
-    catalogue: Catalogue
+    events: Events
     base: Mode
     truth: Truth
-    plain: Seen
+    plain: View
 
-    def seen(self, hidden: Hidden) -> Seen:
+    def view(self, hidden: Hidden) -> View:
         """The flight without noise that has this effect."""
-        case = self.scene.fly_quietly((hidden,))
-        return seen_at_truth(case, self.catalogue, self.truth)
+        return at_truth(self.scene.fly_quietly((hidden,)), self.truth)
 
 
-def stage(scene: Scene, case: Case, catalogue: Catalogue, base: Mode) -> Stage:
+def stage(scene: Scene, events: Events, base: Mode) -> Stage:
     """Fly without noise and without any effect."""
     truth = scene.truth()
-    plain = seen_at_truth(scene.fly_quietly(()), catalogue, truth)
-    return Stage(scene, case, catalogue, base, truth, plain)
+    return Stage(scene, events, base, truth, at_truth(scene.fly_quietly(()), truth))
 
 
 @dataclass(frozen=True)
@@ -92,7 +87,7 @@ def draw_path(effect: Effect, rng: np.random.Generator) -> Growth:
             constant[parameter.key] = float(parameter.distribution.sample(rng, 1)[0])
             continue
         scale = float(parameter.distribution.keywords["scale"])
-        sign = _ONE_SIDED.get(effect.kind) or float(rng.choice([-1.0, 1.0]))
+        sign = _ONE_SIDED.get(effect.kind.name) or float(rng.choice([-1.0, 1.0]))
         share = abs(float(rng.standard_normal())) if several else 1.0
         direction[parameter.key] = sign * scale * share
     return Growth(effect, direction, constant)
@@ -110,27 +105,27 @@ def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
     return Growth(effect, direction, constant)
 
 
-def sensitivity(case: Case, catalogue: Catalogue, base: Mode, path: Growth) -> float:
+def sensitivity(events: Events, base: Mode, path: Growth) -> float:
     """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
-    none = none_hypothesis(case, catalogue)
-    values = [_marginal(case, none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
+    none = none_hypothesis(events)
+    values = [_marginal(none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
     bend = float((2.0 * values[1] - values[0] - values[2]) / SHIFT**2)
     return float(np.sqrt(bend)) if bend > 0 else 0.0
 
 
-def _marginal(case: Case, none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
+def _marginal(none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
     """Log marginal density at a fixed effect, the nuisances integrated out about the mode."""
-    hypothesis = held(none, path.effect, path.values(s), case)
+    hypothesis = held(none, path.effect, path.values(s))
     moves = STEP * base.factor.T
     offsets = np.vstack([0.0 * moves[:1], moves, -moves])
     point, d = base.point, len(base.point)
     for _ in range(NEWTON_STEPS):
-        found = hypothesis.log_density(point + offsets)
-        gradient = (found[1 : d + 1] - found[d + 1 :]) / (2.0 * STEP)
+        values = hypothesis.log_density(point + offsets)
+        gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP)
         point = point + base.factor @ gradient
-    found = hypothesis.log_density(point + offsets)
-    gradient = (found[1 : d + 1] - found[d + 1 :]) / (2.0 * STEP)
-    return float(found[0] + 0.5 * gradient @ gradient)
+    values = hypothesis.log_density(point + offsets)
+    gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP)
+    return float(values[0] + 0.5 * gradient @ gradient)
 
 
 def hide(path: Growth, s: float, truth: Mapping[str, float], sigma: float) -> Hidden | None:
@@ -160,29 +155,29 @@ def measured(stage: Stage, path: Growth, s: float) -> Hidden | None:
     if hidden is None:
         return None
     try:
-        seen = stage.seen(hidden)
+        view = stage.view(hidden)
     except InputError:
         return None  # not a spacecraft, or not a motion, that the simulation accepts
-    if path.effect.kind == "time_offset":
-        sigma = changed_size(seen, stage.plain)
+    if path.effect.kind.name == "time_offset":
+        sigma = changed_size(view, stage.plain)
     else:
-        sigma = modelled_size(seen, path.effect, path.values(s))
+        sigma = modelled_size(view, path.effect, path.values(s))
     return Hidden(hidden.name, hidden.parameters, sigma)
 
 
 def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> Hidden | None:
     """An effect with its size from the catalogue's prior; None if no draw can be flown."""
-    if effect.kind == "flexible_mode":
+    if effect.kind.search is not None:
         return _flexible(stage, effect, None, rng)
     for _ in range(MOST_DRAWS):
         path = draw_from_prior(effect, rng)
-        if effect.kind in CURVED:
-            rate = sensitivity(stage.case, stage.catalogue, stage.base, path)
-            found = hide(path, 1.0, stage.truth.parameters, rate)
+        if effect.kind.name in RATE_KINDS:
+            rate = sensitivity(stage.events, stage.base, path)
+            hidden = hide(path, 1.0, stage.truth.parameters, rate)
         else:
-            found = measured(stage, path, 1.0)
-        if found is not None:
-            return found
+            hidden = measured(stage, path, 1.0)
+        if hidden is not None:
+            return hidden
     return None
 
 
@@ -191,14 +186,14 @@ def sized_between(
 ) -> Hidden | None:
     """An effect of low to high σ; None where no size that is believable and flies is that large."""
     sigma = float(rng.uniform(low, high))
-    if effect.kind == "flexible_mode":
+    if effect.kind.search is not None:
         return _flexible(stage, effect, (sigma, (low, high)), rng)
     path = draw_path(effect, rng)
-    rate = sensitivity(stage.case, stage.catalogue, stage.base, path)
+    rate = sensitivity(stage.events, stage.base, path)
     if rate <= 0.0:
         return None
     start = min(sigma / rate, LARGEST_IN_PRIOR_SCALES)
-    if effect.kind in CURVED:
+    if effect.kind.name in RATE_KINDS:
         # believable sizes only, and none that is cut off
         return hide(path, start, stage.truth.parameters, sigma) if start * rate >= sigma else None
     return search_size(lambda s: measured(stage, path, s), start, sigma, (low, high))
@@ -212,35 +207,35 @@ def search_size(
     Secant steps in log s, a factor of four at most: σ of a time offset rises in steps.
     """
     s, best = start, None
-    tried: list[tuple[float, float]] = []
+    pairs: list[tuple[float, float]] = []
     for _ in range(MOST_FLIGHTS):
-        found = at(s)
-        if found is None:
+        hidden = at(s)
+        if hidden is None:
             return best
-        value = max(found.sigma, 1e-3)
-        if span[0] <= value <= span[1] and (
-            best is None or abs(value - sigma) < abs(best.sigma - sigma)
+        reached = max(hidden.sigma, 1e-3)
+        if span[0] <= reached <= span[1] and (
+            best is None or abs(reached - sigma) < abs(best.sigma - sigma)
         ):
-            best = found
-        if abs(value - sigma) < SAME_SIZE * sigma:
+            best = hidden
+        if abs(reached - sigma) < SAME_SIZE * sigma:
             break
-        tried.append((s, value))
-        following = _next(tried, sigma)
+        pairs.append((s, reached))
+        following = _next(pairs, sigma)
         if following is None:
             break
         s = following
     return best
 
 
-def _next(tried: list[tuple[float, float]], sigma: float) -> float | None:
+def _next(pairs: list[tuple[float, float]], sigma: float) -> float | None:
     """Next s: between the nearest below and above, else by proportion; None beyond belief."""
-    below = [pair for pair in tried if pair[1] < sigma]
-    above = [pair for pair in tried if pair[1] > sigma]
+    below = [pair for pair in pairs if pair[1] < sigma]
+    above = [pair for pair in pairs if pair[1] > sigma]
     if below and above:
         (a, fa), (b, fb) = max(below), min(above)
         share = np.log(sigma / fa) / np.log(fb / fa)
         return float(np.exp(np.log(a) + np.clip(share, 0.15, 0.85) * np.log(b / a)))
-    s, value = tried[-1]
+    s, value = pairs[-1]
     if s >= LARGEST_IN_PRIOR_SCALES and value < sigma:
         return None
     return min(s * float(np.clip(sigma / value, 0.25, 4.0)), LARGEST_IN_PRIOR_SCALES)
@@ -255,14 +250,14 @@ def hidden_oscillation(values: Mapping[str, float]) -> tuple[Oscillation, dict[s
     line = Oscillation(
         values["frequency_hz"] * clamped, values["damping"] * clamped, int(values["axis"])
     )
-    found = {
+    result = {
         "cosine_rad_s": -values["amplitude_rad_s"],
         "sine_rad_s": 0.0,
         "inertia_fraction": values["inertia_fraction"],
         "frequency_shift": 0.0,
         "damping_shift": 0.0,
     }
-    return line, found
+    return line, result
 
 
 def _flexible(
@@ -292,13 +287,14 @@ def _flexible(
         }
         hidden = Hidden(effect.name, parameters, float("nan"))
         try:
-            seen = stage.seen(hidden)
+            view = stage.view(hidden)
         except InputError:
             return None  # not a motion that the simulation accepts
         line, values = hidden_oscillation(parameters)
-        case = flexible_case(seen.case, line)
-        none = none_hypothesis(case, stage.catalogue)
-        sigma = modelled_size(replace(seen, case=case, none=none), effect, values)
+        settled = replace(effect, search_result=line)
+        events = view.events.with_columns_of([settled])
+        with_line = replace(view, events=events, none=none_hypothesis(events))
+        sigma = modelled_size(with_line, settled, values)
         return replace(hidden, sigma=sigma)
 
     if wanted is None:

@@ -14,16 +14,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cassini_bayes.diagnosis.evidence import Weighed
-from cassini_bayes.diagnosis.extended import compact, none_hypothesis
-from cassini_bayes.diagnosis.modes import baseline_mode
-from cassini_bayes.diagnosis.naming import Verdict, name_causes
-from cassini_bayes.diagnosis.oscillation import flexible_case
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
+from cassini_bayes.diagnosis.modes import find_mode
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
-from cassini_bayes.effects.catalogue import Catalogue, Effect, read_catalogue
+from cassini_bayes.diagnosis.verdict import Verdict, weigh
+from cassini_bayes.effects.catalogue import Catalogue
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -39,7 +40,6 @@ from cassini_bayes.studies.blind.sizes import (
 )
 from cassini_bayes.studies.blind.uncatalogued import draw_uncatalogued
 
-Array = NDArray[np.float64]
 # name, number of trials in a full campaign
 STRATA: Final = (
     ("prior", 150),
@@ -82,19 +82,19 @@ def choose_hidden(stratum: str, set_up: Stage, rng: np.random.Generator) -> tupl
     NothingToHideError
         After many draws none could be flown at such a size.
     """
-    catalogue = set_up.catalogue
+    catalogue = set_up.events.catalogue
     if stratum == "prior":
-        total = catalogue.none_probability + sum(e.prior_probability for e in catalogue.effects)
-        if rng.uniform() < catalogue.none_probability / total:
+        total = catalogue.odds.none + sum(e.prior_probability for e in catalogue.effects)
+        if rng.uniform() < catalogue.odds.none / total:
             return ()
     wanted = 2 if stratum == "two" else 1
-    found: list[Hidden] = []
+    hidden_effects: list[Hidden] = []
     for _ in range(MOST_DRAWS):
-        made = _drawn(stratum, set_up, [h.name.partition(":")[0] for h in found], rng)
+        made = _drawn(stratum, set_up, [h.name.partition(":")[0] for h in hidden_effects], rng)
         if made is not None:
-            found.append(made)
-        if len(found) == wanted:
-            return tuple(found)
+            hidden_effects.append(made)
+        if len(hidden_effects) == wanted:
+            return tuple(hidden_effects)
     raise NothingToHideError(f"nothing to hide in {MOST_DRAWS} draws for {stratum}")
 
 
@@ -103,8 +103,8 @@ def _drawn(
 ) -> Hidden | None:
     if stratum == "uncatalogued":
         return draw_uncatalogued(set_up, rng)
-    effect = draw_effect(set_up.catalogue, rng)
-    if effect.kind in taken:
+    effect = draw_effect(set_up.events.catalogue, rng)
+    if effect.kind.name in taken:
         return None
     if stratum == "prior":
         return sized_from_prior(set_up, effect, rng)
@@ -113,22 +113,21 @@ def _drawn(
 
 def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str, Any]:
     """One trial, as the record that is kept."""
-    own = read_priors(campaign.priors) if priors is None else priors
+    prior_table = read_priors(campaign.priors) if priors is None else priors
     rng = np.random.default_rng(np.random.SeedSequence((campaign.seed, index)))
     stratum = stratum_of(index)
-    scene = Scene(campaign, campaign.document(rng), int(rng.integers(2**62)), own)
+    scene = Scene(campaign, campaign.document(rng), int(rng.integers(2**62)), prior_table)
     began, worked = time.monotonic(), time.process_time()
-    case = scene.fly(())
-    catalogue = read_catalogue(own, case.wheels, case.inputs)
+    events = scene.fly(())
     hidden: tuple[Hidden, ...] = ()
     if stratum != "null":
-        none = compact(none_hypothesis(case, catalogue))
-        base = baseline_mode(none.log_density, none.dimension)
-        hidden = choose_hidden(stratum, stage(scene, case, catalogue, base), rng)
+        none = compact(none_hypothesis(events))
+        base = find_mode(none.log_density, none.dimension)
+        hidden = choose_hidden(stratum, stage(scene, events, base), rng)
     if hidden:
-        case = scene.fly(hidden)
+        events = scene.fly(hidden)
     prepared = time.process_time()
-    verdict = name_causes(case, catalogue, rng, pairs=stratum == "two")
+    verdict = weigh(BalanceCase(events), rng, pairs=stratum == "two")
     diagnosed = time.process_time()
     truth = scene.truth().parameters
     return {
@@ -138,7 +137,7 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
         "code": trial_code(),
         "stratum": stratum,
         **_record(verdict, hidden, rng),
-        **_oracle(verdict, hidden, truth, rng),
+        **_oracle(events, verdict, hidden, truth, rng),
         "cpu_prepare_s": prepared - worked,
         "cpu_diagnose_s": diagnosed - prepared,
         "wall_s": time.monotonic() - began,
@@ -146,7 +145,8 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
 
 
 def _oracle(
-    verdict: Verdict,
+    events: Events,
+    verdict: Verdict[Hypothesis],
     hidden: Sequence[Hidden],
     truth: Mapping[str, float],
     rng: np.random.Generator,
@@ -156,34 +156,46 @@ def _oracle(
     Its oscillation is the hidden one, or else the one that the diagnosis looked at.
     """
     nothing = {"oracle_rank": None, "oracle_expected": None}
-    if len(hidden) != 1 or hidden[0].name not in verdict.catalogue.names:
+    if len(hidden) != 1 or hidden[0].name not in events.catalogue.names:
         return nothing
-    effect, values = verdict.catalogue.effect(hidden[0].name), hidden[0].parameters
-    line = verdict.oscillation
-    if effect.kind == "flexible_mode":
+    effect, values = events.catalogue.effect(hidden[0].name), hidden[0].parameters
+    effects = [effect for weighed in verdict.weighed for effect in weighed.hypothesis.effects]
+    line = next(
+        (
+            effect.search_result
+            for effect in effects
+            if isinstance(effect.search_result, Oscillation)
+        ),
+        None,
+    )
+    if effect.kind.search is not None:
         line = hidden_oscillation(values)[0]
-    flexible = None if line is None else flexible_case(verdict.case, line)
-    found = classifier(verdict.case, verdict.catalogue, verdict.none.mode, values, flexible)
+    settled = classifier(events, verdict.none.mode, values, line)
     return {
-        "oracle_rank": found.own_rank(effect.name),
-        "oracle_expected": found.expected(effect.name, sizes_of(effect, values, truth), rng),
+        "oracle_rank": settled.own_rank(effect.name),
+        "oracle_expected": settled.expected(effect.name, sizes_of(effect, values, truth), rng),
     }
 
 
-def _record(verdict: Verdict, hidden: Sequence[Hidden], rng: np.random.Generator) -> dict[str, Any]:
-    probabilities = verdict.probabilities
-    none = verdict.none.log_evidence
+def _record(
+    verdict: Verdict[Hypothesis],
+    hidden: Sequence[Hidden],
+    rng: np.random.Generator,
+) -> dict[str, Any]:
+    probabilities, first = verdict.probabilities, verdict.best_cause
+    assert first is not None  # the catalogue has causes
     causes = [
         {
             "name": w.name,
             "probability": probabilities[w.name],
-            "log_bayes_factor": float(w.net_evidence - none),
+            "log_bayes_factor": verdict.log_bayes_factor(w),
         }
         for w in verdict.weighed[:KEPT_CAUSES]
     ]
     p = float("nan")
-    if verdict.linear is not None:
-        p = p_value(verdict.linear, [own.time_s for own in verdict.rows], rng)
+    left = verdict.none.remainder
+    if left is not None:
+        p = p_value(left.linear, [event.time_s for event in left.rows], rng)
     return {
         "hidden": [
             {"name": h.name, "parameters": dict(h.parameters), "sigma": h.sigma} for h in hidden
@@ -199,27 +211,27 @@ def _record(verdict: Verdict, hidden: Sequence[Hidden], rng: np.random.Generator
         "pair": None if verdict.pair is None else verdict.pair.name,
         "pair_gain": None
         if verdict.pair is None
-        else float(verdict.pair.net_evidence - verdict.best_cause.net_evidence),
-        "pair_first_like": list(verdict.confounded_with(verdict.best_cause.name)),
+        else float(verdict.pair.net_evidence - first.net_evidence),
+        "pair_first_like": list(verdict.confounded_with(first.name)),
         "pair_second_like": list(verdict.pair_alike),
         "p_value": p,
     }
 
 
-def _rank(verdict: Verdict, name: str) -> int | None:
+def _rank(verdict: Verdict[Hypothesis], name: str) -> int | None:
     """Place of a name among the real causes, from 0; None outside the catalogue."""
-    real = [w.name for w in verdict.weighed if w.hypothesis.effects]
+    real = [w.name for w in verdict.weighed if w.is_cause]
     return real.index(name) if name in real else None
 
 
 def _sizes(
-    verdict: Verdict, hidden: Hidden, rng: np.random.Generator
+    verdict: Verdict[Hypothesis], hidden: Hidden, rng: np.random.Generator
 ) -> list[dict[str, float | str | bool]]:
     """Whether the 90 % interval of the true cause's parameters holds what was hidden."""
-    found: Weighed | None = next((w for w in verdict.weighed if w.name == hidden.name), None)
-    if found is None:
+    cause = next((w for w in verdict.weighed if w.name == hidden.name), None)
+    if cause is None:
         return []
-    draws, weights = size_draws(verdict.case, found, rng)
+    draws, weights = size_draws(cause, rng)
     result: list[dict[str, float | str | bool]] = []
     for key, values in draws.items():
         if key not in hidden.parameters:
@@ -252,11 +264,11 @@ def is_done(campaign: Blind, index: int, folder: Path, code: str) -> bool:
     """Whether the trial's record is there, whole, and was made by this campaign and code."""
     path = trial_file(folder, index)
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
     wanted = {"seed": campaign.seed, "code": code, "events": list(campaign.events)}
-    return all(found.get(key) == value for key, value in wanted.items())
+    return all(record.get(key) == value for key, value in wanted.items())
 
 
 def failed_trial(campaign: Blind, index: int, error: Exception) -> dict[str, Any]:

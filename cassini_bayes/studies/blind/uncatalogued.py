@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.diagnosis.extended import Case
+from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.errors import InputError
 from cassini_bayes.studies.blind.flights import Hidden
 from cassini_bayes.studies.blind.shift import changed_size
@@ -32,22 +32,22 @@ class Strange:
         return Hidden(self.name, {**grown, **self.constant}, float("nan"))
 
 
-def draw_strange(case: Case, rng: np.random.Generator) -> Strange:
+def draw_strange(events: Events, rng: np.random.Generator) -> Strange:
     """An atmospheric torque, a pressure surge, a tachometer scale or plume impingement."""
     kinds = ("atmospheric_torque", "pressure_surge", "tachometer_scale", "plume_impingement")
     kind = str(rng.choice(kinds))
-    event = next(source for source in case.sources if source.thrusters)
+    event = next(event for event in events.telemetry if event.fires)
     if kind == "atmospheric_torque":
         peak = rng.standard_normal(3)
         direction = {f"peak_{a}_n_m": float(v) for a, v in zip("xyz", peak, strict=True)}
         when = {
-            "centre_s": float(rng.uniform(0.2, 0.8) * event.duration_s),
+            "centre_s": float(rng.uniform(0.2, 0.8) * event.sampling.duration_s),
             "width_s": float(rng.uniform(50.0, 250.0)),
         }
         return Strange(kind, direction, when, (-4.7, -3.3))
     if kind == "pressure_surge":
         when = {
-            "start_s": float(rng.uniform(0.1, 0.6) * event.duration_s),
+            "start_s": float(rng.uniform(0.1, 0.6) * event.sampling.duration_s),
             "decay_s": float(rng.uniform(100.0, 500.0)),
         }
         return Strange(kind, {"thrust_fraction": 1.0}, when, (-1.5, -0.5))
@@ -63,21 +63,21 @@ def draw_uncatalogued(stage: Stage, rng: np.random.Generator) -> Hidden | None:
 
     None where even the largest of its kind is smaller on this flight.
     """
-    strange = draw_strange(stage.case, rng)
+    strange = draw_strange(stage.events, rng)
     low, high = strange.span
     top = _measured(stage, strange.hidden(10.0**high))
     if top is None or top.sigma < LEAST_SIGMA:
         return None
     low = max(low, high - float(np.log10(top.sigma / LEAST_SIGMA)))
     for _ in range(MOST_FLIGHTS):
-        found = _measured(stage, strange.hidden(10.0 ** float(rng.uniform(low, high))))
-        if found is not None and found.sigma >= LEAST_SIGMA:
-            return found
+        measured = _measured(stage, strange.hidden(10.0 ** float(rng.uniform(low, high))))
+        if measured is not None and measured.sigma >= LEAST_SIGMA:
+            return measured
     return top
 
 
 def _measured(stage: Stage, hidden: Hidden) -> Hidden | None:
     try:
-        return replace(hidden, sigma=changed_size(stage.seen(hidden), stage.plain))
+        return replace(hidden, sigma=changed_size(stage.view(hidden), stage.plain))
     except InputError:
         return None  # the simulation refuses it

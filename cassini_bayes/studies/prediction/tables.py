@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.prediction.firing import NAMES
 from cassini_bayes.prediction.ground_software import (
     GroundInputs,

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published import published_constants
 from cassini_bayes.simulation import Motion, SimulatedEvent, read_scenario
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES

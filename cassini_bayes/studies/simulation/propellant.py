@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from cassini_bayes.arrays import Array
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published import WheelBiasTable, wheel_bias_tables
 from cassini_bayes.simulation.kernel import STANDARD_GRAVITY_M_S2
 from cassini_bayes.studies.bias_comparison import PRINTED, UNITS, printed_rows

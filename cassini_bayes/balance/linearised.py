@@ -1,0 +1,69 @@
+"""The momentum balance row by row, linear in all that is unknown about a point of a model.
+
+A row's momentum is columns times unknowns plus noise. With X all columns, whitened, and P the prior
+precision of their unknowns, what the prior and the fit leave of a target y is
+
+    r = (1 − X (XᵀX + P)⁻¹ Xᵀ) y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from cassini_bayes.computing.arrays import Array
+
+
+@dataclass(frozen=True)
+class EventRows:
+    """What a model leaves of one event's rows, and the channels there.
+
+    ``residual_n_m_s`` (n, 3) is momentum about body axes, ``white`` (n, 3) the same whitened:
+    ``residual_n_m_s = white @ noise_factor.T`` with the lower factor (3, 3) of a row's noise.
+    """
+
+    event: str
+    time_s: Array
+    white: Array
+    residual_n_m_s: Array
+    rate_rad_s: Array
+    wheel_rad_s: Array
+    on_time_s: Array  # (n, K)
+    wheels: tuple[int, ...]  # numbers of the columns of wheel_rad_s
+    thrusters: tuple[str, ...]
+    noise_factor: Array
+    attitude: Array  # (n, 4) Euler parameters, scalar last
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Whitened linear model of all events: target (m,), columns (m, p), prior precision (p,)."""
+
+    target: Array
+    columns: Array
+    precision: Array
+    rows: tuple[int, ...]  # of every event, three values each
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """Where every event's values are in ``target``."""
+        ends = 3 * np.cumsum([0, *self.rows])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    def gram(self) -> Array:
+        """XᵀX + P (p, p), summed over events on the columns that each of them has."""
+        total = np.diag(self.precision)
+        for part in self.parts:
+            own = self.columns[part]
+            kept = np.flatnonzero(np.any(own, axis=0))
+            own = own[:, kept]
+            total[np.ix_(kept, kept)] += own.T @ own
+        return total
+
+
+def fitted_away(linear: Linear, target: Array) -> Array:
+    """What the prior and the fit leave (m, …) of one or more targets (m, …)."""
+    coefficients = np.linalg.solve(linear.gram(), linear.columns.T @ target)
+    return np.asarray(target - linear.columns @ coefficients)

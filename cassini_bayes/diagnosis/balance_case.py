@@ -1,0 +1,334 @@
+"""The momentum balance of telemetry and totals as a case to diagnose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arviz_import import arviz
+from cassini_bayes.computing.processes import in_processes
+from cassini_bayes.diagnosis.case import Case, Log, Ranking, Shown, Size, Weighed, Work, silent
+from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.evidence import (
+    FEW_DRAWS,
+    MARGIN_NATS,
+    by_laplace,
+    importance_sampled,
+    weigh_extensions,
+    with_draws,
+)
+from cassini_bayes.diagnosis.gain import held_out
+from cassini_bayes.diagnosis.hypotheses import (
+    Hypothesis,
+    compact,
+    extend,
+    none_hypothesis,
+    unknown_hypothesis,
+)
+from cassini_bayes.diagnosis.innovations import innovations
+from cassini_bayes.diagnosis.modes import Mode, find_mode
+from cassini_bayes.diagnosis.p_value import p_value
+from cassini_bayes.diagnosis.score import HeldOut
+from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
+from cassini_bayes.diagnosis.separation import separating_measurement
+from cassini_bayes.diagnosis.sizes import size_draws, summarised
+from cassini_bayes.diagnosis.symptoms import find_symptoms
+from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
+from cassini_bayes.diagnosis.widths import change_of_evidence
+from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
+
+Candidate = Weighed[Hypothesis]
+NEAR_NATS: Final = 10.0
+"""Behind the best, up to which importance draws decide: less is a probability below 5e-5, and
+Laplace's evidence agreed with draws to 0.03 nats in the study before this package."""
+MOST_DRAWN: Final = 3  # of the best: what a reader compares
+DRAWS: Final = 2_000  # of these: 0.015 nats at an efficiency of 0.7, and sizes by their draws
+BENT: Final = 5.0
+"""Prior standard deviations of the baseline's parameters: with an inertia of half its value (ten of
+them) no search from the baseline's mode found the cause, 28,000 nats better (docs/criticism.md §1).
+Five is judgement: a search from the centre takes as long as all others."""
+TOGETHER: Final = 4  # causes searched from the centre at once: two for each of two processes
+GAINED_ALIKE: Final = 0.1
+"""Of what the best has gained: causes nearer than that may be the same one seen from another side
+(judgement), and are searched alike."""
+HOPED_NATS: Final = 10.0
+"""By which what a search found may be short of its evidence: judgement, its score is that of a
+linear model about one point, and the fit moves on."""
+UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
+"""Standard normals tried for the noise of ``unknown``: its prior covers a factor of 37 either
+way."""
+
+
+@dataclass(frozen=True)
+class BalanceCase(Case[Hypothesis]):
+    """Events and the hypotheses on their balance (:mod:`cassini_bayes.diagnosis.hypotheses`)."""
+
+    events: Events
+    unit = "nms"
+
+    @property
+    def event_ids(self) -> tuple[str, ...]:
+        """All events, totals rows first."""
+        return self.events.ids
+
+    def weigh(self, rng: np.random.Generator, log: Log, workers: int) -> list[Candidate]:
+        """Evidence by searches from the baseline's mode, by draws near the best."""
+        events = self.events
+        full = none_hypothesis(events)
+        none = compact(full)
+        base = find_mode(none.log_density, none.dimension)
+        log(f"none: log evidence {base.log_evidence:.1f}")
+        unknown = compact(unknown_hypothesis(events))
+        start = _unknown_start(none, unknown, base)
+        remainder = innovations(full, base.point) if events.telemetry else None
+        direct = [effect for effect in events.catalogue.effects if not effect.needs_search]
+        hypotheses = [compact(extend(full, [effect])) for effect in direct]
+        to_find = [] if remainder is None else _to_find(events, remainder)
+        first = [partial(find_mode, unknown.log_density, unknown.dimension, start)]
+        (unknown_mode, *settled_by), near = _side_by_side(
+            [*first, *(work for _, work in to_find)], hypotheses, base, log, workers
+        )
+        log(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
+        weighed = [
+            replace(by_laplace(none, base), remainder=remainder),
+            by_laplace(unknown, unknown_mode),
+        ]
+        floor = unknown_mode.log_evidence - MARGIN_NATS
+        causes = weigh_extensions(hypotheses, near, base, log, workers, floor)
+        if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
+            log(
+                "no cause mends a baseline that bent: searched from the centre of the prior, "
+                "best first"
+            )
+            causes = _from_centre(causes, base, unknown_mode, workers)
+        weighed += causes
+        for (effect, _), settled in zip(to_find, settled_by, strict=True):
+            if settled is not None:
+                best = max(w.log_evidence for w in weighed)
+                weighed.append(
+                    self._settled(replace(effect, search_result=settled), (), base, best)
+                )
+        return _sampled_near_best(weighed, rng, workers)
+
+    def _settled(
+        self, effect: Effect, beside: Sequence[Effect], base: Mode, best: float
+    ) -> Candidate:
+        """An effect as its search has settled it, beside other effects or alone."""
+        effects = [*beside, effect]
+        events = self.events.with_columns_of(effects)
+        hypothesis = compact(extend(none_hypothesis(events), effects))
+        near = [newton_search(hypothesis, base)]
+        (weighed,) = weigh_extensions([hypothesis], near, base, silent, floor=best - MARGIN_NATS)
+        return weighed
+
+    def scores_at(
+        self, width: float, verdict: Ranking[Hypothesis], _: np.random.Generator
+    ) -> Mapping[str, float]:
+        """By the draws that there are (:mod:`cassini_bayes.diagnosis.widths`)."""
+        return {
+            w.name: score + change_of_evidence(self.events, w, float(np.exp(score)), width)
+            for w, score in zip(verdict.weighed, verdict.log_probabilities, strict=True)
+        }
+
+    def pairs(
+        self, first: Candidate, least: float, rng: np.random.Generator, workers: int
+    ) -> list[Candidate]:
+        """By searches from the first cause's mode, by draws for what could be the best pair."""
+        (effect,) = first.hypothesis.effects
+        events = self.events.with_columns_of([effect])
+        full = extend(none_hypothesis(events), [effect])
+        base = first.mode
+        if not base.is_whole:
+            base = with_whole_curvature(first.hypothesis, base)
+        others = [e for e in events.catalogue.effects if e.name != effect.name]
+        pairs = [compact(extend(full, [e])) for e in others if not e.needs_search]
+        to_find = []
+        if events.telemetry and any(e.needs_search for e in others):
+            remainder = innovations(first.hypothesis, base.point)
+            to_find = [(e, work) for e, work in _to_find(events, remainder) if e in others]
+        settled_by, near = _side_by_side(
+            [work for _, work in to_find], pairs, base, silent, workers, SECOND_CAUSE_NATS
+        )
+        weighed = weigh_extensions(pairs, near, base, silent, workers, least)
+        for (e, _), settled in zip(to_find, settled_by, strict=True):
+            if settled is not None and _could_gain(settled, SECOND_CAUSE_NATS):
+                second = replace(e, search_result=settled)
+                weighed.append(self._settled(second, [effect], base, base.log_evidence))
+        reach = [e.net_evidence + e.unsure + CONFOUNDED_NATS for e in weighed]
+        bar = max([least, *(e.net_evidence for e in weighed)])
+        which = [i for i, e in enumerate(reach) if e > bar]
+        return with_draws(weighed, which, FEW_DRAWS, rng, workers)
+
+    def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
+        """With as many draws as the best causes have."""
+        return importance_sampled(pair, rng, DRAWS)
+
+    def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
+        """From draws with what counters leave open (:mod:`cassini_bayes.diagnosis.sizes`)."""
+        return summarised(*size_draws(weighed, rng))
+
+    def held_out(
+        self, weighed: Candidate, rng: np.random.Generator, log: Log = silent
+    ) -> HeldOut | None:
+        """Telemetry events or totals rows (:mod:`cassini_bayes.diagnosis.gain`)."""
+        return held_out(self.events, weighed, rng, log)
+
+    def examined(self, weighed: Candidate) -> Candidate:
+        """With what a cause leaves of telemetry."""
+        if not self.events.telemetry or weighed.remainder is not None or not weighed.is_cause:
+            return weighed
+        left = innovations(weighed.hypothesis, weighed.mode.point)
+        return replace(weighed, remainder=left)
+
+    def rmse(self, weighed: Candidate) -> float | None:
+        """RMS innovation, N m s; None for totals alone."""
+        if weighed.remainder is None:
+            return None
+        values = np.concatenate([event.residual_n_m_s.ravel() for event in weighed.remainder.rows])
+        return float(np.sqrt((values**2).mean()))
+
+    def p_value(self, weighed: Candidate, rng: np.random.Generator) -> float | None:
+        """Of the innovations; None for totals alone."""
+        left = weighed.remainder
+        if left is None:
+            return None
+        return p_value(left.linear, [event.time_s for event in left.rows], rng)
+
+    def show(self, baseline: Candidate, extended: Candidate, rng: np.random.Generator) -> Shown:
+        """Symptoms, closure at the end and tests of the innovations; nothing for totals alone."""
+        before = baseline.remainder
+        if before is None:
+            return Shown()
+        after = extended.remainder or before
+        tests = extended_tests = innovation_tests(before.linear, before.rows, rng)
+        if after is not before:
+            extended_tests = innovation_tests(after.linear, after.rows, rng)
+        symptoms = [asdict(symptom) for symptom in find_symptoms(before.rows, tests)]
+        return Shown(symptoms, _closure(tests, extended_tests), (tests, extended_tests))
+
+    def separation(self, one: str, other: str) -> str:
+        """What the kinds say, or events that fire other thrusters."""
+        kinds, priors = self.events.catalogue.kinds, self.events.priors
+        return separating_measurement(kinds, priors, one, other)
+
+
+def _unknown_start(none: Hypothesis, unknown: Hypothesis, base: Mode) -> Array:
+    """The baseline's mode in the coordinates of ``unknown``, its own new ones where best."""
+    at = dict(zip(none.model.space.names, base.point, strict=True))
+    is_new = np.array([name not in at for name in unknown.model.space.names])
+    point = np.array([at.get(name, 0.0) for name in unknown.model.space.names])
+    starts = np.where(is_new, np.array(UNKNOWN_STARTS)[:, None], point)
+    return np.asarray(starts[int(np.nanargmax(unknown.log_density(starts)))])
+
+
+def _to_find(events: Events, remainder: Remainder) -> list[tuple[Effect, Work]]:
+    """Effects that need a search before the fit, and that search in what a hypothesis leaves."""
+    to_find: list[tuple[Effect, Work]] = []
+    for effect in events.catalogue.effects:
+        if effect.kind.search is not None:
+            priors = {p.key: p.distribution for p in effect.parameters}
+            to_find.append((effect, partial(effect.kind.search, remainder, priors)))
+    return to_find
+
+
+def _could_gain(result: SearchResult, nats: float) -> bool:
+    return result.log_gain + HOPED_NATS > result.log_looks + nats
+
+
+def _side_by_side(
+    first: Sequence[Work],
+    hypotheses: Sequence[Hypothesis],
+    base: Mode,
+    log: Log,
+    workers: int,
+    worth: float = -np.inf,
+) -> tuple[list[Any], list[ModeSearch]]:
+    """Results of some work, and of the causes' searches beside the baseline, shared out together.
+
+    The work comes first, as it takes as long as many searches. Causes that do not gain ``worth``
+    (nats) do not matter.
+    """
+
+    def progress(count: int) -> None:
+        if count > len(first) and (count - len(first)) % 10 == 0:
+            log(f"{count - len(first)} of {len(hypotheses)} causes weighed")
+
+    near = [partial(newton_search, hypothesis, base, worth) for hypothesis in hypotheses]
+    work: list[Work] = [*first, *near]
+    # importance draws need ArviZ, whose import takes most of a second
+    results: list[Any] = in_processes(lambda part: part(), work, workers, progress, arviz)
+    return results[: len(first)], results[len(first) :]
+
+
+def _is_bent(mode: Mode) -> bool:
+    return bool(np.abs(mode.point).max() > BENT)
+
+
+def _is_mended(causes: Sequence[Candidate], unknown: Mode) -> bool:
+    """Whether the best cause beats ``unknown`` with parameters that are not far out themselves."""
+    best = max(causes, key=lambda cause: cause.log_evidence)
+    return best.log_evidence > unknown.log_evidence and not _is_bent(best.mode)
+
+
+def _from_centre(
+    causes: Sequence[Candidate], base: Mode, unknown: Mode, workers: int
+) -> list[Candidate]:
+    """Causes searched from the centre of the prior, the best first, until one mends the baseline.
+
+    They go in parts of at most :data:`TOGETHER` that have gained nearly alike, so that what the
+    data cannot tell apart is searched alike.
+    """
+    candidates = list(causes)
+    order = sorted(range(len(candidates)), key=lambda i: -candidates[i].log_evidence)
+    while order:
+        best = causes[order[0]].log_evidence
+        least = best - GAINED_ALIKE * max(best - base.log_evidence, 0.0)
+        part = [i for i in order[:TOGETHER] if causes[i].log_evidence >= least]
+        order = order[len(part) :]
+        modes = in_processes(lambda i: _higher_from_centre(causes[i]), part, workers)
+        for i, mode in zip(part, modes, strict=True):
+            if mode is not None:
+                candidates[i] = by_laplace(causes[i].hypothesis, mode)
+        if _is_mended(candidates, unknown):
+            break
+    return candidates
+
+
+def _higher_from_centre(weighed: Candidate) -> Mode | None:
+    """The mode of a search that does not begin where the baseline was bent to, if it is higher."""
+    hypothesis = weighed.hypothesis
+    mode = find_mode(hypothesis.log_density, hypothesis.dimension)
+    return mode if mode.log_evidence > weighed.log_evidence else None
+
+
+def _sampled_near_best(
+    weighed: Sequence[Candidate], rng: np.random.Generator, workers: int
+) -> list[Candidate]:
+    """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
+    candidates = list(weighed)
+    least = max(w.score for w in candidates) - NEAR_NATS
+    near = [i for i, w in enumerate(candidates) if w.score + w.unsure > least]
+    candidates = with_draws(candidates, near, FEW_DRAWS, rng, workers)
+    best = sorted(near, key=lambda i: -candidates[i].score)[:MOST_DRAWN]
+    return with_draws(candidates, best, DRAWS, rng, workers)
+
+
+def _closure(before: InnovationTests, after: InnovationTests) -> list[dict[str, Any]]:
+    """Momentum at the end against the start, N m s, with 1 σ if the model is true."""
+    return [
+        {
+            "event": old.event,
+            "axis": old.axis,
+            "baseline_n_m_s": old.value,
+            "baseline_sd_n_m_s": old.sd,
+            "extended_n_m_s": new.value,
+            "extended_sd_n_m_s": new.sd,
+        }
+        for old, new in zip(before.closure, after.closure, strict=True)
+    ]

@@ -1,0 +1,213 @@
+"""What a diagnosis works on: hypotheses that were weighed, and a case that can weigh its own.
+
+There are three cases: the momentum balance of telemetry and totals
+(:mod:`cassini_bayes.diagnosis.balance_case`), on-times (:mod:`.on_time_case`) and printed estimates
+of thrust (:mod:`.estimate_case`). :mod:`cassini_bayes.diagnosis.diagnosis` asks each the same.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.score import HeldOut
+from cassini_bayes.effects.effect import Remainder
+from cassini_bayes.sampling.warmstart import Proposal
+
+Log = Callable[[str], None]
+Work = Callable[[], Any]
+NONE: Final = "none"
+UNKNOWN: Final = "unknown"
+TRUSTED_K: Final = 0.7
+"""Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
+
+
+def silent(text: str) -> None:
+    """Tell nobody."""
+    del text
+
+
+class Hypothesis(Protocol):
+    """What may be true."""
+
+    @property
+    def name(self) -> str:
+        """``none``, ``unknown``, or one or two causes joined by a plus sign."""
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the causes."""
+
+    @property
+    def prior_probability(self) -> float:
+        """Before the data."""
+
+    @property
+    def log_penalty(self) -> float:
+        """What a search before the fit cost, nats."""
+
+
+H = TypeVar("H", bound=Hypothesis)
+
+
+@dataclass(frozen=True)
+class Weighed(Generic[H]):
+    """A hypothesis with its evidence, and posterior draws where it was sampled.
+
+    ``z`` (n, d) are draws with ``log_weights`` (n,), normalised. ``unsure`` is by how many nats the
+    evidence may be short where it is Laplace's. ``remainder`` is what the hypothesis leaves of
+    telemetry, where that was looked at.
+    """
+
+    hypothesis: H
+    mode: Mode
+    log_evidence: float
+    log_evidence_se: float = float("nan")
+    z: Array | None = None
+    log_weights: Array | None = None
+    pareto_k: float = float("nan")
+    proposal: Proposal | None = None  # that the draws came from
+    unsure: float = 0.0
+    remainder: Remainder | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the hypothesis."""
+        return self.hypothesis.name
+
+    @property
+    def is_cause(self) -> bool:
+        """Whether it is a cause and neither ``none`` nor ``unknown``."""
+        return bool(self.hypothesis.causes)
+
+    @property
+    def net_evidence(self) -> float:
+        """Log evidence less what a search before the fit cost (nats)."""
+        return self.log_evidence - self.hypothesis.log_penalty
+
+    @property
+    def score(self) -> float:
+        """Log of evidence times prior probability, what a search cost taken off."""
+        return self.net_evidence + float(np.log(self.hypothesis.prior_probability))
+
+    @property
+    def effective_draws(self) -> float:
+        """Draws of equal weight that are worth as much; NaN where it was not sampled."""
+        if self.log_weights is None:
+            return float("nan")
+        return 1.0 / float((np.exp(self.log_weights) ** 2).sum())
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What tests say of the baseline and of the extended model, for the record.
+
+    ``detail`` is what the case's own figures need.
+    """
+
+    symptoms: Sequence[Mapping[str, Any]] = ()
+    closure: Sequence[Mapping[str, Any]] = ()
+    detail: Any = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class Size:
+    """Posterior mean, standard deviation and 90 % interval of one size of a cause."""
+
+    mean: float
+    sd: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Ranking(Generic[H]):
+    """Everything weighed, most probable first, with probabilities that add up to one."""
+
+    weighed: tuple[Weighed[H], ...]
+    log_probabilities: Array
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of every hypothesis by name."""
+        values = np.exp(self.log_probabilities)
+        return {w.name: float(p) for w, p in zip(self.weighed, values, strict=True)}
+
+    def named(self, name: str) -> Weighed[H]:
+        """The hypothesis of a name."""
+        return next(w for w in self.weighed if w.name == name)
+
+
+class Case(ABC, Generic[H]):
+    """Data, and hypotheses on them.
+
+    ``rng`` is used for nothing else, ``workers`` processes share out the work, on which no result
+    depends.
+    """
+
+    unit: str
+    """Of residuals, as it ends the names of fields."""
+
+    @property
+    @abstractmethod
+    def event_ids(self) -> tuple[str, ...]:
+        """Names of what was observed."""
+
+    @abstractmethod
+    def weigh(self, rng: np.random.Generator, log: Log, workers: int) -> list[Weighed[H]]:
+        """Evidence of ``none``, ``unknown`` and every cause."""
+
+    @abstractmethod
+    def scores_at(
+        self, width: float, verdict: Ranking[H], rng: np.random.Generator
+    ) -> Mapping[str, float]:
+        """Log of evidence times prior probability with all priors of effects wider by a factor."""
+
+    @abstractmethod
+    def sizes(self, weighed: Weighed[H], rng: np.random.Generator) -> Mapping[str, Size]:
+        """Sizes of a cause by key."""
+
+    @abstractmethod
+    def held_out(
+        self, weighed: Weighed[H], rng: np.random.Generator, log: Log = silent
+    ) -> HeldOut | None:
+        """Scores of everything left out in turn; None where there is too little."""
+
+    @abstractmethod
+    def rmse(self, weighed: Weighed[H]) -> float | None:
+        """Root mean square of what a hypothesis leaves, where it was :meth:`examined`."""
+
+    @abstractmethod
+    def separation(self, one: str, other: str) -> str:
+        """The measurement that would tell two causes apart."""
+
+    def pairs(
+        self, first: Weighed[H], least: float, rng: np.random.Generator, workers: int
+    ) -> list[Weighed[H]]:
+        """The best cause together with every other; ``least`` is the evidence that counts."""
+        del first, least, rng, workers
+        return []
+
+    def confirmed(self, pair: Weighed[H], rng: np.random.Generator) -> Weighed[H]:
+        """The best pair weighed with more draws."""
+        del rng
+        return pair
+
+    def examined(self, weighed: Weighed[H]) -> Weighed[H]:
+        """A hypothesis with what it leaves of telemetry, where there is any."""
+        return weighed
+
+    def p_value(self, weighed: Weighed[H], rng: np.random.Generator) -> float | None:
+        """Probability, if a hypothesis is true, of data as unlike it as these."""
+        del weighed, rng
+        return None
+
+    def show(self, baseline: Weighed[H], extended: Weighed[H], rng: np.random.Generator) -> Shown:
+        """Tests of what two hypotheses leave."""
+        del baseline, extended, rng
+        return Shown()

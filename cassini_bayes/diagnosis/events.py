@@ -1,0 +1,87 @@
+"""Events that are diagnosed together: telemetry reduced with the effects' columns, totals rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.registry import Kinds, standard
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.posterior import Event
+from cassini_bayes.priors.reader import Priors
+
+
+@dataclass(frozen=True)
+class Events:
+    """All that is diagnosed together, with the causes to weigh."""
+
+    priors: Priors
+    telemetry: tuple[ReducedEvent, ...]
+    rows: tuple[TotalsEvent, ...]
+    catalogue: Catalogue
+
+    @property
+    def all(self) -> tuple[Event, ...]:
+        """All events, totals rows first."""
+        return (*self.rows, *self.telemetry)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Of all events."""
+        return tuple(event.id for event in self.all)
+
+    def without(self, event: str) -> Events:
+        """The events with one left out."""
+        return replace(
+            self,
+            telemetry=tuple(reduced for reduced in self.telemetry if reduced.id != event),
+            rows=tuple(row for row in self.rows if row.id != event),
+        )
+
+    def with_columns_of(self, effects: Sequence[Effect]) -> Events:
+        """The events with the columns that go with what searches settled for some effects."""
+        settled = [e.search_result for e in effects if e.search_result is not None]
+        if not settled:
+            return self
+        kinds = self.catalogue.kinds
+        return replace(
+            self,
+            telemetry=tuple(
+                event.with_columns(
+                    (
+                        *kinds.columns(event.thrusters),
+                        *(column for one in settled for column in one.columns(event.samples)),
+                    )
+                )
+                for event in self.telemetry
+            ),
+        )
+
+
+def prepare(
+    telemetry: Sequence[ReducedEvent],
+    priors: Priors,
+    rows: Sequence[TotalsEvent] = (),
+    kinds: Kinds | None = None,
+) -> Events:
+    """Reduce telemetry with every column that an effect may need, and list the causes.
+
+    ``kinds`` are the effects that there are; those of the package by default. Causes are weighed by
+    momentum: a measured velocity change is left out.
+    """
+    known = standard() if kinds is None else kinds
+    events: tuple[Event, ...] = (*rows, *telemetry)
+    wheels = sorted({number for event in events for number in event.wheels})
+    inputs = (*(("telemetry",) if telemetry else ()), *(("totals",) if rows else ()))
+    return Events(
+        priors,
+        tuple(
+            replace(event.with_columns(known.columns(event.thrusters)), delta_v=None)
+            for event in telemetry
+        ),
+        tuple(rows),
+        read_catalogue(priors, wheels, inputs, known),
+    )

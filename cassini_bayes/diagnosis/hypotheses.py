@@ -1,0 +1,132 @@
+"""Hypotheses on the momentum balance: the baseline, with effects, and with a discrepancy.
+
+``none`` is the baseline without torque noise, a cause is ``none`` with an effect more, ``unknown``
+is the baseline with torque noise (and totals' hold rates) at a wide prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.model.posterior import (
+    Model,
+    build_model,
+    log_posterior,
+    with_effects,
+    with_equal_bands_merged,
+    without_idle,
+)
+from cassini_bayes.model.telemetry import TORQUE_NOISE
+from cassini_bayes.priors.distributions import Distribution
+
+HOLD_RATE: Final = "hold_rate_rad_s"
+FARTHEST: Final = 8.0
+"""Prior standard deviations at which a wall stands: what lies further has a prior of 1e-15, and
+quantiles lose their digits (judgement)."""
+UNKNOWN_FARTHEST: Final = 6.0
+"""With a discrepancy nothing needs a nuisance that far out, and where inertias and a torque noise
+of many standard deviations trade with each other the likelihood is not one of anything that flies:
+it won by 1,900 nats in a blind trial (docs/criticism.md §6, "what campaigns found")."""
+WALL: Final = 1e3  # nats per squared standard deviation: steeper than any likelihood bends back
+LEAST: Final = -1e12  # log density where the likelihood has no value: below all that have one
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A model to weigh: its name, log posterior density in z, and prior probability."""
+
+    name: str
+    model: Model
+    prior_probability: float
+    farthest: float = FARTHEST
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What it has beyond the baseline; their coordinates are the last ones of the space."""
+        return self.model.effects
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(effect.name for effect in self.effects)
+
+    @property
+    def log_penalty(self) -> float:
+        """What searches before the fit cost (nats)."""
+        return sum(
+            effect.search_result.log_looks
+            for effect in self.effects
+            if effect.search_result is not None
+        )
+
+    @property
+    def dimension(self) -> int:
+        """Number of walked coordinates."""
+        return len(self.model.space.names)
+
+    def log_density(self, z: Array) -> Array:
+        """Log likelihood plus log prior (n,) at z (n, d).
+
+        Beyond ``farthest`` prior standard deviations a steep wall stands in, and points where the
+        likelihood has no value get the least there is: searches may step there.
+        """
+        inside = np.clip(z, -self.farthest, self.farthest)
+        wall = WALL * ((z - inside) ** 2).sum(-1)
+        try:
+            return np.asarray(self._inside(inside) - wall)
+        except np.linalg.LinAlgError:
+            values = np.concatenate([self._one(point[None]) for point in inside])
+            return np.asarray(values - wall)
+
+    def _one(self, z: Array) -> Array:
+        try:
+            return self._inside(z)
+        except np.linalg.LinAlgError:
+            return np.array([LEAST])
+
+    def _inside(self, z: Array) -> Array:
+        return np.nan_to_num(log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
+
+
+def none_hypothesis(events: Events) -> Hypothesis:
+    """The baseline without torque noise."""
+    priors = events.priors
+    if events.telemetry:
+        priors = priors.with_fixed(TORQUE_NOISE, 0.0)
+    model = build_model(events.all, priors, keep_idle=True)
+    return Hypothesis(NONE, model, events.catalogue.odds.none)
+
+
+def unknown_hypothesis(events: Events) -> Hypothesis:
+    """The baseline with a discrepancy: torque noise and totals' hold rates at wide priors."""
+    priors, unknown = events.priors, events.catalogue.unknown
+    if events.telemetry:
+        priors = priors.with_distribution(TORQUE_NOISE, unknown.torque_noise)
+    if events.rows:
+        middle = priors.parameters[HOLD_RATE].mean
+        wider = {"s": unknown.hold_rate_log_sd, "scale": unknown.hold_rate_factor * middle}
+        priors = priors.with_distribution(HOLD_RATE, Distribution("lognorm", wider))
+    model = build_model(events.all, priors, keep_idle=True)
+    return Hypothesis(UNKNOWN, model, events.catalogue.odds.unknown, farthest=UNKNOWN_FARTHEST)
+
+
+def extend(base: Hypothesis, effects: Sequence[Effect]) -> Hypothesis:
+    """A hypothesis with more effects; its walked coordinates come after those there are."""
+    probability = base.prior_probability if base.effects else 1.0
+    for effect in effects:
+        probability *= effect.prior_probability
+    model = with_effects(base.model, effects)
+    return Hypothesis("+".join(effect.name for effect in model.effects), model, probability)
+
+
+def compact(hypothesis: Hypothesis) -> Hypothesis:
+    """The same hypothesis without columns that have no weight and bands that are alike: faster."""
+    return replace(hypothesis, model=with_equal_bands_merged(without_idle(hypothesis.model)))

@@ -1,0 +1,273 @@
+"""What an effect is: a kind of departure from the standard physics, and that kind on one target.
+
+Every kind is one file of this package with its table beside it, ``<name>.py`` and ``<name>.toml``.
+The file ends with ``KIND = Kind(...)``, which holds all that other modules know of it. The table
+says which targets the kind has, which inputs show it, and what is believed of its size
+(:mod:`cassini_bayes.effects.catalogue`). docs/own-effect.md writes one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.physics import Modifier, Parameters, Physics
+from cassini_bayes.balance.statistics import ExtraColumn, Samples
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.controller import Controller, Fired
+from cassini_bayes.effects.firings import Firings
+from cassini_bayes.effects.printed import Printed
+from cassini_bayes.errors import InputError
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, ParameterSpec
+
+Values = Mapping[str, Array]
+"""An effect's own parameters by key, each (n,): one value for every point."""
+
+
+class SearchResult(Protocol):
+    """What a search before the fit has settled, such as a frequency."""
+
+    @property
+    def log_gain(self) -> float:
+        """What the search found, nats."""
+
+    @property
+    def log_looks(self) -> float:
+        """What the search cost, nats: the log of how many places were looked at."""
+
+    def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
+        """Columns of one event's telemetry that go with it."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where an effect acts: spacecraft, branch, its target, and what a search has settled."""
+
+    spacecraft: Spacecraft
+    branch: str
+    target: str
+    search_result: SearchResult | None = None
+
+    @property
+    def thrusters(self) -> tuple[str, ...]:
+        """Names of the branch's thrusters in order."""
+        return self.spacecraft.thruster_names(self.branch)
+
+    @property
+    def thruster(self) -> int:
+        """Place of the target among the thrusters."""
+        return self.thrusters.index(self.target)
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What a fitted model leaves of the telemetry: where a search before the next fit looks.
+
+    ``samples`` and ``rows`` are those of every event, ``parameters`` the model's at its mode.
+    """
+
+    samples: tuple[Samples, ...]
+    rows: tuple[EventRows, ...]
+    linear: Linear
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class FittedRows:
+    """The rows (n,) of one event that enter the balance, with the physics of one point (B = 1)."""
+
+    time_s: Array
+    samples: Samples
+    physics: Physics
+
+
+Change = Callable[[Physics, Parameters, Values, Setting], Physics]
+"""The physics at n points with the effect in it; what it gets is not written to."""
+
+
+def unchanged(physics: Physics, _: Parameters, __: Values, ___: Setting) -> Physics:
+    """The change of an effect that leaves the momentum balance as it is."""
+    return physics
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of effect: its name and the functions that say what it does.
+
+    Attributes
+    ----------
+    name
+        As a diagnosis spells it, without target; also the name of the table's file.
+    change
+        What it does to the physics: of totals rows, and of telemetry unless ``change_in_rows``.
+    change_in_rows
+        The change of telemetry's physics where that differs: there a pulse turns with the body.
+    columns
+        From the names of an event's thrusters to the columns of telemetry that its physics weighs
+        by name (``Physics.extra``). Column ``what@thruster`` is an on-time of that thruster.
+    search
+        Settles before the fit what is no parameter of it, in what a model leaves; None where these
+        events are too short. Its priors are those of the effect.
+    reported, report
+        Keys of the sizes that it is reported with, and the function from its parameters to them;
+        those of the parameters themselves by default.
+    known_to
+        How finely the data tell a size, by key: it is spread evenly over such a step more.
+    left_open
+        What counters leave open about it: columns (n, 3, s), N m s, one for every firing of some
+        thrusters that only fire together, and the variances (s,) of their unknowns.
+    fire
+        What it makes of a controller's firings, where on-times are predicted.
+    doubt
+        Printed thrusts with this doubted: beliefs by name of the cause, at a width of its priors.
+    separation
+        Which measurement tells it from another kind, by the other's name.
+    """
+
+    name: str
+    change: Change
+    change_in_rows: Change | None = None
+    columns: Callable[[Sequence[str]], tuple[ExtraColumn, ...]] | None = None
+    search: Callable[[Remainder, Mapping[str, Distribution]], SearchResult | None] | None = None
+    reported: tuple[str, ...] = ()
+    report: Callable[[Values, Setting], Values] | None = None
+    known_to: Mapping[str, float] = field(default_factory=dict)
+    left_open: Callable[[Firings, FittedRows, Values, Setting], tuple[Array, Array]] | None = None
+    fire: Callable[[Controller, Values], Fired] | None = None
+    doubt: Callable[[Printed, float], Mapping[str, Printed]] | None = None
+    separation: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """One parameter of an effect, walked under ``name``.
+
+    ``key`` is its name in a diagnosis; a departure is added to the baseline's parameter of that
+    name, whose prior mean is ``centre``.
+    """
+
+    name: str
+    key: str
+    unit: str
+    distribution: Distribution
+    is_departure: bool
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A cause: a kind of effect on one target, with the priors of its size.
+
+    ``form_error`` is the standard deviation, by the name of a size and as a share of it, of what
+    the term's form leaves out, ``source`` where its priors come from. ``search_result`` is what a
+    search before the fit settled, where the kind has one and it was made.
+    """
+
+    kind: Kind
+    target: str
+    parameters: tuple[EffectParameter, ...]
+    prior_probability: float
+    form_error: tuple[tuple[str, float], ...] = ()
+    search_result: SearchResult | None = None
+    source: str = ""
+
+    @property
+    def name(self) -> str:
+        """Kind, and the target behind a colon where there is one."""
+        return f"{self.kind.name}:{self.target}" if self.target else self.kind.name
+
+    @property
+    def needs_search(self) -> bool:
+        """Whether a search has to settle something before this can be fitted."""
+        return self.kind.search is not None and self.search_result is None
+
+    @property
+    def specs(self) -> tuple[ParameterSpec, ...]:
+        """Unit and meaning of its parameters."""
+        return tuple(
+            ParameterSpec(p.name, p.unit, EFFECT_BLOCK, f"{self.name}: {p.key}{_role(p)}")
+            for p in self.parameters
+        )
+
+    def variable(self, parameter: EffectParameter) -> str:
+        """Name of a parameter in a fit: ``thruster_leak_z3_leak_n``, ``…_departure`` of such."""
+        name = f"{self.name.replace(':', '_')}_{parameter.key}"
+        return f"{name}_departure" if parameter.is_departure else name
+
+    def as_fitted(self) -> Effect:
+        """The same effect, its parameters under the names that they have in a fit."""
+        named = tuple(replace(p, name=self.variable(p)) for p in self.parameters)
+        return replace(self, parameters=named)
+
+    def scaled(self, width: float) -> Effect:
+        """The same effect with all priors of its size wider by a factor."""
+        parameters = tuple(
+            replace(p, distribution=_wider(p.distribution, width)) for p in self.parameters
+        )
+        return replace(self, parameters=parameters)
+
+    def setting(self, spacecraft: Spacecraft, branch: str) -> Setting:
+        """Where it acts."""
+        return Setting(spacecraft, branch, self.target, self.search_result)
+
+    def values(self, parameters: Parameters) -> dict[str, Array]:
+        """Its own parameters by key, out of all parameters of a model."""
+        return {p.key: np.asarray(parameters[p.name], dtype=np.float64) for p in self.parameters}
+
+    def modifier(self, spacecraft: Spacecraft, branch: str, *, rows: bool = False) -> Modifier:
+        """It as a change of physics that reads its own walked parameters.
+
+        ``rows``: of telemetry rows, where a pulse's impulse is a turning vector.
+        """
+        setting = self.setting(spacecraft, branch)
+        change = (rows and self.kind.change_in_rows) or self.kind.change
+
+        def modify(physics: Physics, parameters: Parameters) -> Physics:
+            return change(physics, parameters, self.values(parameters), setting)
+
+        return modify
+
+
+def _role(parameter: EffectParameter) -> str:
+    return ", departure from the baseline's" if parameter.is_departure else ""
+
+
+def columns_of(kinds: Iterable[Kind], thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
+    """Every column of telemetry that some kinds need and that needs no search.
+
+    Those of a thruster lie side by side, those of none are the last.
+
+    Raises
+    ------
+    InputError
+        Two columns of one name.
+    """
+    places = {name: place for place, name in enumerate(thrusters)}
+    needed = {kind.name: kind.columns for kind in kinds if kind.columns is not None}
+    owner: dict[str, str] = {}
+    columns: list[ExtraColumn] = []
+    for name, make in needed.items():
+        for column in make(thrusters):
+            if column.name in owner:
+                raise InputError(
+                    f"effect {name}: column {column.name}",
+                    "a name of its own",
+                    f"one that {owner[column.name]} has",
+                    "rename it",
+                )
+            owner[column.name] = name
+            columns.append(column)
+    return tuple(sorted(columns, key=lambda c: places.get(c.name.partition("@")[2], len(places))))
+
+
+def _wider(distribution: Distribution, width: float) -> Distribution:
+    """The distribution with its scale times ``width``; a log-normal time constant stays."""
+    if distribution.name == "lognorm":
+        return distribution
+    keywords = dict(distribution.keywords)
+    return replace(distribution, keywords={**keywords, "scale": keywords.get("scale", 1.0) * width})

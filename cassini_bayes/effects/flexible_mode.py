@@ -1,0 +1,360 @@
+"""A boom or propellant that moves against the body: an oscillation in the rates.
+
+An appendage of moment of inertia φ J about a body axis moves at a rate ω + q; its momentum φ J q is
+what the balance lacks, q a free oscillation and an answer D to the body's own motion
+(:mod:`cassini_bayes.effects.appendage`), which firings and wheels drive:
+J (c e^(−ζΩt) cos Ωt + s e^(−ζΩt) sin Ωt − φ D), whatever the controllers do. The free oscillation
+is taken to start alike in every event, t from its first row. Frequency, damping and axis are those
+of most evidence in what a model leaves; the fit has departures from them in first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.physics import Parameters, Physics
+from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.appendage import KnownMotion, known_motion, oscillation_series
+from cassini_bayes.effects.changes import AXES, with_columns
+from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
+from cassini_bayes.effects.firings import Firings
+from cassini_bayes.priors.distributions import Distribution
+
+SERIES: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
+SLOPE_STEP: Final = 0.05
+"""Of what the span can tell apart, for slopes by frequency and damping: judgement, a phase error of
+0.3 rad at the end of the span, where a central difference is good to one percent."""
+LEAST_CYCLES: Final = 4.0
+"""In the longest event: judgement, what is slower is a drift that other causes explain."""
+DAMPINGS: Final = (0.0, 0.001, 0.003, 0.01, 0.03)
+"""Looked at: judgement, half a decade apart, from nothing to what dies within ten cycles."""
+COARSE_DAMPINGS: Final = (0.0, 0.003)
+"""Of the first look over all frequencies: two more would double its time (docs/results/
+diagnosis-speed.md), and a line between them loses less than its neighbours differ."""
+PEAKS: Final = (
+    6  # lines that are looked at more closely: judgement, time against a weak line's loss
+)
+FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width, about each peak
+LARGEST_ROOT: Final = 0.3
+"""Of the damping, 0.09: an appendage that dies within two cycles is no oscillation (judgement)."""
+MOST_EVALUATIONS: Final = 60  # for the last digits of frequency and damping
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """A damped oscillation about a body axis (0, 1, 2): frequency and damping of it clamped.
+
+    Departures from them are counted in what ``span_s`` can tell apart: 1/T of the frequency,
+    1/(ΩT) of the damping. ``step_s`` lies between the rates that tell how the body moves.
+    ``log_looks`` is what the search costs, ``log_gain`` what it found, nats, about what the fit had
+    left.
+    """
+
+    frequency_hz: float
+    damping: float
+    axis: int
+    log_looks: float = 0.0
+    log_gain: float = 0.0
+    span_s: float = 3_600.0
+    step_s: float = 1.0
+
+    def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
+        """The three series (:func:`oscillation_series`) of an event and their slopes.
+
+        Slopes are by frequency in units of 1/T and by damping in units of 1/(ΩT), T the span.
+        """
+        motion = known_motion(samples.time_s, samples.rate_rad_s)
+        unit_hz = 1.0 / self.span_s
+        unit_damping = 1.0 / (2.0 * np.pi * self.frequency_hz * self.span_s)
+
+        def series(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
+            line = self.frequency_hz + by_line * unit_hz, self.damping + by_damping * unit_damping
+            motion_of = oscillation_series(context.time_s, motion, *line)[place]
+            return np.asarray(motion_of if place < len(SERIES) - 1 else motion_of[:, self.axis])
+
+        def slope(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
+            ahead = series(place, by_line, by_damping, context)
+            return (ahead - series(place, -by_line, -by_damping, context)) / (2.0 * SLOPE_STEP)
+
+        columns = []
+        for place, name in enumerate(SERIES):
+            by_line, by_damping = slope_names(name)
+            columns += [
+                ExtraColumn(name, partial(series, place, 0.0, 0.0)),
+                ExtraColumn(by_line, partial(slope, place, SLOPE_STEP, 0.0)),
+                ExtraColumn(by_damping, partial(slope, place, 0.0, SLOPE_STEP)),
+            ]
+        return tuple(columns)
+
+
+def slope_names(name: str) -> tuple[str, str]:
+    """Names of the columns of a series' slopes by frequency and by damping."""
+    return f"{name}:frequency", f"{name}:damping"
+
+
+def _line(setting: Setting) -> Oscillation:
+    assert isinstance(setting.search_result, Oscillation)  # the search comes before the fit
+    return setting.search_result
+
+
+def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
+    """What the balance lacks about the line's axis, its frequency and damping moved."""
+    axis = _line(setting).axis
+    unit = np.eye(3)[axis]
+    moment = physics.inertia_kg_m2[..., axis, axis]
+    weights = values["cosine_rad_s"], values["sine_rad_s"], -values["inertia_fraction"]
+    columns = {}
+    for name, weight in zip(SERIES, weights, strict=True):
+        by_line, by_damping = slope_names(name)
+        momentum = (moment * weight)[..., None] * unit
+        columns[name] = momentum
+        columns[by_line] = momentum * values["frequency_shift"][..., None]
+        columns[by_damping] = momentum * values["damping_shift"][..., None]
+    return with_columns(physics, columns)
+
+
+def report(values: Values, setting: Setting) -> Values:
+    """An oscillation as the free body shows it: amplitude, frequency, damping.
+
+    A body that gives makes its appendage faster by 1/√(1 − φ). What it gives is in its rates, but
+    of a swing between rows straight lines show the share sinc² fΔ only, so that the line is found
+    with the rest of that already in it.
+    """
+    line = _line(setting)
+    frequency = line.frequency_hz + values["frequency_shift"] / line.span_s
+    unit = 2.0 * np.pi * line.frequency_hz * line.span_s
+    damping = line.damping + values["damping_shift"] / unit
+    shown = np.sinc(line.frequency_hz * line.step_s) ** 2
+    free = np.sqrt(1.0 - shown * values["inertia_fraction"])
+    return {
+        "inertia_fraction": values["inertia_fraction"],
+        "frequency_hz": frequency / free,
+        "damping": np.maximum(damping, 0.0) / free,
+        "amplitude_rad_s": np.hypot(values["cosine_rad_s"], values["sine_rad_s"]),
+    }
+
+
+def driven_answers(
+    fired: Firings,
+    time_s: Array,
+    change_rad_s: Array,
+    line: tuple[float, float],
+    step_s: float,
+) -> tuple[Array, Array]:
+    """Answers (n, s) of an appendage, rad/s, per unit of sin Ωδ, and the variances (s,) of that.
+
+    A pulse drives the appendage from when it was fired: with δ the time from the middle of a slope
+    of length Δ, from one measured rate to the next, its answer has sin Ωδ out of phase, of variance
+    (1 − sin ΩΔ / ΩΔ) / 2. The middle is taken to be that of the counter interval.
+
+    ``change_rad_s`` (s,) is what every firing changes in the body's rate about the axis, ``line``
+    frequency (Hz) and damping, ``step_s`` lies between the rates that show the change as a slope.
+    """
+    omega, damping = 2.0 * np.pi * line[0], line[1]
+    after = time_s[:, None] - 0.5 * (fired.start_s + fired.end_s)
+    after = np.where(time_s[:, None] >= fired.end_s, after, 0.0)
+    answers = change_rad_s * np.exp(-damping * omega * after) * np.sin(omega * after)
+    variance = 0.5 * (1.0 - np.sinc(omega * step_s / np.pi)) * fired.scatter
+    return answers, variance
+
+
+def left_open(
+    fired: Firings, rows: FittedRows, values: Values, setting: Setting
+) -> tuple[Array, Array]:
+    """What an appendage with a share of the inertia answers, out of phase."""
+    line = _line(setting)
+    samples = rows.samples
+    step = float(np.median(np.diff(samples.time_s[np.isfinite(samples.rate_rad_s).all(1)])))
+    inertia = np.broadcast_to(rows.physics.inertia_kg_m2, (1, 3, 3))[0]
+    turned = np.linalg.solve(inertia, fired.momentum_n_m_s.T)[line.axis]
+    shape = line.frequency_hz, line.damping
+    answers, variance = driven_answers(fired, rows.time_s, turned, shape, step)
+    moment = float(values["inertia_fraction"][0]) * inertia[line.axis, line.axis]
+    return moment * answers[:, None] * np.eye(3)[line.axis][:, None], variance
+
+
+def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillation | None:
+    """The line of most evidence in what a model leaves, by the priors of its size."""
+    motions = [known_motion(samples.time_s, samples.rate_rad_s) for samples in remainder.samples]
+    inertia = [remainder.parameters[f"inertia_{axis}{axis}_kg_m2"] for axis in AXES]
+    amplitude, share = (
+        float(priors[key].keywords["scale"]) for key in ("cosine_rad_s", "inertia_fraction")
+    )
+    scales = amplitude, share
+    return find_oscillation(remainder.rows, motions, remainder.linear, np.array(inertia), scales)
+
+
+def find_oscillation(
+    rows: Sequence[EventRows],
+    motions: Sequence[KnownMotion],
+    linear: Linear,
+    inertia_kg_m2: Array,
+    scales: tuple[float, float],
+) -> Oscillation | None:
+    """The oscillation of most evidence; None where the events are too short for any.
+
+    All frequencies a line's width apart are looked at with two dampings and with what the fit takes
+    away left in the columns; the best of them and their neighbours with that taken off; the best of
+    these with all dampings; the best of all goes on to the maximum.
+
+    Parameters
+    ----------
+    rows, motions, linear
+        Innovations and known motion of every event, and the linear model that left them.
+    inertia_kg_m2
+        Moments (3,) about body axes.
+    scales
+        Prior scales of the amplitude (rad/s) and of the appendage's share φ of the inertia.
+    """
+    span = max(float(event.time_s[-1] - event.time_s[0]) for event in rows)
+    highest = 0.5 / min(float(np.median(np.diff(event.time_s))) for event in rows)
+    frequencies = np.arange(LEAST_CYCLES / span, highest, 1.0 / span)
+    if len(frequencies) == 0:
+        return None
+    size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
+    scores = np.maximum.reduce(
+        [_coarse(rows, motions, frequencies, damping, size) for damping in COARSE_DAMPINGS]
+    )
+    factor = cho_factor(linear.gram())
+    views = [_views(rows, linear, axis) for axis in range(3)]
+
+    def score(line: tuple[float, float, int]) -> float:
+        gram, projection = _fine(rows, motions, views[line[2]], factor, line)
+        return float(_log_evidence(gram, projection, size[line[2]]))
+
+    fits = [
+        (float(frequencies[f] + shift / span), damping, axis)
+        for f, axis in _peaks(scores)
+        for shift in FINER
+        for damping in COARSE_DAMPINGS
+    ]
+    best = list(
+        dict.fromkeys((frequency, axis) for frequency, _, axis in sorted(fits, key=score)[::-1])
+    )[:PEAKS]
+    fits = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
+    frequency, damping, axis = max(fits, key=score)
+
+    def loss(x: Array) -> float:
+        return -score((frequency + float(x[0]) / span, float(x[1]) ** 2, axis))
+
+    root = float(np.sqrt(damping))
+    corners = np.array([[0.0, root], [0.1, root], [0.0, root + 0.01]])
+    options = {"initial_simplex": corners, "maxfev": MOST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-3}
+    bounds = ((-2.0, 2.0), (0.0, LARGEST_ROOT))
+    result = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
+    looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
+    frequency += float(result.x[0]) / span
+    step = float(np.median([motion.step_s for motion in motions]))
+    damping = float(result.x[1] ** 2)
+    return Oscillation(frequency, damping, axis, looks, -float(result.fun), span, step)
+
+
+def _log_evidence(gram: Array, projection: Array, size: Array) -> Array:
+    """log Z (...) against no oscillation of columns with Gram (..., 3, 3), Aᵀy (..., 3)."""
+    precision = gram * size[..., :, None] * size[..., None, :] + np.eye(gram.shape[-1])
+    b = projection * size
+    mean = np.linalg.solve(precision, b[..., None])[..., 0]
+    return np.asarray(0.5 * (b * mean).sum(-1) - 0.5 * np.linalg.slogdet(precision)[1])
+
+
+def _coarse(
+    rows: Sequence[EventRows],
+    motions: Sequence[KnownMotion],
+    frequencies: Array,
+    damping: float,
+    size: Array,
+) -> Array:
+    """Log evidence (f, 3) of every frequency about every axis, columns as they are."""
+    gram = np.zeros((len(frequencies), 3, 3, 3))
+    projection = np.zeros((len(frequencies), 3, 3))
+    for event, motion in zip(rows, motions, strict=True):
+        directions = np.linalg.inv(event.noise_factor)  # column a: a unit of momentum, whitened
+        lengths = (directions**2).sum(0)
+        left = event.white @ directions
+        squares, along = motion.products(event.time_s, frequencies, damping, left)
+        squares[:, :2, 2:] *= -1.0  # what the balance lacks is less the driven part
+        squares[:, 2:, :2] *= -1.0
+        along[:, 2:] *= -1.0
+        for axis in range(3):
+            places = np.array([0, 1, 2 + axis])
+            gram[:, axis] += lengths[axis] * squares[:, places[:, None], places]
+            projection[:, axis] += along[:, places, axis]
+    return _log_evidence(gram, projection, size)
+
+
+def _peaks(scores: Array) -> list[tuple[int, int]]:
+    """Places (frequency, axis) of the highest scores, no two of them neighbours."""
+    peaks: list[tuple[int, int]] = []
+    for flat in np.argsort(-scores, axis=None):
+        f, axis = (int(i) for i in np.unravel_index(int(flat), scores.shape))
+        if all(axis != a or abs(f - g) > 1 for g, a in peaks):
+            peaks.append((f, axis))
+        if len(peaks) == PEAKS:
+            break
+    return peaks
+
+
+class _View(NamedTuple):
+    """What one event's rows show about an axis: whitened momentum along it is weighed with these.
+
+    ``length`` is the square of a whitened unit, ``white`` (n,) and ``columns`` (n, p) innovations
+    and the linear model's columns along it.
+    """
+
+    length: float
+    white: Array
+    columns: Array
+
+
+def _views(rows: Sequence[EventRows], linear: Linear, axis: int) -> list[_View]:
+    """Every event's view of an axis."""
+    views = []
+    for event, part in zip(rows, linear.parts, strict=True):
+        direction = np.linalg.inv(event.noise_factor)[:, axis]
+        columns = linear.columns[part].reshape(len(event.white), 3, -1)
+        along = np.tensordot(columns, direction, (1, 0))
+        views.append(_View(float(direction @ direction), event.white @ direction, along))
+    return views
+
+
+def _fine(
+    rows: Sequence[EventRows],
+    motions: Sequence[KnownMotion],
+    views: Sequence[_View],
+    factor: tuple[Array, bool],
+    line: tuple[float, float, int],
+) -> tuple[Array, Array]:
+    """Gram (3, 3) and Aᵀy (3,) of one oscillation's columns, what the fit takes away taken off.
+
+    ``line`` is its frequency (Hz), damping and axis, ``views`` those of that axis, ``factor`` that
+    of the linear model's Gram.
+    """
+    frequency_hz, damping, axis = line
+    gram, projection = np.zeros((3, 3)), np.zeros(3)
+    across = np.zeros((views[0].columns.shape[1], 3))
+    for event, motion, view in zip(rows, motions, views, strict=True):
+        cosine, sine, driven = oscillation_series(event.time_s, motion, frequency_hz, damping)
+        series = np.stack([cosine, sine, -driven[:, axis]], axis=1)
+        gram += view.length * series.T @ series
+        projection += view.white @ series
+        across += view.columns.T @ series
+    return gram - across.T @ cho_solve(factor, across), projection
+
+
+KIND: Final = Kind(
+    "flexible_mode",
+    change,
+    search=search,
+    reported=("inertia_fraction", "frequency_hz", "damping", "amplitude_rad_s"),
+    report=report,
+    left_open=left_open,
+)

@@ -1,0 +1,337 @@
+"""Effects that a user brings: a Python file like those of this package, checked at every call.
+
+The file is run. It is only ever one that was named on the command line. Whatever is wrong with it
+is one line with the file and the place in it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import re
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import wraps
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
+
+from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.controller import Fired
+from cassini_bayes.effects.effect import Kind
+from cassini_bayes.effects.printed import Printed
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import finite_number
+
+Shape = tuple[int, ...]
+_NAME: Final = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_TAKEN: Final = ("none", "unknown")  # what a diagnosis weighs beside causes
+ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
+    "change": ("physics", "parameters", "values", "setting"),
+    "change_in_rows": ("physics", "parameters", "values", "setting"),
+    "columns": ("thrusters",),
+    "search": ("remainder", "priors"),
+    "report": ("values", "setting"),
+    "left_open": ("fired", "rows", "values", "setting"),
+    "fire": ("controller", "values"),
+    "doubt": ("printed", "width"),
+    "simulate": ("plan", "target", "values"),
+}
+
+
+def load_module(path: Path) -> ModuleType:
+    """Run a Python file.
+
+    Raises
+    ------
+    InputError
+        There is none, or it fails: the line is named.
+    """
+    spec = importlib.util.spec_from_file_location(f"effect_{path.stem}", path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise InputError(str(path), "a Python file", "none", "name one that is there")
+    if not _NAME.fullmatch(path.stem) or path.stem in _TAKEN:
+        raise InputError(
+            str(path),
+            "a name of letters, digits and _",
+            path.stem,
+            "rename it",
+        )
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+        raise _fault(path, "a Python file that can be run", error) from None
+    return module
+
+
+def load_kind(path: Path) -> Kind:
+    """The kind of effect of a Python file, its functions checked at every call.
+
+    Raises
+    ------
+    InputError
+        No such file, no ``KIND``, another name than the file's, or a function of other arguments.
+    """
+    kind = getattr(load_module(path), "KIND", None)
+    if not isinstance(kind, Kind):
+        raise InputError(
+            str(path), "KIND = Kind(...)", repr(kind), "make it as docs/own-effect.md does"
+        )
+    if kind.name != path.stem:
+        raise InputError(
+            f"{_kind_line(path)}: KIND.name",
+            repr(path.stem),
+            repr(kind.name),
+            "name the file after it",
+        )
+    _check_figures(path, kind)
+    hooks: dict[str, Any] = {
+        name: guarded(path, name, hook)
+        for name in ARGUMENTS
+        if (hook := getattr(kind, name, None)) is not None
+    }
+    if kind.report is not None:
+        hooks["report"] = _reporting(_hook_line(path, kind.report), hooks["report"], kind.reported)
+    return replace(kind, **hooks)
+
+
+def _check_figures(path: Path, kind: Kind) -> None:
+    """What of a kind is no function."""
+    given: Any = kind  # a user may have given anything
+    forms: Mapping[str, tuple[str, bool]] = {
+        "reported": (
+            "a tuple of texts",
+            isinstance(given.reported, tuple) and all(isinstance(k, str) for k in given.reported),
+        ),
+        "known_to": (
+            "steps by size",
+            isinstance(given.known_to, Mapping)
+            and all(isinstance(v, int | float) and v >= 0 for v in given.known_to.values()),
+        ),
+        "separation": (
+            "texts by kind",
+            isinstance(given.separation, Mapping)
+            and all(isinstance(v, str) for v in given.separation.values()),
+        ),
+    }
+    for name, (expected, holds) in forms.items():
+        if not holds:
+            where = f"{_kind_line(path)}: KIND.{name}"
+            raise InputError(where, expected, repr(getattr(kind, name)), "write such")
+
+
+def _kind_line(path: Path) -> str:
+    """The file and the line in which its kind begins."""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    begins = [number for number, line in enumerate(lines, 1) if line.startswith("KIND")]
+    return f"{path}, line {begins[-1]}" if begins else str(path)
+
+
+def _hook_line(path: Path, hook: Any) -> str:
+    """The file and the line in which a function begins."""
+    code = getattr(hook, "__code__", None)
+    return str(path) if code is None else f"{path}, line {code.co_firstlineno}"
+
+
+def _reporting(
+    where: str, report: Callable[..., Any], sizes: tuple[str, ...]
+) -> Callable[..., Any]:
+    """A report that has to give the sizes that the kind says it reports."""
+
+    def call(*given: Any) -> Any:
+        result = report(*given)
+        if set(result) != set(sizes):
+            raise InputError(
+                f"{where}: report",
+                f"the sizes that KIND.reported names, {sorted(sizes)}",
+                str(sorted(result)),
+                "return these",
+            )
+        return result
+
+    return call
+
+
+def guarded(path: Path, name: str, hook: Any) -> Callable[..., Any]:
+    """A function of a user's file, whose faults are one line, and whose result is checked.
+
+    Raises
+    ------
+    InputError
+        It is no function of the arguments that it will get.
+    """
+    wanted = f"{name}({', '.join(ARGUMENTS[name])})"
+    try:
+        inspect.signature(hook).bind(*ARGUMENTS[name])
+    except (TypeError, ValueError) as error:
+        where = _hook_line(path, hook)
+        raise InputError(where, wanted, str(error), "take these arguments") from None
+
+    @wraps(hook)
+    def call(*given: Any) -> Any:
+        try:
+            result = hook(*given)
+        except InputError:
+            raise
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+            raise _fault(path, f"{wanted} that returns", error) from None
+        return _checked(path, f"{_hook_line(path, hook)}: {name}", name, result, given)
+
+    return call
+
+
+def _fault(path: Path, expected: str, error: BaseException) -> InputError:
+    """An exception in a user's file as one line."""
+    whole, frames = path.resolve(), traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == whole]
+    if isinstance(error, SyntaxError) and Path(error.filename or "").resolve() == whole:
+        lines.append(error.lineno)
+    where = f"{path}, line {lines[-1]}" if lines else str(path)
+    message = " ".join(str(error).split())
+    return InputError(where, expected, f"{type(error).__name__}: {message}", "mend that line")
+
+
+def _checked(path: Path, where: str, name: str, result: Any, given: tuple[Any, ...]) -> Any:
+    """A result of the form that it has to have."""
+    if name in ("change", "change_in_rows"):
+        _check_type(where, result, Physics)
+        _check_physics(where, result, given[0], given[2])
+    elif name == "columns":
+        _check_type(where, result, tuple)
+        return tuple(_checked_column(path, where, column, given[0]) for column in result)
+    elif name == "search":
+        return None if result is None else _checked_search(path, where, result)
+    elif name == "left_open":
+        columns, variances = _pair(where, result)
+        _check_shape(f"{where}: columns", columns, (len(given[1].time_s), 3, len(variances)))
+    elif name == "simulate":
+        _check_type(where, result, type(given[0]))
+    elif name == "fire":
+        _check_type(where, result, Fired)
+    elif name in ("report", "doubt"):
+        _check_type(where, result, dict)
+        for key, value in result.items():
+            if name == "doubt":
+                _check_type(f"{where}: {key}", value, Printed)
+            else:
+                _check_shape(f"{where}: {key}", value, (len(next(iter(given[0].values()))),))
+    return result
+
+
+def _check_type(where: str, result: object, wanted: type) -> None:
+    if not isinstance(result, wanted):
+        raise InputError(where, f"a {wanted.__name__}", type(result).__name__, "return one")
+
+
+def _pair(where: str, result: Any) -> tuple[Any, Any]:
+    if not isinstance(result, tuple) or len(result) != 2:
+        raise InputError(where, "two arrays", type(result).__name__, "return both")
+    return result
+
+
+def _check_physics(
+    where: str, result: Physics, given: Physics, values: Mapping[str, Array]
+) -> None:
+    """Every quantity that was changed has the shape of one for every point, and finite values."""
+    points = len(next(iter(values.values())))
+    axes, wheels, thrusters = (3,), given.wheel_inertia_kg_m2.shape[-1:], given.arms_m.shape[-1:]
+    tails: Mapping[str, Shape] = {
+        "inertia_kg_m2": (3, 3),
+        "wheel_axes": (3, *wheels),
+        "wheel_inertia_kg_m2": wheels,
+        "arms_m": (3, *thrusters),
+        "thrust_factor": thrusters,
+        "impulse_offset_s": thrusters,
+        "steady_torque_n_m": axes,
+        "rate_bias_rad_s": axes,
+        "rate_scale": axes,
+    }
+    for field in fields(Physics):
+        value = getattr(result, field.name)
+        if value is not getattr(given, field.name) and field.name in tails:
+            _check_numbers(f"{where}: {field.name}", value, (points, *tails[field.name]))
+    for name, weight in result.extra.items():
+        if given.extra.get(name) is not weight:
+            tail = () if "@" in name else axes
+            _check_numbers(f"{where}: extra[{name!r}]", weight, (points, *tail))
+
+
+def _check_numbers(where: str, value: Any, wanted: Shape) -> None:
+    """Finite numbers of a shape."""
+    _check_shape(where, value, wanted)
+    if not np.isfinite(value).all():
+        raise InputError(
+            where, "finite values", "NaN or infinity", "mend it, or bound the parameter"
+        )
+
+
+def _check_shape(where: str, value: Any, wanted: Shape) -> None:
+    """Real numbers of a shape that broadcasts to the one wanted."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged lists
+        array = np.array(None)
+    if array.dtype.kind not in "fiub":
+        raise InputError(where, f"real numbers {wanted}", repr(value)[:60], "return an array")
+    shape = array.shape
+    try:
+        fits = np.broadcast_shapes(shape, wanted) == wanted
+    except ValueError:
+        fits = False
+    if not fits:
+        raise InputError(where, f"an array {wanted}", f"one of shape {shape}", "mend its shape")
+
+
+def _checked_search(path: Path, where: str, result: Any) -> Any:
+    """What a search settled, its columns checked as those of a kind are."""
+    lacking = [name for name in ("log_gain", "log_looks", "columns") if not hasattr(result, name)]
+    if lacking:
+        raise InputError(where, f"a result with {lacking[0]}", repr(result)[:60], "give it one")
+    for name in ("log_gain", "log_looks"):
+        finite_number(f"{where}: {name}", getattr(result, name))
+    columns = result.columns
+
+    def checked(samples: Samples) -> tuple[ExtraColumn, ...]:
+        try:
+            made = columns(samples)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+            raise _fault(path, "columns(samples) that returns", error) from None
+        _check_type(f"{where}: columns", made, tuple)
+        return tuple(_checked_column(path, where, column, ()) for column in made)
+
+    object.__setattr__(result, "columns", checked)  # frozen or not, it has to be this one
+    return result
+
+
+def _checked_column(
+    path: Path, where: str, column: object, thrusters: Sequence[str]
+) -> ExtraColumn:
+    """A column whose values are one finite number for every row."""
+    if not isinstance(column, ExtraColumn):
+        raise InputError(where, "ExtraColumn(name, function)", repr(column), "return these")
+    _, at, thruster = column.name.partition("@")
+    if at and thruster not in thrusters:
+        raise InputError(
+            f"{where}: {column.name}",
+            f"a thruster behind @, one of {', '.join(thrusters) or 'none'}",
+            repr(thruster),
+            "name one that was given",
+        )
+
+    def values(context: RowContext) -> Array:
+        try:
+            array = np.asarray(column.values(context), dtype=np.float64)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+            raise _fault(path, f"values of column {column.name}", error) from None
+        _check_shape(f"{where}: {column.name}", array, (len(context.time_s),))
+        if not np.isfinite(array).all():
+            raise InputError(f"{where}: {column.name}", "finite values", "NaN", "mend the column")
+        return array
+
+    return replace(column, values=values)

@@ -1,0 +1,93 @@
+"""A cold catalyst bed: F = F∞ (1 − deficit · exp(−u/t_w)), u the thruster's own on-time so far.
+
+On-time lost per unit of deficit is ∫ exp(−u/t_w) du = t_w (1 − exp(−u/t_w)), and a pulse's tail is
+as weak as its pulse. Both are columns at five time constants; between them the polynomial through
+all five, in the logarithm, is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.balance.physics import Parameters, Physics
+from cassini_bayes.balance.statistics import ExtraColumn, RowContext
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.changes import with_columns
+from cassini_bayes.effects.effect import Kind, Setting, Values
+
+NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
+"""Time constants that have columns, even in the logarithm between the bounds of the prior."""
+
+
+def on_time_column(thruster: str, time_constant_s: float) -> str:
+    """Name of the column of on-time lost in a warm-up of this time constant."""
+    return f"warmup:{time_constant_s:g}@{thruster}"
+
+
+def tail_column(thruster: str, time_constant_s: float) -> str:
+    """Name of the column of the tails that such a warm-up weakens."""
+    return f"warmup-tail:{time_constant_s:g}@{thruster}"
+
+
+def columns(thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
+    """On-time and tails lost by every thruster at every time constant."""
+    return tuple(
+        column
+        for place, name in enumerate(thrusters)
+        for node in NODES_S
+        for column in (
+            ExtraColumn(on_time_column(name, node), partial(_on_time_lost, place, node)),
+            ExtraColumn(tail_column(name, node), partial(_tails_lost, place, node)),
+        )
+    )
+
+
+def _on_time_lost(place: int, time_constant_s: float, context: RowContext) -> Array:
+    """Commanded on-time lost per unit of deficit so far: ∫ exp(−u/t_w) du over the on-time u."""
+    on_time = context.on_time_at(context.time_s)[:, place]
+    return np.asarray(time_constant_s * -np.expm1(-on_time / time_constant_s))
+
+
+def _tails_lost(place: int, time_constant_s: float, context: RowContext) -> Array:
+    """Tails lost per unit of deficit so far: Σ exp(−u/t_w) over pulses that ended at on-time u.
+
+    Pulses between two readings are taken to be alike.
+    """
+    on_time, pulses = context.on_time_s[:, place], context.pulses[:, place]
+    count = np.diff(pulses)
+    width = np.divide(np.diff(on_time), count, out=np.zeros_like(count), where=count > 0.0)
+    ratio = np.exp(-width / time_constant_s)
+    alike = np.divide(1.0 - ratio**count, 1.0 - ratio, out=np.array(count), where=ratio < 1.0)
+    lost = np.exp(-on_time[:-1] / time_constant_s) * ratio * alike
+    lost = np.where(count > 0.0, lost, 0.0)
+    return np.concatenate([[0.0], np.cumsum(lost)])[context.reading(context.time_s)]
+
+
+def lagrange_weights(value: Array, nodes: Array) -> Array:
+    """Weights (n, nodes) of the polynomial through all nodes, at values (n,) between them."""
+    inside = np.clip(value, nodes[0], nodes[-1])[..., None]
+    result = np.ones((*inside.shape[:-1], len(nodes)))
+    for i, node in enumerate(nodes):
+        others = np.delete(nodes, i)
+        result[..., i] = ((inside - others) / (node - others)).prod(-1)
+    return result
+
+
+def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
+    """Every thruster loses on-time and tails by its own history."""
+    shares = lagrange_weights(np.log(values["warmup_time_s"]), np.log(NODES_S))
+    tail = np.asarray(physics.tau_s[2]) - np.asarray(physics.tau_s[1])  # of a first-order valve
+    weights = {}
+    for name in setting.thrusters:
+        for i, node in enumerate(NODES_S):
+            lost = -(values["warmup_deficit"] * shares[..., i])
+            weights[on_time_column(name, node)] = lost
+            weights[tail_column(name, node)] = lost * tail
+    return with_columns(physics, weights)
+
+
+KIND: Final = Kind("thrust_warmup", change, columns=columns)

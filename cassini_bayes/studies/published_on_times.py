@@ -1,0 +1,226 @@
+"""The diagnosis of printed on-times in words and tables: what is wrong, what remains, the gain.
+
+Flight on-times are weighed against the ideal calculation; the ground software's own ideal column is
+the negative control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Log, silent
+from cassini_bayes.diagnosis.diagnosis import Diagnosis, diagnose
+from cassini_bayes.diagnosis.on_time_case import OnTimeCase
+from cassini_bayes.diagnosis.on_times import COMMON, OnTimeHypothesis, read_on_times
+from cassini_bayes.diagnosis.score import HeldOut
+from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS, Verdict, weigh
+from cassini_bayes.effects.catalogue import read_catalogue
+from cassini_bayes.events.totals import read_totals
+from cassini_bayes.prediction.beliefs import read_beliefs
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.report.plots.on_times import on_time_figure
+from cassini_bayes.studies.published_sections import Section, by_width, in_words
+
+SCALES: Final = ("tail_off", "pulse_shape", "thrust_scale")  # what scales all on-times alike
+FIRING: Final = "firing_logic"
+
+
+def on_time_section(totals: Path, priors: Path, seed: int, log: Log = silent) -> Section:
+    """Weigh the flight's on-times of a totals file, and its ideal column as a control."""
+    read = read_priors(priors)
+    flight, ideal, calibrated = (
+        _case(totals, read, source) for source in ("flight", "gsw_ideal", "gsw")
+    )
+    rng = np.random.default_rng(seed)
+    diagnosis = diagnose(flight, rng, measure_gain=False, log=log)
+    printed = {
+        name: float(np.abs(case.data.printed_s - flight.data.printed_s).mean())
+        for name, case in (("ideal", ideal), ("calibrated", calibrated))
+    }
+    control = weigh(ideal, np.random.default_rng(seed), pairs=False, log=log)
+    return section_of(flight, diagnosis, printed, control, np.random.default_rng(seed))
+
+
+def section_of(
+    case: OnTimeCase,
+    diagnosis: Diagnosis[OnTimeHypothesis],
+    printed_s: Mapping[str, float],
+    control: Verdict[OnTimeHypothesis],
+    rng: np.random.Generator,
+) -> Section:
+    """A diagnosis in tables and paragraphs, its gain measured by leaving out each event in turn.
+
+    ``printed_s``: mean absolute differences to flight of the ideal and the calibrated column, s.
+    """
+    verdict, first = diagnosis.verdict, diagnosis.verdict.best
+    names = (NONE, *case.catalogue.names, UNKNOWN)
+    sizes = {name: case.sizes(verdict.named(name), rng) for name in names}
+    before, loose, after = (held_out(case, verdict, name) for name in (NONE, UNKNOWN, first.name))
+    details = [
+        _second(case, verdict),
+        _gain(first.name, before, loose, after, printed_s),
+        _by_unit(case, before, after),
+        _control(control),
+    ]
+    probability, points = by_width(verdict, diagnosis.widths), points_of(case, before, after)
+    factors = {w.name: verdict.log_bayes_factor(w) for w in verdict.weighed}
+    return Section(
+        "e",
+        verdict,
+        probability,
+        {name: in_words(w, ".3g") for name, w in sizes.items()},
+        _remains(case, diagnosis),
+        "\n\n".join(details),
+        on_time_figure(probability, factors, points),
+    )
+
+
+def held_out(case: OnTimeCase, verdict: Verdict[OnTimeHypothesis], name: str) -> HeldOut:
+    """A hypothesis's predictions of every event from the others."""
+    score = case.held_out(verdict.named(name), np.random.default_rng(0))
+    assert score is not None  # there are events enough
+    return score
+
+
+def points_of(case: OnTimeCase, before: HeldOut, after: HeldOut) -> pd.DataFrame:
+    """One row per printed on-time: event, on_time, flight_s, and the held-out predictions.
+
+    Those of ``none`` and of the first cause (none_s, first_s) with half the width of their central
+    90 % intervals (none_half_s, first_half_s).
+    """
+    units, flight = _unit_names(case), case.data.printed_s
+    columns: dict[str, object] = {
+        "event": np.repeat(case.event_ids, len(units)),
+        "on_time": units * len(case.event_ids),
+        "flight_s": flight.ravel(),
+    }
+    for prefix, score in (("none", before), ("first", after)):
+        assert score.residual is not None
+        assert score.half_width is not None
+        columns[f"{prefix}_s"] = (flight - score.residual).ravel()
+        columns[f"{prefix}_half_s"] = score.half_width.ravel()
+    return pd.DataFrame(columns)
+
+
+def _unit_names(case: OnTimeCase) -> list[str]:
+    names = case.data.priors.spacecraft.thruster_names(case.data.priors.branch)
+    return ["-".join(names[k].upper() for k in unit) for unit in case.data.layout.units]
+
+
+def _case(totals: Path, priors: Priors, source: str) -> OnTimeCase:
+    events = read_totals(totals, priors.spacecraft, source)
+    catalogue = read_catalogue(priors, priors.wheels, ("on_times",))
+    return OnTimeCase(read_on_times(events, priors, read_beliefs()), catalogue)
+
+
+def _remains(case: OnTimeCase, diagnosis: Diagnosis[OnTimeHypothesis]) -> str:
+    """p-value of the baseline, the group of the first cause, what is left after it."""
+    verdict, first = diagnosis.verdict, diagnosis.verdict.best
+    p_value = diagnosis.record["p_value"]
+    p = "below 0.001" if p_value < 1e-3 else f"{p_value:.2g}"
+    count = case.data.printed_s.size
+    text = f"p-value of the baseline: {p} (χ² of its prior prediction, {count} on-times)."
+    group = verdict.confounded_with(first.name)
+    if first.is_cause:
+        text += (
+            f" Within {CONFOUNDED_NATS:g} nats of it: {', '.join(f'`{n}`' for n in group)}."
+            if group
+            else f" No other cause is within {CONFOUNDED_NATS:g} nats of it."
+        )
+        draws, _ = case.size_draws(first, np.random.default_rng(0))
+        ends = {key: np.quantile(values, [0.05, 0.95]) for key, values in draws.items()}
+        intervals = "; ".join(f"{k} [{low:.2g}, {high:.2g}]" for k, (low, high) in ends.items())
+        text += f" Central 90 % credible intervals: {intervals}."
+    none, values = case.rmse(verdict.none), case.rmse(first)
+    return f"{text} At their modes `none` leaves {none:.2f} s RMS, `{first.name}` {values:.2f} s."
+
+
+def _second(case: OnTimeCase, verdict: Verdict[OnTimeHypothesis]) -> str:
+    first = verdict.best
+    gains = {
+        pair.hypothesis.causes[1]: pair.mode.log_evidence - first.mode.log_evidence
+        for pair in verdict.pairs
+    }
+    if not gains:
+        return "No second cause was looked for."
+    name = max(gains, key=lambda second: gains[second])
+    if verdict.pair is not None:
+        alike = f" (as good: {', '.join(verdict.pair_alike)})" if verdict.pair_alike else ""
+        return f"Second cause: `{name}`, {gains[name]:+.1f} nats{alike}."
+    space = first.hypothesis.space
+    place = space.names.index(COMMON)
+    z, sd = first.mode.point[place], float(np.linalg.norm(first.mode.factor[place]))
+    prior = space.distributions[place]
+    low, mean, high = prior.quantile_of_standard(np.array([z - sd, z, z + sd]))
+    assumed = float(case.data.thrust_n.mean())
+    mean = mean + assumed - case.data.thrust_centre_n
+    scales = ", ".join(f"`{n}` {gains[n]:+.1f}" for n in SCALES)
+    return (
+        f"Second cause: none. The best one beside `{first.name}`, `{name}`, gains "
+        f"{gains[name]:+.1f} nats ({scales}); {SECOND_CAUSE_NATS:g} are asked for. What the "
+        f"thrusters give per commanded second is {mean:.3f} ± {(high - low) / 2:.3f} N (1 sd) with "
+        f"rectangular pulses; the calculation is told {assumed:.3f} N, good "
+        f"to {prior.sd():.2f} N."
+    )
+
+
+def _gain(
+    first: str, before: HeldOut, loose: HeldOut, after: HeldOut, printed_s: Mapping[str, float]
+) -> str:
+    """Gain against ``none`` and, as that has far too small errors, against ``unknown``."""
+    gain, noisy = after.gain_over(before), after.gain_over(loose)
+    least = min((gain, noisy), key=lambda g: g.nats - 2.0 * g.standard_error)
+    ratio = max(gain.rmse_ratio, noisy.rmse_ratio)
+    verdict = replace(least, rmse_ratio=ratio).verdict
+    miss = [float(np.abs(h.residual).mean()) for h in (before, after) if h.residual is not None]
+    return (
+        f"Held out, each of {len(before.log_scores)} events in turn: `{first}` {noisy.nats:+.1f} ± "
+        f"{noisy.standard_error:.1f} nats against `unknown` (with its noise as all events have it) "
+        f"and {gain.nats:+.0f} ± {gain.standard_error:.0f} nats against `none`, whose errors are "
+        f"far too small (sums of log scores, one standard error over events); RMS residual "
+        f"{after.rmse:.2f} s, `unknown` {loose.rmse:.2f} s, `none` {before.rmse:.2f} s; mean "
+        f"absolute residual {miss[1]:.2f} s, `none` {miss[0]:.2f} s: {verdict}. Central 90 % "
+        f"prediction intervals hold {_percent(after)} % of the on-times, those of `none` "
+        f"{_percent(before)} %. For comparison, mean absolute differences of printed "
+        f"columns to flight: ideal {printed_s['ideal']:.2f} s, calibrated (tuned to these "
+        f"flights) {printed_s['calibrated']:.2f} s."
+    )
+
+
+def _percent(score: HeldOut) -> str:
+    assert score.coverage_90 is not None
+    return f"{100 * score.coverage_90:.0f}"
+
+
+def _by_unit(case: OnTimeCase, before: HeldOut, after: HeldOut) -> str:
+    """Held-out residuals of every printed on-time: mean and RMS over events, s."""
+    columns = [
+        figure
+        for residual in (before.residual, after.residual)
+        if residual is not None
+        for figure in (residual.mean(0), np.sqrt((residual**2).mean(0)))
+    ]
+    rows = "\n".join(
+        f"| {name} | {mean:+.2f} | {rms:.2f} | {own_mean:+.2f} | {own_rms:.2f} |"
+        for name, mean, rms, own_mean, own_rms in zip(_unit_names(case), *columns, strict=True)
+    )
+    return f"""Flight less held-out prediction over the events, s:
+
+| on-time | `none`: mean | RMS | first cause: mean | RMS |
+| --- | --- | --- | --- | --- |
+{rows}"""
+
+
+def _control(verdict: Verdict[OnTimeHypothesis]) -> str:
+    share = verdict.probabilities
+    return (
+        f"Negative control: the printed ideal column in place of flight gives "
+        f"`{verdict.best.name}` ({share[verdict.best.name]:.2f}), `{FIRING}` {share[FIRING]:.2g} "
+        f"(log Bayes factor {verdict.log_bayes_factor(verdict.named(FIRING)):+.1f} nats)."
+    )

@@ -1,0 +1,139 @@
+"""Diagnosis of telemetry: hidden effects are named, nothing is named where nothing is hidden."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.correlations import innovation_tests
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.gain import held_out_telemetry
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.p_value import p_value
+from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
+from cassini_bayes.diagnosis.symptoms import find_symptoms
+from cassini_bayes.diagnosis.verdict import Verdict, weigh
+from cassini_bayes.effects.catalogue import read_catalogue
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.simulation import scenario_of
+from cassini_bayes.studies.blind.flights import reduced
+from cassini_bayes.studies.scenario import simulate_file
+
+NOT_A_SIZE = ("frequency_hz", "damping")
+ROOT = Path(__file__).parents[2]
+SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
+SEED = int(os.environ.get("CASSINI_BAYES_BLIND_SEED", "7"))
+EVENTS = ("bias-1", "slews")
+# Causes and sizes that the blind test draws from: each some ten sigma of these events.
+HIDDEN = (
+    ("rate_scale:y", {"rate_scale": 0.002}),
+    ("thruster_leak:z3", {"leak_n": 1.0e-5}),
+    ("rate_bias:x", {"rate_bias_x_rad_s": 1.0e-6}),
+    ("time_offset", {"time_offset_s": 0.1}),
+    (
+        "flexible_mode",
+        {
+            "frequency_hz": 0.05,
+            "damping": 0.0,
+            "amplitude_rad_s": 1e-6,
+            "inertia_fraction": 0.002,
+        },
+    ),
+)
+
+
+@cache
+def priors() -> Priors:
+    """The telemetry priors, read once."""
+    return read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+
+
+def flown(seed: int, effects: Sequence[dict[str, Any]] = ()) -> Events:
+    """A bias and slews with effects hidden."""
+    document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    document["event"] = [e for e in document["event"] if e["id"] in EVENTS]
+    document["effect"] = list(effects)
+    simulation = simulate_file(scenario_of(document, SCENARIO.parent), seed, priors=priors())
+    return reduced(simulation, priors())
+
+
+def verdict_of(events: Events) -> Verdict[Hypothesis]:
+    """A diagnosis without a hint."""
+    return weigh(BalanceCase(events), np.random.default_rng(1), pairs=False)
+
+
+def drawn_effect(seed: int) -> tuple[str, dict[str, float]]:
+    """A cause of the list and its size, once to twice the one there."""
+    rng = np.random.default_rng(seed)
+    name, parameters = HIDDEN[int(rng.integers(len(HIDDEN)))]
+    grown = rng.uniform(1.0, 2.0)
+    return name, {k: v * (1.0 if k in NOT_A_SIZE else grown) for k, v in parameters.items()}
+
+
+def test_hidden_effect_is_named_with_its_size_and_gains() -> None:
+    """Cause and size drawn by a seed from the environment: name, interval and held-out gain."""
+    name, parameters = drawn_effect(SEED)
+    events = flown(SEED, [{"name": name, "parameters": parameters}])
+    verdict = verdict_of(events)
+    assert verdict.best.name == name or name in verdict.confounded_with(verdict.best.name)
+    assert verdict.probabilities["none"] < 0.01
+    found = next(w for w in verdict.weighed if w.name == name)
+    values, weights = size_draws(found, np.random.default_rng(SEED))
+    sizes = {k: v for k, v in values.items() if k in parameters}
+    assert sizes
+    for key, draws in sizes.items():
+        # a 90 % interval misses one seed in ten; any seed shall pass
+        low, high = weighted_interval(draws, weights, 0.998)
+        assert low <= parameters[key] <= high, key
+    scores = [held_out_telemetry(events, own) for own in (found, verdict.none)]
+    assert scores[0].gain_over(scores[1]).nats > 4.0
+
+
+def test_what_bends_the_baseline_to_its_walls_is_found_from_the_centre() -> None:
+    """An inertia of half its value: no search from the baseline's own mode gets there."""
+    name, value = "inertia:xx", 3_283.5
+    hidden = {"name": name, "parameters": {"inertia_xx_kg_m2": value}}
+    events = flown(SEED, [hidden])
+    verdict = verdict_of(events)
+    assert np.abs(verdict.none.mode.point).max() > 5.0
+    assert verdict.best.name == name
+    values, weights = size_draws(verdict.best, np.random.default_rng(SEED))
+    low, high = weighted_interval(values["inertia_xx_kg_m2"], weights, 0.998)
+    assert low < value < high
+
+
+def test_nothing_hidden_gives_none_and_something_strange_gives_unknown() -> None:
+    """Null telemetry keeps the baseline; a torque pulse outside the catalogue is called unknown."""
+    null = verdict_of(flown(SEED + 1))
+    assert null.best.name == "none"
+    left = null.none.remainder
+    assert left is not None
+    p = p_value(left.linear, [own.time_s for own in left.rows], np.random.default_rng(2))
+    assert p > 0.001
+    assert sum(null.probabilities.values()) == pytest.approx(1.0)
+    pulse = {"peak_x_n_m": 4e-4, "peak_y_n_m": -3e-4, "peak_z_n_m": 2e-4}
+    pulse |= {"centre_s": 600.0, "width_s": 150.0}
+    odd = verdict_of(flown(SEED + 1, [{"name": "atmospheric_torque", "parameters": pulse}]))
+    assert odd.best.name == "unknown"
+    left = odd.none.remainder
+    assert left is not None
+    assert find_symptoms(
+        left.rows, innovation_tests(left.linear, left.rows, np.random.default_rng(3))
+    )
+
+
+def test_catalogue_probabilities_add_up() -> None:
+    """none, unknown and all causes together have probability one before the data."""
+    catalogue = read_catalogue(priors(), (1, 2, 4), ("telemetry",))
+    total = sum(effect.prior_probability for effect in catalogue.effects)
+    total += catalogue.odds.none + catalogue.odds.unknown
+    assert total == pytest.approx(1.0)
+    assert len(set(catalogue.names)) == len(catalogue.names)

@@ -1,0 +1,161 @@
+"""What a diagnosis shows: exact bands, whiteness, discrepancy curves, and the extended fit."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from cassini_bayes.balance.linearised import fitted_away
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.correlations import (
+    InnovationTests,
+    family_band,
+    innovation_tests,
+)
+from cassini_bayes.diagnosis.diagnosis import Diagnosis
+from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.refit import fit_extended
+from cassini_bayes.diagnosis.symptoms import find_symptoms
+from cassini_bayes.diagnosis.verdict import Verdict, weigh
+from cassini_bayes.effects.effect import Remainder
+from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.results.record import read_fit
+from cassini_bayes.simulation import scenario_of
+from cassini_bayes.studies.blind.flights import reduced
+from cassini_bayes.studies.scenario import Simulation, simulate_file
+
+ROOT = Path(__file__).parents[2]
+SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
+PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+LEAK_N = 1.0e-4
+
+
+@cache
+def flight(leak: bool) -> Simulation:
+    """A bias and slews, Z3 leaking or nothing hidden."""
+    document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    document["event"] = [e for e in document["event"] if e["id"] in ("bias-1", "slews")]
+    hidden = {"name": "thruster_leak:z3", "parameters": {"leak_n": LEAK_N}}
+    document["effect"] = [hidden] if leak else []
+    return simulate_file(scenario_of(document, SCENARIO.parent), 7, priors=PRIORS)
+
+
+@cache
+def case_of(leak: bool) -> BalanceCase:
+    """The events of a flight with that one cause."""
+    events = reduced(flight(leak), PRIORS)
+    only = (events.catalogue.effect("thruster_leak:z3"),)
+    return BalanceCase(replace(events, catalogue=replace(events.catalogue, effects=only)))
+
+
+@cache
+def verdict(leak: bool) -> Verdict[Hypothesis]:
+    """The verdict on a flight."""
+    return weigh(case_of(leak), np.random.default_rng(1), pairs=False)
+
+
+def left_by(own: Verdict[Hypothesis]) -> Remainder:
+    """What the baseline leaves."""
+    assert own.none.remainder is not None
+    return own.none.remainder
+
+
+def shown(own: Verdict[Hypothesis]) -> InnovationTests:
+    """Tests of the baseline's innovations."""
+    left = left_by(own)
+    return innovation_tests(left.linear, left.rows, np.random.default_rng(2))
+
+
+def curves(leak: bool) -> dict[str, Curve]:
+    """Discrepancy curves by event."""
+    found = curves_of(case_of(leak), verdict(leak), np.random.default_rng(3))
+    return {curve.event: curve for curve in found}
+
+
+def test_correlations_are_standard_normal_if_the_model_is_true() -> None:
+    """Targets drawn from the linear model itself give uniform p-values for one driver."""
+    own = left_by(verdict(False))
+    rng, z, largest = np.random.default_rng(4), [], []
+    linear = own.linear
+    for _ in range(20):
+        sd = 1.0 / np.sqrt(linear.precision)
+        target = linear.columns @ (sd * rng.standard_normal(len(sd)))
+        target += rng.standard_normal(len(target))
+        left = fitted_away(linear, target)
+        rows = []
+        for event, part in zip(own.rows, linear.parts, strict=True):
+            white = left[part].reshape(-1, 3)
+            rows.append(replace(event, white=white, residual_n_m_s=white @ event.noise_factor.T))
+        found = innovation_tests(replace(linear, target=target), rows, rng)
+        values = [t.z for t in found.drivers]
+        z.append(values[found.drivers.index(next(t for t in found.drivers if t.driver == "time"))])
+        largest.append(np.nanmax(np.abs(values)) < found.family_z)
+    assert kstest(z, "norm").pvalue > 1e-3
+    assert np.mean(largest) > 0.75  # 95 % less four standard deviations of 20 trials
+
+
+def test_family_band_of_independent_and_equal_tests() -> None:
+    """Ten independent tests need the Šidák half-width, ten equal ones that of one alone."""
+    rng = np.random.default_rng(5)
+    assert family_band(np.eye(10), rng) == pytest.approx(2.80, abs=0.08)
+    assert family_band(np.ones((10, 10)), rng) == pytest.approx(1.96, abs=0.08)
+
+
+def test_wheels_are_named_by_number_and_a_leak_is_seen() -> None:
+    """Drivers name rwa4, not a third wheel; the leak leaves its mark in bands and sentences."""
+    found = shown(verdict(True))
+    drivers = {t.driver for t in found.drivers}
+    assert {"speed of rwa4", "acceleration of rwa4", "on-time of Z3", "time"} <= drivers
+    assert not any("rwa3" in name for name in drivers)
+    assert max(abs(t.z) for t in found.drivers if np.isfinite(t.z)) > found.family_z
+    assert any("not white" in s.what for s in find_symptoms(left_by(verdict(True)).rows, found))
+
+
+def test_nothing_hidden_stays_in_the_bands() -> None:
+    """Without an effect innovations are in the bands and the curve's band holds zero."""
+    found = shown(verdict(False))
+    assert np.nanmax([abs(t.z) for t in found.drivers]) < 1.3 * found.family_z
+    assert all(abs(w.portmanteau_z) < 4.0 for w in found.whiteness)
+    assert all(abs(t.z) < 4.0 for t in found.closure)
+    for curve in curves(False).values():
+        assert ((curve.low <= 0.0) & (curve.high >= 0.0)).mean() > 0.95
+
+
+def test_curve_grows_by_the_momentum_of_the_leak() -> None:
+    """In the slews g(T) is (r − e) × d F T about X and Y, and nothing about Z."""
+    curve = curves(True)["slews"]
+    arm = np.cross([-1.234, -1.580, 0.0], [0.0, 0.0, -1.0]) - np.cross(
+        [0.13, 0.057, 0.0], [0.0, 0.0, -1.0]
+    )
+    truth = arm * LEAK_N * curve.time_s[-1]
+    half = 0.5 * (curve.high[-1] - curve.low[-1])
+    assert np.abs(curve.mean[-1] - truth)[:2] == pytest.approx(0.0, abs=0.1 * np.abs(truth).max())
+    assert (np.abs(curve.mean[-1] - truth) < 3.0 * half).all()
+    assert curve.low[-1, 0] > 0.0 > curve.high[-1, 1]
+    assert abs(curve.mean[-1, 2]) < 0.1 * np.abs(truth).max()
+
+
+def test_extended_fit_is_read_back(tmp_path: Path) -> None:
+    """``fit.nc`` has the §3 groups, and the leak as a posterior variable with its unit."""
+    own = verdict(True)
+    leak = next(w for w in own.weighed if w.name == "thruster_leak:z3")
+    diagnosis = cast(Diagnosis[Hypothesis], SimpleNamespace(extended=leak))
+    fit_extended(diagnosis, tmp_path / "fit", 1, lambda _: None, target_ess=200)
+    fit = read_fit(tmp_path / "fit" / "fit.nc")
+    found = fit.groups["posterior"]["thruster_leak_z3_leak_n"]
+    assert found.attrs["units"] == "N"
+    # three posterior standard deviations
+    assert float(found.mean()) == pytest.approx(LEAK_N, abs=3.0 * float(found.std()))
+    channels = fit.groups["posterior_predictive"]["rate_rad_s"].sel(event="slews")
+    assert np.isfinite(channels.values).all(axis=(0, 2)).sum() > 100
+    assert "thruster_leak_z3_leak_n" in fit.groups["prior"]
+    assert {"thrust_n", "inertia_xx_kg_m2"} <= set(fit.groups["posterior"])

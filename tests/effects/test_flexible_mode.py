@@ -1,0 +1,178 @@
+"""Oscillations: the appendage's answer against an integrator, what it must not see, the search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from totals_cases import ROOT
+
+from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.hypotheses import none_hypothesis
+from cassini_bayes.diagnosis.innovations import linearise
+from cassini_bayes.effects.appendage import known_motion, oscillation_series
+from cassini_bayes.effects.flexible_mode import Oscillation, find_oscillation
+from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
+from cassini_bayes.studies.blind.shift import View, at_truth, held, squared_size
+from cassini_bayes.studies.blind.sizes import hidden_oscillation
+
+PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+TIME = np.arange(0.0, 1_200.0)
+INERTIA = np.array([8_000.0, 7_000.0, 4_000.0])
+NOISE = np.diag([0.02, 0.02, 0.01])  # N m s
+SCALES = (1e-5, 0.01)
+
+
+def body(time_s: Array) -> Array:
+    """A smooth rate, rad/s, slow beside a sample."""
+    return np.asarray(2e-4 * np.sin(2 * np.pi * time_s / 90.0) * np.exp(-time_s / 700.0))
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(0.02, 0.0), (0.11, 0.003), (0.2, 0.05)])
+def test_the_answer_to_the_bodys_motion_is_that_of_an_integrator(
+    frequency: float, damping: float
+) -> None:
+    """θ'' + 2 ζ Ω θ' + Ω² θ = −ω': what lines between rows leave falls with the step squared."""
+    omega = 2.0 * np.pi * frequency
+
+    def slope(t: float, x: Array) -> Array:
+        drive = (body(np.array(t + 1e-3)) - body(np.array(t - 1e-3))) / 2e-3
+        return np.array([x[1], -2.0 * damping * omega * x[1] - omega**2 * x[0] - drive])
+
+    wanted = solve_ivp(slope, (0.0, TIME[-1]), [0.0, 0.0], t_eval=TIME, rtol=1e-9, atol=1e-14).y[1]
+    errors = []
+    for step in (1.0, 0.25):
+        fine = np.arange(0.0, TIME[-1] + step / 2, step)
+        found = known_motion(fine, body(fine)[:, None]).driven(TIME, frequency, damping)[:, 0]
+        errors.append(np.abs(found - wanted).max())
+    assert errors[1] < 0.1 * errors[0]
+    assert errors[1] < 0.01 * np.abs(wanted).max()
+
+
+def test_samples_that_are_missing_are_bridged() -> None:
+    """Channels at other times are NaN in between: the grid is that of the rate's own samples."""
+    slow = np.where(np.arange(len(TIME)) % 4 == 0, body(TIME), np.nan)[:, None]
+    at = TIME[::4]
+    whole = known_motion(at, body(at)[:, None]).driven(at, 0.02, 0.001)
+    assert known_motion(TIME, slow).driven(at, 0.02, 0.001) == pytest.approx(whole)
+
+
+def test_a_rows_own_noise_is_not_in_its_columns() -> None:
+    """It would be regressed on itself; a column that has it is (negative control)."""
+    noise = np.random.default_rng(1).standard_normal((60_000, 1))
+    time_s = np.arange(len(noise), dtype=np.float64)
+    column = known_motion(time_s, noise).driven(time_s, 0.1, 0.02)
+    error = 1.0 / np.sqrt(len(noise))
+    assert abs(float((column * noise).mean() / column.std())) < 5.0 * error
+    naive = column + np.roll(noise, 1) - noise  # the body's rate of the row itself
+    assert float((naive * noise).mean() / naive.std()) < -50.0 * error
+
+
+def test_sums_over_rows_are_those_of_the_series() -> None:
+    """Products made in one pass equal those of the series, with rows missing and times uneven."""
+    rng = np.random.default_rng(6)
+    time_s = np.delete(TIME, [5, 6, 40]) + 1e-7 * rng.standard_normal(len(TIME) - 3)
+    motion = known_motion(time_s, rng.standard_normal((len(time_s), 3)))
+    left, frequencies = rng.standard_normal((len(time_s), 3)), np.array([0.011, 0.13])
+    squares, along = motion.products(time_s, frequencies, 0.002, left)
+    for f, frequency in enumerate(frequencies):
+        cosine, sine, driven = oscillation_series(time_s, motion, frequency, 0.002)
+        columns = np.column_stack([cosine, sine, driven])
+        size = np.sqrt(np.diagonal(columns.T @ columns))
+        assert squares[f] == pytest.approx(columns.T @ columns, abs=1e-9 * size.max() ** 2)
+        assert along[f] == pytest.approx(
+            columns.T @ left, abs=1e-9 * size.max() * np.sqrt(len(left))
+        )
+
+
+def event(shown: Array, left: Array, time_s: Array = TIME) -> tuple[EventRows, Linear]:
+    """One event's innovations (n, 3) in N m s about a model that takes up constants alone."""
+    n = len(time_s)
+    white = left @ np.linalg.inv(NOISE).T
+    none = np.zeros((n, 0))
+    rows = EventRows("one", time_s, white, left, shown, none, none, (), (), NOISE, np.zeros((n, 4)))
+    columns = np.kron(np.ones((n, 1)), np.eye(3))
+    return rows, Linear(white.reshape(-1), columns, np.full(3, 1e-6), (n,))
+
+
+def found_in(shown: Array, left: Array, time_s: Array = TIME) -> Oscillation | None:
+    """The search on one event."""
+    rows, linear = event(shown, left, time_s)
+    return find_oscillation([rows], [known_motion(time_s, shown)], linear, INERTIA, SCALES)
+
+
+def white(rng: np.random.Generator, n: int = len(TIME)) -> tuple[Array, Array]:
+    """Rates (rad/s) of nothing but noise, and innovations of it."""
+    return 2e-6 * rng.standard_normal((n, 3)), rng.standard_normal((n, 3)) @ NOISE.T
+
+
+@pytest.mark.parametrize(("hertz", "seconds"), [(0.059, 1_200), (0.41, 3_600)])
+def test_a_line_is_found_with_axis_and_frequency(hertz: float, seconds: int) -> None:
+    """A free oscillation of 8 σ about Y, at high frequencies of a long event as well."""
+    rng = np.random.default_rng(2)
+    time_s = np.arange(0.0, seconds)
+    shown, left = white(rng, seconds)
+    left[:, 1] += 8.0 * NOISE[1, 1] * np.sqrt(2 / seconds) * np.cos(2 * np.pi * hertz * time_s + 1)
+    found = found_in(shown, left, time_s)
+    assert found is not None
+    assert found.axis == 1
+    assert found.frequency_hz == pytest.approx(hertz, abs=1.0 / seconds)
+    looks = 3 * (np.ceil(0.5 * (seconds - 1)) - 4) * 5  # axes, lines, dampings
+    assert found.log_looks == pytest.approx(np.log(looks), abs=1e-2)
+
+
+def test_an_appendage_that_only_the_body_drives_is_found() -> None:
+    """Steps of the rate, as pulses make them, leave rings that do not keep one phase."""
+    rng = np.random.default_rng(3)
+    shown = np.zeros((len(TIME), 3))
+    for at in rng.integers(20, 1_150, 12):
+        shown[at:, 0] += rng.choice([-1.0, 1.0]) * 1e-4
+    ring = known_motion(TIME, shown).driven(TIME, 0.04, 0.003)
+    noise, left = white(rng)
+    left[:, 0] -= 0.006 * INERTIA[0] * ring[:, 0]
+    found = found_in(shown + noise, left)
+    assert found is not None
+    assert (found.axis, found.frequency_hz) == (0, pytest.approx(0.04, abs=1.0 / TIME[-1]))
+
+
+def test_events_of_a_few_rows_have_no_oscillation() -> None:
+    """Nothing is slower than a drift and faster than half the sampling rate."""
+    short = TIME[:6]
+    assert found_in(np.zeros((6, 3)), np.zeros((6, 3)), short) is None
+
+
+def left_by(view: View, values: dict[str, float], line: Oscillation) -> float:
+    """σ of what the true parameters leave with the oscillation in the model at these values."""
+    effect = replace(view.events.catalogue.effect("flexible_mode"), search_result=line)
+    events = view.events.with_columns_of([effect])
+    changed = held(none_hypothesis(events), effect, values)
+    other, _ = linearise(changed, view.point, smooth_channels=False)
+    left = view.left + other.target - view.linear.target
+    return float(np.sqrt(squared_size(view.linear, left)))
+
+
+def test_an_appendage_flown_in_closed_loop_is_what_the_model_says() -> None:
+    """Firings and wheels drive and damp it; frequency, amplitude, share and signs are the model's.
+
+    The parameters of the truth leave a fifth or less (3.7 of 23.8 σ, where a flight with nothing
+    hidden leaves 2 to 3); a share of the other sign leaves more than
+    no oscillation does, and a free one alone three times as much as what the body drives with it.
+    """
+    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
+    campaign = Blind(scenario, ROOT / "priors" / "x", 7, ("bias-1",))
+    scene = Scene(campaign, campaign.document(np.random.default_rng(7)), 7, PRIORS)
+    hidden = {"frequency_hz": 0.04, "damping": 0.002, "axis": 2.0}
+    hidden |= {"amplitude_rad_s": 4e-6, "inertia_fraction": 0.01}
+    events = scene.fly_quietly((Hidden("flexible_mode", hidden, float("nan")),))
+    view = at_truth(events, scene.truth())
+    line, values = hidden_oscillation(hidden)
+    without = float(np.sqrt(squared_size(view.linear, view.left)))
+    assert without > 20.0
+    assert left_by(view, values, line) < without / 5.0
+    assert left_by(view, values | {"cosine_rad_s": 4e-6}, line) > without
+    free = left_by(view, values | {"inertia_fraction": 0.0}, line)
+    assert free > 2.0 * left_by(view, values, line)

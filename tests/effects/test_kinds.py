@@ -1,0 +1,175 @@
+"""What every kind of effect does to the physics, against oracles of its own."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cassini_bayes
+from cassini_bayes.balance.physics import physics_of
+from cassini_bayes.balance.statistics import RowContext, Samples, reduce_chunks
+from cassini_bayes.balance.statistics.columns import Carry, settle
+from cassini_bayes.effects.catalogue import read_catalogue
+from cassini_bayes.effects.registry import KINDS, standard
+from cassini_bayes.effects.thrust_warmup import (
+    NODES_S,
+    lagrange_weights,
+    on_time_column,
+    tail_column,
+)
+from cassini_bayes.effects.time_offset import hat_weights
+from cassini_bayes.model.event_reduction import reduce_samples, sampling_of
+from cassini_bayes.priors.reader import read_priors
+
+ROOT = Path(__file__).parents[2]
+PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+CATALOGUE = read_catalogue(PRIORS, (1, 2, 4), ("telemetry", "totals"))
+
+
+def centre() -> dict[str, np.ndarray]:
+    """Prior means as one point."""
+    values = {}
+    for name, prior in PRIORS.parameters.items():
+        value = prior.fixed if prior.distribution is None else prior.distribution.mean()
+        values[name] = np.array([value], dtype=float)
+    return values
+
+
+@pytest.mark.parametrize(
+    ("name", "baseline"),
+    [
+        ("center_of_mass:x", "cm_x_m"),
+        ("inertia:xy", "inertia_xy_kg_m2"),
+        ("wheel_inertia:2", "rwa2_inertia_kg_m2"),
+        ("tail_off", "tau_fall_s"),
+    ],
+)
+def test_departure_is_the_baseline_parameter_moved(name: str, baseline: str) -> None:
+    """An effect on a parameter of the baseline does what moving that parameter does."""
+    effect = CATALOGUE.effect(name)
+    point = {**centre(), effect.parameters[0].name: np.array([0.013])}
+    modify = effect.modifier(PRIORS.spacecraft, PRIORS.branch)
+    found = physics_of(PRIORS.spacecraft, PRIORS.branch, point, (modify,))
+    moved = {**centre(), baseline: centre()[baseline] + 0.013}
+    wanted = physics_of(PRIORS.spacecraft, PRIORS.branch, moved)
+    assert found.arms_m == pytest.approx(wanted.arms_m)
+    assert found.inertia_kg_m2 == pytest.approx(wanted.inertia_kg_m2)
+    assert found.wheel_weights == pytest.approx(wanted.wheel_weights)
+    assert found.tau_s[2] == pytest.approx(wanted.tau_s[2])
+
+
+def test_cant_turns_the_force() -> None:
+    """A canted thruster's arm is (r − e) × unit(d + a e1 + b e2)."""
+    effect = CATALOGUE.effect("thruster_misalignment:y2")
+    point = centre()
+    for parameter, value in zip(effect.parameters, (0.04, -0.03), strict=True):
+        point[parameter.name] = np.array([value])
+    modify = effect.modifier(PRIORS.spacecraft, PRIORS.branch)
+    arms = physics_of(PRIORS.spacecraft, PRIORS.branch, point, (modify,)).arms_m[0]
+    k = PRIORS.spacecraft.thruster_names(PRIORS.branch).index("y2")
+    force = np.array([0.04, -1.0, -0.03]) / np.sqrt(1.0 + 0.04**2 + 0.03**2)
+    place = np.array([-1.234, 1.610, 2.880]) - np.array([0.13, 0.057, 1.064])
+    assert arms[:, k] == pytest.approx(np.cross(place, force))
+
+
+def test_interpolation_of_columns() -> None:
+    """Warm-up between nodes is good to some percent; a time shift is linear between nodes."""
+    nodes = np.array(NODES_S)
+    on_time = np.linspace(0.0, 40.0, 200)
+
+    def lost(t: float) -> np.ndarray:
+        return np.asarray(-t * np.expm1(-on_time / t))
+
+    for value in (0.8, 2.5, 6.0, 20.0):
+        weights = lagrange_weights(np.log(np.array([value])), np.log(nodes))[0]
+        found = sum(w * lost(float(t)) for w, t in zip(weights, nodes, strict=True))
+        assert np.abs(found - lost(value)).max() < 0.05 * value + 0.25
+    assert hat_weights(np.array([0.25]), np.array([-1.0, 0.0, 1.0])) == pytest.approx(
+        np.array([[0.0, 0.75, 0.25]])
+    )
+
+
+def test_warm_up_takes_from_the_tails_of_pulses_as_well() -> None:
+    """Pulses of 125 ms with tails of 30 ms: the columns are the sum of what each of them lost."""
+    width, tail, constant = 0.125, 0.030, 1.4
+    fired = np.arange(40)
+    time = np.arange(400.0)
+    count = np.minimum(time // 10.0 + 1.0, len(fired))
+    counters = (time, (width * count)[:, None], count[:, None])
+    context = RowContext(time, np.zeros((400, 3)), np.zeros((400, 3)), *counters)
+    columns = {column.name: column for column in standard().columns(("z1",))}
+    commanded = columns[on_time_column("z1", constant)].values(context)
+    tails = columns[tail_column("z1", constant)].values(context)
+    ends = width * (fired + 1.0)
+    of_pulses = constant * (np.exp(-(ends - width) / constant) - np.exp(-ends / constant))
+    place = count.astype(int) - 1
+    assert commanded == pytest.approx(np.cumsum(of_pulses)[place])
+    # the first pulse is before the first reading, where nothing had been lost
+    wanted = np.cumsum(np.exp(-ends / constant)) - np.exp(-ends[0] / constant)
+    assert tails == pytest.approx(wanted[place])
+    assert tail * tails[-1] > 0.15 * commanded[-1]
+
+
+def test_long_events_have_the_columns_of_the_whole_event() -> None:
+    """The reduction cuts events into blocks; what an effect adds up has to see all of it."""
+    n = 5_000
+    time_s = np.arange(0.0, n)
+    rng = np.random.default_rng(5)
+    attitude = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+    pulses = np.floor(time_s / 40.0)[:, None] * np.ones(8)
+    rates = 1e-5 * rng.standard_normal((n, 3)), rng.standard_normal((n, 3))
+    samples = Samples(time_s, attitude, *rates, 0.125 * pulses, pulses)
+    thrusters = PRIORS.spacecraft.thruster_names(PRIORS.branch)
+    sampling = sampling_of(PRIORS, thrusters, n - 1.0, "first_order")
+    event = reduce_samples("long", "bias", (1, 2, 4), thrusters, samples, sampling)
+    event = event.with_columns(standard().columns(thrusters))
+    whole, sampling = event.statistics, event.sampling
+    rows, _ = settle(samples, Carry.start(whole.layout), whole.layout, sampling, final=True)
+    place = whole.layout.scalar.index(tail_column("z1", 32.0))
+    wanted = float((rows.scalar[:, place] ** 2).sum())
+    place += len(whole.layout.vector)
+    assert whole.gram[0, 0, place, place] == pytest.approx(wanted)
+    in_blocks = reduce_chunks("long", "bias", [samples], whole.layout, sampling)
+    assert in_blocks.gram[0, 0, place, place] < 0.99 * wanted  # it begins anew in every block
+
+
+SOURCES = Path(cassini_bayes.__file__).parent
+MAY_NAME_EFFECTS = ("effects", "simulation", "studies")
+HOMONYMS = {
+    "pulse_shape": "key of a run file and of a reduction: which closed form",
+    "inertia": "block of the parameters, figure of a report",
+    "external_torque": "variable of fit.nc",
+}
+"""Names of kinds that mean something else as well, and what."""
+
+
+def effect_names(source: str) -> list[str]:
+    """Strings of a module that name a kind of effect, or one on a target."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            kind = node.value.partition(":")[0]
+            if kind in {own.name for own in KINDS} - set(HOMONYMS):
+                found.append(node.value)
+    return found
+
+
+def test_no_other_module_knows_an_effect_by_name() -> None:
+    """An effect is one file: nothing but effects, their simulation and studies names one."""
+    offences = {
+        str(path.relative_to(SOURCES)): names
+        for path in SOURCES.rglob("*.py")
+        if path.relative_to(SOURCES).parts[0] not in MAY_NAME_EFFECTS
+        and (names := effect_names(path.read_text(encoding="utf-8")))
+    }
+    assert offences == {}
+
+
+def test_a_named_effect_is_caught() -> None:
+    """Negative control: a module that treats an effect in a way of its own."""
+    assert effect_names('if effect.kind.name == "flexible_mode": pass')
+    assert effect_names('names = ["thruster_leak:z3"]')
+    assert not effect_names('"""What a thruster_leak leaves."""')

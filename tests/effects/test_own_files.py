@@ -1,0 +1,304 @@
+"""Effects that a user brings: the worked example of the docs, and every mistake in one line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from totals_cases import ROOT
+
+from cassini_bayes.diagnosis.events import prepare
+from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
+from cassini_bayes.effects.registry import read_kinds
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.totals import read_totals
+from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.studies.scenario import own_effects, simulate_scenario
+
+EXAMPLE = ROOT / "docs" / "examples" / "plume.py"
+PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_2010.toml")
+FLIGHT = ROOT / "cassini_bayes" / "published" / "flight_2009_2010.csv"
+SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
+LEVER_M = 0.3
+
+
+def scenario(folder: Path) -> Path:
+    """One bias and the slews with a plume of Z3."""
+    head, *events = SCENARIO.read_text(encoding="utf-8").split("[[event]]\n")
+    kept = [own for own in events if not own.startswith('id = "bias-2"')]
+    effect = f'[[effect]]\nname = "plume:z3"\n[effect.parameters]\nlever_m = {LEVER_M}\n'
+    head = head.replace("../../priors", str(ROOT / "priors"))
+    path = folder / "scenario.toml"
+    path.write_text("[[event]]\n".join([head, *kept]) + "\n" + effect, encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_the_worked_example_is_flown_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Hidden by its simulated side, found by its change of the physics, its lever in the interval.
+
+    With the catalogue alone another cause takes its place (negative control).
+    """
+    from typer.testing import CliRunner
+
+    from cassini_bayes.cli import app
+
+    flown = tmp_path / "flown"
+    simulate_scenario(scenario(tmp_path), flown, 3, own=own_effects([EXAMPLE]))
+    truth = json.loads((flown / "truth.json").read_text(encoding="utf-8"))
+    assert truth["effects"][0]["name"] == "plume:z3"
+    priors = ROOT / "priors" / "cassini_b_branch_telemetry.toml"
+    events = [str(flown / name) for name in ("bias-1", "slews")]
+    for effects, names in ((["--effects", str(EXAMPLE)], {"plume:z3"}), ([], set())):
+        out = tmp_path / f"diagnosis-{len(effects)}"
+        command = ["diagnose", *events, "--priors", str(priors), "--out", str(out), *effects]
+        done = CliRunner().invoke(app, [*command, "--no-gain", "--quiet", "--seed", "1"])
+        assert done.exit_code == 0, done.output
+        record = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+        best = record["causes"][0]
+        assert ("plume:z3" in {best["name"], *best["confounded_with"]}) == bool(names)
+        if names:
+            own = next(cause for cause in record["causes"] if cause["name"] == "plume:z3")
+            low, high = own["parameters"]["lever_m"]["hdi_90"]
+            assert low < LEVER_M < high
+            assert set(record["effects"]) == {str(EXAMPLE), str(EXAMPLE.with_suffix(".toml"))}
+
+
+def copied(folder: Path, old: str, new: str, suffix: str = ".py") -> Path:
+    """The example with something changed in one of its files."""
+    for path in (EXAMPLE, EXAMPLE.with_suffix(".toml")):
+        shutil.copy(path, folder / path.name)
+    changed = (folder / EXAMPLE.name).with_suffix(suffix)
+    text = changed.read_text(encoding="utf-8")
+    assert old in text
+    changed.write_text(text.replace(old, new), encoding="utf-8")
+    return folder / EXAMPLE.name
+
+
+def weighed(path: Path) -> np.ndarray:
+    """The log density of the effect on two flight biases at two points."""
+    rows = read_totals(str(FLIGHT), PRIORS.spacecraft, "flight")[:2]
+    events = prepare((), PRIORS, rows, read_kinds([path]))
+    effect = events.catalogue.effect("plume:z3")
+    own = compact(extend(none_hypothesis(events), [effect]))
+    return own.log_density(np.zeros((2, own.dimension)))
+
+
+def test_an_effect_of_no_size_is_the_baseline(tmp_path: Path) -> None:
+    """At a lever of zero the density is the baseline's times the prior's of the lever."""
+    found = weighed(copied(tmp_path, '"plume"', '"plume"'))
+    events = prepare((), PRIORS, read_totals(str(FLIGHT), PRIORS.spacecraft, "flight")[:2])
+    none = none_hypothesis(events)
+    wanted = none.log_density(np.zeros((1, none.dimension)))[0] - 0.5 * np.log(2.0 * np.pi)
+    assert found == pytest.approx([wanted, wanted])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('values["lever_m"]', 'values["lever"]', r"plume.py, line \d+: .*KeyError: 'lever'"),
+        ("k = setting.thruster", "k = setting.thruster + 'a'", r"line \d+: .*TypeError"),
+        ("k = setting.thruster", "k = (", r"line \d+: .*SyntaxError"),
+        ("import numpy as np", "import numpi as np", r"line \d+: .*ModuleNotFoundError"),
+        ("(physics, parameters, values, setting)", "(physics, values)", r"line \d+: .*change\("),
+        (
+            "return replace(physics, arms_m=arms)",
+            "return arms",
+            r"plume.py, line \d+: change: .*a Physics",
+        ),
+        ("arms_m=arms)", "arms_m=arms[..., :2])", r"change: arms_m: .*\(2, 3, 8\)"),
+        ('    "plume",\n', '    "plums",\n', "KIND.name"),
+        ("KIND = Kind", "KINDS = Kind", r"KIND = Kind\(\.\.\.\)"),
+        ("    change,\n", "", r"line \d+: .*TypeError.*change"),
+        ("    change,\n", "    chnage=change,\n", r"line \d+: .*TypeError.*chnage"),
+        ("    change,\n", "    5,\n", r"plume.py: expected change\(.*not a callable"),
+        ("arms_m=arms)", "arms_m=arms * np.nan)", r"line \d+: change: arms_m: .*finite"),
+        ("arms_m=arms)", "arms_m=arms * 1j)", r"line \d+: change: arms_m: .*real numbers"),
+        ("arms_m=arms)", "arms_m='wide')", r"line \d+: change: arms_m: .*real numbers"),
+        ("arms_m=arms)", "arms_m=[[1.0], 2.0])", r"line \d+: change: arms_m: .*real numbers"),
+        ("arms_m=arms)", "arm_m=arms)", r"line \d+: .*TypeError.*arm_m"),
+        ("import numpy as np", "import numpy as np; exit(3)", r"line \d+: .*SystemExit"),
+        ("k = setting.thruster", "return k()", r"line \d+: .*UnboundLocalError|NameError"),
+        (
+            "    separation={",
+            "    reported=5,\n    separation={",
+            r"line \d+: KIND.reported: .*texts",
+        ),
+        (
+            "    separation={",
+            "    known_to=[5],\n    separation={",
+            r"line \d+: KIND.known_to: .*steps",
+        ),
+        (
+            "    separation={",
+            "    known_to={'a': 1.0},\n    separation={",
+            "known_to of plume.*'a'",
+        ),
+        ("    separation={", "    reported=('a',),\n    separation={", "reported of plume.*'a'"),
+        (
+            "    separation={",
+            "    separation=5) or dict(a={",
+            r"line \d+: KIND.separation: .*texts",
+        ),
+    ],
+)
+def test_mistakes_in_a_file_are_one_line(tmp_path: Path, old: str, new: str, told: str) -> None:
+    """File and line, or what is wrong with the result; nothing is searched with a broken effect."""
+    with pytest.raises(InputError, match=told) as caught:
+        weighed(copied(tmp_path, old, new))
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path / "plume") in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('"telemetry"', '"telemetri"', r"plume.toml, line \d+: inputs: .*did you mean 'telemetry'"),
+        (
+            'targets = "thruster"',
+            'targets = "thrusters"',
+            r"plume.toml, line \d+: targets: .*'thruster'",
+        ),
+        ('unit = "m"', 'unit = "metre"', r"plume.toml, line \d+: parameters.lever_m.unit"),
+        ('dist = "norm"', 'dist = "nrom"', r"plume.toml, line \d+: parameters.lever_m"),
+        ("scale = 0.1", "scael = 0.1", "lever_m.scael"),
+        ('role = "value"', 'role = "size"', "lever_m.role"),
+        ("source =", "sources =", r"plume.toml, line \d+: sources: .*'source'"),
+        ("source =", "source = 5 #", r"plume.toml, line \d+: source: .*a text"),
+        ('targets = "thruster"', "targets = 5", r"plume.toml, line \d+: targets: .*got 5"),
+        ('targets = "thruster"', 'targets = "axis"', "of these events.*'plume:z'"),
+        ("lever_m]", "lever]", r"plume.py, line \d+: .*KeyError: 'lever_m'"),
+        ('role = "value"', 'role = "departure"', r"line \d+: parameters.lever_m: .*a departure"),
+        ("lever_m]", '"lever/m"]', r"line \d+: parameters.lever/m: .*letters"),
+        ('unit = "m"', "unit = 5", r"line \d+: parameters.lever_m.unit: .*a text"),
+    ],
+)
+def test_mistakes_in_its_table_are_one_line(tmp_path: Path, old: str, new: str, told: str) -> None:
+    """What was silently never searched before is refused with the nearest known name."""
+    with pytest.raises(InputError, match=told) as caught:
+        weighed(copied(tmp_path, old, new, ".toml"))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_named_from_its_folder_has_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relative path names the same line; a fault of a module that it imports names its own."""
+    copied(tmp_path, "k = setting.thruster", "k = 1 / 0")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"^plume.py, line \d+: .*ZeroDivisionError"):
+        weighed(Path("plume.py"))
+    (tmp_path / "helper_of_a_plume.py").write_text("a = (\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    copied(tmp_path, "import numpy as np", "import numpy as np\nimport helper_of_a_plume")
+    wanted = EXAMPLE.read_text().splitlines().index("import numpy as np") + 2
+    with pytest.raises(InputError, match=rf"^plume.py, line {wanted}: .*SyntaxError"):
+        weighed(Path("plume.py"))
+
+
+@pytest.mark.parametrize("name", ["none", "plume-of-z3", "2plumes"])
+def test_a_file_has_a_name_that_an_effect_can_have(tmp_path: Path, name: str) -> None:
+    """No name that a diagnosis gives to something else, or that no variable can have."""
+    shutil.copy(EXAMPLE, tmp_path / f"{name}.py")
+    with pytest.raises(InputError, match="letters, digits and _"):
+        read_kinds([tmp_path / f"{name}.py"])
+
+
+SEARCH = """
+from types import SimpleNamespace
+
+def search(remainder, priors):
+    return {result}
+
+"""
+
+
+@pytest.mark.parametrize(
+    ("result", "told"),
+    [
+        ("5", r"plume.py, line \d+: search: expected a result with log_gain, got 5"),
+        ("1 / 0", r"plume.py, line \d+: .*ZeroDivisionError"),
+        (
+            "SimpleNamespace(log_gain='a', log_looks=0.0, columns=None)",
+            "search: log_gain: .*number",
+        ),
+        ("SimpleNamespace(log_gain=1.0, log_looks=0.0, columns=lambda s: s.x)", "AttributeError"),
+        ("SimpleNamespace(log_gain=1.0, log_looks=0.0, columns=lambda s: [])", "a tuple, got list"),
+    ],
+)
+def test_what_a_search_settled_is_checked(tmp_path: Path, result: str, told: str) -> None:
+    """Its figures at once, its columns when they are asked for."""
+    path = copied(tmp_path, "KIND = Kind(", SEARCH.format(result=result) + "KIND = Kind(")
+    path.write_text(path.read_text().replace("    change,\n", "    change,\n    search=search,\n"))
+    kind = next(kind for kind, _ in read_kinds([path]).kinds if kind.name == "plume")
+    assert kind.search is not None
+
+    def searched() -> object:
+        return kind.search(None, {}).columns(None)  # type: ignore[misc, arg-type, union-attr]
+
+    with pytest.raises(InputError, match=told):
+        searched()
+
+
+def test_two_effects_have_columns_of_their_own(tmp_path: Path) -> None:
+    """A column of a name that is taken would have stood in the other's place."""
+    taken = read_kinds([]).columns(("z1",))[-1].name
+    text = COLUMNS.replace("own:ramp", taken).format(values="context.time_s")
+    path = copied(tmp_path, "KIND = Kind(", text + "KIND = Kind(")
+    path.write_text(path.read_text().replace("    change,\n", "    change, columns=columns,\n"))
+    with pytest.raises(InputError, match=r"effect plume: column .*a name of its own"):
+        read_kinds([path]).columns(("z1",))
+    path.write_text(path.read_text().replace(taken, "ramp@z9"))
+    with pytest.raises(InputError, match="ramp@z9: expected a thruster behind @"):
+        read_kinds([path]).columns(("z1",))
+
+
+def test_a_table_has_to_be_there(tmp_path: Path) -> None:
+    """A file without its table, and one that is neither Python nor TOML."""
+    shutil.copy(EXAMPLE, tmp_path / "plume.py")
+    with pytest.raises(InputError, match=r"plume\.toml"):
+        read_kinds([tmp_path / "plume.py"])
+    with pytest.raises(InputError, match=r"\.py or \.toml"):
+        read_kinds([tmp_path / "plume.txt"])
+    with pytest.raises(InputError, match="a Python file"):
+        read_kinds([tmp_path / "plum.py"])
+
+
+COLUMNS = """
+from cassini_bayes.balance.statistics import ExtraColumn
+
+def columns(thrusters):
+    return (ExtraColumn("own:ramp", lambda context: {values}),)
+
+"""
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ("context.time_s[:3]", r"own:ramp: expected an array \(4,\)"),
+        ("context.time / 2", "AttributeError"),
+        ("context.time_s * float('nan')", "finite values"),
+    ],
+)
+def test_columns_are_checked_when_they_are_computed(tmp_path: Path, values: str, told: str) -> None:
+    """One finite number for every row."""
+    from cassini_bayes.balance.statistics import RowContext
+
+    path = copied(tmp_path, "KIND = Kind(", COLUMNS.format(values=values) + "KIND = Kind(")
+    path.write_text(
+        path.read_text().replace("    change,\n", "    change,\n    columns=columns,\n")
+    )
+    (column,) = (own for own in read_kinds([path]).columns(("z1",)) if own.name == "own:ramp")
+    time, three, counts = np.arange(4.0), np.zeros((4, 3)), np.zeros((4, 1))
+    context = RowContext(time, three, three, time, counts, counts)
+    with pytest.raises(InputError, match=told):
+        column.values(context)
+    path.write_text(path.read_text().replace(values, "context.time_s / 2"))
+    (column,) = (own for own in read_kinds([path]).columns(("z1",)) if own.name == "own:ramp")
+    assert column.values(context) == pytest.approx(0.5 * np.arange(4.0))
