@@ -84,8 +84,8 @@ def _noise_seen(event: TelemetryBalance, parameters: Mapping[str, Array]) -> dic
         ("attitude_noise_rad", event.reduced.turns, [band.contrasts for band in event.turns]),
     ):
         if len(grams) > 0:
-            square = np.diagonal(grams[-1][0, 0])[rate].mean() / counts[-1]
-            seen[name] = np.minimum(parameters[name], np.sqrt(square))
+            largest = np.sqrt(np.diagonal(grams[-1][0, 0])[rate].mean() / counts[-1])
+            seen[name] = np.minimum(parameters[name], largest)
     return seen
 
 

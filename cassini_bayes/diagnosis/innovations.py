@@ -185,7 +185,7 @@ def with_unknowns(
     for part, (columns, variance), factor in zip(linear.parts, opened, factors, strict=True):
         white = np.einsum("ab,nbs->nas", np.linalg.inv(factor), columns)
         stop = place + len(variance)
-        added[part, place:stop] = white.reshape(-1, len(variance))
+        added[part, place:stop] = white.reshape(part.stop - part.start, len(variance))
         place = stop
     precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance in opened)])
     return replace(

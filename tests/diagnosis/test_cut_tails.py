@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
 SEED = 9
+FINE = {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
 
 
 @cache
@@ -31,7 +32,7 @@ def quiet_flight() -> View:
     document["event"] = [e for e in document["event"] if e["id"] == "bias-1"]
     file = scenario_of(document, SCENARIO.parent)
     drawn = draw_truth(file, SEED, PRIORS)
-    truth = replace(drawn, parameters={**drawn.parameters, "tau_fall_s": 0.075})
+    truth = replace(drawn, parameters={**drawn.parameters, "tau_fall_s": 0.075, **FINE})
     still = {**truth.parameters, **dict.fromkeys(CHANNEL_NOISE, 0.0)}
     flight = simulate_file(file, SEED, truth=replace(truth, parameters=still), priors=PRIORS)
     return at_truth(reduced(flight, PRIORS), truth)
