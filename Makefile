@@ -3,6 +3,8 @@
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/flight_2009_2010
+# Processes that share the tests, a file each; 0 runs them in one, where a debugger can stop.
+WORKERS := auto
 # An environment that has the other samplers as well, for `make bench` alone.
 BENCH_PYTHON := $(BIN)/python
 
@@ -38,8 +40,8 @@ demo: $(RUN_READY) ## posterior of the eight flight wheel biases, with a report
 	$(BIN)/cassini-bayes run $(DEMO).toml --force
 	@echo "report: $(DEMO)/report.html"
 
-test: $(DEV_READY) ## all tests (choose some with ARGS="-k name")
-	$(BIN)/python -m pytest $(ARGS)
+test: $(DEV_READY) ## all tests (some: ARGS="-k name", in a minute: ARGS="-m quick")
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(DEV_READY) ## style and types
 	$(BIN)/ruff check .

@@ -730,6 +730,12 @@ class Side:
         events = [str((path.parent / event).resolve()) for event in content["events"]]
         return {"events": events, "priors": str((path.parent / content["priors"]).resolve())}
 
+    def page_at(self, page: str) -> list[str]:
+        """Options that send a study's page there: by its folder since all studies run alike."""
+        if (self.code / "cassini_bayes" / "studies" / "study.py").exists():
+            return ["--out", str((self.out / page).parent)]
+        return ["--page", str(self.out / page)]
+
     def write(self, name: str, content: Mapping[str, Any]) -> str:
         """A TOML file for one of the commands; its path."""
         path = self.out / "files" / name
@@ -826,7 +832,7 @@ def diagnose_totals(side: Side, old: Side) -> list[str]:
 def diagnose_published(side: Side, old: Side) -> list[str]:
     """Printed thrusts, test bed, A branch and on-times."""
     del old
-    return ["diagnose-published", "--page", str(side.out / "published/page")]
+    return ["diagnose-published", *side.page_at("published/page")]
 
 
 def flight_file(side: Side) -> str:
@@ -871,7 +877,7 @@ def leave_one_out(side: Side, old: Side) -> list[str]:
     path.parent.mkdir(parents=True, exist_ok=True)
     few = [row for row in rows if row.split(",")[0] in kept]
     path.write_text("\n".join([header, *few]) + "\n", encoding="utf-8")
-    where = ["--page", str(side.out / "prediction/leave_one_out/page.md"), "--events", str(path)]
+    where = [*side.page_at("prediction/leave_one_out/page.md"), "--events", str(path)]
     return ["calibrate", "prediction", *where, "--priors", own["priors"]]
 
 

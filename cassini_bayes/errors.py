@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Final
+
+LONGEST_PART: Final = 400  # characters: what a terminal still shows at a glance
+
 
 class CassiniBayesError(Exception):
     """Base of every error the package raises on purpose; the command line prints it as one line."""
@@ -12,8 +16,9 @@ class CassiniBayesError(Exception):
 class InputError(CassiniBayesError):
     """Something the user gave cannot be used.
 
-    The message reads ``<where>: expected <expected>, got <got>; <fix>``. The command line prints
-    it without a traceback and exits with 2.
+    The message reads ``<where>: expected <expected>, got <got>; <fix>`` and is one line whatever a
+    file holds: each part is cut to :data:`LONGEST_PART` characters, control characters are escaped.
+    The command line prints it without a traceback and exits with 2.
 
     Parameters
     ----------
@@ -32,9 +37,19 @@ class InputError(CassiniBayesError):
         self.expected = expected
         self.got = got
         self.fix = fix
+        where, expected, got, fix = map(_one_line, (where, expected, got, fix))
         super().__init__(f"{where}: expected {expected}, got {got}; {fix}")
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
         # An exception is rebuilt from its message alone: one raised in a worker process would
         # break the pool instead of reaching the user.
         return type(self), (self.where, self.expected, self.got, self.fix)
+
+
+def _one_line(part: str) -> str:
+    short = part if len(part) <= LONGEST_PART else f"{part[:LONGEST_PART]}…"
+    return short if short.isprintable() else "".join(map(_printable, short))
+
+
+def _printable(character: str) -> str:
+    return character if character.isprintable() else ascii(character)[1:-1]

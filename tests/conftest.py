@@ -1,8 +1,14 @@
-"""What every test relies on: one BLAS thread, figures without a screen, repeatable hypothesis."""
+"""What every test relies on: one BLAS thread, figures without a screen, repeatable hypothesis.
+
+``slow.txt`` lists the tests that take long. All others are marked ``quick``; where several workers
+share the tests, files with the longest ones come first, so that all workers end together.
+"""
 
 from __future__ import annotations
 
 import os
+from collections import defaultdict
+from pathlib import Path
 
 # Before numpy or matplotlib is imported by any test module.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -10,8 +16,39 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ["MPLBACKEND"] = "Agg"
 
 import hypothesis
+import pytest
 
 # The same examples on every run: a failure is the change's, not the day's. Deadlines off: a busy
 # machine is no failure.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("repeatable")
+
+
+def slow_tests() -> dict[str, float]:
+    """Seconds by test function, without parameters."""
+    text = Path(__file__).with_name("slow.txt").read_text()
+    lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
+    return {name: float(seconds) for seconds, name in lines}
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark quick tests; put the longest files first where workers share them."""
+    slow = slow_tests()
+    for item in items:
+        if item.nodeid.partition("[")[0] not in slow:
+            item.add_marker("quick")
+    if not hasattr(config, "workerinput"):
+        return
+    seconds: dict[str, float] = defaultdict(float)
+    for name, own in slow.items():
+        seconds[name.partition("::")[0]] += own
+    items.sort(key=lambda item: -seconds[item.nodeid.partition("::")[0]])
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Give each of several workers its share of the cores: what a test starts keeps to it."""
+    if not hasattr(config, "workerinput") or not hasattr(os, "sched_getaffinity"):
+        return
+    workers = config.workerinput["workercount"]
+    share = sorted(os.sched_getaffinity(0))[: max(1, len(os.sched_getaffinity(0)) // workers)]
+    os.sched_getaffinity = lambda _: set(share)

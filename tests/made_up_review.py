@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,6 +19,7 @@ from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
 
 if TYPE_CHECKING:
+    from cassini_bayes.report.page import Section
     from cassini_bayes.report.plots import Figure
 
 
@@ -160,6 +162,12 @@ def full_review() -> Review:
 def full_figures() -> dict[str, Figure]:
     """Its figures: some seconds to make, so made once."""
     return figures_of(sections_of(full_review()))
+
+
+def without_corners(section: Section) -> Section:
+    """A section without the corner plots of nuisances."""
+    kept = (b for b in section.blocks if not getattr(b, "name", "").startswith("corner_nuisances"))
+    return replace(section, blocks=tuple(kept))
 
 
 def page_of(review: Review, figures: dict[str, Figure]) -> str:

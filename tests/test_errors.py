@@ -19,3 +19,13 @@ def test_an_error_survives_the_way_out_of_a_worker_process() -> None:
         "write one",
     )
     assert again.exit_code == 2
+
+
+def test_an_error_is_one_line_whatever_it_was_told() -> None:
+    """Newlines and control characters are escaped, parts of any length are cut; the parts stay."""
+    error = InputError("a\nb.toml", "a\ttext", "x" * 10_000, "μ stays")
+    assert str(error).isprintable()
+    assert str(error).startswith("a\\nb.toml: expected a\\ttext, got xxx")
+    assert str(error).endswith("…; μ stays")
+    assert len(str(error)) < 1_000
+    assert error.got == "x" * 10_000

@@ -7,10 +7,10 @@ import sys
 from typing import Annotated
 
 import typer
-from threadpoolctl import threadpool_limits
 
 from cassini_bayes import __version__
 from cassini_bayes.cli import calibrations, diagnoses, fits, predictions, simulations, sweeps
+from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.errors import CassiniBayesError
 
 app = typer.Typer(
@@ -31,10 +31,7 @@ app.command("simulate")(simulations.simulate_command)
 app.command("sweep")(sweeps.sweep_command)
 app.command("predict")(predictions.predict_command)
 app.command("plan")(predictions.plan_command)
-calibrations.app.command("prediction")(predictions.calibrate_prediction_command)
-calibrations.app.command("perturbations")(sweeps.calibrate_perturbations_command)
-app.command("diagnose-published")(diagnoses.diagnose_published_command)
-calibrations.app.command("blind")(diagnoses.calibrate_blind_command)
+app.command("diagnose-published")(calibrations.diagnose_published_command)
 app.add_typer(calibrations.app, name="calibrate")
 
 
@@ -49,16 +46,19 @@ def _version(
 
 def main() -> None:
     """Entry point: errors become one line on standard error, never a traceback."""
-    # numbers are in arrays: there is little to collect, and what was imported stays
+    # numbers are in arrays: there is little to collect, and what a command imports stays
     gc.set_threshold(100_000)
-    gc.freeze()
     try:
-        # work is spread over threads and processes, whose small matrices more threads would delay
-        with threadpool_limits(1):
+        with one_thread():
             app()
     except CassiniBayesError as error:
         _say_error(str(error))
         sys.exit(error.exit_code)
+    except ImportError as error:
+        if (error.name or "").startswith(__name__.partition(".")[0]):
+            raise  # a mistake of this package, not of its environment
+        _say_error(f"{error.name or 'a library'}: {error}; install the package anew")
+        sys.exit(2)
     except OSError as error:
         place = error.filename or "the system"
         reason = error.strerror or str(error)

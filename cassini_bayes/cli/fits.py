@@ -5,46 +5,40 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Effects, Force, Json, Quiet, Resume, Seed
-from cassini_bayes.effects.registry import read_kinds
-from cassini_bayes.pipeline.run import Outcome, execute
-from cassini_bayes.pipeline.run_file import RunFile, check_run, read_run_file
+from cassini_bayes.cli.options import ConsoleReporter, Effects, Force, Json, OwnSeed, Quiet, Resume
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cassini_bayes.pipeline.run import Outcome
+    from cassini_bayes.pipeline.run_file import RunFile
 
 
 def run_command(
     run_file: Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the run.")] = None,
     effects: Effects = None,
-    seed: Seed = None,
+    seed: OwnSeed = None,
     force: Force = False,
     resume: Resume = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the whole pipeline of one run file: posterior, tables, figures, report."""
+    from cassini_bayes.pipeline.run_file import read_run_file
+
     run = read_run_file(run_file)
     if seed is not None:
         run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
     folder = out or run_file.parent / (run.output.folder or run_file.stem)
-    _finish(
-        execute(
-            run,
-            run_file.parent,
-            folder,
-            name=run_file.stem,
-            command=["cassini-bayes", *sys.argv[1:]],
-            reporter=ConsoleReporter(quiet),
-            force=force,
-            resume=resume,
-            kinds=read_kinds(effects or ()),
-        ),
-        as_json=as_json,
-        quiet=quiet,
+    outcome = _execute(
+        run, run_file.parent, folder, run_file.stem, effects or (), force, resume, quiet
     )
+    _finish(outcome, as_json, quiet)
 
 
 def fit_command(
@@ -63,15 +57,17 @@ def fit_command(
         typer.Option("--effect", help="Effect to fit by name, thruster_leak:z3; may be repeated."),
     ] = None,
     effects: Effects = None,
-    seed: Seed = None,
+    seed: OwnSeed = None,
     force: Force = False,
     resume: Resume = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Posterior only: fit.nc and tables, no report."""
+    from cassini_bayes.pipeline.run_file import check_run
+
     sampler: dict[str, Any] = {} if seed is None else {"seed": seed}
-    run: RunFile = check_run(
+    run = check_run(
         {
             "events": list(events),
             "priors": str(priors),
@@ -82,24 +78,37 @@ def fit_command(
         },
         "command line",
     )
-    _finish(
-        execute(
-            run,
-            Path(),
-            out,
-            name=out.name,
-            command=["cassini-bayes", *sys.argv[1:]],
-            reporter=ConsoleReporter(quiet),
-            force=force,
-            resume=resume,
-            kinds=read_kinds(effects or ()),
-        ),
-        as_json=as_json,
-        quiet=quiet,
+    outcome = _execute(run, Path(), out, out.name, effects or (), force, resume, quiet)
+    _finish(outcome, as_json, quiet)
+
+
+def _execute(
+    run: RunFile,
+    base: Path,
+    folder: Path,
+    name: str,
+    effects: Sequence[Path],
+    force: bool,
+    resume: bool,
+    quiet: bool,
+) -> Outcome:
+    from cassini_bayes.effects.registry import read_kinds
+    from cassini_bayes.pipeline.run import execute
+
+    return execute(
+        run,
+        base,
+        folder,
+        name=name,
+        command=["cassini-bayes", *sys.argv[1:]],
+        reporter=ConsoleReporter(quiet),
+        force=force,
+        resume=resume,
+        kinds=read_kinds(effects),
     )
 
 
-def _finish(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
+def _finish(outcome: Outcome, as_json: bool, quiet: bool) -> None:
     """Say what came of a run: the result on standard output, what is amiss on standard error."""
     if as_json:
         columns = ["name", "unit", "mean", "sd", "hdi_90_low", "hdi_90_high"]

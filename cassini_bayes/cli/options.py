@@ -5,19 +5,31 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from cassini_bayes.sampling.ensembles import ProgressReport
+from cassini_bayes.files.checks import LARGEST_SEED
 
-Seed = Annotated[
-    int | None, typer.Option("--seed", min=0, help="Random seed (overrides the run file).")
+if TYPE_CHECKING:
+    from cassini_bayes.sampling.ensembles import ProgressReport
+
+OwnSeed = Annotated[
+    int | None,
+    typer.Option("--seed", min=0, max=LARGEST_SEED, help="Random seed (overrides the run file)."),
 ]
+Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST_SEED, help="Random seed.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", min=1, help="Worker processes (default and most: one for each core)."),
+]
+Dask = Annotated[
+    str | None, typer.Option("--dask", help="Workers of a Dask scheduler, e.g. tcp://host:8786.")
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")]
 Effects = Annotated[
     list[Path] | None,

@@ -1,9 +1,8 @@
-"""`predict`, `plan` and `calibrate prediction`: the next wheel bias."""
+"""`predict` and `plan`: the next wheel bias."""
 
 from __future__ import annotations
 
 import json
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Json, Quiet
+from cassini_bayes.cli.options import Json, Quiet, Seed
 from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ Events = Annotated[
 PriorsFile = Annotated[
     Path | None, typer.Option("--priors", help="Priors file of the fit, if it has moved.")
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Random seed.")]
 
 
 def predict_command(
@@ -126,34 +124,6 @@ def plan_command(
         typer.echo(json.dumps(plan_dictionary(found, top)))
     elif not quiet:
         typer.echo(plan_text(found, top))
-
-
-def calibrate_prediction_command(
-    page: Annotated[Path, typer.Option("--page", help="Results page to write (.md).")] = Path(
-        "docs/results/prediction.md"
-    ),
-    events: Annotated[str, typer.Option("--events", help="Totals CSV.")] = (
-        "cassini_bayes/published/flight_2009_2010.csv"
-    ),
-    priors: Annotated[str, typer.Option("--priors", help="Priors file.")] = (
-        "priors/cassini_b_branch_2010.toml"
-    ),
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_100_329,
-    quiet: Quiet = False,
-) -> None:
-    """Leave one flight event out at a time, predict it, and compare with the published columns."""
-    from cassini_bayes.studies.prediction import prediction_results
-
-    reporter = ConsoleReporter(quiet)
-    prediction_results(
-        events,
-        priors,
-        page,
-        seed=seed,
-        command=["cassini-bayes", *sys.argv[1:]],
-        progress=reporter.count,
-    )
-    typer.echo(str(page))
 
 
 def _warn(learned: Learned) -> None:

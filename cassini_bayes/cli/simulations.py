@@ -8,13 +8,13 @@ from typing import Annotated
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Effects, Force, Json, Quiet
+from cassini_bayes.cli.options import ConsoleReporter, Effects, Force, Json, Quiet, Seed
 
 
 def simulate_command(
     scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="The scenario file.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed.")],
+    seed: Seed,
     plot: Annotated[bool, typer.Option("--plot", help="Draw every event.")] = False,
     effects: Effects = None,
     force: Force = False,

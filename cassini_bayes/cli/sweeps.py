@@ -6,15 +6,17 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import pandas as pd
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Json, Quiet
-from cassini_bayes.pipeline.run_file import read_run_file
-from cassini_bayes.pipeline.sweep_run import SweepOutcome, execute_sweep
-from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
+from cassini_bayes.cli.options import ConsoleReporter, Dask, Jobs, Json, Quiet
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from cassini_bayes.pipeline.sweep_run import SweepOutcome
+    from cassini_bayes.sweep.specification import SweepFile
 
 
 def sweep_command(
@@ -32,10 +34,8 @@ def sweep_command(
     refit: Annotated[
         str | None, typer.Option("--refit", help="auto, always or never (overrides the file).")
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
-    dask: Annotated[
-        str | None, typer.Option("--dask", help="Dask scheduler, e.g. tcp://host:8786.")
-    ] = None,
+    jobs: Jobs = None,
+    dask: Dask = None,
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Tables only: no figures, report left alone.")
     ] = False,
@@ -46,6 +46,9 @@ def sweep_command(
     quiet: Quiet = False,
 ) -> None:
     """Sweep the priors of a finished run; go on with the same command after a stop."""
+    from cassini_bayes.pipeline.run_file import read_run_file
+    from cassini_bayes.pipeline.sweep_run import execute_sweep
+
     run = read_run_file(run_file)
     where = "command line" if spec is None else str(spec)
     sweep = _sweep_file(spec, where, {"quantities": quantity or None, "refit": refit})
@@ -70,6 +73,8 @@ def sweep_command(
 
 def _sweep_file(spec: Path | None, where: str, options: dict[str, Any]) -> SweepFile:
     """The sweep file, or the defaults without one, with the options that were given."""
+    from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
+
     sweep = SweepFile() if spec is None else read_sweep_file(spec)
     given = {key: value for key, value in options.items() if value is not None}
     return check_sweep({**sweep.model_dump(), **given}, where) if given else sweep
@@ -95,47 +100,3 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
         }
         for row in json.loads(table.to_json(orient="records", double_precision=10))
     ]
-
-
-def calibrate_perturbations_command(
-    page: Annotated[Path, typer.Option("--page", help="Results page to write (.md).")] = Path(
-        "docs/results/perturbation-coverage.md"
-    ),
-    work: Annotated[Path, typer.Option("--work", help="Folder of finished sets.")] = Path(
-        "runs/calibrate-perturbations"
-    ),
-    events: Annotated[str, typer.Option("--events", help="Template totals CSV.")] = (
-        "cassini_bayes/published/flight_2009_2010.csv"
-    ),
-    priors: Annotated[str, typer.Option("--priors", help="Priors file.")] = (
-        "priors/cassini_b_branch_2010.toml"
-    ),
-    sets: Annotated[
-        int, typer.Option("--sets", min=5, help="Sets of events for each reading of the sizes.")
-    ] = 60,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 20_120_813,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 2,
-    dask: Annotated[
-        str | None, typer.Option("--dask", help="Dask scheduler, e.g. tcp://host:8786.")
-    ] = None,
-    quiet: Quiet = False,
-) -> None:
-    """Coverage and length of perturbation bars, least squares, Laplace and posterior."""
-    from cassini_bayes.studies.perturbation_campaign import compare_error_bars
-    from cassini_bayes.sweep.grid import workers_at
-
-    reporter = ConsoleReporter(quiet)
-    with workers_at(jobs, dask) as workers:
-        passed = compare_error_bars(
-            events,
-            priors,
-            seed=seed,
-            sets=sets,
-            folder=work,
-            page=page,
-            workers=workers,
-            command=["cassini-bayes", *sys.argv[1:]],
-            progress=reporter.count,
-        )
-    typer.echo(str(page))
-    raise typer.Exit(0 if passed else 1)

@@ -28,4 +28,7 @@ def corner() -> Any:  # the library carries no types
 def _quietly(name: str) -> Any:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=_NOTICE, category=FutureWarning)
-        return importlib.import_module(name)
+        try:
+            return importlib.import_module(name)
+        except (AttributeError, OSError, RuntimeError) as error:  # half installed, or too old
+            raise ImportError(str(error), name=name) from error

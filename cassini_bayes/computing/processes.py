@@ -2,8 +2,7 @@
 
 The likelihood spends its time in compiled code that lets other threads run, and costs less per
 point in large batches. Neither the cut nor the order of what is evaluated together depends on the
-number of threads, so results do not either. Linear algebra has one thread each: more of them on
-small matrices would only compete (three times as slow on two cores).
+number of threads, so results do not either. Linear algebra has one thread each.
 """
 
 from __future__ import annotations
@@ -15,14 +14,17 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+
+from cassini_bayes.computing.threads import one_thread
+from cassini_bayes.errors import CassiniBayesError
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
@@ -41,7 +43,7 @@ def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
     if threads < 2:
         yield lambda z: _joined([log_density(part) for part in _parts(z)])
         return
-    with threadpool_limits(1), ThreadPoolExecutor(threads, "likelihood") as pool:
+    with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
         yield lambda z: _joined(list(pool.map(log_density, _parts(z))))
 
 
@@ -52,62 +54,91 @@ def in_processes(
     done: Callable[[int], None] | None = None,
     meanwhile: Callable[[], object] | None = None,
 ) -> list[Result]:
-    """Results of independent pieces of work in processes forked from this one, in order.
+    """Results of independent pieces of work, in their order; see :func:`as_finished`.
+
+    ``done`` is told how many are there.
+    """
+    results: dict[int, Result] = {}
+    for place, result in as_finished(function, items, processes, meanwhile):
+        results[place] = result
+        if done is not None:
+            done(len(results))
+    return [results[place] for place in sorted(results)]
+
+
+def as_finished(
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    processes: int,
+    meanwhile: Callable[[], object] | None = None,
+) -> Iterator[tuple[int, Result]]:
+    """Places and results of independent pieces of work, as processes forked from this one end them.
 
     For work that holds the interpreter's lock much of its time. Function and items are inherited,
-    results come back by pickle through a pipe; ``done`` is told here how many are there, and
-    ``meanwhile`` is called while the others work. Where forking is not the system's way there are
-    threads instead.
+    results come back by pickle through a pipe; ``meanwhile`` is called while the others work. With
+    one process all is done in this one. Where forking is not the system's way there are threads
+    instead.
 
     Raises
     ------
     Whatever the first piece that failed raised.
+    CassiniBayesError
+        A process was killed.
     """
     work = [(function, item) for item in items]
-    results: list[Result] = []
-
-    def gather(found: Iterable[Result]) -> list[Result]:
+    if processes < 2 or len(work) < 2:
         if meanwhile is not None:
             meanwhile()
-        for result in found:
-            results.append(result)
-            if done is not None:
-                done(len(results))
-        return results
-
-    if processes < 2 or len(work) < 2:
-        return gather(function(item) for _, item in work)
+        yield from ((place, function(item)) for place, (_, item) in enumerate(work))
+        return
     if sys.platform != "linux":
-        with threadpool_limits(1), ThreadPoolExecutor(processes, "work") as threads:
-            return gather(threads.map(function, (item for _, item in work)))
+        with one_thread(), ThreadPoolExecutor(processes, "work") as threads:
+            pending = {threads.submit(function, item): i for i, (_, item) in enumerate(work)}
+            yield from _gathered(pending, meanwhile)
+        return
     context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(processes, context, _inherit, (work, os.getpid())) as pool:
+    stop = context.RawValue("b", 0)  # not an Event: it waits for ever for a waiter that was killed
+    most = min(processes, len(work))
+    with ProcessPoolExecutor(most, context, _inherit, (work, os.getpid(), stop)) as pool:
         try:
-            return gather(pool.map(_inherited, range(len(work))))
-        except BaseException:  # interrupted, or a piece failed: the others need not begin
+            yield from _gathered(
+                {pool.submit(_inherited, i): i for i in range(len(work))}, meanwhile
+            )
+        except BaseException as failure:  # interrupted, given up, or a piece failed
+            stop.value = 1
             pool.shutdown(wait=False, cancel_futures=True)
+            if isinstance(failure, BrokenProcessPool):
+                raise CassiniBayesError(
+                    "a worker process was killed, maybe for want of memory: start the same command "
+                    "again, with fewer jobs"
+                ) from failure
             raise
 
 
-def end_with_parent(parent: int) -> None:
-    """Let a worker end when its parent was killed; it would wait for work for ever."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+def _gathered(
+    pending: Mapping[Future[Result], int], meanwhile: Callable[[], object] | None
+) -> Iterator[tuple[int, Result]]:
+    if meanwhile is not None:
+        meanwhile()
+    for future in as_completed(pending):
+        yield pending[future], future.result()
 
 
 _work: list[tuple[Callable[[Any], Any], Any]] = []  # of a forked process
 
 
-def _inherit(work: list[tuple[Callable[[Any], Any], Any]], parent: int) -> None:
+def _inherit(work: list[tuple[Callable[[Any], Any], Any]], parent: int, stop: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says that it was interrupted
-    end_with_parent(parent)
-    gc.disable()  # a collection would copy all that is inherited, and the process ends soon
+    threading.Thread(target=_end_in_time, args=(parent, stop), daemon=True).start()
+    gc.freeze()  # a collection would copy all that is inherited
     _work[:] = work
+
+
+def _end_in_time(parent: int, stop: Any) -> None:
+    """End this worker when its parent gives up, or was killed: it would wait for work for ever."""
+    while os.getppid() == parent and not stop.value:
+        time.sleep(0.5)
+    os._exit(1)
 
 
 def _inherited(place: int) -> Any:

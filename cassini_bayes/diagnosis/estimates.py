@@ -8,7 +8,6 @@ prior on these, written as a function of standard normals z.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +21,9 @@ from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.effects.printed import FACTOR, Printed
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.cells import Row, first_line, read_rows
+from cassini_bayes.files.checks import parse_number
+from cassini_bayes.files.reading import exists
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES, PulseShape
 
@@ -120,11 +122,10 @@ class Estimate:
 
 def is_estimates(path: Path) -> bool:
     """Whether a file is a CSV of estimates, by its header."""
-    if path.suffix != ".csv" or not path.is_file():
+    if path.suffix != ".csv" or not exists(path) or path.is_dir():
         return False
-    with path.open(encoding="utf-8") as file:
-        header = next((line for line in file if not line.startswith("#")), "")
-    return {"thrust_n", "on_time_per_pulse_s"} <= {cell.strip() for cell in header.split(",")}
+    header = first_line(path, "a CSV file", "#").split(",")
+    return {"thrust_n", "on_time_per_pulse_s"} <= {cell.strip() for cell in header}
 
 
 def read_estimates(path: Path, thrusters: Sequence[str]) -> tuple[Estimate, ...]:
@@ -136,71 +137,47 @@ def read_estimates(path: Path, thrusters: Sequence[str]) -> tuple[Estimate, ...]
     Raises
     ------
     InputError
-        A missing or unknown column, or a bad value: file, row and column are named.
+        A missing or unknown column, or a bad value: file, line and column are named.
     """
-    lines = path.read_text(encoding="utf-8").splitlines()
-    kept = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and line[0] != "#"]
-    table = list(csv.reader(line for _, line in kept))
-    header = [cell.strip() for cell in table[0]] if table else []
-    if sorted(header) != sorted(COLUMNS):
-        odd = sorted(set(header) ^ set(COLUMNS))
-        raise InputError(
-            f"{path}: row 1", f"columns {', '.join(COLUMNS)}", ", ".join(odd) or "repeats",
-            "mend the header",
-        )  # fmt: skip
-    rows = []
-    for (number, _), cells in zip(kept[1:], table[1:], strict=True):
-        where = f"{path}: row {number}"
-        if len(cells) != len(header):
-            raise InputError(where, f"{len(header)} cells", str(len(cells)), "mend the row")
-        row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
-        rows.append(_estimate(where, row, thrusters))
-    if not rows:
-        raise InputError(str(path), "at least one estimate", "none", "add rows")
+    table = read_rows(path, COLUMNS, COLUMNS, "a CSV of estimates", comments=True)
+    rows = tuple(_estimate(row, thrusters) for row in table)
     if len({row.shared_sd for row in rows}) > 1:
         raise InputError(
             f"{path}: column shared_sd", "one value in all rows", "several", "make them equal"
         )
-    return tuple(rows)
+    return rows
 
 
-def _estimate(where: str, row: dict[str, str], thrusters: Sequence[str]) -> Estimate:
-    pulses, widths = _numbers(where, row, "pulses"), _numbers(where, row, "on_time_per_pulse_s")
+def _estimate(row: Row, thrusters: Sequence[str]) -> Estimate:
+    pulses, widths = _numbers(row, "pulses"), _numbers(row, "on_time_per_pulse_s")
     if len(pulses) != len(widths):
-        raise InputError(
-            f"{where}, column on_time_per_pulse_s", f"{len(pulses)} values, as in pulses",
-            str(len(widths)), "give one width to every count",
+        raise row.refuse(
+            "on_time_per_pulse_s", f"{len(pulses)} values, as in pulses",
+            "give one width to every count", str(len(widths)),
         )  # fmt: skip
-    if row["thruster"].lower() not in (ALL, *thrusters):
-        raise InputError(
-            f"{where}, column thruster", f"{ALL}, {', '.join(thrusters)}", row["thruster"],
-            "name a thruster of the priors' branch",
-        )  # fmt: skip
-    if row["tail_corrected"] not in ("yes", "no"):
-        raise InputError(
-            f"{where}, column tail_corrected", "yes or no", row["tail_corrected"], "say which"
-        )
+    thruster = row.cells["thruster"].lower()
+    if thruster not in (ALL, *thrusters):
+        fix = "name a thruster of the priors' branch"
+        raise row.refuse("thruster", f"{ALL}, {', '.join(thrusters)}", fix)
+    if row.cells["tail_corrected"] not in ("yes", "no"):
+        raise row.refuse("tail_corrected", "yes or no", "say which")
     return Estimate(
-        row["id"],
-        row["thruster"].lower(),
-        _numbers(where, row, "thrust_n")[0],
-        _numbers(where, row, "thrust_sd_n")[0],
-        _numbers(where, row, "shared_sd")[0],
+        row.cells["id"],
+        thruster,
+        _numbers(row, "thrust_n")[0],
+        _numbers(row, "thrust_sd_n")[0],
+        _numbers(row, "shared_sd")[0],
         pulses,
         widths,
-        row["tail_corrected"] == "yes",
+        row.cells["tail_corrected"] == "yes",
     )
 
 
-def _numbers(where: str, row: dict[str, str], column: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(text) for text in row[column].split(";"))
-    except ValueError:
-        values = (float("nan"),)
-    if not all(np.isfinite(value) and value > 0.0 for value in values):
-        raise InputError(
-            f"{where}, column {column}", "positive numbers", row[column] or "nothing", "mend it"
-        )
+def _numbers(row: Row, column: str) -> tuple[float, ...]:
+    found = [parse_number(text.strip()) for text in row.cells[column].split(";")]
+    values = tuple(value for value in found if value is not None and value > 0.0)
+    if len(values) < len(found):
+        raise row.refuse(column, "positive numbers", "mend it")
     return values
 
 

@@ -18,6 +18,7 @@ from cassini_bayes.diagnosis.evidence import DOF
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
 from cassini_bayes.files.storage import write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
@@ -118,5 +119,5 @@ def fit_extended(
             }
         )
     table = pd.DataFrame(rows)
-    write_text(folder / "summary.csv", table.to_csv(index=False))
+    write_text(folder / "summary.csv", frame_csv(table))
     return table

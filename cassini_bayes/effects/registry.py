@@ -31,14 +31,16 @@ from cassini_bayes.effects import (
 )
 from cassini_bayes.effects.effect import Kind, columns_of
 from cassini_bayes.effects.own_files import load_kind
-from cassini_bayes.effects.tables import CHANGEABLE, Place, Table, check_keys, read_table, read_toml
+from cassini_bayes.effects.tables import CHANGEABLE, Place, Table, check_keys, read_table
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number
 from cassini_bayes.files.storage import digest
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
 
 FOLDER: Final = Path(__file__).parent
 CAUSES: Final = FOLDER / "causes.toml"
+WHAT: Final = "a table of effects"
 KINDS: Final[tuple[Kind, ...]] = (
     thrust_scale.KIND,
     thruster_degraded.KIND,
@@ -131,7 +133,7 @@ def read_kinds(files: Sequence[Path]) -> Kinds:
     """
     kinds = {kind.name: kind for kind in KINDS}
     tables = {name: _with_place(FOLDER / f"{name}.toml") for name in kinds}
-    beliefs = read_toml(CAUSES)
+    beliefs = read_toml(CAUSES, WHAT)
     places = {key: Place(CAUSES, (key,)) for key in beliefs}
     for path in files:
         if path.suffix == ".py":
@@ -181,7 +183,7 @@ def _positive(where: Place, value: object) -> float:
 
 
 def _with_place(path: Path) -> tuple[dict[str, Any], Place]:
-    return read_toml(path), Place(path)
+    return read_toml(path, WHAT), Place(path)
 
 
 def _table_of(kind: Kind, document: Mapping[str, Any], where: Place) -> Table:

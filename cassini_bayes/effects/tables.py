@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,25 +106,6 @@ class Table:
     source: str
     parameters: tuple[ParameterTable, ...]
     form_error: Mapping[str, float]
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """A TOML file of effects.
-
-    Raises
-    ------
-    InputError
-        It cannot be read or is no TOML.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(
-            str(path), "a table of effects (TOML)", "no such file", "docs/own-effect.md has one"
-        ) from None
-    except (OSError, ValueError, RecursionError) as error:  # of tomllib, too: digits, depth
-        message = " ".join(str(error).split())
-        raise InputError(str(path), "a table of effects (TOML)", message, "mend the file") from None
 
 
 def read_table(document: Mapping[str, Any], where: Place) -> Table:

@@ -9,7 +9,6 @@ file, line and column of the first thing that cannot be right; inside, an event 
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.cells import Row, read_bytes, read_text, rows_of
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.cells import Row, read_rows, rows_of
+from cassini_bayes.files.checks import in_utc, nearest
+from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.spacecraft import Spacecraft
 
@@ -116,7 +116,7 @@ def read_totals(
         Names file, line and column, what was expected, what was found and the fix.
     """
     path, wanted = _split_reference(str(reference))
-    rows = _totals_rows(str(path), read_text(path), spacecraft)
+    rows = read_rows(path, *_columns(spacecraft))
     by_source: dict[str, dict[str, Row]] = {}
     for row in rows:
         identity, kind = _identity(row)
@@ -160,7 +160,7 @@ def write_totals(path: str | Path, events: Iterable[TotalsEvent], spacecraft: Sp
         writer.writerow([cells.get(column, "") for column in columns])
     text = stream.getvalue()
     identities = set()
-    for row in _totals_rows(str(path), text, spacecraft):
+    for row in rows_of(str(path), text, *_columns(spacecraft)):
         if (identity := _identity(row)) in identities:
             raise row.refuse("id", "one row per event and source", "drop or rename one of the two")
         identities.add(identity)
@@ -168,29 +168,19 @@ def write_totals(path: str | Path, events: Iterable[TotalsEvent], spacecraft: Sp
     write_text(Path(path), text)
 
 
-def file_digest(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read.
-    """
-    return hashlib.sha256(read_bytes(Path(path))).hexdigest()
-
-
 def _split_reference(reference: str) -> tuple[Path, str | None]:
     """``file.csv`` or ``file.csv:ID``; both names may hold colons, the file that exists decides."""
-    if Path(reference).exists() or ":" not in reference:
+    if exists(Path(reference)) or ":" not in reference:
         return Path(reference), None
     ends = [i for i, character in enumerate(reference) if character == ":"]
-    end = next((i for i in reversed(ends) if Path(reference[:i]).is_file()), ends[-1])
+    end = next((i for i in reversed(ends) if exists(Path(reference[:i]))), ends[-1])
     return Path(reference[:end]), reference[end + 1 :]
 
 
-def _totals_rows(file: str, text: str, spacecraft: Spacecraft) -> tuple[Row, ...]:
+def _columns(spacecraft: Spacecraft) -> tuple[tuple[str, ...], set[str]]:
+    """Columns that a file may have, and those that it must have."""
     columns = totals_columns(spacecraft)
-    return rows_of(file, text, columns, set(columns) - set(_rate_columns(spacecraft)))
+    return columns, set(columns) - set(_rate_columns(spacecraft))
 
 
 def _identity(row: Row) -> tuple[str, str]:
@@ -264,13 +254,12 @@ def _event(row: Row, spacecraft: Spacecraft) -> TotalsEvent:
 
 def _epoch(row: Row) -> datetime:
     cell = row.text("epoch", "an ISO 8601 time")
-    try:
-        epoch = datetime.fromisoformat(cell)
-    except ValueError:
+    epoch = in_utc(cell)
+    if epoch is None:
         raise row.refuse(
             "epoch", "an ISO 8601 time, UTC", "write e.g. 2010-02-13 or 2010-02-13T12:00:00Z"
-        ) from None
-    return epoch.replace(tzinfo=UTC) if epoch.tzinfo is None else epoch.astimezone(UTC)
+        )
+    return epoch
 
 
 def _wheels(row: Row, spacecraft: Spacecraft) -> tuple[int, ...]:
@@ -278,9 +267,10 @@ def _wheels(row: Row, spacecraft: Spacecraft) -> tuple[int, ...]:
     expected = f"different wheels out of {known}, separated by blanks"
     fix = f"write e.g. {' '.join(str(number) for number in known[:3])}"
     words = row.text("wheels", expected).split()
-    if not all(word.isascii() and word.isdigit() and int(word) in known for word in words):
+    numbers = {str(number): number for number in known}
+    if not all(word.lstrip("0") in numbers for word in words):
         raise row.refuse("wheels", expected, fix)
-    wheels = tuple(int(word) for word in words)
+    wheels = tuple(numbers[word.lstrip("0")] for word in words)
     if len(set(wheels)) != len(wheels):
         raise row.refuse("wheels", expected, "list each wheel once")
     return wheels

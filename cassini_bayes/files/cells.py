@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
-import math
-import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import nearest, parse_number
+from cassini_bayes.files.reading import open_file, read_bytes, text_of
 
-_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+MOST_BYTES: Final = 64 << 20
+MOST_AHEAD: Final = 64 << 10  # bytes in which comments and header have to be
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ class Row:
 
     def number(self, column: str, unit: str) -> float:
         """A finite number in ``unit``."""
-        cell = self.text(column, f"a number in {unit}")
-        if not _NUMBER.fullmatch(cell) or not math.isfinite(float(cell)):
+        number = parse_number(self.text(column, f"a number in {unit}"))
+        if number is None:
             raise self.refuse(
                 column, f"a finite number in {unit}", "write it like -1118 or 4.28, '.' as point"
             )
-        return float(cell)
+        return number
 
     def non_negative(self, column: str, unit: str) -> float:
         """A finite number of 0 or more."""
@@ -66,35 +66,38 @@ class Row:
         return value
 
 
-def read_bytes(path: Path) -> bytes:
-    """Bytes of a file; an :class:`InputError` says why it cannot be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        names = [entry.name for entry in path.parent.glob("*.csv")]
-        raise InputError(
-            str(path), "a CSV file", "no such file", nearest(path.name, names)
-        ) from None
-    except IsADirectoryError:
-        raise InputError(
-            str(path), "a CSV file", "a folder", "name the CSV file inside it"
-        ) from None
-    except OSError as error:
-        raise InputError(
-            str(path), "a CSV file", error.strerror or str(error), "name a readable file"
-        ) from None
+def read_rows(
+    path: Path,
+    columns: Sequence[str],
+    needed: Collection[str],
+    what: str = "a CSV file",
+    comments: bool = False,
+) -> tuple[Row, ...]:
+    """Rows of a CSV file; ``comments``: lines that start with ``#`` are none.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is larger than :data:`MOST_BYTES` or no UTF-8; or as
+        :func:`rows_of`.
+    """
+    text = text_of(read_bytes(path, what, MOST_BYTES), str(path))
+    if comments:  # blank lines keep the numbers of the others
+        text = "\n".join("" if line.startswith("#") else line for line in text.split("\n"))
+    return rows_of(str(path), text, columns, needed)
 
 
-def read_text(path: Path) -> str:
-    """UTF-8 text of a file, with or without a byte-order mark."""
-    content = read_bytes(path)
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise InputError(
-            f"{path}: line {line}", "UTF-8 text", "other bytes", "save the file as CSV UTF-8"
-        ) from None
+def first_line(path: Path, what: str, comment: str) -> str:
+    """The first line of a CSV file that is no comment, to tell what it is; nothing is checked yet.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    with open_file(path, what) as stream:
+        lines = stream.read(MOST_AHEAD).decode("utf-8-sig", "replace").splitlines()
+    return next((line for line in lines if not line.startswith(comment)), "")
 
 
 def rows_of(
@@ -114,14 +117,7 @@ def rows_of(
     InputError
         Broken quoting, no rows, an unknown, repeated or missing column, a row of another length.
     """
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
-    except csv.Error as error:
-        raise InputError(
-            f"{file}: line {reader.line_num}", "comma-separated values", str(error), "mend the line"
-        ) from None
-    lines = [(line, cells) for line, cells in lines if any(cells)]
+    lines = [(line, cells) for line, cells in cells_of(file, text) if any(cells)]
     if not lines:
         raise InputError(file, "a header row and at least one row", "an empty file", "fill it in")
     first, header = lines[0]
@@ -142,6 +138,24 @@ def rows_of(
         Row(file, line, {**empty, **dict(zip(header, cells, strict=True))}, absent)
         for line, cells in lines[1:]
     )
+
+
+def cells_of(file: str, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Number and stripped cells of every line of CSV text.
+
+    Raises
+    ------
+    InputError
+        Broken quoting, or a cell longer than any of this package's.
+    """
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        for cells in reader:
+            yield reader.line_num, [cell.strip() for cell in cells]
+    except csv.Error as error:
+        raise InputError(
+            f"{file}: line {reader.line_num}", "comma-separated values", str(error), "mend the line"
+        ) from None
 
 
 def _check_header(

@@ -1,4 +1,4 @@
-"""Checkpoints of a sampling run: one file per finished block, atomic, read without pickle.
+"""Results kept file by file: blocks of a sampling run, repetitions of a study; atomic, no pickle.
 
 Every block carries the end state of its ensembles (positions, log densities, random state), so the
 run can go on from any of them; a damaged last block costs that block only.
@@ -7,21 +7,20 @@ run can go on from any of them; a damaged last block costs that block only.
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.storage import atomic_write
+from cassini_bayes.files.arrays import read_arrays, write_arrays
+from cassini_bayes.files.json_file import json_of, read_json
+from cassini_bayes.files.storage import write_text
 
 FORMAT = 1
-_BROKEN_ARCHIVE: Final = (zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,7 @@ class CheckpointStore:
         header = np.frombuffer(
             json.dumps({"format": FORMAT, "identity": self.identity}).encode(), dtype=np.uint8
         )
-        with atomic_write(self.folder / f"{name}.npz") as temporary, temporary.open("wb") as stream:
-            np.savez(stream, allow_pickle=False, header=header, **arrays)
+        write_arrays(self.folder / f"{name}.npz", {"header": header, **arrays})
 
     def load(self, name: str) -> dict[str, NDArray[np.generic]] | None:
         """Arrays saved under a name; None when there is no such file or it is damaged.
@@ -53,11 +51,10 @@ class CheckpointStore:
         """
         path = self.folder / f"{name}.npz"
         try:
-            # opened here: numpy leaves the file open when it is no archive
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
-            header = json.loads(arrays.pop("header").tobytes())
-        except (OSError, TypeError, ValueError, KeyError, EOFError, *_BROKEN_ARCHIVE):
+            arrays = read_arrays(path, "a checkpoint")
+            stored = arrays.pop("header", np.empty(0))
+            header = json_of(stored.tobytes(), str(path), "a checkpoint")
+        except InputError:
             return None
         if header.get("format") != FORMAT or header.get("identity") != self.identity:
             raise InputError(
@@ -71,3 +68,24 @@ class CheckpointStore:
     def exists(self) -> bool:
         """Whether any checkpoint has been written."""
         return any(self.folder.glob("*.npz"))
+
+
+@dataclass(frozen=True)
+class RecordStore:
+    """A folder of JSON records; one that was not made by ``made_by`` counts as missing."""
+
+    folder: Path
+    made_by: Mapping[str, object]
+
+    def save(self, name: str, record: Mapping[str, Any]) -> None:
+        """Write a record, which says what it was made by, to ``<name>.json`` atomically."""
+        write_text(self.folder / f"{name}.json", json.dumps(record) + "\n")
+
+    def load(self, name: str) -> dict[str, Any] | None:
+        """A record; None when there is none, it is damaged, or something else made it."""
+        try:
+            record = read_json(self.folder / f"{name}.json", "a record")
+        except InputError:
+            return None
+        own = all(record.get(key) == value for key, value in self.made_by.items())
+        return record if own else None

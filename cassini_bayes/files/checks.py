@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
+from datetime import UTC, datetime
+from typing import Final
 
 from cassini_bayes.errors import InputError
+
+LONGEST_NUMBER: Final = 400  # characters
+LARGEST_SEED: Final = 2**63 - 1  # what TOML and NetCDF can hold
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
 def closest(name: str, known: Iterable[str], cutoff: float = 0.5) -> str | None:
@@ -40,3 +47,23 @@ def finite_number(where: str, value: object, unit: str = "") -> float:
     if not math.isfinite(number):
         raise InputError(where, wanted, str(number), "give a finite value, or leave the key out")
     return number
+
+
+def parse_number(text: str) -> float | None:
+    """The finite number that plain digits spell (``-1118``, ``4.28e-5``); None for other text."""
+    if len(text) > LONGEST_NUMBER or not _NUMBER.fullmatch(text):
+        return None
+    number = float(text)
+    return number if math.isfinite(number) else None
+
+
+def in_utc(time: str | datetime) -> datetime | None:
+    """A time, or its ISO 8601 text, in UTC, which is also taken where no zone is named.
+
+    None for other text, and for a zone that leads beyond the years 1 to 9999.
+    """
+    try:
+        found = datetime.fromisoformat(time) if isinstance(time, str) else time
+        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+    except (ValueError, OverflowError):
+        return None

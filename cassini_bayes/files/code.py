@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import ast
 import hashlib
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Final
+
+from cassini_bayes.files.storage import digest
 
 PACKAGE: Final = "cassini_bayes"
 ROOT: Final = Path(__file__).parents[1]
@@ -35,6 +38,12 @@ def code_digest(*modules: str) -> str:
         total.update(path.relative_to(ROOT).as_posix().encode())
         total.update(path.read_bytes())
     return total.hexdigest()
+
+
+def identity(settings: object, inputs: Sequence[str | Path], *modules: str) -> str:
+    """Hash of all that a result depends on: settings (plain JSON types), input files, code."""
+    depends_on = [settings, [digest(Path(path)) for path in inputs], code_digest(*modules)]
+    return hashlib.sha256(json.dumps(depends_on).encode()).hexdigest()
 
 
 def reached(*modules: str) -> frozenset[str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.reading import open_file
 
 PARTIAL: Final = ".partial"
 """Marks the temporary files of :func:`atomic_write`; only a kill leaves one behind."""
@@ -89,7 +90,13 @@ def write_bytes(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file's content, hexadecimal."""
-    with path.open("rb") as stream:
+def digest(path: Path, what: str = "a file") -> str:
+    """SHA-256 of a file's content, hexadecimal.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    with open_file(path, what) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

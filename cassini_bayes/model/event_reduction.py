@@ -6,7 +6,6 @@ key being the hash of the telemetry, of how it is reduced and of the code that r
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import time
@@ -37,7 +36,10 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MomentumRows, check_momentum, momentum_rows
 from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
+from cassini_bayes.files.cells import cells_of
 from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.json_file import read_json
+from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import Spacecraft, couples
@@ -188,7 +190,7 @@ class PreparedRows:
 
 def is_event_folder(path: Path) -> bool:
     """Whether a path given as an event is a folder of telemetry, not a totals file."""
-    return path.is_dir()
+    return exists(path) and path.is_dir()
 
 
 def samples_of(chunk: Chunk) -> Samples:
@@ -388,7 +390,7 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
         return None
     statistics = load_statistics(cache / f"{key}.npz")
     try:
-        fields = json.loads((cache / f"{key}.json").read_bytes())
+        fields = read_json(cache / f"{key}.json", "the record of a reduction")
         reading = ReadingRecord(
             rows=int(fields["rows"]),
             start_s=float(fields["start_s"]),
@@ -397,7 +399,7 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
             pulses=tuple(float(value) for value in fields["pulses"]),
             mends=tuple(str(line) for line in fields["mends"]),
         )
-    except (OSError, ValueError, TypeError, KeyError):
+    except (InputError, ValueError, TypeError, KeyError):
         return None
     return None if statistics is None else (statistics, reading)
 
@@ -515,15 +517,15 @@ def last_time(telemetry: Path) -> float:
             return _last_time_of_parquet(telemetry)
         with telemetry.open("rb") as stream:
             header = stream.readline().decode("utf-8-sig")
-            place = [name.strip() for name in next(csv.reader([header]))].index("time_s")
+            place = next(cells_of("", header))[1].index("time_s")
             stream.seek(0, 2)
             stream.seek(max(stream.tell() - _TAIL_BYTES, 0))
             lines = stream.read().decode("utf-8", "replace").splitlines()
         for line in reversed(lines):
             if line.strip():
-                value = float(next(csv.reader([line]))[place])
+                value = float(next(cells_of("", line))[1][place])
                 return value if np.isfinite(value) and value > 0 else 1.0
-    except (OSError, ValueError, IndexError, StopIteration):
+    except (OSError, ValueError, IndexError, StopIteration, InputError):
         return 1.0
     return 1.0
 

@@ -16,6 +16,7 @@ from typing import Final
 import cassini_bayes
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.json_file import read_json
 from cassini_bayes.pipeline.run_file import RunFile
 
 DRAWN_BY: Final = ("pipeline.inputs", "results.fitting")
@@ -91,8 +92,8 @@ def refuse_other_run(path: Path, identity: str) -> None:
         The record at ``path`` is of a run with another identity.
     """
     try:
-        earlier = json.loads(path.read_bytes())["identity"]
-    except (OSError, ValueError, KeyError, TypeError):
+        earlier = read_json(path, "the record of a run")["identity"]
+    except (InputError, KeyError):
         return
     if earlier != identity:
         raise InputError(

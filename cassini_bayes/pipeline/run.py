@@ -6,7 +6,6 @@ A run folder holds ``resolved.toml`` and ``provenance.json`` (written before sam
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
 from collections.abc import Sequence
@@ -17,10 +16,12 @@ from typing import Final, Protocol
 import tomli_w
 
 from cassini_bayes import __version__
+from cassini_bayes.computing.workers import cores
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.model.observability import observability
 from cassini_bayes.pipeline.inputs import STATISTICS, Inputs, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
@@ -175,7 +176,7 @@ def execute(
         store=CheckpointStore(folder / "checkpoint", provenance.identity),
         say=reporter.say,
         progress=reporter.progress,
-        threads=len(os.sched_getaffinity(0)),
+        threads=cores(),
     )
     save_fit(sampled.fit, folder / "fit.nc")
     reporter.say("tables")
@@ -193,7 +194,7 @@ def execute(
     )
     converged = _converged(review, sampled)
     sections = sections_of(review)
-    write_text(folder / "summary.csv", review.summary.to_csv(index=False))
+    write_text(folder / "summary.csv", frame_csv(review.summary))
     write_tables(sections, folder / "tables")
     if run.output.report:
         from cassini_bayes.report import write_report

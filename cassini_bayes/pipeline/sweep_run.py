@@ -16,17 +16,18 @@ from typing import TYPE_CHECKING, Final, Protocol
 import tomli_w
 
 from cassini_bayes import __version__
+from cassini_bayes.computing.workers import workers_at
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.results.record import Fit, read_fit
-from cassini_bayes.sweep.grid import workers_at
 from cassini_bayes.sweep.models import Factory
+from cassini_bayes.sweep.plan import Sweep, plan, reported_quantiles
 from cassini_bayes.sweep.specification import SweepFile
-from cassini_bayes.sweep.study import Study, plan, reported_quantiles
 from cassini_bayes.sweep.tables import SweepTables, tables_of
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def execute_sweep(
     sweep: SweepFile,
     where: str,
     *,
-    jobs: int,
+    jobs: int | None,
     dask: str | None,
     report: bool,
     reporter: Reporter,
@@ -101,28 +102,28 @@ def execute_sweep(
         )
     inputs, fit = _read(run, base, folder, reporter)
     factory = factory_of(run, inputs)
-    study = plan(factory, fit, sweep, where)
+    planned = plan(factory, fit, sweep, where)
     target = folder / FOLDER
-    store = _store(study, target, inputs)
+    store = _store(planned, target, inputs)
     write_text(target / "resolved.toml", tomli_w.dumps(sweep.model_dump()))
-    reporter.say(f"{len(study.cells)} cells, {len(study.baseline.names)} quantities")
-    with workers_at(jobs, dask) as workers:
-        for done, total in study.run(store, workers):
+    reporter.say(f"{len(planned.cells)} cells, {len(planned.baseline.names)} quantities")
+    with workers_at(jobs, dask, reporter.say) as workers:
+        for done, total in planned.run(store, workers):
             reporter.count("cells", done, total)
     reporter.say("tables")
-    tables = tables_of(study, store, factory, fit)
+    tables = tables_of(planned, store, factory, fit)
     for name, table in tables.files().items():
-        write_text(target / f"{name}.csv", table.to_csv(index=False))
+        write_text(target / f"{name}.csv", frame_csv(table))
     if report or page is not None:
         reporter.say("figures")
-        figures = _figures(study, store, tables)
+        figures = _figures(planned, store, tables)
         if report:
-            _write_report(study, tables, figures, folder)
+            _write_report(planned, tables, figures, folder)
         if page is not None:
-            _write_page(page, study, tables, figures, folder, command)
+            _write_page(page, planned, tables, figures, folder, command)
     seconds = time.monotonic() - began
     reporter.say(f"done in {seconds:.0f} s: {target}")
-    return SweepOutcome(target, tables, len(study.cells), seconds)
+    return SweepOutcome(target, tables, len(planned.cells), seconds)
 
 
 def _read(run: RunFile, base: Path, folder: Path, reporter: Reporter) -> tuple[Inputs, Fit]:
@@ -132,12 +133,12 @@ def _read(run: RunFile, base: Path, folder: Path, reporter: Reporter) -> tuple[I
     return read_inputs(run, base, folder, reporter.say), read_fit(path)
 
 
-def _store(study: Study, target: Path, inputs: Inputs) -> CheckpointStore:
+def _store(sweep: Sweep, target: Path, inputs: Inputs) -> CheckpointStore:
     """Where finished cells are kept; other code, data or settings have a folder of their own."""
     if target.exists():
         remove_leftovers(target)
-    identity = study.identity(
-        f"{code_digest('sweep.study', 'pipeline.inputs')} {sorted(inputs.digests.items())}"
+    identity = sweep.identity(
+        f"{code_digest('sweep.plan', 'pipeline.inputs')} {sorted(inputs.digests.items())}"
     )
     return CheckpointStore(target / "cells" / identity[:12], identity)
 
@@ -147,24 +148,24 @@ def factory_of(run: RunFile, inputs: Inputs) -> Factory:
     return Factory(inputs.model.sources, inputs.priors, run.model.pulse_shape, run.model.delta_v)
 
 
-def _figures(study: Study, store: CheckpointStore, tables: SweepTables) -> dict[str, Figure]:
+def _figures(sweep: Sweep, store: CheckpointStore, tables: SweepTables) -> dict[str, Figure]:
     from cassini_bayes.report.plots.sweep import sweep_figures
 
-    names = study.baseline.names
-    stored = reported_quantiles(study, store)
+    names = sweep.baseline.names
+    stored = reported_quantiles(sweep, store)
     base = {
-        name: (unit, study.baseline.values[:, j])
-        for j, (name, unit) in enumerate(zip(names, study.units, strict=True))
+        name: (unit, sweep.baseline.values[:, j])
+        for j, (name, unit) in enumerate(zip(names, sweep.units, strict=True))
     }
     cells = [
         (c.group, c.kind, c.label, {n: stored[key][:, j] for j, n in enumerate(names)})
-        for key, c in study.cells.items()
+        for key, c in sweep.cells.items()
     ]
     return sweep_figures(tables.sweep, base, cells, tables.knowledge, tables.data_worth)
 
 
 def _write_report(
-    study: Study, tables: SweepTables, figures: Mapping[str, Figure], folder: Path
+    sweep: Sweep, tables: SweepTables, figures: Mapping[str, Figure], folder: Path
 ) -> None:
     from cassini_bayes.report.plots import save_figures
     from cassini_bayes.report.sweep import write_sweep_section
@@ -172,13 +173,13 @@ def _write_report(
     save_figures(figures, folder / FOLDER / "figures")
     page = folder / "report.html"
     if page.exists():
-        facts = f"{len(study.cells)} cells, cassini_bayes {__version__}, seed {study.baseline.seed}"
-        write_sweep_section(page, tables, study.baseline.names, figures, facts)
+        facts = f"{len(sweep.cells)} cells, cassini_bayes {__version__}, seed {sweep.baseline.seed}"
+        write_sweep_section(page, tables, sweep.baseline.names, figures, facts)
 
 
 def _write_page(
     page: Path,
-    study: Study,
+    sweep: Sweep,
     tables: SweepTables,
     figures: Mapping[str, Figure],
     folder: Path,
@@ -187,5 +188,5 @@ def _write_page(
     from cassini_bayes.report.sweep_page import write_sweep_page
 
     title = f"Prior sensitivity of the run {folder.name}"
-    names, seed = study.baseline.names, study.baseline.seed
+    names, seed = sweep.baseline.names, sweep.baseline.seed
     write_sweep_page(page, title, tables, names, figures, command, seed)

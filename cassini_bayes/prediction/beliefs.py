@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.cells import read_text
 from cassini_bayes.files.checks import finite_number, nearest
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
 
 UNITS: Final[Mapping[str, str]] = {
@@ -53,10 +52,7 @@ def read_beliefs(path: Path | None = None) -> Beliefs:
         Names file, key, what was expected and the fix.
     """
     path = path or Path(__file__).with_name("prediction.toml")
-    try:
-        tables = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), "TOML", str(error), "mend the file") from error
+    tables = read_toml(path, "the priors of prediction")
     for name in tables:
         if name not in UNITS:
             raise InputError(str(path), "a parameter of prediction", name, nearest(name, UNITS))

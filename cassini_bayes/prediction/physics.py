@@ -12,10 +12,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.posterior import Model, log_posterior
 from cassini_bayes.model.totals import SOFTWARE, software_of
@@ -96,40 +98,26 @@ def physics_of_fit(model: Model, path: Path, rng: np.random.Generator, size: int
     InputError
         The file is missing, is no fit, or was made of other events.
     """
-    import h5netcdf
-
-    if not path.is_file():
-        raise InputError(str(path), "a fit.nc of this package", "no such file", "check the path")
-    try:
-        with h5netcdf.File(path, "r") as file:
-            posterior, observed = file["posterior"], file["observed_data"]
-            _check_events(model, path, observed)
-            shape = posterior["thrust_common_n"].shape
-            chosen = np.sort(rng.choice(shape[0] * shape[1], min(size, shape[0] * shape[1]), False))
-            values = {
-                name: np.asarray(variable[...], dtype=float).reshape(
-                    shape[0] * shape[1], *variable.shape[2:]
-                )[chosen]
-                for name, variable in posterior.variables.items()
-                if variable.dimensions[:2] == ("chain", "draw")
-            }
-            wheels = (
-                [_word(name) for name in posterior["wheel"][...]] if "wheel" in posterior else []
-            )
-    except (OSError, KeyError) as error:
-        raise InputError(
-            str(path), "a fit.nc of this package", type(error).__name__, "run the fit again"
-        ) from error
+    needed = {"posterior": ("thrust_common_n",), "observed_data": ("event", "on_time_s")}
+    groups, _ = read_groups(path, needed, "a fit.nc of this package")
+    posterior = groups["posterior"]
+    _check_events(model, path, groups["observed_data"])
+    chains, draws = posterior["thrust_common_n"].shape
+    chosen = np.sort(rng.choice(chains * draws, min(size, chains * draws), False))
+    values = {
+        str(name): np.asarray(variable.values, dtype=float).reshape(
+            chains * draws, *variable.shape[2:]
+        )[chosen]
+        for name, variable in posterior.data_vars.items()
+        if variable.dims[:2] == ("chain", "draw")
+    }
+    wheels = posterior.coords["wheel"].values.tolist() if "wheel" in posterior.coords else []
     return _from_values(model, values, wheels, path)
 
 
-def _word(value: object) -> str:
-    return value.decode() if isinstance(value, bytes) else str(value)
-
-
-def _check_events(model: Model, path: Path, observed: Mapping[str, object]) -> None:
-    ids = tuple(_word(name) for name in observed["event"][...])  # type: ignore[index]
-    on_time = np.asarray(observed["on_time_s"][...])  # type: ignore[index]
+def _check_events(model: Model, path: Path, observed: xr.Dataset) -> None:
+    ids = tuple(str(name) for name in observed["event"].values)
+    on_time = observed["on_time_s"].values
     stack = model.totals_rows.stack
     if ids != stack.event_ids or not np.allclose(on_time, stack.on_time_s, atol=1e-9):
         raise InputError(

@@ -13,8 +13,6 @@ with c = Cov(r, Q). docs/prediction.md derives it.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -26,6 +24,7 @@ from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_ra
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.prediction.firing import mean_firing
 from cassini_bayes.prediction.ground_knowledge import GRAVITY_M_S2, group_impulse
 from cassini_bayes.prediction.learning import Learned
@@ -330,14 +329,12 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
 
 def plan_csv(found: Plan) -> str:
     """Every candidate, most informative first."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     ends = [f"wheel{number}_rpm_end" for number in found.wheels]
-    writer.writerow([*ends, "information_nats", "sd_after", "hydrazine_g", "duration_s"])
+    rows = [[*ends, "information_nats", "sd_after", "hydrazine_g", "duration_s"]]
     for c in found.candidates:
         values = (c.information_nats, c.sd_after, c.hydrazine_g, c.duration_s)
-        writer.writerow([*(f"{rate:g}" for rate in c.end_rpm), *(f"{v:.6g}" for v in values)])
-    return stream.getvalue()
+        rows.append([*(f"{rate:g}" for rate in c.end_rpm), *(f"{v:.6g}" for v in values)])
+    return rows_csv(rows)
 
 
 def plan_text(found: Plan, top: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.files.cells import read_text, rows_of
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.cells import read_rows
+from cassini_bayes.files.checks import in_utc, nearest
 from cassini_bayes.spacecraft import Spacecraft
 
 Array = NDArray[np.float64]
 
 WHEEL_LIMIT_RPM: Final = 2000.0
 LOW_RPM: Final = 300.0
-_NUMBER: Final = r"[+-]?\d+(?:\.\d*)?"
+_NUMBER: Final = r"[+-]?\d{1,9}(?:\.\d{0,9})?"
 _PART: Final = re.compile(rf"^\s*(\w+)\s*:\s*({_NUMBER})\s*(?:->|→|to)\s*({_NUMBER})\s*$")
 _FORM: Final = 'write e.g. "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"'
 
@@ -105,13 +105,10 @@ def parse_rates(text: str, spacecraft: Spacecraft, where: str) -> dict[int, floa
 
 def parse_epoch(text: str, where: str = "--epoch") -> datetime:
     """Read an ISO 8601 time; UTC where it names no zone."""
-    try:
-        epoch = datetime.fromisoformat(text)
-    except ValueError:
-        raise InputError(
-            where, "an ISO 8601 time, UTC", repr(text), "write e.g. 2010-04-15"
-        ) from None
-    return epoch.replace(tzinfo=UTC) if epoch.tzinfo is None else epoch.astimezone(UTC)
+    epoch = in_utc(text)
+    if epoch is None:
+        raise InputError(where, "an ISO 8601 time, UTC", repr(text), "write e.g. 2010-04-15")
+    return epoch
 
 
 def parse_quaternion(text: str, where: str = "--quaternion") -> tuple[float, float, float, float]:
@@ -146,7 +143,7 @@ def read_requests(path: Path, spacecraft: Spacecraft) -> tuple[BiasRequest, ...]
     rates = [f"{w.name}_rpm_{end}" for w in spacecraft.wheels for end in ("start", "end")]
     columns = ("id", *rates, "epoch", "branch", "q1", "q2", "q3", "q4")
     found = []
-    for row in rows_of(str(path), read_text(path), columns, {"id"}):
+    for row in read_rows(path, columns, {"id"}):
         start, end = {}, {}
         for wheel in spacecraft.wheels:
             given = [f"{wheel.name}_rpm_{side}" for side in ("start", "end")]

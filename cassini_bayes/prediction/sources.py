@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,8 +10,10 @@ import numpy as np
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.files.cells import read_text
+from cassini_bayes.files.json_file import read_json
+from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
@@ -45,7 +45,7 @@ def read_sources(
     InputError
         The fit is missing, or its events or priors cannot be found unchanged.
     """
-    if not fit.is_file():
+    if not exists(fit):
         raise InputError(
             str(fit),
             "a fit.nc of this package",
@@ -96,12 +96,7 @@ def learn_from_fit(
 
 def _resolved(folder: Path) -> dict[str, Any]:
     path = folder / "resolved.toml"
-    if not path.is_file():
-        return {}
-    try:
-        return tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), "TOML", str(error), "run the fit again") from error
+    return read_toml(path, "what a run was resolved to") if path.exists() else {}
 
 
 def _locate(fit: Path, name: object, option: str) -> Path:
@@ -132,7 +127,11 @@ def _file_of(name: str) -> str:
 
 def _digests(folder: Path) -> dict[str, str]:
     path = folder / "provenance.json"
-    if not path.is_file():
+    if not path.exists():
         return {}
-    found = json.loads(read_text(path)).get("sha256", {})
+    found = read_json(path, "the record of a run").get("sha256")
+    if not isinstance(found, dict):
+        raise InputError(
+            f"{path}: sha256", "digests by file name", repr(found), "run the fit again"
+        )
     return {str(key): str(value) for key, value in found.items()}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -12,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.prediction.predict import Prediction
 
 INTERVAL: Final = "90 % central"
@@ -102,16 +101,14 @@ def as_dictionary(prediction: Prediction) -> dict[str, Any]:
 
 def as_csv(predictions: Sequence[Prediction]) -> str:
     """CSV text, one row per bias and scalar; the interval is the central 90 % one."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_HEADER)
+    rows: list[Sequence[object]] = [_HEADER]
     for prediction in predictions:
         for line in lines(prediction):
             values = (line.mean, line.sd, line.median, line.low_90, line.high_90)
-            writer.writerow(
+            rows.append(
                 [prediction.request.id, line.quantity, line.unit, *(f"{v:.6g}" for v in values)]
             )
-    return stream.getvalue()
+    return rows_csv(rows)
 
 
 def as_text(prediction: Prediction) -> str:

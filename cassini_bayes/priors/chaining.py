@@ -9,7 +9,6 @@ on z, its covariance what the regression leaves.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import kurtosis, skew
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.netcdf import read_groups
+from cassini_bayes.files.storage import digest
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import JointNormal
 
@@ -140,7 +140,7 @@ def read_earlier(
     InputError
         No such fit, another branch, or draws that are visibly not normal.
     """
-    posterior, digest = _posterior(path, where)
+    posterior, content = _posterior(path, where)
     if LEVELS not in posterior:
         raise InputError(where, "a fit with thrust levels", str(path), "name a fit of wheel biases")
     found = tuple(str(name) for name in posterior.coords["thruster"].values)
@@ -167,25 +167,16 @@ def read_earlier(
         z=z,
         levels_n=levels,
         path=str(path),
-        digest=digest,
+        digest=content,
     )
 
 
 def _posterior(path: Path, where: str) -> tuple[xr.Dataset, str]:
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        with xr.open_dataset(path, group="posterior", engine="h5netcdf") as dataset:
-            return dataset.load(), digest
-    except FileNotFoundError:
-        beside = [entry.name for entry in path.parent.glob("*.nc")]
-        raise InputError(
-            where, "the fit.nc of a finished run", f"no {path}", nearest(path.name, beside)
-        ) from None
-    except (OSError, KeyError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else "unreadable"
-        raise InputError(
-            where, "a fit.nc of this package", f"{path}: {reason}", "run that fit again"
-        ) from error
+        groups, _ = read_groups(path, {"posterior": ()}, "the fit.nc of a finished run")
+    except InputError as error:
+        raise InputError(where, error.expected, f"{path}: {error.got}", error.fix) from None
+    return groups["posterior"], digest(path)
 
 
 def _draws(posterior: xr.Dataset, name: str, wheels: Mapping[str, str]) -> Array | None:

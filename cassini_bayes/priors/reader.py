@@ -10,7 +10,6 @@ counts once.
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from scipy.special import ndtr
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import closest, finite_number, nearest
+from cassini_bayes.files.toml_file import toml_bytes, toml_of
 from cassini_bayes.priors.chaining import EarlierFit, read_earlier
 from cassini_bayes.priors.distributions import Distribution, check_bounds, check_keywords
 from cassini_bayes.priors.parameter_space import ParameterSpace
@@ -233,8 +233,8 @@ def read_priors(path: str | Path) -> Priors:
         Names the file, the dotted key, what was expected, what was found and the nearest valid
         name: see docs/priors.md for everything that is refused.
     """
-    content = _read_bytes(Path(path))
-    document = _parse(str(path), content)
+    content = toml_bytes(Path(path), "a priors file")
+    document = toml_of(content, str(path))
     for key in document:
         if key not in _TABLES:
             raise InputError(
@@ -287,32 +287,6 @@ def _chained(priors: Priors, value: object) -> Priors:
         [thruster.name for thruster in craft.thrusters_of(priors.branch)],
     )
     return replace(priors, earlier=earlier)
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        names = [entry.name for entry in path.parent.glob("*.toml")]
-        raise InputError(
-            str(path), "a priors file", "no such file", nearest(path.name, names)
-        ) from None
-    except OSError as error:
-        raise InputError(
-            str(path), "a priors file", error.strerror or str(error), "name a readable TOML file"
-        ) from None
-
-
-def _parse(where: str, content: bytes) -> dict[str, object]:
-    try:
-        return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise InputError(
-            where, "UTF-8 text", f"other bytes in line {line}", "save the file as UTF-8"
-        ) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(where, "TOML", str(error), "mend the syntax in that line") from None
 
 
 def _table(where: str, value: object) -> Mapping[str, object]:
@@ -375,9 +349,9 @@ def _read_wheels(where: str, value: object, spacecraft: Spacecraft) -> tuple[int
         raise InputError(where, wanted, "nothing" if value is None else repr(value), fix)
     for i, number in enumerate(value):
         if isinstance(number, bool) or not isinstance(number, int) or number not in known:
-            raise InputError(f"{where}[{i}]", wanted, repr(number), fix)
+            raise InputError(f"{where}[{i + 1}]", wanted, repr(number), fix)
         if number in value[:i]:
-            raise InputError(f"{where}[{i}]", wanted, f"{number} twice", "list each wheel once")
+            raise InputError(f"{where}[{i + 1}]", wanted, f"{number} twice", "list each wheel once")
     return tuple(value)
 
 

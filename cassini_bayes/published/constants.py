@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import datetime
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from types import MappingProxyType
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.toml_file import toml_of
 from cassini_bayes.published.printed import Printed, package_text, parse_printed
 
 Entry = Printed | tuple[Printed, ...] | datetime.date
@@ -75,7 +75,7 @@ def _entry(value: object, where: str) -> Entry:
 def parse_constants(text: str) -> Constants:
     """Read the TOML text; decimals keep their printed digits."""
     entries: dict[tuple[str, str], Entry] = {}
-    for section, table in tomllib.loads(text, parse_float=Decimal).items():
+    for section, table in toml_of(text.encode(), "constants.toml", Decimal).items():
         for key, value in table.items():
             entries[section, key] = _entry(value, f"constants.toml: {section}.{key}")
     return Constants(MappingProxyType(entries))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from importlib import resources
-from io import StringIO
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.cells import cells_of
 
 # Intervals meet when their gap is below this: the figures have at most seven digits, double
 # rounding stays under 1e-12, and a tie (0.125 printed as 0.12 or 0.13) must count as consistent.
@@ -143,14 +142,14 @@ def csv_rows(text: str, columns: Sequence[str], *, where: str) -> tuple[dict[str
     InputError
         When the header is not ``columns`` or a row has another number of cells.
     """
-    reader = csv.reader(StringIO(text))
-    header = next(reader, [])
+    lines = cells_of(where, text)
+    _, header = next(lines, (1, []))
     if header != list(columns):
         raise InputError(
             f"{where}: header", ",".join(columns), ",".join(header), "restore the header row"
         )
     rows = []
-    for number, cells in enumerate(reader, start=2):
+    for number, cells in lines:
         if len(cells) != len(header):
             raise InputError(
                 f"{where}: line {number}",

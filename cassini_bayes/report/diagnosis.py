@@ -23,6 +23,7 @@ from cassini_bayes.diagnosis.correlations import POINTWISE, InnovationTests
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report.plots import Figure, encode, settle
 from cassini_bayes.report.plots.criticism import (
     cause_figure,
@@ -130,9 +131,9 @@ def write_diagnosis(diagnosis: Diagnosis[Any], folder: Path, name: str, processe
     if isinstance(diagnosis.case, BalanceCase) and diagnosis.shown.detail is not None:
         rng = np.random.default_rng(record["seed"])
         curves = curves_of(diagnosis.case, diagnosis.verdict, rng)
-        write_text(folder / "discrepancy.csv", curve_table(curves).to_csv(index=False))
+        write_text(folder / "discrepancy.csv", frame_csv(curve_table(curves)))
         table = driver_table(*diagnosis.shown.detail)
-        write_text(folder / "correlation.csv", table.to_csv(index=False))
+        write_text(folder / "correlation.csv", frame_csv(table))
     pictures = [cause_picture(record), *innovation_pictures(diagnosis, curves)]
     images = drawn(pictures, processes)
     write_text(folder / "diagnosis.json", diagnosis_json(record))

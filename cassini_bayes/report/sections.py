@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from cassini_bayes.files.storage import write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report import checks, telemetry, thrusts
 from cassini_bayes.report.page import Section
 from cassini_bayes.report.plots import draw
@@ -57,7 +58,7 @@ def write_tables(sections: Sequence[Section], folder: Path) -> None:
     """
     for section in sections:
         if section.frame is not None:
-            write_text(folder / f"{section.name}.csv", section.frame.to_csv(index=False))
+            write_text(folder / f"{section.name}.csv", frame_csv(section.frame))
 
 
 def figures_of(sections: Sequence[Section]) -> dict[str, Figure]:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import pandas as pd
 
-from cassini_bayes import __version__
-from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.report.cells import Table
-from cassini_bayes.report.plots import Figure, encode
+from cassini_bayes.report.plots import Figure
+from cassini_bayes.report.study_page import Made, write_page
 from cassini_bayes.report.sweep import changes_table, scaling_table, strongest_sentence
 from cassini_bayes.sweep.tables import SweepTables
 
+MODULE: Final = "sweep.plan"  # whose code works cells out
 _SHOWN: Final = ("worth", "tornado_1", "overlay_1")
 
 
@@ -28,30 +27,20 @@ def write_sweep_page(
     command: Sequence[str],
     seed: int,
 ) -> None:
-    """Write a markdown page with the first quantity's figures beside it, atomically."""
-    for name in _SHOWN:
-        if name in figures:
-            write_bytes(page.with_name(f"{page.stem}-{name}.png"), encode(figures[name], "png"))
-    write_text(page.with_suffix(".csv"), tables.sweep.to_csv(index=False, float_format="%.6g"))
-    write_text(page, _page(page.stem, title, tables, names, figures, command, seed))
+    """Write a markdown page with the first quantity's figures beside it."""
+    shown = {f"-{name}": figures[name] for name in _SHOWN if name in figures}
+    body = _body(page.stem, tables, names, figures)
+    write_page(page, title, body, Made(command, seed, MODULE), {"": tables.sweep}, shown)
 
 
-def _page(
-    stem: str,
-    title: str,
-    tables: SweepTables,
-    names: Sequence[str],
-    figures: Mapping[str, Figure],
-    command: Sequence[str],
-    seed: int,
+def _body(
+    stem: str, tables: SweepTables, names: Sequence[str], figures: Mapping[str, Figure]
 ) -> str:
     pictures = {
         name: f"![{name.replace('_', ' ')}]({stem}-{name}.png)" if name in figures else ""
         for name in _SHOWN
     }
-    return f"""# {title}
-
-{strongest_sentence(tables.sweep)}
+    return f"""{strongest_sentence(tables.sweep)}
 
 Shifts are in posterior standard deviations of the run, ± is one Monte Carlo standard error;
 {_counts(tables.sweep)}. How it is done: [prior
@@ -75,10 +64,7 @@ four times the grey one are cut.
 
 {pictures["worth"]}
 
-{_evidence(tables, names)}
-Made by `{" ".join(command)}`
-(seed {seed}) with cassini_bayes {__version__}, Python {platform.python_version()}.
-"""
+{_evidence(tables, names)}"""
 
 
 def _evidence(tables: SweepTables, names: Sequence[str]) -> str:

@@ -1,48 +1,25 @@
-"""Ranks of true values among posterior draws: repetitions kept on disk, and their judgement.
+"""Ranks of true values among posterior draws, and their judgement.
 
 If prior, likelihood and sampler agree with the mechanism that made the data, the rank of a true
 value among its posterior draws is uniform (Talts et al. 2018; Modrák et al. 2023). Every campaign
-of simulation-based calibration is a set of repetitions with seeds of their own, so a killed one
-loses the unfinished files only and the result does not depend on the number of processes.
+of simulation-based calibration gathers such ranks over repetitions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
-from threadpoolctl import threadpool_limits
 
 from cassini_bayes.computing.arrays import Array, Flags
-from cassini_bayes.errors import CassiniBayesError
-from cassini_bayes.files.checkpoint import CheckpointStore
 
 GRID: Final = 99
 NULL_DRAWS: Final = 40_000
 _NULL_SEED: Final = 2022
-
-
-class RankCampaign(Protocol):
-    """Repetitions that can be run one by one, in any process."""
-
-    @property
-    def per_file(self) -> int:
-        """Repetitions that one checkpoint file holds."""
-
-    def identity(self) -> str:
-        """What finished repetitions depend on: seed, data, priors, code."""
-
-    def names(self) -> tuple[str, ...]:
-        """Names of the ranked scalars."""
-
-    def repetition(self, index: int) -> tuple[Array, float, bool]:
-        """Ranks (P,), Pareto k̂, and whether a chain stood in for importance draws."""
 
 
 @dataclass(frozen=True)
@@ -125,61 +102,11 @@ def coverage_p_values(coverage: Array, n: int, probability: float = 0.9) -> Arra
     return np.asarray(np.minimum(2.0 * tail, 1.0), dtype=np.float64)
 
 
-def run_repetitions(
-    campaign: RankCampaign, repetitions: int, folder: Path, jobs: int
-) -> Iterator[tuple[int, int]]:
-    """Run the repetitions that are not yet in ``folder``; yields (done, total) as files finish."""
-    store = CheckpointStore(folder, campaign.identity())
-    files = range(-(-repetitions // campaign.per_file))
-    missing = [index for index in files if store.load(_file(index)) is None]
-    done = len(files) - len(missing)
-    yield min(done * campaign.per_file, repetitions), repetitions
-    with ProcessPoolExecutor(max_workers=jobs) as pool:
-        pending = {pool.submit(_one_file, campaign, index): index for index in missing}
-        for future in as_completed(pending):
-            try:
-                block = future.result()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)  # else all others would run first
-                raise
-            store.save(_file(pending[future]), block)
-            done += 1
-            yield min(done * campaign.per_file, repetitions), repetitions
-
-
-def _file(index: int) -> str:
-    return f"ranks_{index:05d}"
-
-
-def _one_file(campaign: RankCampaign, index: int) -> dict[str, NDArray[np.generic]]:
-    first = index * campaign.per_file
-    with threadpool_limits(1):  # the work is spread over processes; more threads would compete
-        results = [campaign.repetition(i) for i in range(first, first + campaign.per_file)]
-    return {
-        "ranks": np.stack([result[0] for result in results]),
-        "pareto_k": np.array([result[1] for result in results]),
-        "by_chain": np.array([result[2] for result in results]),
-    }
-
-
-def read_ranks(campaign: RankCampaign, repetitions: int, folder: Path) -> Ranks:
-    """Collect the finished repetitions of a campaign.
-
-    Raises
-    ------
-    CassiniBayesError
-        Some are missing.
-    """
-    store = CheckpointStore(folder, campaign.identity())
-    blocks = []
-    for index in range(-(-repetitions // campaign.per_file)):
-        block = store.load(_file(index))
-        if block is None:
-            raise CassiniBayesError(f"{folder}: {_file(index)} is missing: run the campaign again")
-        blocks.append(block)
+def ranks_of(names: Sequence[str], repetitions: Mapping[str, NDArray[np.generic]]) -> Ranks:
+    """Ranks of repetitions: their arrays ``ranks`` (n, P), ``pareto_k`` and ``by_chain`` (n,)."""
     return Ranks(
-        names=campaign.names(),
-        ranks=np.concatenate([np.asarray(b["ranks"], dtype=np.float64) for b in blocks]),
-        pareto_k=np.concatenate([np.asarray(b["pareto_k"], dtype=np.float64) for b in blocks]),
-        by_chain=np.concatenate([np.asarray(b["by_chain"], dtype=np.bool_) for b in blocks]),
+        tuple(names),
+        np.asarray(repetitions["ranks"], dtype=np.float64),
+        np.asarray(repetitions["pareto_k"], dtype=np.float64),
+        np.asarray(repetitions["by_chain"], dtype=np.bool_),
     )

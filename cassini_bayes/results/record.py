@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.errors import InputError
+from cassini_bayes.files.netcdf import read_groups, sealed
 from cassini_bayes.files.storage import write_bytes
 from cassini_bayes.model.terms import Variable
 
@@ -92,7 +92,7 @@ def save_fit(fit: Fit, path: Path) -> None:
         for group, dataset in groups.items()
     }
     content = tree.to_netcdf(engine="h5netcdf", encoding=encoding)
-    write_bytes(path, bytes(content))
+    write_bytes(path, sealed(bytes(content)))
 
 
 def read_fit(path: Path) -> Fit:
@@ -103,22 +103,4 @@ def read_fit(path: Path) -> Fit:
     InputError
         The file is missing, is not NetCDF, is truncated, or lacks a group.
     """
-    try:
-        groups = {}
-        for name in GROUPS:
-            with xr.open_dataset(path, group=name, engine="h5netcdf") as dataset:
-                groups[name] = dataset.load()
-        with xr.open_dataset(path, engine="h5netcdf") as root:
-            attributes = dict(root.attrs)
-    except FileNotFoundError as error:
-        raise InputError(
-            str(path), "a fit.nc of this package", "no such file", "check the path"
-        ) from error
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(
-            str(path),
-            "a fit.nc of this package",
-            f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}",
-            "run the fit again, or restore the file",
-        ) from error
-    return Fit(groups, attributes)
+    return Fit(*read_groups(path, dict.fromkeys(GROUPS, ()), "a fit.nc of this package"))

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, get_args
-
-from pydantic import BaseModel, ValidationError
+from typing import Any, Final
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number, nearest
+from cassini_bayes.files.toml_file import read_toml
+from cassini_bayes.files.validated import validated
 from cassini_bayes.simulation.effects import EFFECTS, ChosenEffect, Effect, choose_effect
 from cassini_bayes.simulation.settings import (
     LARGEST,
@@ -84,7 +83,7 @@ def read_scenario(
         Names the file, the dotted key, what was expected, what was found and the nearest name.
     """
     path = Path(path)
-    return scenario_of(_parse(path), path.parent, str(path), own)
+    return scenario_of(read_toml(path, "a scenario file"), path.parent, str(path), own)
 
 
 def scenario_of(
@@ -111,16 +110,13 @@ def scenario_of(
     InputError
         As :func:`read_scenario`.
     """
-    try:
-        scenario = Scenario.model_validate(document)
-    except ValidationError as error:
-        raise _as_input_error(error, where) from None
+    scenario = validated(Scenario, document, where)
     folder = Path(folder)
     spacecraft = _spacecraft(where, folder, scenario)
     _check_wheels(where, scenario, spacecraft)
     ids = _check_events(where, scenario)
-    for index, appendage in enumerate(scenario.appendage):
-        _check_direction(f"{where}: appendage.{index}.axis", appendage.axis)
+    for appendage in scenario.appendage:
+        _check_direction(f"{where}: appendage.{appendage.name}.axis", appendage.axis)
     _check_truth(where, scenario, spacecraft)
     record_interval_s(scenario.telemetry)
     effects = _effects(where, scenario, spacecraft, ids, {**EFFECTS, **own})
@@ -131,19 +127,18 @@ def _check_events(where: str, scenario: Scenario) -> tuple[str, ...]:
     """Check every event; their ids."""
     seen: list[str] = []
     taken = ("totals.csv", "truth.json", "figures")
-    for index, event in enumerate(scenario.event):
-        _check_event(f"{where}: event.{index}", event, scenario)
+    for event in scenario.event:
+        place = f"{where}: event.{event.id}"
+        _check_event(place, event, scenario)
         if event.id in taken:
             raise InputError(
-                f"{where}: event.{index}.id",
+                f"{place}.id",
                 f"a name other than {', '.join(taken)}",
                 repr(event.id),
                 "rename it: these stand beside the event folders",
             )
         if event.id in seen:
-            raise InputError(
-                f"{where}: event.{index}.id", "each id once", f"{event.id!r} again", "rename it"
-            )
+            raise InputError(f"{place}.id", "each id once", f"{event.id!r} again", "rename it")
         seen.append(event.id)
     return tuple(seen)
 
@@ -157,8 +152,8 @@ def _effects(
 ) -> tuple[ChosenEffect, ...]:
     """The requested effects, checked against the catalogue, the spacecraft and the events."""
     effects = []
-    for index, request in enumerate(scenario.effect):
-        place = f"{where}: effect.{index}"
+    for request in scenario.effect:
+        place = f"{where}: effect.{request.name}"
         for name in request.events or ():
             if name not in ids:
                 raise InputError(
@@ -168,59 +163,6 @@ def _effects(
         chosen = choose_effect(request, spacecraft, table.branch, table.wheels, place, known)
         effects.append(chosen)
     return tuple(effects)
-
-
-def _parse(path: Path) -> dict[str, Any]:
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        names = [entry.name for entry in path.parent.glob("*.toml")]
-        raise InputError(
-            str(path), "a scenario file", "no such file", nearest(path.name, names)
-        ) from None
-    except OSError as error:
-        raise InputError(
-            str(path), "a scenario file", error.strerror or str(error), "name a readable TOML file"
-        ) from None
-    try:
-        return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(str(path), "valid TOML in UTF-8", str(error), "mend that place") from None
-
-
-def _as_input_error(error: ValidationError, where: str) -> InputError:
-    first = error.errors()[0]
-    location = [str(part) for part in first["loc"]]
-    place = f"{where}: {'.'.join(location)}"
-    if first["type"] == "extra_forbidden":
-        known = list(_fields_at(first["loc"][:-1]))
-        return InputError(
-            place, f"one of {', '.join(known)}", "an unknown key", nearest(location[-1], known)
-        )
-    if first["type"] == "missing":
-        return InputError(place, "a value", "nothing", f"add {location[-1]} = …")
-    return InputError(
-        place, first["msg"].lower(), repr(first.get("input")), f"change {location[-1]}"
-    )
-
-
-def _fields_at(location: tuple[int | str, ...]) -> Mapping[str, Any]:
-    """Fields of the table at a place of the scenario's model."""
-    model: type[BaseModel] = Scenario
-    for part in location:
-        if isinstance(part, int):
-            continue
-        inner = _models_in(model.model_fields[part].annotation)
-        if inner is None:
-            break
-        model = inner
-    return model.model_fields
-
-
-def _models_in(annotation: Any) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((found for a in get_args(annotation) if (found := _models_in(a))), None)
 
 
 def _spacecraft(where: str, folder: Path, scenario: Scenario) -> Spacecraft:
@@ -250,7 +192,7 @@ def _check_wheels(where: str, scenario: Scenario, spacecraft: Spacecraft) -> Non
     for i, number in enumerate(table.wheels):
         if number not in known or number in table.wheels[:i]:
             raise InputError(
-                f"{where}: spacecraft.wheels[{i}]",
+                f"{where}: spacecraft.wheels[{i + 1}]",
                 f"different wheels out of {known}",
                 str(number),
                 f"write e.g. wheels = {known[:3]}",
@@ -282,14 +224,14 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
             "nothing",
             "add duration_s = …",
         )
-    for i, slew in enumerate(event.slew):
-        _check_direction(f"{where}.slew.{i}.axis", slew.axis)
+    for i, slew in enumerate(event.slew, start=1):
+        _check_direction(f"{where}.slew[{i}].axis", slew.axis)
     in_time = sorted(event.slew, key=lambda slew: slew.start_s)
     for first, second in itertools.pairwise(in_time):
         end = first.start_s + first.duration_s
         if second.start_s < end:
             raise InputError(
-                f"{where}.slew.{event.slew.index(second)}.start_s",
+                f"{where}.slew[{event.slew.index(second) + 1}].start_s",
                 f"a start after the end of the slew before, at {end:.1f} s",
                 f"{second.start_s:g} s",
                 "start it later, or make that slew shorter or faster",
@@ -328,9 +270,9 @@ def _check_truth(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None
                 finite_number(f"{place}.{thruster}", departure, "N")
         else:
             _check_value(place, key, value, names)
-    for index, event in enumerate(scenario.event):
+    for event in scenario.event:
         for key, value in event.truth.items():
-            _check_value(f"{where}: event.{index}.truth.{key}", key, value, names)
+            _check_value(f"{where}: event.{event.id}.truth.{key}", key, value, names)
 
 
 def _check_value(place: str, key: str, value: object, names: list[str]) -> None:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.toml_file import toml_bytes, toml_of
+from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
     CONTROL_CYCLE_S,
@@ -35,9 +36,8 @@ _ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 _Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
-class _Table(BaseModel):
-    # strict: a quoted number or a boolean is a mistake, not a number
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+class _Table(Table):
+    model_config = ConfigDict(allow_inf_nan=False)
 
 
 class _ParameterTable(_Table):
@@ -71,13 +71,6 @@ class _File(_Table):
     control_cycle_s: Annotated[float, Field(gt=0.0, le=60.0)] = CONTROL_CYCLE_S
 
 
-_OWNERS: Final[Mapping[str, type[_Table]]] = {
-    "parameters": _ParameterTable,
-    "wheel": _WheelTable,
-    "thruster": _ThrusterTable,
-}
-
-
 def load_spacecraft(reference: str | Path) -> Spacecraft:
     """Read a spacecraft: the name of a built-in one, or the path of a TOML file.
 
@@ -93,17 +86,8 @@ def load_spacecraft(reference: str | Path) -> Spacecraft:
         Names the file, the dotted key, what was expected and found, and the nearest valid name.
     """
     if Path(reference).suffix == ".toml":
-        try:
-            content = Path(reference).read_bytes()
-        except (OSError, ValueError) as error:  # a null byte in the path is a ValueError
-            got = error.strerror if isinstance(error, OSError) else None
-            raise InputError(
-                repr(str(reference)) if got is None else str(reference),
-                "a spacecraft file",
-                got or str(error),
-                "check the path",
-            ) from error
-        return _build(_parse(content, str(reference)), str(reference), content)
+        content = toml_bytes(Path(reference), "a spacecraft file")
+        return _build(content, str(reference))
     files = resources.files(__package__)
     names = [e.name.removesuffix(".toml") for e in files.iterdir() if e.name.endswith(".toml")]
     if str(reference) not in names:
@@ -114,66 +98,11 @@ def load_spacecraft(reference: str | Path) -> Spacecraft:
             nearest(str(reference), names),
         )
     content = files.joinpath(f"{reference}.toml").read_bytes()
-    return _build(_parse(content, f"{reference}.toml"), f"{reference}.toml", content)
+    return _build(content, f"{reference}.toml")
 
 
-def _parse(content: bytes, where: str) -> _File:
-    try:
-        table = tomllib.loads(content.decode("utf-8-sig"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(where, "valid TOML in UTF-8", str(error), "mend that place") from error
-    try:
-        return _File.model_validate(table)
-    except ValidationError as error:
-        raise _as_input_error(error, table, where) from error
-
-
-def _as_input_error(error: ValidationError, table: Mapping[str, Any], where: str) -> InputError:
-    # a misspelt key is also a missing one: naming it says more
-    first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
-    loc = first["loc"]
-    place = f"{where}: {_dotted(loc, table)}"
-    if first["type"] == "extra_forbidden":
-        known = list((_File if len(loc) == 1 else _OWNERS[str(loc[0])]).model_fields)
-        return InputError(
-            place, f"one of {', '.join(known)}", "an unknown key", nearest(str(loc[-1]), known)
-        )
-    key = next(str(part) for part in reversed(loc) if isinstance(part, str))
-    if first["type"] == "missing":
-        return InputError(place, "a value", "nothing", f"add {key} = …")
-    if loc[-1] == "[key]":  # pydantic's mark for the key of a table
-        return InputError(
-            place,
-            "a name of lower-case letters, digits and underscores",
-            repr(first["input"]),
-            "rename the parameter",
-        )
-    expected = first["msg"].removeprefix("Input should ").removeprefix("be ")
-    got = first["input"]
-    return InputError(place, expected, repr(got), f"change {_dotted(loc, table)}")
-
-
-def _dotted(loc: tuple[int | str, ...], table: Mapping[str, Any]) -> str:
-    """Dotted key of pydantic's location: ``wheel.rwa1.axis``, ``thruster[3].position[1]``.
-
-    Entries of an array of tables go by their name if they have one, else by their place, counted
-    from 1 like everything else in the message.
-    """
-    text = ""
-    if loc[-1] in ("float", "str") and isinstance(loc[-2], int):
-        loc = loc[:-1]  # pydantic names the alternative it tried for a coordinate
-    for depth, part in enumerate(part for part in loc if part != "[key]"):
-        if not isinstance(part, int):
-            text += f".{part}" if text else part
-            continue
-        name = None
-        if depth == 1 and isinstance(table[str(loc[0])][part], dict):
-            name = table[str(loc[0])][part].get("name")
-        text += f".{name}" if isinstance(name, str) and name else f"[{part + 1}]"
-    return text
-
-
-def _build(file: _File, where: str, content: bytes) -> Spacecraft:
+def _build(content: bytes, where: str) -> Spacecraft:
+    file = validated(_File, toml_of(content, where), where)
     specs = {n: _spec(n, t, f"{where}: parameters.{n}") for n, t in file.parameters.items()}
     _unique(file.branches, f"{where}: branches")
     _unique((wheel.name for wheel in file.wheel), f"{where}: wheel.name")

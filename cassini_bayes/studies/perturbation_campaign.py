@@ -1,29 +1,23 @@
-"""The comparison of error bars as a command: run it resumably, write table, figure and page."""
+"""The comparison of error bars: sets of events for both readings, one verdict, one page."""
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from cassini_bayes import __version__
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.files.storage import write_bytes, write_text
-from cassini_bayes.report.plots import encode
 from cassini_bayes.report.plots.perturbation_coverage import coverage_length_figure
 from cassini_bayes.studies.perturbation_coverage import (
     BOTH,
     EVENT_MEAN,
     LAPLACE,
+    MODULE,
     POSTERIOR,
     READINGS,
     RSS,
-    SETS_PER_FILE,
     SQUARES,
     THRUSTER,
     THRUSTER_EVENT,
@@ -31,50 +25,35 @@ from cassini_bayes.studies.perturbation_coverage import (
     CoverageCampaign,
     Reading,
     coverage_table,
-    covered_sets,
 )
-from cassini_bayes.studies.totals_calibration import model_code_digest
-from cassini_bayes.sweep.grid import Workers, run_cells, stored_cell
+from cassini_bayes.studies.study import Study
 
 LEAST_TOLERANCE: Final = 0.03
+FULL: Final[Mapping[str, int]] = dict.fromkeys(READINGS, 60)
+QUICK: Final[Mapping[str, int]] = dict.fromkeys(READINGS, 10)
+"""Sets of events for each reading of the sizes."""
 
 
-def compare_error_bars(
-    events: str,
-    priors: str,
-    *,
-    seed: int,
-    sets: int,
-    folder: Path,
-    page: Path,
-    workers: Workers,
-    command: Sequence[str],
-    progress: Callable[[str, int, int], None],
-) -> bool:
-    """Simulate and estimate ``sets`` sets of events per reading, and write the results page.
+def compare_error_bars(study: Study, events: str, priors: str, numbers: Mapping[str, int]) -> bool:
+    """Simulate and estimate sets of events for each reading, and write the results.
 
-    ``folder`` keeps finished sets (a killed campaign goes on from there); figure and table go
-    beside ``page``. Returns whether the posterior's intervals hold what they claim.
+    ``numbers`` are sets by reading, as in :data:`FULL`. Returns whether the posterior's intervals
+    hold what they claim.
     """
     found: dict[Reading, Mapping[str, Array]] = {}
-    files = -(-sets // SETS_PER_FILE)
     for reading in READINGS:
-        campaign = CoverageCampaign(events, priors, seed, reading)
-        identity = campaign.identity()
-        place = f"{reading.replace(' ', '-')}-{identity[:12]}"  # other code or data start anew
-        store = CheckpointStore(folder / place, identity)
-        cells = {f"sets_{i:04d}": (i * SETS_PER_FILE,) for i in range(files)}
-        for done, total in run_cells(covered_sets, campaign, cells, store, workers):
-            progress(f"sizes as {reading}", done * SETS_PER_FILE, total * SETS_PER_FILE)
-        parts = [stored_cell(store, name) for name in cells]
-        found[reading] = {
-            key: np.concatenate([np.asarray(part[key], dtype=np.float64) for part in parts])
-            for key in parts[0]
-        }
+        campaign = CoverageCampaign(events, priors, study.seed, reading)
+        name = reading.replace(" ", "-")
+        arrays = study.repeat(name, f"sizes as {reading}", campaign, numbers[reading])
+        found[reading] = {k: np.asarray(v, dtype=np.float64) for k, v in arrays.items()}
     table = coverage_table(found)
-    write_bytes(page.with_suffix(".png"), encode(coverage_length_figure(table, WORST), "png"))
-    write_text(page.with_suffix(".csv"), table.to_csv(index=False, float_format="%.6g"))
-    write_text(page, _page(page.stem, table, found, seed, command))
+    study.publish(
+        "What hand-picked perturbation bars are worth",
+        _body(study.page.stem, table, found),
+        MODULE,
+        {"": table},
+        {"": coverage_length_figure(table, WORST)},
+    )
     return bool(holds_claim(table[table["method"] == POSTERIOR]).all())
 
 
@@ -183,13 +162,7 @@ def _in_short(table: pd.DataFrame) -> str:
     )
 
 
-def _page(
-    stem: str,
-    table: pd.DataFrame,
-    found: Mapping[Reading, Mapping[str, Array]],
-    seed: int,
-    command: Sequence[str],
-) -> str:
+def _body(stem: str, table: pd.DataFrame, found: Mapping[Reading, Mapping[str, Array]]) -> str:
     sets = int(table["sets"].iloc[0])
     events = found[READINGS[0]][f"{EVENT_MEAN}.truth"].size
     chains = sum(int(arrays["by_chain"].sum()) for arrays in found.values())
@@ -216,16 +189,11 @@ the truths are drawn from them.
 What this does not say: the papers' estimates use the time history within an event, which totals do
 not carry; with it a single event determines its thrusters, and its least squares is a better
 estimate than the one of least norm held to account here. The perturbation bars themselves do not
-depend on it.
-
-Made by `{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__}, Python
-{platform.python_version()}; SHA-256 of the model's code `{model_code_digest()[:16]}…`.
-"""
+depend on it."""
 
 
 def _introduction(sets: int, events: int) -> str:
-    return f"""# What hand-picked perturbation bars are worth
-
+    return f"""\
 Paper 003 puts error bars on thrusts by perturbing assumed parameters, each by an amount picked by
 hand as about its largest error: centre of mass 10 %, moments of inertia 5 % and products 50 %,
 wheel inertia 1 %, the column of wheel 4 in the wheels' matrix 1 %, thruster location 1 %, tail-off

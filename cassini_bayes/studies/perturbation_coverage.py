@@ -9,26 +9,20 @@ truth.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.stats import norm
 from scipy.stats import t as student
-from threadpoolctl import threadpool_limits
 
 from cassini_bayes.balance.totals_terms import wheel_momentum
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import digest
+from cassini_bayes.files.code import identity
 from cassini_bayes.model.draws import draw, draw_prior
 from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.priors.distributions import Distribution
@@ -65,6 +59,8 @@ CLAIMS: Final = (0.68, 0.9)
 DRAWS: Final = 2_000
 TRUSTED_K: Final = 0.7
 SETS_PER_FILE: Final = 5
+MODULE: Final = "studies.perturbation_coverage"
+"""Whose code, with all that it imports, a set runs through."""
 _OF_BLOCK: Final[Mapping[str, str]] = {
     "centre of mass": "center_of_mass",
     "wheel inertia": "rwa_inertia",
@@ -82,12 +78,19 @@ class CoverageCampaign:
     seed: int
     reading: Reading
 
+    @property
+    def per_file(self) -> int:
+        """Sets that one file keeps."""
+        return SETS_PER_FILE
+
     def identity(self) -> str:
-        """Hash of template, priors, code, seed and reading."""
-        parts = [digest(Path(p)) for p in (self.events_path, self.priors_path)]
-        code = code_digest("studies.perturbation_coverage")
-        depends_on = json.dumps([*parts, self.seed, self.reading, code])
-        return hashlib.sha256(depends_on.encode()).hexdigest()
+        """What finished sets depend on: seed, reading, template, priors, code."""
+        settings = ["perturbations", self.seed, self.reading]
+        return identity(settings, [self.events_path, self.priors_path], MODULE)
+
+    def repetition(self, index: int) -> dict[str, Array]:
+        """Simulate and estimate one set: see :func:`covered_set`."""
+        return covered_set(self, index)
 
 
 def size_of(name: str, block: str) -> tuple[float, bool]:
@@ -124,13 +127,6 @@ def stated_priors(priors: Priors, reading: Reading) -> Priors:
             stated = Distribution("uniform", {"loc": centre - width, "scale": 2.0 * width})
         priors = priors.with_distribution(name, stated)
     return priors
-
-
-def covered_sets(campaign: CoverageCampaign, first: int) -> dict[str, NDArray[np.generic]]:
-    """Simulate and estimate one file's sets; arrays with the sets as first axis."""
-    with threadpool_limits(1):  # sets are spread over processes; more threads would compete
-        found = [covered_set(campaign, first + i) for i in range(SETS_PER_FILE)]
-    return {key: np.stack([one[key] for one in found]) for key in found[0]}
 
 
 def covered_set(campaign: CoverageCampaign, index: int) -> dict[str, Array]:

@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes import __version__
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, Log, Size, silent
 from cassini_bayes.diagnosis.diagnosis import diagnose
@@ -24,8 +23,6 @@ from cassini_bayes.diagnosis.estimate_case import Candidate, EstimateCase, untru
 from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.diagnosis.score import LEAST_PIECES, HeldOut
 from cassini_bayes.diagnosis.verdict import Verdict, ranked
-from cassini_bayes.files.storage import write_bytes, write_text
-from cassini_bayes.report.plots import encode
 from cassini_bayes.studies.published_cases import Branch, a_branch, flight_2004, fsds
 from cassini_bayes.studies.published_on_times import on_time_section
 from cassini_bayes.studies.published_sections import (
@@ -35,6 +32,7 @@ from cassini_bayes.studies.published_sections import (
     gain_text,
     in_words,
 )
+from cassini_bayes.studies.study import Study
 
 NAME: Final = "diagnosis-published"
 UNSHOWN: Final = "thrust_common_n"  # the factor beside it says as much
@@ -183,14 +181,10 @@ def flight_gain(case: BalanceCase, verdict: Verdict[Any], seed: int) -> str:
 
 
 def write_published_diagnosis(
-    folder: Path,
-    totals: Path,
-    priors: Path,
-    seed: int,
-    command: Sequence[str],
-    log: Log = silent,
+    study: Study, totals: Path, priors: Path, log: Log = silent
 ) -> dict[str, str]:
     """Weigh all cases, write page, table and figures; returns the first cause of every case."""
+    seed = study.seed
     branch, thrusts = a_branch()
     sections = [
         flight_section(totals, priors, seed, log),
@@ -199,23 +193,20 @@ def write_published_diagnosis(
         estimate_section("d", thrusts, seed, pair_table(branch, thrusts, seed)),
         on_time_section(totals, priors, seed, log),
     ]
-    frame = pd.concat([section.table() for section in sections])
-    write_text(folder / f"{NAME}.csv", frame.to_csv(index=False))
-    for section in sections:
-        write_bytes(folder / f"{NAME}-{section.key}.png", encode(section.figure, "png"))
-    write_text(folder / f"{NAME}.md", _page(sections, seed, command))
+    table = pd.concat([section.table() for section in sections])
+    figures = {f"-{section.key}": section.figure for section in sections}
+    title, body = "What published data say against their models", _body(sections)
+    study.publish(title, body, "studies.published_diagnosis", {"": table}, figures)
     return {section.key: section.first for section in sections}
 
 
-def _page(sections: Sequence[Section], seed: int, command: Sequence[str]) -> str:
+def _body(sections: Sequence[Section]) -> str:
     text = "\n".join(section.text(f"{NAME}-{section.key}.png") for section in sections)
-    return f"""# What published data say against their models
-
+    return f"""\
 Posterior probability of every cause, `none` and `unknown` included, with the prior of each effect's
 size half, once and twice as wide as the default. What the cases assume, and what their outcome
 means, is in [What the simulation gets wrong](../criticism.md). Units stand in the names of the
-parameters; `thrust_factor`, `scale` and `ratio` are fractions. Made by
-`{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__}; all numbers:
+parameters; `thrust_factor`, `scale` and `ratio` are fractions. All numbers:
 [{NAME}.csv]({NAME}.csv).
 
 {text}"""

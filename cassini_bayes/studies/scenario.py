@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.effects.own_files import guarded, load_module
-from cassini_bayes.effects.tables import Place, read_table, read_toml
+from cassini_bayes.effects.tables import Place, read_table
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, write_totals
 from cassini_bayes.files.storage import write_text
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors, read_priors
 from cassini_bayes.simulation import (
     Effect,
@@ -312,7 +313,7 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
         module = load_module(path) if path.suffix == ".py" else None
         if module is not None and hasattr(module, "simulate"):
             beside = path.with_suffix(".toml")
-            table = read_table(read_toml(beside), Place(beside))
+            table = read_table(read_toml(beside, "a table of effects"), Place(beside))
             keys = tuple(parameter.key for parameter in table.parameters)
             targets = None if table.targets == "none" else table.targets
             change = guarded(path, "simulate", module.simulate)

@@ -8,9 +8,8 @@ sampled and how noisy the wheels are; controls are likelihoods that must fail.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -22,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from cassini_bayes.balance.physics import physics_of
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
-from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import digest
+from cassini_bayes.files.code import identity
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.event_reduction import reduce_samples, sampling_of
 from cassini_bayes.model.posterior import Model, build_model, log_posterior, shared_of
@@ -54,6 +53,8 @@ EFFORTS: Final = ((15.0, 1, 2_500), (6.0, 3, 6_000), (5.0, 4, 12_000))
 # Some forty autocorrelation times of several hundred walkers: enough for 999 draws.
 CHAIN_STEPS: Final = 300
 TAKEOVER_S: Final = 30.0
+MODULE: Final = "studies.telemetry_calibration"
+"""Whose code, with all that it imports, a repetition runs through."""
 
 
 @dataclass(frozen=True)
@@ -100,11 +101,6 @@ CONTROLS: Final = (
 )
 
 
-def model_code_digest() -> str:
-    """Digest of all code that a repetition runs through: simulation, model, priors, draws."""
-    return code_digest("studies.telemetry_calibration")
-
-
 @dataclass(frozen=True)
 class TelemetryCampaign:
     """Repetitions of one variant: scenario, priors, seed."""
@@ -121,8 +117,8 @@ class TelemetryCampaign:
 
     def identity(self) -> str:
         """What finished repetitions depend on: variant, seed, scenario, priors, model code."""
-        scenario, priors = digest(Path(self.scenario_path)), digest(Path(self.priors_path))
-        return f"telemetry-sbc/{self.variant}/{self.seed}/{scenario}/{priors}/{model_code_digest()}"
+        settings = ["telemetry-sbc", asdict(self.variant), self.seed]
+        return identity(settings, [self.scenario_path, self.priors_path], MODULE)
 
     def names(self) -> tuple[str, ...]:
         """Names of the ranked scalars: walked parameters, thrusts and torques of the events."""
@@ -147,7 +143,7 @@ class TelemetryCampaign:
         narrow = Distribution("lognorm", {"s": 0.3, "scale": self.variant.wheel_noise_rpm})
         return priors.with_distribution("wheel_noise_rpm", narrow)
 
-    def repetition(self, index: int) -> tuple[Array, float, bool]:
+    def repetition(self, index: int) -> dict[str, Array | float | bool]:
         """Draw, fly, reduce, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in."""
         rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
         priors = self.priors()
@@ -157,12 +153,12 @@ class TelemetryCampaign:
         drawn = flat_draws(model, z, rng)
         truth = flat_truth(simulation)
         ranks = [rank(drawn[name], truth[name], rng) for name in self.names()]
-        return np.array(ranks), pareto_k, by_chain
+        return {"ranks": np.array(ranks), "pareto_k": pareto_k, "by_chain": by_chain}
 
     def simulate(self, priors: Priors, rng: np.random.Generator) -> Simulation:
         """Fly the scenario once, with wheel rates and truth of this repetition."""
         path = Path(self.scenario_path)
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = read_toml(path, "a scenario file")
         document["telemetry"] |= self.variant.telemetry
         document["event"] = [e for e in document["event"] if e["id"] in self.variant.events]
         draw_wheel_rates(document["event"], rng)

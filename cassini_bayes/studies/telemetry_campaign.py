@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import pandas as pd
 
-from cassini_bayes import __version__
-from cassini_bayes.files.storage import write_bytes, write_text
-from cassini_bayes.report.plots import encode
 from cassini_bayes.report.plots.envelopes import envelope_figure
 from cassini_bayes.results.ranks import (
     Ranks,
     coverage_p_values,
     envelope_p_values,
     holm,
-    read_ranks,
-    run_repetitions,
+    ranks_of,
 )
+from cassini_bayes.studies.study import Study
 from cassini_bayes.studies.telemetry_calibration import (
     CONTROLS,
+    MODULE,
     VARIANTS,
     TelemetryCampaign,
     Variant,
-    model_code_digest,
 )
 
 LEVEL: Final = 0.01
-REPETITIONS: Final[Mapping[str, int]] = {
+FULL: Final[Mapping[str, int]] = {
     **{variant.name: 100 for variant in VARIANTS},
     **{control.name: 30 for control in CONTROLS},
     "joint": 300,
@@ -40,7 +35,7 @@ REPETITIONS: Final[Mapping[str, int]] = {
 }
 ENOUGH: Final = 50
 """Repetitions of a variant from which its not being rejected says something."""
-QUICK: Final[Mapping[str, int]] = dict.fromkeys(REPETITIONS, 15) | {"joint": 40}
+QUICK: Final[Mapping[str, int]] = dict.fromkeys(FULL, 15) | {"joint": 40}
 
 
 @dataclass(frozen=True)
@@ -56,37 +51,27 @@ class Judgement:
 
 
 def calibrate_telemetry(
-    scenario: str,
-    priors: str,
-    *,
-    seed: int,
-    repetitions: Mapping[str, int],
-    folder: Path,
-    page: Path,
-    jobs: int,
-    command: Sequence[str],
-    progress: Callable[[str, int, int], None],
+    study: Study, scenario: str, priors: str, numbers: Mapping[str, int]
 ) -> bool:
-    """Run all variants and controls and write page, tables and figures.
+    """Run all variants and controls and write page, table and figure.
 
-    Returns whether every variant passes and every control fails.
+    ``numbers`` are repetitions by variant, as in :data:`FULL`. Returns whether every variant passes
+    and every control fails.
     """
     collected: dict[str, Ranks] = {}
     variants = (*VARIANTS, *CONTROLS)
     for variant in variants:
-        campaign = TelemetryCampaign(scenario, priors, seed, variant)
-        number = repetitions[variant.name]
-        for done, total in run_repetitions(campaign, number, folder / variant.name, jobs):
-            progress(variant.label, done, total)
-        collected[variant.name] = read_ranks(campaign, number, folder / variant.name)
+        campaign = TelemetryCampaign(scenario, priors, study.seed, variant)
+        found = study.repeat(variant.name, variant.label, campaign, numbers[variant.name])
+        collected[variant.name] = ranks_of(campaign.names(), found)
     main = judge({v.name: collected[v.name] for v in VARIANTS})
     controls = {v.name: judge({v.name: collected[v.name]}) for v in CONTROLS}
     figure = envelope_figure({v.label: collected[v.name] for v in variants}, 1.0 - LEVEL)
-    write_bytes(page.with_suffix(".png"), encode(figure, "png"))
     table = pd.concat([main.table, *(control.table for control in controls.values())])
-    write_text(page.with_suffix(".csv"), table.to_csv(index=False, float_format="%.4g"))
-    text = _page(page.stem, collected, main, controls, seed, command)
-    write_text(page, text)
+    body = _body(study.page.stem, collected, main, controls)
+    study.publish(
+        "Calibration of the joint model on telemetry", body, MODULE, {"": table}, {"": figure}
+    )
     return main.passed and not any(control.passed for control in controls.values())
 
 
@@ -129,13 +114,11 @@ def _row(variant: Variant, ranks: Ranks, judgement: Judgement) -> str:
     )
 
 
-def _page(
+def _body(
     stem: str,
     collected: Mapping[str, Ranks],
     main: Judgement,
     controls: Mapping[str, Judgement],
-    seed: int,
-    command: Sequence[str],
 ) -> str:
     rows = [_row(v, collected[v.name], main) for v in VARIANTS]
     rows += [_row(v, collected[v.name], controls[v.name]) for v in CONTROLS]
@@ -144,8 +127,7 @@ def _page(
     least = min(len(collected[v.name].ranks) for v in VARIANTS)
     if main.passed and least < ENOUGH:
         verdict = f"is not rejected (with {least} repetitions only gross faults would be)"
-    return f"""# Calibration of the joint model on telemetry
-
+    return f"""\
 Parameters drawn from the priors, wheel rates drawn anew, two wheel biases and a set of slews flown
 in closed loop by the [simulation](../simulation.md), telemetry reduced and fitted with the
 [joint model](../telemetry-likelihood.md), the rank of each true value among 999 posterior draws
@@ -165,8 +147,4 @@ variants. Each control is judged alone and has to fail.
 
 Every parameter: [{stem}.csv]({stem}.csv). Draws are importance draws where Pareto k̂ < 0.5, else a
 chain. Of the torques, which all events of a repetition share in truth and each fit has per event,
-the first event's are ranked.
-
-Seed {seed}, stated before the run. Made by `{" ".join(command)}` with cassini_bayes {__version__},
-Python {platform.python_version()}; SHA-256 of the model's code `{model_code_digest()[:16]}…`.
-"""
+the first event's are ranked. The seed was stated before the run."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
@@ -22,8 +21,7 @@ from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, wheel_momentum
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import digest
+from cassini_bayes.files.code import identity
 from cassini_bayes.model.draws import Draws, draw, draw_prior
 from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.model.totals import software_of
@@ -47,11 +45,8 @@ CONTROL_HOLD_RATE: Final = 1e-7
 COVERAGE_TOLERANCE: Final = 0.03
 LEAST_P_VALUE: Final = 0.01
 SETTLED_S: Final = 1e-9
-
-
-def model_code_digest() -> str:
-    """Digest of all code that a repetition runs through: simulation, model, priors, draws."""
-    return code_digest("studies.totals_calibration")
+MODULE: Final = "studies.totals_calibration"
+"""Whose code, with all that it imports, a repetition runs through."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +60,8 @@ class Campaign:
 
     def identity(self) -> str:
         """What finished repetitions depend on: control, seed, events, priors, model code."""
-        events, priors = digest(Path(self.events_path)), digest(Path(self.priors_path))
-        return f"totals-sbc/{self.control}/{self.seed}/{events}/{priors}/{model_code_digest()}"
+        settings = ["totals-sbc", self.control, self.seed]
+        return identity(settings, [self.events_path, self.priors_path], MODULE)
 
     @property
     def per_file(self) -> int:
@@ -82,7 +77,7 @@ class Campaign:
         spacecraft = read_priors(self.priors_path).spacecraft
         return tuple(with_room(event) for event in read_totals(self.events_path, spacecraft))
 
-    def repetition(self, index: int) -> tuple[Array, float, bool]:
+    def repetition(self, index: int) -> dict[str, Array | float | bool]:
         """Draw, simulate, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in for it."""
         priors, template = read_priors(self.priors_path), self._template()
         rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
@@ -111,7 +106,8 @@ class Campaign:
             rank(drawn[name], true_values[name][0], rng) if name in drawn else np.nan
             for name in true_values
         ]
-        return np.array(ranks), warm.draws.pareto_k, by_chain
+        k = warm.draws.pareto_k
+        return {"ranks": np.array(ranks), "pareto_k": k, "by_chain": by_chain}
 
 
 @dataclass(frozen=True)

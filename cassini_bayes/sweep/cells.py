@@ -19,7 +19,6 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
@@ -84,8 +83,7 @@ def cell_arrays(
         The changed priors are so extreme that the model cannot be computed.
     """
     try:
-        with threadpool_limits(1):  # cells are spread over processes; more threads would compete
-            return _cell_arrays(baseline, variation, refit)
+        return _cell_arrays(baseline, variation, refit)
     except np.linalg.LinAlgError as error:
         raise InputError(
             f"sweep: {variation.group}, {variation.label}",

@@ -13,8 +13,8 @@ from cassini_bayes.sweep.conflict import conflict_table
 from cassini_bayes.sweep.coordinates import block_coordinates
 from cassini_bayes.sweep.knowledge import knowledge_table
 from cassini_bayes.sweep.models import ModelFactory, values_of
+from cassini_bayes.sweep.plan import Sweep, baseline_table, sweep_table
 from cassini_bayes.sweep.scaling import components, power_scaling
-from cassini_bayes.sweep.study import Study, baseline_table, sweep_table
 
 
 @dataclass(frozen=True)
@@ -40,18 +40,18 @@ class SweepTables:
         }
 
 
-def tables_of(study: Study, store: CheckpointStore, factory: ModelFactory, fit: Fit) -> SweepTables:
+def tables_of(sweep: Sweep, store: CheckpointStore, factory: ModelFactory, fit: Fit) -> SweepTables:
     """Every table of a finished sweep."""
-    names, units = study.baseline.names, study.units
+    names, units = sweep.baseline.names, sweep.units
     blocks = block_coordinates(factory.build(factory.priors), factory.priors, fit)
     values = values_of(fit.posterior, names)
     chains = fit.posterior.sizes["chain"]
-    cells = sweep_table(study, store)
+    cells = sweep_table(sweep, store)
     left_out = cells[(cells["kind"] == "without") & cells["reported"]]
     worth = left_out.assign(event=left_out["change"].str.removeprefix("without "))
     columns = ["event", "quantity", "unit", "estimate", "pareto_k", "shift_sd", "shift_error"]
     return SweepTables(
-        baseline=baseline_table(study),
+        baseline=baseline_table(sweep),
         sweep=cells,
         scaling=power_scaling(components(fit), names, values, units),
         knowledge=knowledge_table(blocks, chains, names, values, units),

@@ -180,7 +180,7 @@ def test_files_that_are_not_there(capsys: Captured, tmp_path: Path) -> None:
         capsys, tmp_path, flight, "--priors", good.replace("2010", "2011")
     )
     assert "write event.toml" in fit_refused(capsys, tmp_path, str(tmp_path), "--priors", good)
-    assert "directory" in fit_refused(capsys, tmp_path, flight, "--priors", str(tmp_path))
+    assert "a folder" in fit_refused(capsys, tmp_path, flight, "--priors", str(tmp_path))
     unknown = fit_refused(capsys, tmp_path, f"{flight}:2009-08-23", "--priors", good)
     assert f"{flight}:2009-08-23" in unknown
     assert "no such file" in refused(capsys, "run", str(tmp_path / "none.toml"))
@@ -254,7 +254,7 @@ def test_system_errors_are_one_line(
     def broken(*_: object, **__: object) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO), "/dev/disk")
 
-    monkeypatch.setattr("cassini_bayes.cli.fits.execute", broken)
+    monkeypatch.setattr("cassini_bayes.pipeline.run.execute", broken)
     message = refused(capsys, "run", str(run_cases.write_run(tmp_path)))
     assert "/dev/disk" in message
     assert os.strerror(errno.EIO) in message
@@ -268,7 +268,7 @@ def test_other_errors_of_the_package_end_with_one(
     def broken(*_: object, **__: object) -> None:
         raise CassiniBayesError("log density is nan\nat z = [1]")
 
-    monkeypatch.setattr("cassini_bayes.cli.fits.execute", broken)
+    monkeypatch.setattr("cassini_bayes.pipeline.run.execute", broken)
     assert run_cases.command(["run", str(run_cases.write_run(tmp_path))]) == 1
     assert capsys.readouterr().err == "error: log density is nan at z = [1]\n"
 
@@ -344,7 +344,7 @@ def test_exit_status_tells_convergence(
     def done(*_: object, **__: object) -> Outcome:
         return Outcome(tmp_path, None, converged, 1.0)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("cassini_bayes.cli.fits.execute", done)
+    monkeypatch.setattr("cassini_bayes.pipeline.run.execute", done)
     run_file = str(run_cases.write_run(tmp_path))
     assert run_cases.command(["run", run_file, "--quiet"]) == status
     output = capsys.readouterr()
@@ -352,3 +352,46 @@ def test_exit_status_tells_convergence(
     assert (output.err == "") is converged
     assert run_cases.command(["run", run_file]) == status
     assert capsys.readouterr().out == f"{tmp_path / 'summary.csv'}\n"
+
+
+def started(folder: Path, module: str, source: str, *arguments: str) -> tuple[int, str]:
+    """Exit status and standard error of a new process that finds another ``module`` first."""
+    (folder / f"{module}.py").write_text(source)
+    done = subprocess.run(
+        [sys.executable, "-m", "cassini_bayes", *arguments],
+        env={**os.environ, "PYTHONPATH": f"{folder}:{run_cases.ROOT}"},
+        capture_output=True,
+        text=True,
+        cwd=folder,
+    )
+    return done.returncode, done.stderr
+
+
+# typer is imported at the start, numpy by a command, arviz in the middle of a report
+@pytest.mark.parametrize("module", ["typer", "numpy"])
+def test_an_interrupt_of_an_import_is_one_line(tmp_path: Path, module: str) -> None:
+    """Ctrl-C while libraries are loaded: exit 130, no traceback."""
+    arguments = ("run", str(run_cases.write_run(tmp_path)))
+    status, said = started(tmp_path, module, "raise KeyboardInterrupt", *arguments)
+    assert status == 130
+    assert said.startswith("stopped")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "error"),
+    [
+        ("numpy", "ImportError('no such symbol', name='numpy')"),
+        ("numpy", "OSError('half')"),
+        ("arviz", "AttributeError('too old')"),
+    ],
+)
+def test_a_library_that_cannot_be_imported_is_one_line(
+    tmp_path: Path, module: str, error: str
+) -> None:
+    """A half-installed library: exit 2, its name and what to do."""
+    arguments = ("run", str(run_cases.write_run(tmp_path)), "--quiet")
+    status, said = started(tmp_path, module, f"raise {error}", *arguments)
+    assert status == 2, said
+    assert said.startswith("error: ")
+    assert said.count("\n") == 1

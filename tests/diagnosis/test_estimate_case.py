@@ -175,10 +175,10 @@ def test_estimates_that_nothing_tells_apart_are_one_group() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("0.82,", "much,", "row 7, column thrust_n"),
-        ("0.125,no", "0.125;0.25,no", "row 5, column on_time_per_pulse_s"),
-        ("all,0.80", "q9,0.80", "row 5, column thruster"),
-        ("pulses,on", "pulse,on", "row 1"),
+        ("0.82,", "much,", "line 7, column thrust_n"),
+        ("0.125,no", "0.125;0.25,no", "line 5, column on_time_per_pulse_s"),
+        ("all,0.80", "q9,0.80", "line 5, column thruster"),
+        ("pulses,on", "pulse,on", "line 4"),
     ],
 )
 def test_bad_estimates_are_refused(tmp_path: Path, old: str, new: str, told: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import errno
-import hashlib
 import math
 import os
 from collections.abc import Callable
@@ -22,7 +21,6 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import (
     SOURCES,
     TotalsEvent,
-    file_digest,
     read_totals,
     totals_columns,
     write_totals,
@@ -334,8 +332,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     path.write_bytes(SMALL.read_bytes().replace(b"b-one", b"b-\xb5ne", 1))
     with pytest.raises(InputError, match="line 2: expected UTF-8"):
         read_totals(path, CASSINI)
-    with pytest.raises(InputError, match="no such file"):
-        file_digest(tmp_path / "nothing.csv")
 
 
 def test_choices_that_are_not_there() -> None:
@@ -346,11 +342,6 @@ def test_choices_that_are_not_there() -> None:
         read_totals(SMALL, CASSINI, "fsds")
     with pytest.raises(InputError, match="only flight has"):
         read_totals(f"{SMALL}:a-two", CASSINI, "gsw")
-
-
-def test_digest_is_sha256() -> None:
-    """The digest of the bytes, as hashlib computes it at once."""
-    assert file_digest(SMALL) == hashlib.sha256(SMALL.read_bytes()).hexdigest()
 
 
 def test_written_events_are_read_back(tmp_path: Path) -> None:

@@ -43,9 +43,11 @@ def test_text_and_bytes_come_back(tmp_path: Path) -> None:
 
 
 def test_digest_is_sha256(tmp_path: Path) -> None:
-    """The digest is hashlib's."""
+    """The digest is hashlib's; a file that is not there is one line."""
     write_bytes(tmp_path / "x", b"abc")
     assert digest(tmp_path / "x") == hashlib.sha256(b"abc").hexdigest()
+    with pytest.raises(InputError, match="no such file"):
+        digest(tmp_path / "y")
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, InputError("a", "b", "c", "d")])

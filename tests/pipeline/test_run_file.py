@@ -74,10 +74,10 @@ def test_the_flight_run_file_is_good() -> None:
         (f"{LEAST}[output]\nzzz = 1", "output.zzz", "folder", "unknown", "known: folder"),
         ('events = ["two.csv"]', "priors", "a value", "nothing", "add priors"),
         ('priors = "b"', "events", "a value", "nothing", "add events"),
-        ('priors = "b"\nevents = []', "events", "at least one", "empty", "file.csv"),
+        ('priors = "b"\nevents = []', "events", "at least one", "[]", "file.csv"),
         ('priors = "b"\nevents = "x.csv"', "events", "list", "'x.csv'", 'events = ["x.csv"]'),
         ('priors = "b"\nevents = 4', "events", "list", "4", "brackets"),
-        ('priors = "b"\nevents = [3]', "events.0", "text", "3", "change events.0"),
+        ('priors = "b"\nevents = [3]', "events[1]", "text", "3", "change events[1]"),
         ('priors = 5\nevents = ["a"]', "priors", "text", "5", "change priors"),
         (f"model = 3\n{LEAST}", "model", "a table [model]", "3", "[model]"),
         (f"{LEAST}[sampler]\nensembles = '4'", "sampler.ensembles", "whole", "'4'", "change"),
@@ -149,7 +149,7 @@ def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
         read_run_file(tmp_path / "fligth.toml")
     with pytest.raises(InputError, match="no such file"):
         read_run_file(tmp_path / "nowhere" / "run.toml")
-    with pytest.raises(InputError, match="Is a directory"):
+    with pytest.raises(InputError, match="a folder"):
         read_run_file(tmp_path)
 
 

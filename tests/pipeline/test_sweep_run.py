@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 from run_cases import Forked, command, small_table, write_run
 from sweep_cases import small_fit, toy_baseline
 
+from cassini_bayes.computing.workers import LocalWorkers, workers_at
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.pieces import finished as finished_cell
+from cassini_bayes.files.pieces import run_pieces
 from cassini_bayes.files.storage import is_leftover
 from cassini_bayes.report.sweep import BEGIN, END, with_section
 from cassini_bayes.results.record import save_fit
 from cassini_bayes.sweep.cells import cell_arrays
-from cassini_bayes.sweep.grid import run_cells, stored_cell, workers_at
 from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
 from cassini_bayes.sweep.variations import Variation
 
@@ -163,8 +165,8 @@ def test_two_dask_workers_give_the_same_cells(tmp_path: Path) -> None:
         )
     }
     local = CheckpointStore(tmp_path / "local", "same")
-    with workers_at(1, None) as here:
-        assert list(run_cells(cell_arrays, baseline, cells, local, here))[-1] == (3, 3)
+    here = LocalWorkers(1)
+    assert list(run_pieces(cell_arrays, baseline, cells, local, here))[-1] == (3, 3)
     remote = CheckpointStore(tmp_path / "dask", "same")
     with (
         distributed.LocalCluster(
@@ -172,9 +174,9 @@ def test_two_dask_workers_give_the_same_cells(tmp_path: Path) -> None:
         ) as cluster,
         workers_at(1, cluster.scheduler_address) as there,
     ):
-        assert list(run_cells(cell_arrays, baseline, cells, remote, there))[-1] == (3, 3)
+        assert list(run_pieces(cell_arrays, baseline, cells, remote, there))[-1] == (3, 3)
     for name in cells:
-        ours, theirs = stored_cell(local, name), stored_cell(remote, name)
+        ours, theirs = finished_cell(local, name), finished_cell(remote, name)
         assert ours.keys() == theirs.keys()
         assert all(np.array_equal(ours[key], theirs[key]) for key in ours)
 
@@ -186,10 +188,10 @@ def test_processes_give_the_same_cells(tmp_path: Path) -> None:
     cells = {cell.key: (cell, "auto"), "same-again": (cell, "auto")}
     stores = [CheckpointStore(tmp_path / str(jobs), "same") for jobs in (1, 2)]
     for jobs, store in enumerate(stores, start=1):
-        with workers_at(jobs, None) as workers:
-            assert list(run_cells(cell_arrays, baseline, cells, store, workers))[-1] == (2, 2)
-            assert list(run_cells(cell_arrays, baseline, cells, store, workers)) == [(2, 2)]
-    ours, theirs = (stored_cell(store, cell.key) for store in stores)
+        workers = LocalWorkers(jobs)
+        assert list(run_pieces(cell_arrays, baseline, cells, store, workers))[-1] == (2, 2)
+        assert list(run_pieces(cell_arrays, baseline, cells, store, workers)) == [(2, 2)]
+    ours, theirs = (finished_cell(store, cell.key) for store in stores)
     assert all(np.array_equal(ours[key], theirs[key]) for key in ours)
 
 

@@ -99,7 +99,7 @@ def test_one_sided_on_times_deliver_the_momentum() -> None:
 
 def test_the_layout_is_that_of_paper_001() -> None:
     """X and Y share the Z thrusters in a ring, Y1–Y3 and Y2–Y4 are the couples."""
-    layout, names = pair_layout(model().spacecraft, "B"), model().stack.thrusters
+    layout, names = pair_layout(model().spacecraft, "B"), model().totals_rows.stack.thrusters
     assert [[names[k] for k in row] for row in layout.ring] == [["z4", "z3"], ["z1", "z2"]]
     units = ["-".join(names[k] for k in unit) for unit in layout.units]
     assert units == ["y1-y3", "y2-y4", "z1", "z2", "z3", "z4"]
@@ -318,7 +318,10 @@ def test_predicted_on_times_balance_the_momentum() -> None:
     times = (np.asarray(drawn.parameters[n]) for n in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
     pulses = quiet.on_time_s * rate[:, None]
     effective = effective_on_time(
-        model().pulse_shape, quiet.on_time_s, pulses, *(np.atleast_1d(t)[:, None] for t in times)
+        model().totals_rows.pulse_shape,
+        quiet.on_time_s,
+        pulses,
+        *(np.atleast_1d(t)[:, None] for t in times),
     )
     trend = learned().thrust_trend
     moved = float((trend.at(event.epoch) - trend.centre).mean())

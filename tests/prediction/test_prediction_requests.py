@@ -107,6 +107,15 @@ def test_bad_epochs_and_rates_are_refused() -> None:
     assert parse_rates("rwa1: 5, rwa4: -7", CRAFT, "--from") == {1: 5.0, 4: -7.0}
 
 
+@pytest.mark.parametrize("rate", ["9" * 100_000, "9" * 100_000 + "x", "1." + "3" * 100_000])
+def test_rates_have_few_digits(rate: str) -> None:
+    """Digits without end are refused at once, not taken as an infinite rate."""
+    with pytest.raises(InputError, match="rev/min"):
+        parse_bias(f"rwa1: 0 -> {rate}", CRAFT)
+    with pytest.raises(InputError, match="rev/min"):
+        parse_rates(f"rwa1: {rate}", CRAFT, "--from")
+
+
 def test_a_file_of_biases_is_read(tmp_path: Path) -> None:
     """Empty cells are wheels that are not prime; epoch and quaternion are optional."""
     path = tmp_path / "biases.csv"

@@ -324,11 +324,11 @@ BAD_FILES = {
     "unknown branch": (('branch = "B"', 'branch = "C"'), ["spacecraft.branch", "'C'", "A, B"]),
     "no branch": (('branch = "B"\n', ""), ["spacecraft.branch", "nothing"]),
     "branch is a number": (('branch = "B"', "branch = 2"), ["spacecraft.branch", "2"]),
-    "unknown wheel": (("[1, 2, 4]", "[1, 2, 7]"), ["spacecraft.wheels[2]", "7", "[1, 2, 3, 4]"]),
-    "repeated wheel": (("[1, 2, 4]", "[1, 2, 2]"), ["spacecraft.wheels[2]", "2 twice"]),
-    "negative wheel": (("[1, 2, 4]", "[1, -2, 4]"), ["spacecraft.wheels[1]", "-2"]),
-    "wheel as text": (("[1, 2, 4]", '[1, "2", 4]'), ["spacecraft.wheels[1]", "'2'"]),
-    "wheel is true": (("[1, 2, 4]", "[true, 2, 4]"), ["spacecraft.wheels[0]", "True"]),
+    "unknown wheel": (("[1, 2, 4]", "[1, 2, 7]"), ["spacecraft.wheels[3]", "7", "[1, 2, 3, 4]"]),
+    "repeated wheel": (("[1, 2, 4]", "[1, 2, 2]"), ["spacecraft.wheels[3]", "2 twice"]),
+    "negative wheel": (("[1, 2, 4]", "[1, -2, 4]"), ["spacecraft.wheels[2]", "-2"]),
+    "wheel as text": (("[1, 2, 4]", '[1, "2", 4]'), ["spacecraft.wheels[2]", "'2'"]),
+    "wheel is true": (("[1, 2, 4]", "[true, 2, 4]"), ["spacecraft.wheels[1]", "True"]),
     "no wheels": (("[1, 2, 4]", "[]"), ["spacecraft.wheels", "[]"]),
     "wheels no list": (("[1, 2, 4]", "124"), ["spacecraft.wheels", "124"]),
     "misspelt parameter": (("cm_x_m]", "cm_x]"), ["parameters.cm_x", "did you mean 'cm_x_m'"]),
@@ -429,7 +429,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a priors file"):
         read_priors(tmp_path)
     (tmp_path / "latin.toml").write_bytes(b"[spacecraft]\n# 5 \xb5N m\n")
-    with pytest.raises(InputError, match=r"UTF-8.*line 2"):
+    with pytest.raises(InputError, match=r"line 2: expected UTF-8"):
         read_priors(tmp_path / "latin.toml")
     (tmp_path / "empty.toml").write_text("")
     with pytest.raises(InputError, match="spacecraft"):

@@ -5,22 +5,22 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up_review import full_figures, full_review, made_up_review
+from made_up_review import full_figures, full_review, made_up_review, without_corners
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import same_color
+from matplotlib.text import Text
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.report import figures_of, sections_of
-from cassini_bayes.report.page import Section
 from cassini_bayes.report.plots import Figure, encode, is_corner, save_figures
 from cassini_bayes.report.plots.checks import balance_figure
 from cassini_bayes.report.plots.corners import corner_figure
+from cassini_bayes.report.plots.powers import plain
 from cassini_bayes.report.plots.quantities import (
     decimals_for,
     display_scale,
@@ -181,20 +181,14 @@ def test_thrusters_keep_their_colour_and_twelve_differ() -> None:
     assert len({(s.colour, s.marker) for s in repeated.values()}) == 24
 
 
-def without_corners(section: Section) -> Section:
-    """A section without the corner plots of nuisances."""
-    kept = (b for b in section.blocks if not getattr(b, "name", "").startswith("corner_nuisances"))
-    return replace(section, blocks=tuple(kept))
-
-
 @pytest.mark.parametrize(
     "shape",
     [
-        {"n_events": 1, "delta_v": False},
-        {"n_thrusters": 12, "n_events": 3},
-        {"baseline": False, "delta_v": False},
-        {"missing_cells": True},
-        {"n_events": 20, "n_thrusters": 5},
+        {"n_events": 1, "n_thrusters": 4, "delta_v": False},
+        {"n_events": 2, "n_thrusters": 12},
+        {"n_events": 3, "n_thrusters": 2, "baseline": False, "delta_v": False},
+        {"n_events": 3, "n_thrusters": 4, "missing_cells": True},
+        {"n_events": 20, "n_thrusters": 3},
         {"n_events": 1, "n_thrusters": 1},
     ],
     ids=str,
@@ -209,6 +203,33 @@ def test_other_shapes_of_run_draw_too(shape) -> None:
     for name, figure in figures.items():
         assert unlabelled(figure) == [], name
         assert outside(figure) == [], name
+
+
+def test_a_dollar_in_a_name_is_a_dollar() -> None:
+    """Names that would be broken mathematics are drawn, and shown as they are."""
+    names = [r"a $\frac$ b", "$x_$", "100$"]
+    review = made_up_review(n_thrusters=2, draws=40, event_ids=names)
+    figures = figures_of([*map(without_corners, sections_of(review))])
+    shown = set()
+    for figure in figures.values():
+        assert encode(figure, "svg")
+        shown |= {text.get_text() for text in figure.findobj(Text)}
+    assert all(any(name in text for text in shown) for name in names)
+    assert not any("mathdefault" in text for text in shown)
+
+
+@pytest.mark.parametrize(
+    ("label", "text"),
+    [
+        (r"$\mathdefault{10^{3}}$", "10³"),
+        (r"$\mathdefault{-2\times10^{-12}}$", "−2×10⁻¹²"),
+        (r"$\mathdefault{0}$", "0"),
+        ("", ""),
+    ],
+)
+def test_powers_are_plain_text(label: str, text: str) -> None:
+    """What matplotlib writes as mathematics, written with raised digits."""
+    assert plain(label) == text
 
 
 def test_fixed_missing_or_too_few_draws_do_not_break_a_corner_plot() -> None:
@@ -291,13 +312,17 @@ def test_a_place_that_cannot_be_written_is_an_input_error(figures, tmp_path: Pat
 
 
 def test_making_figures_leaves_no_global_state(review: Review) -> None:
-    """No figure is registered with pyplot, and matplotlib's settings are as before."""
+    """No figure is registered with pyplot, and matplotlib's settings are as before.
+
+    Of the corner plots, slow to draw, that of the thrusts is enough.
+    """
     program = (
         "import matplotlib; before = dict(matplotlib.rcParams)\n"
-        "from made_up_review import made_up_review\n"
+        "from made_up_review import made_up_review, without_corners\n"
         "from cassini_bayes.report import figures_of, sections_of\n"
         "from cassini_bayes.report.plots import encode\n"
-        "sections = sections_of(made_up_review(n_events=2, draws=40))\n"
+        "review = made_up_review(n_events=2, n_thrusters=4, draws=40)\n"
+        "sections = [*map(without_corners, sections_of(review))]\n"
         "encode(figures_of(sections)['balance'], 'svg')\n"
         "import matplotlib.pyplot as plt\n"
         "changed = [k for k in before if k != 'backend' and matplotlib.rcParams[k] != before[k]]\n"

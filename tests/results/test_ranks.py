@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from cassini_bayes.computing.arrays import Array
-from cassini_bayes.errors import CassiniBayesError
 from cassini_bayes.results.ranks import (
     NULL_DRAWS,
     Ranks,
@@ -18,8 +14,7 @@ from cassini_bayes.results.ranks import (
     envelope_p_values,
     holm,
     rank,
-    read_ranks,
-    run_repetitions,
+    ranks_of,
 )
 
 
@@ -81,30 +76,10 @@ def test_ranks_count_draws_below_and_break_ties_at_random() -> None:
     assert abs(ties.mean() - 0.5) < 4 / np.sqrt(12 * 400)
 
 
-class Coin:
-    """A campaign whose ranks are plain random numbers."""
-
-    per_file = 2
-
-    def identity(self) -> str:
-        return "coin"
-
-    def names(self) -> tuple[str, ...]:
-        return ("head",)
-
-    def repetition(self, index: int) -> tuple[Array, float, bool]:
-        return np.random.default_rng(index).uniform(size=1), 0.1, False
-
-
-def test_a_campaign_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    """Only files that are missing are run again, and the result is the same."""
-    campaign = Coin()
-    assert list(run_repetitions(campaign, 6, tmp_path, 1))[-1] == (6, 6)
-    whole = read_ranks(campaign, 6, tmp_path)
-    (tmp_path / "ranks_00001.npz").unlink()
-    with pytest.raises(CassiniBayesError, match="missing"):
-        read_ranks(campaign, 6, tmp_path)
-    assert list(run_repetitions(campaign, 6, tmp_path, 1)) == [(4, 6), (6, 6)]
-    again = read_ranks(campaign, 6, tmp_path)
-    assert np.array_equal(whole.ranks, again.ranks)
-    assert isinstance(again, Ranks)
+def test_ranks_are_gathered_from_repetitions() -> None:
+    """Arrays of repetitions, in whatever type they were kept, are ranks with their names."""
+    kept = {"ranks": np.array([[0.1, 0.2]]), "pareto_k": np.array([0.3]), "by_chain": np.array([1])}
+    found = ranks_of(["a", "b"], kept)
+    assert isinstance(found, Ranks)
+    assert found.names == ("a", "b")
+    assert found.by_chain.tolist() == [True]

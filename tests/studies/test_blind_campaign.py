@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from study_cases import study_in
 
 from cassini_bayes.studies.blind import campaign as blind_campaign
 from cassini_bayes.studies.blind.campaign import read_trials, run_campaign, write_results
 from cassini_bayes.studies.blind.flights import Blind
 from cassini_bayes.studies.blind.rates import first, interval, named, rates, reliability
-from cassini_bayes.studies.blind.trials import is_done, run_trial, trial_file
+from cassini_bayes.studies.blind.trials import run_trial
 
 
 def record(index: int, stratum: str, hidden: str | None, said: str, **other: Any) -> dict[str, Any]:
@@ -88,7 +90,7 @@ def test_page_lists_failures_and_claims_no_goal_on_few_trials(tmp_path: Path) ->
         (tmp_path / f"trial_{own['index']:04d}.json").write_text(json.dumps(own))
     (tmp_path / "trial_0099.json").write_text(json.dumps({**RECORDS[0], "seed": 6}))
     assert len(read_trials(tmp_path, 5)) == len(RECORDS)
-    write_results(tmp_path, tmp_path / "page", 5, ["command"])
+    write_results(study_in(tmp_path, tmp_path / "page" / "index.md"))
     page = (tmp_path / "page" / "index.md").read_text()
     assert "8 trials" in page
     assert "| 4 | clear | time_offset | 6.00 | rate_scale:z | 0.900 |" in page
@@ -111,47 +113,36 @@ def test_rate_of_no_trials_is_open() -> None:
 
 
 def test_failed_trial_is_a_miss_with_its_message(tmp_path: Path) -> None:
-    """A trial that raises is recorded once with its message, and counts as a miss."""
+    """A trial that raises is recorded with its message, and counts as a miss."""
     campaign = Blind(tmp_path / "no such scenario.toml", tmp_path / "no priors.toml", 5, ("a",))
-    for index in range(3):
-        run_trial(campaign, index, tmp_path)
-    found = json.loads(trial_file(tmp_path, 0).read_text())
+    found = run_trial(campaign, 0)
     assert "no priors.toml" in found["error"]
-    assert is_done(campaign, 0, tmp_path, found["code"])
-    assert not is_done(campaign, 0, tmp_path, "another code")
-    assert not is_done(campaign, 4, tmp_path, found["code"])
+    assert (found["index"], found["seed"], found["events"]) == (0, 5, ["a"])
     mixed = [*RECORDS[2:4], {"index": 9, "stratum": "clear", "error": "ValueError: bad"}]
     table = rates(mixed).set_index("rate")
     assert table.loc["clear: named first (confounded group counts)", "value"] == 2 / 3
     assert table.loc["all: trial failed", "hits"] == 1
 
 
-def test_half_written_and_foreign_records_are_not_done(tmp_path: Path) -> None:
-    """A record cut in half, of another seed or of other events is done again."""
-    campaign = Blind(Path("s"), Path("p"), 5, ("a",))
-    whole = {"seed": 5, "code": "abc", "events": ["a"]}
-    for text, done in (
-        (json.dumps(whole), True),
-        (json.dumps(whole)[:-3], False),
-        (json.dumps(whole | {"seed": 6}), False),
-        (json.dumps(whole | {"events": ["b"]}), False),
-    ):
-        trial_file(tmp_path, 0).write_text(text)
-        assert is_done(campaign, 0, tmp_path, "abc") is done
-
-
 def test_campaign_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is there is not done again, by one process or two; what is missing is done once."""
+    """What is there is not done again, by one process or two; what is missing is done once.
+
+    Trials of other code are.
+    """
     campaign = Blind(tmp_path / "no scenario.toml", tmp_path / "no priors.toml", 5, ("a",))
-    assert list(run_campaign(campaign, 3, tmp_path, 2))[-1] == (3, 3)
+    run_campaign(study_in(tmp_path, jobs=2), campaign, 3)
     before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.glob("trial_*")}
-    trial_file(tmp_path, 1).unlink()
-    assert list(run_campaign(campaign, 3, tmp_path, 1)) == [(2, 3), (3, 3)]
+    assert len(before) == 3
+    (tmp_path / "trial_0001.json").unlink()
+    run_campaign(study_in(tmp_path), campaign, 3)
     after = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.glob("trial_*")}
     assert {n: b for n, (b, _) in after.items()} == {n: b for n, (b, _) in before.items()}
     assert [n for n in after if after[n][1] != before[n][1]] == ["trial_0001.json"]
     monkeypatch.setattr(blind_campaign, "trial_code", lambda: "other code")
-    assert next(run_campaign(campaign, 3, tmp_path, 1)) == (0, 3)
+    told: list[tuple[int, int]] = []
+    study = replace(study_in(tmp_path), progress=lambda _, done, total: told.append((done, total)))
+    run_campaign(study, campaign, 3)
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
 def test_a_pair_counts_by_its_groups_one_for_each() -> None:

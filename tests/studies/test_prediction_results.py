@@ -51,10 +51,10 @@ from cassini_bayes.report.plots.prediction import (
     totals_figure,
 )
 from cassini_bayes.studies.closed_loop import simulate_request
-from cassini_bayes.studies.prediction import page_text
-from cassini_bayes.studies.prediction.study import (
+from cassini_bayes.studies.prediction import page_body
+from cassini_bayes.studies.prediction.findings import (
     COLUMNS,
-    Study,
+    Findings,
     hydrazine_floor,
     scaled_firing,
     table_csv,
@@ -381,20 +381,19 @@ def test_figures_are_drawn() -> None:
 def test_the_page_reports_what_was_scored() -> None:
     """Skill, verdicts and every event stand on the page; the CSV has a row per on-time."""
     scores = skill(folds())
-    study = Study(
+    findings = Findings(
         events=flights(3)[0],
         columns={source: column(source, 3) for source in COLUMNS},
         folds=folds(),
         scores=scores,
         requirement={h.event.id: requirements(h.learned, request_of(h.event), 1) for h in folds()},
         sensitivity={"halved": scores, "doubled": scores},
-        seconds=1.0,
     )
-    text = page_text(study, flights()[1], "prediction", 5, ["cassini-bayes", "calibrate"])
+    text = page_body(findings, flights()[1], "prediction")
     assert f"**{scores['on_time'].mean_absolute_difference:.2f}**" in text
     assert text.count("| predicted |") == 3
-    assert table_csv(study).count("\n") == 1 + 18
-    assert set(hydrazine_floor(study)) == {"flight", "flight, by axis", "fsds"}
+    assert table_csv(findings).count("\n") == 1 + 18
+    assert set(hydrazine_floor(findings)) == {"flight", "flight, by axis", "fsds"}
 
 
 def test_scaled_priors_scale_the_firing_logic_only() -> None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import csv
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
+from study_cases import study_in
 
 from cassini_bayes.report.plots.simulation import motion_figure
 from cassini_bayes.simulation import read_scenario
 from cassini_bayes.simulation.settings import PropulsionSettings
-from cassini_bayes.studies.simulation import biases, main
+from cassini_bayes.studies.simulation import biases, page, simulation_results
 from cassini_bayes.studies.simulation.cases import simulated
 from cassini_bayes.studies.simulation.fsds import fsds_section, naive_thrust_n
 from cassini_bayes.studies.simulation.mechanics import (
@@ -32,15 +34,22 @@ from cassini_bayes.studies.simulation.tables import markdown
 ROOT = Path(__file__).parents[2]
 
 
+@cache
+def fsds() -> tuple[str, list[list[str]]]:
+    """The section on the FSDS case, eight flights of it, made once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        return fsds_section()
+
+
 def mean(cell: str) -> float:
     """The mean of a cell that reads mean ± standard deviation."""
     return float(cell.split(" ± ")[0])
 
 
-def test_the_fsds_case_gives_the_naive_thrust_of_paper_000(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fsds_case_gives_the_naive_thrust_of_paper_000() -> None:
     """0.98 N for a truth of 0.75 N, and the truth once divided by effective over commanded time."""
-    monkeypatch.chdir(ROOT)
-    _, rows = fsds_section()
+    _, rows = fsds()
     header, paper, first = rows[0], rows[1], rows[2]
     naive, corrected = header.index("naive thrust [N]"), header.index("corrected [N]")
     assert paper[naive] == "0.98"
@@ -128,7 +137,9 @@ def test_the_page_is_written_with_its_tables_and_pictures(
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(biases, "SCAN", {"as in the scenario": {}})
     monkeypatch.setattr(biases, "TAIL_OFFS_S", ())
-    main(["--out", str(tmp_path), "--seeds", "1", "--scan-seeds", "1"])
+    monkeypatch.setattr(page, "fsds_section", fsds)
+    study = study_in(tmp_path, tmp_path / "simulation.md", seed=1)
+    simulation_results(study, {"eight wheel biases": 1, "scan of settings": 1})
     text = (tmp_path / "simulation.md").read_text("utf-8")
     for name in ("simulation_biases.png", "simulation_event.png"):
         assert name in text

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from totals_cases import B_BRANCH, FLIGHT, flight, plain_log_likelihood, point
 
-from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.model import build_model, draw_prior
-from cassini_bayes.results.ranks import Ranks, read_ranks, run_repetitions
+from cassini_bayes.results.ranks import Ranks
 from cassini_bayes.studies import totals_calibration as calibration
 from cassini_bayes.studies.totals_calibration import (
     Campaign,
@@ -79,14 +78,12 @@ def test_simulated_on_times_respond_and_stay_positive() -> None:
 
 def test_repetition_is_reproducible_and_complete() -> None:
     """The same campaign and index give the same ranks, all of them fractions, one per parameter."""
-    first, k, _ = CAMPAIGN.repetition(7)
-    again, _, _ = CAMPAIGN.repetition(7)
-    other, _, _ = CAMPAIGN.repetition(8)
+    first, again, other = (CAMPAIGN.repetition(i)["ranks"] for i in (7, 7, 8))
+    assert isinstance(first, np.ndarray)
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
     assert len(first) == len(CAMPAIGN.names())
     assert ((first >= 0) & (first <= 1)).all()
-    assert np.isfinite(k)
 
 
 def test_judgement_passes_uniform_ranks_and_fails_shifted_ones() -> None:
@@ -110,29 +107,22 @@ def test_controls_fail_where_the_model_passes() -> None:
     average = {}
     for control in calibration.CONTROLS:
         campaign = replace(CAMPAIGN, control=control)
-        ranks = np.stack([campaign.repetition(index)[0][thrusts] for index in range(6)])
+        ranks = np.stack([campaign.repetition(index)["ranks"][thrusts] for index in range(6)])
         average[control] = ((ranks > 0.05) & (ranks < 0.95)).mean()
     assert average["none"] > 0.8
     assert average["hold-rates-ignored"] < average["none"] - 0.05
     assert average["rectangular-pulses"] < 0.4
 
 
-def test_campaign_resumes_and_refuses_foreign_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Finished repetitions are kept; only missing ones run again; another seed's are refused."""
-    monkeypatch.setattr(calibration, "REPETITIONS_PER_FILE", 1)
-    assert list(run_repetitions(CAMPAIGN, 2, tmp_path, 1))[-1] == (2, 2)
-    whole = read_ranks(CAMPAIGN, 2, tmp_path)
-    kept = (tmp_path / "ranks_00000.npz").stat().st_mtime_ns
-    (tmp_path / "ranks_00001.npz").unlink()
-    with pytest.raises(CassiniBayesError, match="missing"):
-        read_ranks(CAMPAIGN, 2, tmp_path)
-    assert list(run_repetitions(CAMPAIGN, 2, tmp_path, 1)) == [(1, 2), (2, 2)]
-    assert np.array_equal(read_ranks(CAMPAIGN, 2, tmp_path).ranks, whole.ranks)
-    assert (tmp_path / "ranks_00000.npz").stat().st_mtime_ns == kept
-    with pytest.raises(InputError, match="another run"):
-        read_ranks(replace(CAMPAIGN, seed=4), 2, tmp_path)
+def test_a_campaign_depends_on_all_that_changes_its_repetitions(tmp_path: Path) -> None:
+    """Seed, control, events and priors, by their content, are in its identity."""
+    priors = tmp_path / "priors.toml"
+    priors.write_bytes(B_BRANCH.read_bytes())
+    same = replace(CAMPAIGN, priors_path=str(priors))
+    assert same.identity() == CAMPAIGN.identity()
+    priors.write_bytes(B_BRANCH.read_bytes() + b"# changed\n")
+    others = [replace(CAMPAIGN, seed=4), replace(CAMPAIGN, control="rectangular-pulses"), same]
+    assert len({own.identity() for own in (CAMPAIGN, *others)}) == 4
 
 
 def test_parameter_that_a_control_fixes_is_left_out_of_the_judgement() -> None:

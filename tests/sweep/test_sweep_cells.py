@@ -16,8 +16,8 @@ from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.cells import BY_CHAIN, REFITTED, REWEIGHTED, cell_arrays
 from cassini_bayes.sweep.models import Factory, chosen_names
+from cassini_bayes.sweep.plan import plan
 from cassini_bayes.sweep.specification import GridTable, GroupTable, SweepFile
-from cassini_bayes.sweep.study import plan
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of, with_family
 from cassini_bayes.sweep.weights import Weights, smoothed_weights
 

@@ -7,12 +7,10 @@ not depend on the number of samples (``docs/telemetry-likelihood.md`` §6).
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Final
-from zipfile import BadZipFile
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +33,7 @@ from cassini_bayes.balance.statistics.turns import (
     turned,
 )
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.storage import write_bytes
+from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 Array = NDArray[np.float64]
 MODES: Final = 512
@@ -427,34 +425,35 @@ def counter_interval(samples: Samples) -> float:
 LEAST_ROWS: Final = 10
 
 
+_PARTS: Final[Mapping[str, Any]] = {
+    "turns": TurnStatistics,
+    "counters": CounterStatistics,
+    "steps": ChannelSteps,
+}
+
+
 def save_statistics(path: Path, statistics: EventStatistics) -> None:
     """Write statistics as a plain array archive, atomically."""
-    buffer = io.BytesIO()
-    np.savez(
-        buffer,
-        format=np.array(_FORMAT),
-        event_id=np.array(statistics.event_id),
-        kind=np.array(statistics.kind),
-        wheels=np.array(statistics.layout.wheels),
-        thrusters=np.array(statistics.layout.thrusters, dtype=np.str_),
-        duration_s=np.array(statistics.duration_s),
-        rows=np.array(statistics.rows),
-        gram=statistics.gram,
-        projection=statistics.projection,
-        mode_gram=statistics.mode_gram,
-        couples=np.array(
-            [couple_of(i, statistics.layout) for i in range(len(statistics.layout.thrusters))]
-        ),
-        cuts=statistics.cuts,
-        counter_interval_s=np.array(statistics.counter_interval_s),
-        **{f"turns.{f.name}": getattr(statistics.turns, f.name) for f in fields(TurnStatistics)},
-        **{
-            f"counters.{f.name}": getattr(statistics.counters, f.name)
-            for f in fields(CounterStatistics)
-        },
-        **{f"steps.{f.name}": getattr(statistics.steps, f.name) for f in fields(ChannelSteps)},
-    )
-    write_bytes(path, buffer.getvalue())
+    layout = statistics.layout
+    arrays = {
+        "format": np.array(_FORMAT),
+        "event_id": np.array(statistics.event_id),
+        "kind": np.array(statistics.kind),
+        "wheels": np.array(layout.wheels),
+        "thrusters": np.array(layout.thrusters, dtype=np.str_),
+        "duration_s": np.array(statistics.duration_s),
+        "rows": np.array(statistics.rows),
+        "gram": statistics.gram,
+        "projection": statistics.projection,
+        "mode_gram": statistics.mode_gram,
+        "couples": np.array([couple_of(i, layout) for i in range(len(layout.thrusters))]),
+        "cuts": statistics.cuts,
+        "counter_interval_s": np.array(statistics.counter_interval_s),
+    }
+    for name, kind in _PARTS.items():
+        own = getattr(statistics, name)
+        arrays |= {f"{name}.{f.name}": np.asarray(getattr(own, f.name)) for f in fields(kind)}
+    write_arrays(path, arrays)
 
 
 def couple_of(place: int, layout: Layout) -> int:
@@ -476,43 +475,32 @@ def load_statistics(path: Path) -> EventStatistics | None:
     A cache: what cannot be read is computed again.
     """
     try:
-        # opened here: numpy leaves the file open when it is no archive
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            if int(stored["format"]) != _FORMAT:
-                return None
-            layout = Layout(
-                tuple(int(number) for number in stored["wheels"]),
-                tuple(str(name) for name in stored["thrusters"]),
-                couples_from(stored["couples"]),
-            )
-            return EventStatistics(
-                str(stored["event_id"]),
-                str(stored["kind"]),
-                layout,
-                float(stored["duration_s"]),
-                int(stored["rows"]),
-                stored["gram"],
-                stored["projection"],
-                stored["mode_gram"],
-                stored["cuts"],
-                float(stored["counter_interval_s"]),
-                TurnStatistics(
-                    *(
-                        stored[f"turns.{own.name}"][()]
-                        if stored[f"turns.{own.name}"].ndim == 0
-                        else stored[f"turns.{own.name}"]
-                        for own in fields(TurnStatistics)
-                    )
-                ),
-                CounterStatistics(
-                    stored["counters.row_time_s"],
-                    int(stored["counters.stride"]),
-                    *(
-                        stored[f"counters.{name}"]
-                        for name in ("end_s", "fired", "weight", "open_s2")
-                    ),
-                ),
-                ChannelSteps(*(float(stored[f"steps.{f.name}"]) for f in fields(ChannelSteps))),
-            )
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        stored: dict[str, Any] = read_arrays(path, "the statistics of an event")
+        if int(stored["format"]) != _FORMAT:
+            return None
+        layout = Layout(
+            tuple(int(number) for number in stored["wheels"]),
+            tuple(str(name) for name in stored["thrusters"]),
+            couples_from(stored["couples"]),
+        )
+        return EventStatistics(
+            str(stored["event_id"]),
+            str(stored["kind"]),
+            layout,
+            float(stored["duration_s"]),
+            int(stored["rows"]),
+            stored["gram"],
+            stored["projection"],
+            stored["mode_gram"],
+            stored["cuts"],
+            float(stored["counter_interval_s"]),
+            **{name: _part(kind, name, stored) for name, kind in _PARTS.items()},
+        )
+    except (InputError, ValueError, TypeError, KeyError):
         return None
+
+
+def _part(kind: type[Any], name: str, stored: Mapping[str, Any]) -> Any:
+    """One part of the statistics, its numbers as plain ones."""
+    values = (stored[f"{name}.{field.name}"] for field in fields(kind))
+    return kind(*(value.item() if value.ndim == 0 else value for value in values))

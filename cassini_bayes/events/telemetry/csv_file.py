@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
@@ -17,12 +16,12 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.digits import BAD_LENGTH, powers_of_ten, read_cells
 from cassini_bayes.events.telemetry.mends import Mends
+from cassini_bayes.files.checks import parse_number
 
 LONGEST_LINE: Final = 1 << 20
 BUFFER: Final = 4 << 20
 _AHEAD: Final = 8  # bytes that the compiled reader may look beyond the last newline
 _ODD: Final = 4096
-_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 class CsvTable:
@@ -145,8 +144,8 @@ class _Filling:
         where = f"{self._file}: line {line}, column {self._header[column]}"
         if not cell:
             self._cells[column, row] = math.nan
-        elif _NUMBER.fullmatch(cell) and math.isfinite(float(cell)):
-            self._cells[column, row] = float(cell)
+        elif (number := parse_number(cell)) is not None:
+            self._cells[column, row] = number
         else:
             short = cell if len(cell) <= 40 else cell[:37] + "…"
             raise InputError(
@@ -198,7 +197,7 @@ def header_of(where: str, content: bytes) -> tuple[str, ...]:
     except csv.Error as error:
         raise InputError(where, "comma-separated names", str(error), "mend the line") from None
     names = [name.strip() for name in names]
-    if _NUMBER.fullmatch(names[0]):
+    if parse_number(names[0]) is not None:
         raise InputError(
             where,
             "a header row of column names",

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, date, datetime, time
+from datetime import date, datetime, time
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.columns import KINDS, Kind, Layout, make_layout
 from cassini_bayes.events.telemetry.files import open_table
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import in_utc, nearest
+from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.spacecraft import Spacecraft
 
 Text = TypeVar("Text", bound=str)
@@ -89,33 +90,21 @@ def layout_of(
 
 def _parse(path: Path) -> dict[str, Any]:
     folder = path.parent
-    if not folder.exists():
+    if not exists(folder):
         raise InputError(str(folder), "an event folder", "nothing there", "check the path")
     if not folder.is_dir():
         raise InputError(
             str(folder), "an event folder", "a file", f"name the folder that holds {DESCRIPTION}"
         )
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-        return tomllib.loads(text.replace("\r\n", "\n"))
-    except FileNotFoundError:
+    if not path.exists():
         names = sorted(entry.name for entry in folder.iterdir())
         raise InputError(
             str(path),
             "a description of the event",
             "no such file",
             f"write {DESCRIPTION}; the folder holds {', '.join(names[:5]) or 'nothing'}",
-        ) from None
-    except OSError as error:
-        raise InputError(
-            str(path), "a readable file", error.strerror or str(error), "check the file"
-        ) from None
-    except UnicodeDecodeError as error:
-        raise InputError(
-            str(path), "UTF-8 text", f"other bytes at byte {error.start}", "save it as UTF-8"
-        ) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), "valid TOML", str(error), "mend that line") from None
+        )
+    return read_toml(path, "a description of the event")
 
 
 def _find_telemetry(folder: Path) -> Path:
@@ -188,17 +177,13 @@ class _Keys:
     def epoch(self) -> datetime:
         """A time in UTC; without a zone it is taken as UTC."""
         value = self._table["epoch"]
-        fix = "write e.g. 2010-02-13T12:00:00Z"
-        if isinstance(value, str):
-            try:
-                value = datetime.fromisoformat(value)
-            except ValueError:
-                raise self._refuse("epoch", "an ISO 8601 time, UTC", fix) from None
-        elif isinstance(value, date) and not isinstance(value, datetime):
+        if isinstance(value, date) and not isinstance(value, datetime):
             value = datetime.combine(value, time())
-        if not isinstance(value, datetime):
+        epoch = in_utc(value) if isinstance(value, str | datetime) else None
+        if epoch is None:
+            fix = "write e.g. 2010-02-13T12:00:00Z"
             raise self._refuse("epoch", "an ISO 8601 time, UTC", fix)
-        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+        return epoch
 
     def delta_v_source(self, has_delta_v: bool) -> Literal["measured", "computed"] | None:
         """Where ΔV comes from; given if and only if there is one."""

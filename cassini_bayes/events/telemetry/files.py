@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.csv_file import CsvTable
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.events.telemetry.parquet_file import open_parquet
+from cassini_bayes.files.reading import open_file
 
 
 class Table(Protocol):
@@ -40,11 +40,5 @@ def open_table(path: Path) -> Iterator[Table]:
     if path.suffix == ".parquet":
         yield open_parquet(path)
         return
-    try:
-        stream = path.open("rb")
-    except OSError as error:
-        raise InputError(
-            str(path), "a readable file", error.strerror or str(error), "check the file"
-        ) from None
-    with stream:
+    with open_file(path, "telemetry") as stream:
         yield CsvTable(path, stream)

@@ -11,6 +11,10 @@ import numpy as np
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.mends import Mends
+from cassini_bayes.files.reading import open_file
+
+# what pyarrow raises about bytes that are no Parquet: its own errors derive from these
+_DAMAGE: Final = (OSError, ValueError, NotImplementedError, TypeError, KeyError, MemoryError)
 
 
 class ParquetTable:
@@ -28,7 +32,7 @@ class ParquetTable:
         """Yield the rows in file order, at most ``rows`` at a time."""
         self._check_types()
         first = 1
-        for batch in self._file.iter_batches(batch_size=rows):
+        for batch in self._batches(rows):
             cells = np.empty((len(self.header), batch.num_rows))
             for i, column in enumerate(batch.columns):
                 cells[i] = column.cast("float64", safe=False).to_numpy(zero_copy_only=False)
@@ -39,6 +43,12 @@ class ParquetTable:
             first += batch.num_rows
             if batch.num_rows:
                 yield block
+
+    def _batches(self, rows: int) -> Iterator[Any]:
+        try:
+            yield from self._file.iter_batches(batch_size=rows)
+        except _DAMAGE as error:
+            raise _refusal(self._path, error) from None
 
     def _check_types(self) -> None:
         for name, kind in zip(self.header, self._file.schema_arrow.types, strict=True):
@@ -71,8 +81,10 @@ def open_parquet(path: Path) -> ParquetTable:
     Raises
     ------
     InputError
-        pyarrow is not installed, or the file is no Parquet file.
+        pyarrow is not installed, or the file cannot be read or is no Parquet file.
     """
+    with open_file(path, "a Parquet file"):
+        pass  # a regular file: the library opens it by name
     try:
         import pyarrow
         import pyarrow.parquet
@@ -85,11 +97,15 @@ def open_parquet(path: Path) -> ParquetTable:
         ) from None
     try:
         return ParquetTable(path, pyarrow.parquet.ParquetFile(path))
-    except (pyarrow.ArrowException, OSError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(
-            str(path), "a Parquet file", reason, "write the file again, or use telemetry.csv"
-        ) from None
+    except _DAMAGE as error:
+        raise _refusal(path, error) from None
+
+
+def _refusal(path: Path, error: Exception) -> InputError:
+    reason = str(error).partition("\n")[0] or type(error).__name__
+    return InputError(
+        str(path), "a Parquet file", reason, "write the file again, or use telemetry.csv"
+    )
 
 
 def _refuse_infinite(block: Block) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import pandas as pd
 
+from cassini_bayes.report.plots.powers import label_powers
 from cassini_bayes.report.plots.quantities import (
     INTERVAL_SHORT,
     NORMAL_90,
@@ -216,6 +217,7 @@ def convergence_figure(review: Review) -> Figure:
     sizes.set_ylabel("quantity (number of scalars)")
     sizes.yaxis.label.set_visible(False)
     sizes.set_xscale("log")
+    label_powers(sizes.xaxis, minor=True)
     sizes.set_xlabel("effective sample size [draws]")
     target = review.fit.attributes.get("target_ess")
     if isinstance(target, int | float):

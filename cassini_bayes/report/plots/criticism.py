@@ -22,6 +22,7 @@ from cassini_bayes.diagnosis.correlations import (
     running_mean,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve
+from cassini_bayes.report.plots.powers import label_powers
 from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
 
 MOST_CAUSES: Final = 12
@@ -221,6 +222,7 @@ def cause_figure(causes: Sequence[Mapping[str, Any]]) -> Figure:
         right.axvline(0.0, lw=0.8, color=VERDICT_COLOURS["conflict"])
         if np.nanmax(np.abs(factors)) > LINEAR_NATS:
             right.set_xscale("symlog", linthresh=LINEAR_NATS)
+            label_powers(right.xaxis)
         right.set_xlabel("log Bayes factor against none (nats)")
     return figure
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from cassini_bayes.report.plots.powers import label_powers
 from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
 
 MOST_CAUSES = 7
@@ -33,6 +34,7 @@ def on_time_figure(
         left.barh(range(len(names)), [log_bayes_factor[name] for name in names], color=colours)
         left.set_yticks(range(len(names)), names)
         left.set_xscale("symlog", linthresh=LINEAR_NATS)
+        label_powers(left.xaxis)
         left.set_xlabel("log Bayes factor against none (nats)")
         top = float(points[["flight_s", "none_s", "first_s"]].to_numpy().max()) * 1.05
         right.plot([0.0, top], [0.0, top], color=INK, lw=0.7, label="as flown")

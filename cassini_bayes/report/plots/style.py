@@ -20,6 +20,7 @@ STYLE: Final[Mapping[Any, object]] = MappingProxyType(
     {
         "font.family": "DejaVu Sans",
         "font.size": 9.0,
+        "text.parse_math": False,  # a dollar in a name is a dollar
         "axes.titlesize": 9.5,
         "axes.labelsize": 9.0,
         "axes.spines.top": False,

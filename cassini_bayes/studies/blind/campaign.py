@@ -1,19 +1,19 @@
-"""The blind campaign: run its trials resumably, write tables, figures and the page of results."""
+"""The blind campaign: its trials, and the tables, figures and page of results."""
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
-from cassini_bayes import __version__
+from cassini_bayes.files.checkpoint import RecordStore
+from cassini_bayes.files.json_file import read_json
+from cassini_bayes.files.pieces import run_pieces
 from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report.plots import encode
 from cassini_bayes.report.plots.blind import blind_figure, confusion_figure
 from cassini_bayes.studies.blind.flights import Blind
@@ -29,30 +29,21 @@ from cassini_bayes.studies.blind.rates import (
     timing_table,
     trial_table,
 )
-from cassini_bayes.studies.blind.trials import STRATA, is_done, run_trial, trial_code
+from cassini_bayes.studies.blind.trials import STRATA, run_trial, trial_code, trial_name
+from cassini_bayes.studies.study import Study
 
 ENOUGH_TRIALS: Final = 40
+FULL: Final[Mapping[str, int]] = {"trials": sum(count for _, count in STRATA)}
+QUICK: Final[Mapping[str, int]] = {"trials": 47}
 
 
-def run_campaign(
-    campaign: Blind, trials: int, folder: Path, jobs: int
-) -> Iterator[tuple[int, int]]:
-    """Run the trials that this code has not left in ``folder``; yields (done, total)."""
-    code = trial_code()
-    missing = [i for i in range(trials) if not is_done(campaign, i, folder, code)]
-    done = trials - len(missing)
-    yield done, trials
-    with ProcessPoolExecutor(max_workers=jobs) as pool:
-        pending = [pool.submit(_one, campaign, i, folder) for i in missing]
-        for future in as_completed(pending):
-            future.result()
-            done += 1
-            yield done, trials
-
-
-def _one(campaign: Blind, index: int, folder: Path) -> None:
-    with threadpool_limits(1):  # the work is spread over processes; more threads would compete
-        run_trial(campaign, index, folder)
+def run_campaign(study: Study, campaign: Blind, trials: int) -> None:
+    """Run the trials that this code has not left in the study's folder."""
+    made_by = {"seed": campaign.seed, "code": trial_code(), "events": list(campaign.events)}
+    store = RecordStore(study.work, made_by)
+    pieces = {trial_name(index): (index,) for index in range(trials)}
+    for done, total in run_pieces(run_trial, campaign, pieces, store, study.workers):
+        study.progress("blind trials", done, total)
 
 
 def read_trials(folder: Path, seed: int) -> list[Record]:
@@ -60,7 +51,7 @@ def read_trials(folder: Path, seed: int) -> list[Record]:
 
     That of the running code if it left any, else the one that left most.
     """
-    trials = [json.loads(path.read_text()) for path in sorted(folder.glob("trial_*.json"))]
+    trials = [read_json(path, "a trial") for path in sorted(folder.glob("trial_*.json"))]
     records = [record for record in trials if record["seed"] == seed]
     codes = Counter(record["code"] for record in records)
     if not codes:
@@ -70,9 +61,9 @@ def read_trials(folder: Path, seed: int) -> list[Record]:
     return [record for record in records if record["code"] == chosen]
 
 
-def write_results(folder: Path, page: Path, seed: int, command: Sequence[str]) -> dict[str, Any]:
-    """Write CSV tables, figures and the page of the trials in ``folder``; returns the rates."""
-    records = read_trials(folder, seed)
+def write_results(study: Study) -> dict[str, Any]:
+    """Write tables, figures and the page of the trials in the study's folder; the rates."""
+    records = read_trials(study.work, study.seed)
     table, headline = trial_table(records), rates(records)
     stated, matrix = reliability(records), confusion(records)
     for name, frame, index in (
@@ -82,10 +73,14 @@ def write_results(folder: Path, page: Path, seed: int, command: Sequence[str]) -
         ("timing", timing_table(records), False),
         ("confusion", matrix, True),
     ):
-        write_text(page / f"{name}.csv", frame.to_csv(index=index))
-    write_bytes(page / "blind.png", encode(blind_figure(table, stated, headline), "png"))
-    write_bytes(page / "confusion.png", encode(confusion_figure(matrix), "png"))
-    write_text(page / "index.md", _page(records, table, headline, stated, seed, command))
+        write_text(study.page.with_name(f"{name}.csv"), frame_csv(frame, index))
+    for name, figure in (
+        ("blind", blind_figure(table, stated, headline)),
+        ("confusion", confusion_figure(matrix)),
+    ):
+        write_bytes(study.page.with_name(f"{name}.png"), encode(figure, "png"))
+    body = _body(records, table, headline, stated)
+    study.publish("Blind trials of the diagnosis", body, "studies.blind.trials", {}, {})
     return {row["rate"]: row["value"] for row in headline.to_dict(orient="records")}
 
 
@@ -129,13 +124,11 @@ def _errors(records: Sequence[Record]) -> str:
     return "\n".join(["Trials that an exception ended, counted as misses:", "", *lines, ""])
 
 
-def _page(
+def _body(
     records: Sequence[Record],
     table: pd.DataFrame,
     headline: pd.DataFrame,
     stated: pd.DataFrame,
-    seed: int,
-    command: Sequence[str],
 ) -> str:
     rows = "\n".join(
         f"| {r['rate']} | {r['hits']} of {r['trials']} | {r['value']:.3f} | "
@@ -154,8 +147,7 @@ def _page(
     broken = _errors(records) if any(map(failed, records)) else ""
     strata = ", ".join(f"{name} {counts.get(name, 0)} of {planned}" for name, planned in STRATA)
     digests = ", ".join(sorted({r["code"] for r in records}))
-    return f"""# Blind trials of the diagnosis
-
+    return f"""\
 An effect is hidden in simulated telemetry (one wheel bias and a slew set at 1 Hz, everything drawn
 from the priors, wheel rates anew in every trial) and the diagnosis, which knows nothing of it, says
 what is wrong. {len(records)} trials, by part, of those planned:
@@ -189,8 +181,5 @@ hold effects too small to be told from none:
 One diagnosis took {times["cpu_diagnose_s"].median():.1f} s of one core (median; largest
 {times["cpu_diagnose_s"].max():.1f} s), a whole trial with its flights
 {times["wall_s"].median():.1f} s by the clock. Tables: [trials](trials.csv), [rates](rates.csv),
-[reliability](reliability.csv), [confusion](confusion.csv), [timing](timing.csv).
-
-Made by `{" ".join(command)}` (seed {seed}) with cassini_bayes {__version__}; digest of the
-diagnosing code {digests}.
-"""
+[reliability](reliability.csv), [confusion](confusion.csv), [timing](timing.csv). Digest of the
+diagnosing code: {digests}."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.diagnosis.events import Events, prepare
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.event_reduction import ReducedEvent, reduce_samples, sampling_of
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.simulation import ScenarioFile, SimulatedEvent, Truth, scenario_of
@@ -45,7 +45,7 @@ class Blind:
 
     def document(self, rng: np.random.Generator) -> dict[str, Any]:
         """The scenario with wheel rates of this trial."""
-        document = tomllib.loads(self.scenario.read_text(encoding="utf-8"))
+        document = read_toml(self.scenario, "a scenario file")
         document["event"] = [e for e in document["event"] if e["id"] in self.events]
         draw_wheel_rates(document["event"], rng)
         return document

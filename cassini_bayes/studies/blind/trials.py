@@ -6,7 +6,6 @@ keeps what was said: one JSON file per trial.
 
 from __future__ import annotations
 
-import json
 import time
 import traceback
 from collections.abc import Mapping, Sequence
@@ -26,7 +25,6 @@ from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import write_text
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.oracle import classifier, sizes_of
@@ -255,20 +253,9 @@ def trial_code() -> str:
     return code_digest("studies.blind.trials")[:16]
 
 
-def trial_file(folder: Path, index: int) -> Path:
-    """Where a trial's record is kept."""
-    return folder / f"trial_{index:04d}.json"
-
-
-def is_done(campaign: Blind, index: int, folder: Path, code: str) -> bool:
-    """Whether the trial's record is there, whole, and was made by this campaign and code."""
-    path = trial_file(folder, index)
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    wanted = {"seed": campaign.seed, "code": code, "events": list(campaign.events)}
-    return all(record.get(key) == value for key, value in wanted.items())
+def trial_name(index: int) -> str:
+    """Under which a trial's record is kept."""
+    return f"trial_{index:04d}"
 
 
 def failed_trial(campaign: Blind, index: int, error: Exception) -> dict[str, Any]:
@@ -284,11 +271,10 @@ def failed_trial(campaign: Blind, index: int, error: Exception) -> dict[str, Any
     }
 
 
-def run_trial(campaign: Blind, index: int, folder: Path) -> None:
-    """Run a trial and keep its record, or the message of the exception that ended it."""
+def run_trial(campaign: Blind, index: int) -> dict[str, Any]:
+    """The record of a trial, or of the exception that ended it."""
     try:
-        record = trial(campaign, index)
+        return trial(campaign, index)
     # one trial must not end a campaign, whatever went wrong in it: the page counts failures
     except Exception as error:  # noqa: BLE001
-        record = failed_trial(campaign, index, error)
-    write_text(trial_file(folder, index), json.dumps(record) + "\n")
+        return failed_trial(campaign, index, error)

@@ -1,15 +1,13 @@
-"""The results page."""
+"""The text of the results page."""
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
-from cassini_bayes import __version__
 from cassini_bayes.prediction.leave_one_out import KINDS
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.studies.prediction.study import Study, hydrazine_floor
+from cassini_bayes.studies.prediction.findings import Findings, hydrazine_floor
 from cassini_bayes.studies.prediction.tables import (
     AIMS,
     event_table,
@@ -28,29 +26,22 @@ KINDS_TEXT: Final[Mapping[str, str]] = {
 }
 
 
-def page_text(study: Study, priors: Priors, stem: str, seed: int, command: Sequence[str]) -> str:
-    """The page."""
+def page_body(findings: Findings, priors: Priors, stem: str) -> str:
+    """The text of the page."""
     sections = (
-        _head(study, seed, command),
-        _skill(study, stem),
-        _hydrazine(study),
-        _requirement(study, stem),
-        _ground(study, priors),
-        _sensitivity(study),
+        f"Every flight event predicted from the other {len(findings.events) - 1} and its own wheel "
+        "rates and\ndate ([the model](../prediction.md)).",
+        _skill(findings, stem),
+        _hydrazine(findings),
+        _requirement(findings, stem),
+        _ground(findings, priors),
+        _sensitivity(findings),
     )
-    return "\n\n".join(sections) + "\n"
+    return "\n\n".join(sections)
 
 
-def _head(study: Study, seed: int, command: Sequence[str]) -> str:
-    return f"""# Prediction: results
-
-Every flight event predicted from the other {len(study.events) - 1} and its own wheel rates and
-date ([the model](../prediction.md)). Made by `{" ".join(command)}` (seed {seed}) with cassini_bayes
-{__version__}, Python {platform.python_version()}, in {study.seconds:.0f} s."""
-
-
-def _skill(study: Study, stem: str) -> str:
-    scores = study.scores
+def _skill(findings: Findings, stem: str) -> str:
+    scores = findings.scores
     verdicts = "; ".join(
         f"{KINDS_TEXT[kind]} "
         f"{'met' if scores[kind].mean_absolute_difference <= aim else '**missed**'} "
@@ -63,7 +54,7 @@ def _skill(study: Study, stem: str) -> str:
 Mean absolute difference to flight over the eight events; a pair counts once, as in paper 001. The
 prediction's point value is its median. "Calibrated" was tuned on these very events.
 
-{skill_table(study)}
+{skill_table(findings)}
 
 Aims: {verdicts}; 90 % intervals of on-times cover {100 * covered:.0f} % (aim: 80–100 %,
 {"met" if 0.8 <= covered <= 1.0 else "**missed**"}).
@@ -81,11 +72,11 @@ directly.
 Flight, and predicted median [central 90 % interval]; on-times in s (of each thruster of a pair).
 All on-times with the published columns: [{stem}.csv]({stem}.csv).
 
-{event_table(study)}"""
+{event_table(findings)}"""
 
 
-def _hydrazine(study: Study) -> str:
-    floor = hydrazine_floor(study)
+def _hydrazine(findings: Findings) -> str:
+    floor = hydrazine_floor(findings)
     return f"""## Hydrazine
 
 What can be had at best? Given the flight's own on-times and the printed thrust, a leave-one-out
@@ -97,11 +88,11 @@ FSDS); regressed on the on-times of FSDS instead of those of flight, the same fl
 by {floor["fsds"]:.2f} g."""
 
 
-def _requirement(study: Study, stem: str) -> str:
-    met = sum(found[2].met for found in study.requirement.values())
+def _requirement(findings: Findings, stem: str) -> str:
+    met = sum(found[2].met for found in findings.requirement.values())
     left = [
         100.0 * found[2].without_m_s["limit cycle"] / abs(found[2].nominal_m_s)
-        for found in study.requirement.values()
+        for found in findings.requirement.values()
     ]
     return f"""## The navigation requirement
 
@@ -110,17 +101,17 @@ def _requirement(study: Study, stem: str) -> str:
 is the spread if that source were known exactly. ΔVx and ΔVy are next to nothing (couples cancel),
 so 3 % of them has no meaning; their spread is in the last column.
 
-{requirement_table(study)}
+{requirement_table(findings)}
 
-Met in {met} of {len(study.requirement)} events. The limit cycle would have to shrink first: how
+Met in {met} of {len(findings.requirement)} events. The limit cycle would have to shrink first: how
 often a bias to come fires against itself differs from event to event, and eight totals do not say
 why. Without it, {min(left):.1f} to {max(left):.1f} % would be left.
 
 ![What each source leaves of the spread.]({stem}_requirement.png)"""
 
 
-def _ground(study: Study, priors: Priors) -> str:
-    ground, implied = ground_table(study, priors)
+def _ground(findings: Findings, priors: Priors) -> str:
+    ground, implied = ground_table(findings, priors)
     return f"""## The ground-software method, rebuilt
 
 The "ideal" column of Tables 3.a–3.h from wheel rates, printed thrust and table mass, absolute
@@ -139,14 +130,14 @@ I_sp = 160 s: the coefficients of eq. 19 are printed nowhere. The flight calibra
 "calibrated" column (a gain array and matrix equations) is not printed and not rebuilt."""
 
 
-def _sensitivity(study: Study) -> str:
+def _sensitivity(findings: Findings) -> str:
     return f"""## How much leans on the firing logic's priors
 
 The scales of its half-normal priors halved and doubled, everything else the same:
 
-{sensitivity_table(study)}
+{sensitivity_table(findings)}
 
 Posterior of the firing logic with the event left out, mean ± standard deviation (units as in the
 file of its priors, `prediction.toml`):
 
-{firing_table(study)}"""
+{firing_table(findings)}"""

@@ -19,23 +19,23 @@ from cassini_bayes.prediction.leave_one_out import KINDS, Skill, column_differen
 from cassini_bayes.prediction.predict import SOURCES
 from cassini_bayes.prediction.requests import request_of
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.studies.prediction.study import COLUMNS, Study
+from cassini_bayes.studies.prediction.findings import COLUMNS, Findings
 
 AIMS: Final[Mapping[str, float]] = {"on_time": 0.45, "delta_v_z": 0.5, "hydrazine": 0.8}
 
 
-def skill_table(study: Study) -> str:
+def skill_table(findings: Findings) -> str:
     """Mean absolute differences beside the published columns, and scores of the intervals."""
-    units = study.folds[0].prediction.units
+    units = findings.folds[0].prediction.units
     rows = [
         "| column | on-time [s] | pulses [count] | ΔVz [mm/s] | hydrazine [g] |",
         "| --- | --- | --- | --- | --- |",
     ]
     for source, label in COLUMNS.items():
-        found = column_difference(study.events, study.columns[source], units)
+        found = column_difference(findings.events, findings.columns[source], units)
         cells = [f"{found[kind]:.2f}" if kind in found else "–" for kind in KINDS]
         rows.append(f"| {label} | {' | '.join(cells)} |")
-    own = [f"**{study.scores[kind].mean_absolute_difference:.2f}**" for kind in KINDS]
+    own = [f"**{findings.scores[kind].mean_absolute_difference:.2f}**" for kind in KINDS]
     rows.append(f"| **this prediction, event left out** | {' | '.join(own)} |")
     aims = [f"≤ {AIMS[kind]:g}" if kind in AIMS else "–" for kind in KINDS]
     rows.append(f"| aim | {' | '.join(aims)} |")
@@ -59,15 +59,15 @@ def score_table(scores: Mapping[str, Skill]) -> str:
     return "\n".join(rows)
 
 
-def event_table(study: Study) -> str:
+def event_table(findings: Findings) -> str:
     """Flight and prediction of every held-out event."""
-    names = study.folds[0].prediction.unit_names()
+    names = findings.folds[0].prediction.unit_names()
     head = " | ".join(name.upper().replace("_", "–") for name in names)
     rows = [
         f"| event | | {head} | ΔVz [mm/s] | hydrazine [g] | duration [s] |",
         f"| --- | --- |{' --- |' * len(names)} --- | --- | --- |",
     ]
-    for held in study.folds:
+    for held in findings.folds:
         p, event = held.prediction, held.event
         first = [unit[0] for unit in p.units]
         assert p.delta_v_computed_m_s is not None
@@ -87,15 +87,15 @@ def _interval(draws: Array, digits: int = 2) -> str:
     return f"{median:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def requirement_table(study: Study) -> str:
+def requirement_table(findings: Findings) -> str:
     """The ΔV requirement per event, with the spread that is left without each source."""
     rows = [
         "| event | nominal ΔVz [mm/s] | P(within 3 %) | flight − nominal [%] | spread [%] "
         f"| without {' | without '.join(SOURCES)} | spread of ΔVx, ΔVy [mm/s] |",
         f"| --- | --- | --- | --- | --- |{' --- |' * len(SOURCES)} --- |",
     ]
-    for held in study.folds:
-        x, y, z = study.requirement[held.event.id]
+    for held in findings.folds:
+        x, y, z = findings.requirement[held.event.id]
         assert held.event.delta_v_m_s is not None
         size = abs(z.nominal_m_s)
         missed = 100.0 * (held.event.delta_v_m_s[2] - z.nominal_m_s) / size
@@ -108,9 +108,9 @@ def requirement_table(study: Study) -> str:
     return "\n".join(rows)
 
 
-def ground_table(study: Study, priors: Priors) -> tuple[str, str]:
+def ground_table(findings: Findings, priors: Priors) -> tuple[str, str]:
     """The rebuilt ideal column beside the printed one, and the inputs that that implies."""
-    printed = study.columns["gsw_ideal"]
+    printed = findings.columns["gsw_ideal"]
     nominal = prior_parameters(priors)
     implied = implied_parameters(printed, priors.spacecraft, priors.branch, nominal)
     rows = [
@@ -133,7 +133,7 @@ def ground_table(study: Study, priors: Priors) -> tuple[str, str]:
             g = ground_prediction(inputs, request_of(event))
             assert event.delta_v_m_s is not None
             assert event.hydrazine_g is not None
-            units = study.folds[0].prediction.units
+            units = findings.folds[0].prediction.units
             first = [unit[0] for unit in units]
             differences.append(
                 [
@@ -157,14 +157,14 @@ def ground_table(study: Study, priors: Priors) -> tuple[str, str]:
     return "\n".join(rows), "\n".join(text)
 
 
-def sensitivity_table(study: Study) -> str:
+def sensitivity_table(findings: Findings) -> str:
     """Skill with the priors of the firing logic halved and doubled."""
     rows = [
         "| widths of the firing logic's priors | on-time [s] | coverage | ΔVz [mm/s] "
         "| hydrazine [g] |",
         "| --- | --- | --- | --- | --- |",
     ]
-    every = {"as stated": study.scores, **study.sensitivity}
+    every = {"as stated": findings.scores, **findings.sensitivity}
     for label, scores in every.items():
         rows.append(
             f"| {label} | {scores['on_time'].mean_absolute_difference:.2f} "
@@ -175,11 +175,11 @@ def sensitivity_table(study: Study) -> str:
     return "\n".join(rows)
 
 
-def firing_table(study: Study) -> str:
+def firing_table(findings: Findings) -> str:
     """Posterior of the firing logic in every fold, mean ± standard deviation."""
     rows = [f"| left out | {' | '.join(NAMES)} | effective draws | Pareto k̂ of the physics |"]
     rows.append(f"| --- |{' --- |' * len(NAMES)} --- | --- |")
-    for held in study.folds:
+    for held in findings.folds:
         cells = " | ".join(
             f"{np.mean(held.learned.firing[name]):.2g} ± {np.std(held.learned.firing[name]):.1g}"
             for name in NAMES

@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.published import wheel_bias_tables
-from cassini_bayes.report.plots import encode
+from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.plots.simulation import OnTimePanel, comparison_figure, motion_figure
 from cassini_bayes.simulation import read_scenario
 from cassini_bayes.studies.bias_comparison import (
@@ -25,7 +26,7 @@ from cassini_bayes.studies.bias_comparison import (
     simulate_biases,
 )
 from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated, with_settings
-from cassini_bayes.studies.simulation.tables import csv_bytes, markdown
+from cassini_bayes.studies.simulation.tables import markdown
 
 TAIL_OFFS_S: Final = (0.032, 0.040, 0.044)
 
@@ -44,11 +45,13 @@ SCAN: Final[Mapping[str, Mapping[str, Any]]] = {
 }
 
 
-def bias_sections(seeds: int, scan_seeds: int) -> tuple[list[str], dict[str, bytes]]:
-    """The eight biases: skill of every column, the scan of settings, tables and figures."""
+def bias_sections(
+    seeds: range, scan_seeds: range
+) -> tuple[list[str], dict[str, str], dict[str, Figure]]:
+    """The eight biases: skill of every column, the scan of settings; tables (CSV) and figures."""
     file = read_scenario(SCENARIOS / "biases_2009_2010.toml")
     tables = wheel_bias_tables()
-    full = simulate_biases(file, file.scenario, tables, range(1, seeds + 1))
+    full = simulate_biases(file, file.scenario, tables, seeds)
     header = ["column", *_KIND_NAMES.values(), *_SIGNATURE_NAMES]
     skill = [
         [
@@ -62,28 +65,30 @@ def bias_sections(seeds: int, scan_seeds: int) -> tuple[list[str], dict[str, byt
     for name, updates in SCAN.items():
         settings = file.scenario.rcs.model_copy(update=dict(updates))
         scenario = file.scenario.model_copy(update={"rcs": settings})
-        found = simulate_biases(file, scenario, tables, range(1, scan_seeds + 1))
+        found = simulate_biases(file, scenario, tables, scan_seeds)
         scan_rows.append(_scan_row(name, found))
     for tau in TAIL_OFFS_S:
         changed = with_settings(file, truth={**file.scenario.truth, "tau_fall_s": tau})
-        found = simulate_biases(changed, changed.scenario, tables, range(1, scan_seeds + 1))
+        found = simulate_biases(changed, changed.scenario, tables, scan_seeds)
         scan_rows.append(_scan_row(f"τ_fall {1e3 * tau:.0f} ms", found))
     scan_header = ["settings", *_KIND_NAMES.values(), *_HALVES, *_SIGNATURE_NAMES]
     event_header = ["event", "row", *PRINTED, "simulated_mean", "simulated_sd"]
-    first = simulated(file, 1)[0]
     files = {
-        "simulation_biases.csv": csv_bytes([event_header, *_event_rows(full)]),
-        "simulation_skill.csv": csv_bytes([header, *skill]),
-        "simulation_scan.csv": csv_bytes([scan_header, *scan_rows]),
-        "simulation_biases.png": encode(comparison_figure(_panels(full), UNITS), "png"),
-        "simulation_event.png": encode(motion_figure(first), "png"),
+        "_biases": rows_csv([event_header, *_event_rows(full)]),
+        "_skill": rows_csv([header, *skill]),
+        "_scan": rows_csv([scan_header, *scan_rows]),
     }
-    return [
+    figures = {
+        "_biases": comparison_figure(_panels(full), UNITS),
+        "_event": motion_figure(simulated(file, seeds[0])[0]),
+    }
+    sections = [
         markdown(header, skill),
         _on_time_table(full),
         _pulse_table(full),
         markdown(scan_header, scan_rows),
-    ], files
+    ]
+    return sections, files, figures
 
 
 _KIND_NAMES: Final = {

@@ -1,40 +1,22 @@
-"""The page: sections put together, and the command that writes it."""
+"""The page: sections put together."""
 
 from __future__ import annotations
 
-import argparse
-import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Final
 
-import numba
-import numpy as np
-
-from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.studies.simulation.biases import bias_sections
 from cassini_bayes.studies.simulation.fsds import fsds_section
 from cassini_bayes.studies.simulation.mechanics import momentum_section
 from cassini_bayes.studies.simulation.propellant import propellant_section
-from cassini_bayes.studies.simulation.tables import csv_bytes
+from cassini_bayes.studies.study import Study
 
-SEEDS: Final = 24
-SCAN_SEEDS: Final = 4
+FULL: Final[Mapping[str, int]] = {"eight wheel biases": 24, "scan of settings": 4}
+QUICK: Final[Mapping[str, int]] = {"eight wheel biases": 4, "scan of settings": 1}
+"""Numbers of seeds."""
 
-
-@dataclass(frozen=True)
-class Report:
-    """Sections of the page, and the files beside it."""
-
-    text: str
-    files: Mapping[str, bytes]
-
-
-PAGE: Final = """# The simulation: results
-
-Written by `python -m cassini_bayes.studies.simulation` ({seeds} seeds, {scan_seeds} for the scan)
-with Python {python}, numpy {numpy}, numba {numba}. The physics and the settings are told in
+BODY: Final = """{seeds} seeds, {scan_seeds} for the scan. The physics and the settings are told in
 [The simulation](../simulation.md); what the figures mean is told there as well.
 
 ## Momentum, impulse, speed
@@ -93,17 +75,18 @@ One setting changed at a time; the halves show that the choice does not rest on 
 """
 
 
-def make_report(seeds: int = SEEDS, scan_seeds: int = SCAN_SEEDS) -> Report:
-    """Measure everything and put the page together."""
+def simulation_results(study: Study, numbers: Mapping[str, int]) -> None:
+    """Measure everything and write the page with its tables and figures.
+
+    ``numbers`` of seeds as in :data:`FULL`; they are counted from the study's own.
+    """
     fsds, fsds_rows = fsds_section()
     propellant, propellant_rows = propellant_section()
-    (skill, on_times, pulses, scan), files = bias_sections(seeds, scan_seeds)
-    text = PAGE.format(
-        seeds=seeds,
-        scan_seeds=scan_seeds,
-        python=platform.python_version(),
-        numpy=np.__version__,
-        numba=numba.__version__,
+    seeds, scan_seeds = (range(study.seed, study.seed + n) for n in numbers.values())
+    (skill, on_times, pulses, scan), tables, figures = bias_sections(seeds, scan_seeds)
+    body = BODY.format(
+        seeds=len(seeds),
+        scan_seeds=len(scan_seeds),
         momentum=momentum_section(),
         fsds=fsds,
         skill=skill,
@@ -112,25 +95,5 @@ def make_report(seeds: int = SEEDS, scan_seeds: int = SCAN_SEEDS) -> Report:
         propellant=propellant,
         scan=scan,
     )
-    tables = {
-        "simulation_fsds.csv": csv_bytes(fsds_rows),
-        "simulation_propellant.csv": csv_bytes(propellant_rows),
-    }
-    return Report(text, {**files, **tables})
-
-
-def write_report(report: Report, folder: Path) -> None:
-    """Write the page and its files, each whole or not at all."""
-    for name, content in report.files.items():
-        write_bytes(folder / name, content)
-    write_text(folder / "simulation.md", report.text)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Command: measure, and write into ``--out``."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs/results"))
-    parser.add_argument("--seeds", type=int, default=SEEDS)
-    parser.add_argument("--scan-seeds", type=int, default=SCAN_SEEDS)
-    options = parser.parse_args(arguments)
-    write_report(make_report(options.seeds, options.scan_seeds), options.out)
+    tables |= {"_fsds": rows_csv(fsds_rows), "_propellant": rows_csv(propellant_rows)}
+    study.publish("The simulation: results", body, "studies.simulation", tables, figures)

@@ -1,10 +1,7 @@
-"""The study behind the results of prediction: folds, scores, requirement, sensitivity."""
+"""What is found about prediction: folds, scores, requirement, sensitivity."""
 
 from __future__ import annotations
 
-import csv
-import io
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.firing import NAMES
 from cassini_bayes.prediction.leave_one_out import HeldOut, Skill, leave_one_out, skill
@@ -30,7 +28,7 @@ SCALED: Final = ("halved", "doubled")
 
 
 @dataclass(frozen=True)
-class Study:
+class Findings:
     """Everything the page reports."""
 
     events: tuple[TotalsEvent, ...]
@@ -39,18 +37,16 @@ class Study:
     scores: Mapping[str, Skill]
     requirement: Mapping[str, tuple[Requirement, ...]]
     sensitivity: Mapping[str, Mapping[str, Skill]]
-    seconds: float
 
 
-def run_study(
+def find(
     flight: tuple[TotalsEvent, ...],
     columns: Mapping[str, tuple[TotalsEvent, ...]],
     priors: Priors,
     seed: int,
     progress: Callable[[str, int, int], None],
-) -> Study:
+) -> Findings:
     """Leave one out, with the firing logic's priors as they are, halved and doubled."""
-    began = time.perf_counter()
     beliefs = read_beliefs()
     folds = leave_one_out(flight, priors, beliefs, seed, told=partial(progress, "events left out"))
     judged = {
@@ -67,14 +63,13 @@ def run_study(
                 told=partial(progress, f"priors {label}"),
             )
         )
-    return Study(
+    return Findings(
         events=flight,
         columns=columns,
         folds=folds,
         scores=skill(folds),
         requirement=judged,
         sensitivity=sensitivity,
-        seconds=time.perf_counter() - began,
     )
 
 
@@ -93,13 +88,11 @@ def scaled_firing(beliefs: Beliefs, width: float) -> Beliefs:
     )
 
 
-def table_csv(study: Study) -> str:
+def table_csv(findings: Findings) -> str:
     """Every on-time: event, unit, flight, the columns, predicted median and 90 % interval."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     header = ["event", "unit", "flight_s", *(f"{source}_s" for source in COLUMNS)]
-    writer.writerow([*header, "median_s", "low_90_s", "high_90_s"])
-    for held in study.folds:
+    table = [[*header, "median_s", "low_90_s", "high_90_s"]]
+    for held in findings.folds:
         prediction = held.prediction
         draws = prediction.unit_on_time_s()
         low, high = central_interval(draws)
@@ -109,26 +102,26 @@ def table_csv(study: Study) -> str:
         ):
             others = [
                 next(e for e in rows if e.id == held.event.id).on_time_s[unit[0]]
-                for rows in study.columns.values()
+                for rows in findings.columns.values()
             ]
             values = (held.event.on_time_s[unit[0]], *others, median[i], low[i], high[i])
-            writer.writerow([held.event.id, name, *(f"{value:.3f}" for value in values)])
-    return stream.getvalue()
+            table.append([held.event.id, name, *(f"{value:.3f}" for value in values)])
+    return rows_csv(table)
 
 
-def hydrazine_floor(study: Study) -> dict[str, float]:
+def hydrazine_floor(findings: Findings) -> dict[str, float]:
     """Leave-one-out differences (g) of the printed flight hydrazine, on-times being known.
 
     Linear regressions through the origin on F T (printed thrust, total on-time): of flight; of
     flight with a coefficient of its own for the couple axis; of FSDS instead of flight.
     """
-    units = study.folds[0].prediction.units
+    units = findings.folds[0].prediction.units
     couple = sorted({k for unit in units[:2] for k in unit})
-    grams = np.array([event.hydrazine_g for event in study.events], dtype=np.float64)
-    thrust = np.array([event.thrust_predicted_n for event in study.events], dtype=np.float64)
+    grams = np.array([event.hydrazine_g for event in findings.events], dtype=np.float64)
+    thrust = np.array([event.thrust_predicted_n for event in findings.events], dtype=np.float64)
     on_time = {
         source: thrust[:, None] * np.array([event.on_time_s for event in events])
-        for source, events in (("flight", study.events), ("fsds", study.columns["fsds"]))
+        for source, events in (("flight", findings.events), ("fsds", findings.columns["fsds"]))
     }
     total = on_time["flight"].sum(1)
     own = on_time["flight"][:, couple].sum(1)

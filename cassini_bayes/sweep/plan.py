@@ -13,14 +13,15 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.workers import Workers
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.pieces import finished, run_pieces
 from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.cells import Baseline, cell_arrays
-from cassini_bayes.sweep.grid import Workers, run_cells, stored_cell
 from cassini_bayes.sweep.models import (
     ModelFactory,
     SweepModel,
@@ -44,7 +45,7 @@ COLUMNS: Final = (
 
 
 @dataclass(frozen=True)
-class Study:
+class Sweep:
     """A sweep ready to run: the baseline, its quantities' units, and the cells by file name."""
 
     baseline: Baseline
@@ -64,10 +65,10 @@ class Study:
     def run(self, store: CheckpointStore, workers: Workers) -> Iterator[tuple[int, int]]:
         """Work out the cells that are not stored yet; yields (done, all)."""
         tasks = {name: (cell, self.refit) for name, cell in self.cells.items()}
-        return run_cells(cell_arrays, self.baseline, tasks, store, workers)
+        return run_pieces(cell_arrays, self.baseline, tasks, store, workers)
 
 
-def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Study:
+def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Sweep:
     """Read the draws of a fit and lay out the cells.
 
     Raises
@@ -111,7 +112,7 @@ def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Study
         cells += tuple(Variation(EVENTS, "without", event=name) for name in factory.event_ids)
     if not cells:
         raise InputError(f"{where}: grid", "at least one change", "none", "add widths or shifts")
-    return Study(baseline, units_of(posterior, names), _by_key(cells, where), sweep.refit)
+    return Sweep(baseline, units_of(posterior, names), _by_key(cells, where), sweep.refit)
 
 
 def _by_key(cells: Iterable[Variation], where: str) -> dict[str, Variation]:
@@ -175,14 +176,14 @@ def _refuse_older_fit(model: SweepModel, factory: ModelFactory, fit: Fit) -> Non
             )
 
 
-def baseline_table(study: Study) -> pd.DataFrame:
+def baseline_table(sweep: Sweep) -> pd.DataFrame:
     """Mean, sd and central 90 % interval of every quantity before anything is changed."""
-    values = study.baseline.values
+    values = sweep.baseline.values
     found = moments(values, np.full(len(values), 1.0 / len(values)))
     return pd.DataFrame(
         {
-            "quantity": study.baseline.names,
-            "unit": study.units,
+            "quantity": sweep.baseline.names,
+            "unit": sweep.units,
             "mean": found.mean,
             "sd": found.sd,
             "central_90_low": np.quantile(values, 0.05, axis=0),
@@ -191,7 +192,7 @@ def baseline_table(study: Study) -> pd.DataFrame:
     )
 
 
-def sweep_table(study: Study, store: CheckpointStore) -> pd.DataFrame:
+def sweep_table(sweep: Sweep, store: CheckpointStore) -> pd.DataFrame:
     """Every cell and quantity, one row per way of estimating it.
 
     ``shift_sd`` is the shift of the mean in posterior standard deviations of the baseline,
@@ -199,17 +200,17 @@ def sweep_table(study: Study, store: CheckpointStore) -> pd.DataFrame:
     ``reported`` marks the estimate to be used: fitted anew where that was done.
     """
     rows: list[tuple[object, ...]] = []
-    for name, cell in study.cells.items():
-        arrays = stored_cell(store, name)
+    for name, cell in sweep.cells.items():
+        arrays = finished(store, name)
         ways = [way for way in ("0", "1") if f"{way}.kind" in arrays]
         for way in ways:
-            rows += _rows(study, cell, arrays, way, reported=way == ways[-1])
+            rows += _rows(sweep, cell, arrays, way, reported=way == ways[-1])
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     return table[table["mean"].notna() | (table["kind"] != "without")].reset_index(drop=True)
 
 
 def _rows(
-    study: Study,
+    sweep: Sweep,
     cell: Variation,
     arrays: Mapping[str, NDArray[np.generic]],
     way: str,
@@ -227,16 +228,16 @@ def _rows(
         float(arrays[f"{way}.effective"]),
     )
     return [
-        (*head, name, study.units[j], *estimate, *(float(c[j]) for c in columns), reported)
-        for j, name in enumerate(study.baseline.names)
+        (*head, name, sweep.units[j], *estimate, *(float(c[j]) for c in columns), reported)
+        for j, name in enumerate(sweep.baseline.names)
     ]
 
 
-def reported_quantiles(study: Study, store: CheckpointStore) -> dict[str, Array]:
+def reported_quantiles(sweep: Sweep, store: CheckpointStore) -> dict[str, Array]:
     """Quantiles (199, q) at (i + 1)/200 of every cell's reported estimate, for overlays."""
     found = {}
-    for name in study.cells:
-        arrays = stored_cell(store, name)
+    for name in sweep.cells:
+        arrays = finished(store, name)
         way = "1" if "1.kind" in arrays else "0"
         found[name] = np.asarray(arrays[f"{way}.quantiles"], dtype=np.float64)
     return found

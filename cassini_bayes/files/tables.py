@@ -1,0 +1,45 @@
+"""CSV text of tables: what a name holds is text, also to the spreadsheet that opens the file."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\n")
+
+
+def inert(cell: Any) -> Any:
+    """A cell; text that a spreadsheet would run as a formula is led by an apostrophe."""
+    return f"'{cell}" if isinstance(cell, str) and _is_formula(cell) else cell
+
+
+def _is_formula(cell: str) -> bool:
+    if not cell.startswith(_FORMULA):
+        return False
+    try:
+        float(cell)
+    except ValueError:
+        return True
+    return False  # a number of its own sign
+
+
+def frame_csv(frame: pd.DataFrame, index: bool = False, digits: int | None = None) -> str:
+    """A data frame as CSV; ``digits`` of floats, None for all."""
+    inert_frame = frame.rename(index=inert, columns=inert)
+    for place, kind in enumerate(inert_frame.dtypes):
+        if kind.kind not in "biufM":
+            inert_frame.isetitem(place, inert_frame.iloc[:, place].map(inert))
+    style = None if digits is None else f"%.{digits}g"
+    return str(inert_frame.to_csv(index=index, float_format=style))
+
+
+def rows_csv(rows: Iterable[Iterable[object]]) -> str:
+    """Rows of cells as CSV, the header first."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([inert(cell) for cell in row] for row in rows)
+    return text.getvalue()

@@ -1,0 +1,77 @@
+"""NetCDF groups are read whole once their size is known, and refused when a part is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files import netcdf
+from cassini_bayes.files.netcdf import read_groups, sealed
+
+WHAT = "a fit.nc"
+
+
+def stored(folder: Path) -> Path:
+    """A file with one group."""
+    path = folder / "x.nc"
+    data = xr.Dataset({"a": ("draw", np.arange(1000.0))}, attrs={"seed": 3})
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"title": "x"}), "/posterior": data})
+    tree.to_netcdf(path, engine="h5netcdf")
+    return path
+
+
+def test_groups_come_back(tmp_path: Path) -> None:
+    """Values and attributes, of the group and of the root."""
+    groups, attributes = read_groups(stored(tmp_path), {"posterior": ("a",)}, WHAT)
+    np.testing.assert_array_equal(groups["posterior"]["a"], np.arange(1000.0))
+    assert groups["posterior"].attrs["seed"] == 3
+    assert attributes["title"] == "x"
+
+
+@pytest.mark.parametrize(
+    ("needed", "said"),
+    [({"prior": ()}, "prior"), ({"posterior": ("a", "b")}, "no b in group posterior")],
+)
+def test_a_missing_part_is_named(
+    tmp_path: Path, needed: dict[str, tuple[str, ...]], said: str
+) -> None:
+    """A group or a variable that is not there."""
+    with pytest.raises(InputError, match=said):
+        read_groups(stored(tmp_path), needed, WHAT)
+
+
+def test_a_group_of_any_size_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A variable that was never written takes no room in the file; what it declares is refused."""
+    import h5netcdf
+
+    path = tmp_path / "sparse.nc"
+    with h5netcdf.File(path, "w") as file:
+        group = file.create_group("posterior")
+        group.dimensions = {"draw": 1 << 40}
+        group.create_variable("a", ("draw",), "f8", chunks=(1 << 16,), compression="gzip")
+    assert path.stat().st_size < 1 << 20
+    with pytest.raises(InputError, match="declares"):
+        read_groups(path, {"posterior": ()}, WHAT)
+    # negative control: the limit decides
+    monkeypatch.setattr(netcdf, "MOST_BYTES", 100)
+    with pytest.raises(InputError, match="declares 8,000 bytes"):
+        read_groups(stored(tmp_path), {"posterior": ()}, WHAT)
+
+
+def test_a_sealed_file_is_read_and_any_changed_byte_is_found(tmp_path: Path) -> None:
+    """NetCDF readers pass over the seal; a flipped bit anywhere before it is refused unread."""
+    path = stored(tmp_path)
+    content = path.read_bytes()
+    path.write_bytes(sealed(content))
+    groups, _ = read_groups(path, {"posterior": ("a",)}, WHAT)
+    np.testing.assert_array_equal(groups["posterior"]["a"], np.arange(1000.0))
+    for at in np.random.default_rng(4).integers(len(content), size=100):
+        damaged = bytearray(sealed(content))
+        damaged[at] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="damaged after it was written"):
+            read_groups(path, {"posterior": ("a",)}, WHAT)
