@@ -16,6 +16,8 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
     TelemetryBalance,
     balance_weights,
+    band_covariances,
+    covariance_beside_wheels,
     noise_covariance,
     turn_covariances,
     turn_weights,
@@ -55,11 +57,15 @@ def row_information(
     parameters = {**parameters, **_noise_seen(event, parameters)}
     nominal = {name: values[:1] for name, values in parameters.items()}
     total: Array | float = 0.0
-    bands = zip((event.slow, *event.fast), (None, *event.reduced.grams), kept, strict=True)
-    for band, gram, estimate in bands:
+    beside = covariance_beside_wheels(event, physics, parameters)[0]
+    with_open = band_covariances(event, physics, parameters, _scale(event, mean))[0]
+    bands = zip(
+        (event.slow, *event.fast), (None, *event.reduced.grams), kept, with_open, strict=True
+    )
+    for band, gram, estimate, own in bands:
         weights = balance_weights(event, physics, _scale(event, mean), estimate[None])
         columns = _columns(event, weights, mean, own_sd, levels, step)
-        noise = noise_covariance(event, physics, parameters, estimate[None])[0]
+        noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
         total = total + _whitened(event, band, gram, columns, noise, nominal)
     weights = balance_weights(event, physics, _scale(event, mean))
     weights = turn_weights(event, physics, weights)

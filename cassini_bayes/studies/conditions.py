@@ -7,7 +7,6 @@ results are told by stratum, one level of one condition.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
@@ -17,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import ScenarioFile, scenario_of
@@ -127,7 +127,7 @@ def scenario_under(
     priors
         Folder of the priors files of :data:`CRAFTS`.
     """
-    document = tomllib.loads(scenario.read_text(encoding="utf-8"))
+    document = read_toml(scenario, "a scenario file")
     file, branch, wheels, given = CRAFTS[condition.craft]
     every, counters = CADENCES[condition.cadence]
     document["spacecraft"] |= {"branch": branch, "wheels": wheels}
