@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import trapezoid
-from scipy.linalg import sqrtm
-from scipy.stats import multivariate_normal
+from scipy.linalg import block_diag, null_space, solve_triangular, sqrtm
+from scipy.spatial.transform import Rotation
 
 from cassini_bayes.balance.statistics import (
     EventStatistics,
@@ -20,7 +20,6 @@ from cassini_bayes.balance.statistics import (
     Sampling,
     reduce_chunks,
 )
-from cassini_bayes.balance.telemetry_terms import cut_probability
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
@@ -44,21 +43,30 @@ def telemetry_priors() -> Priors:
 
 
 def made_up_samples(
-    rng: np.random.Generator, rows: int = 70, *, fires: bool = True, every_s: float = 1.0
+    rng: np.random.Generator,
+    rows: int = 70,
+    *,
+    fires: bool = True,
+    every_s: float = 1.0,
+    firing: float = 0.06,
+    wander: float = 0.03,
+    rate_noise: float = 0.0,
 ) -> Samples:
     """Telemetry that no spacecraft flew: a wandering attitude, random rates, bursts of firing.
 
     The wheels are such that the momentum balance holds at the prior means, up to some noise.
+    ``firing`` is the chance of a thruster to begin a burst at a row, ``wander`` (rad) how far the
+    attitude goes from one row to the next, ``rate_noise`` (rad/s) what measured rates have on top.
     """
     time = every_s * np.arange(rows)
-    angle = np.cumsum(0.03 * rng.standard_normal((rows, 3)), axis=0)
+    angle = np.cumsum(wander * rng.standard_normal((rows, 3)), axis=0)
     size = np.linalg.norm(angle, axis=1, keepdims=True) + 1e-12
     attitude = np.concatenate([angle / size * np.sin(size / 2), np.cos(size / 2)], axis=1)
-    rate = 1e-3 * rng.standard_normal((rows, 3))
+    rate = wander / 30.0 * rng.standard_normal((rows, 3))
     counters = 8 if fires else 0
     on_time, pulses = np.zeros((rows, counters)), np.zeros((rows, counters))
     for k in range(counters):
-        starts = rng.random(rows) < 0.06
+        starts = rng.random(rows) < firing
         starts[0] = False
         number = np.where(starts, rng.integers(1, 4, rows), 0)
         width = rng.choice([0.03, 0.125, 0.25], rows)
@@ -76,7 +84,9 @@ def made_up_samples(
             gained = on_time[i] - on_time[i - 1] + 0.03 * (pulses[i] - pulses[i - 1])
             inertial = inertial + 0.76 * body.T @ arms @ gained
         momentum = body @ inertial - inertia_tensor(values) @ rate[i]
-        wheels[i] = np.linalg.solve(weights, momentum) + 0.03 * rng.standard_normal(3)
+        wheels[i] = np.linalg.solve(weights, momentum) + min(0.03, wander) * rng.standard_normal(3)
+    if rate_noise > 0.0:
+        rate = rate + rate_noise * rng.standard_normal((rows, 3))
     return Samples(time, attitude, rate, wheels, on_time, pulses)
 
 
@@ -139,20 +149,31 @@ class PlainRows:
     wheels: list[Array]
     impulses: list[Array]  # (3 inertial, K) effective impulse per newton, body arms folded in
     torques: list[Array]  # (3, 3) integral of inertial torque directions
-    cuts: list[Array]  # (G, PARTS)
-    totals: Array  # (G, PARTS)
+    cuts: list[Array]  # (G,) pairs so far that may be close
+    fired: list[Array]  # (K,) pulses so far
+    pairs: list[tuple[float, int, float]]  # time, couple, how many may be close
+    shots: list[tuple[float, int]]  # time and couple of every interval with firing
+
+    def pairs_of(self, couple: int) -> list[tuple[float, int, float]]:
+        """Those of one couple of thrusters."""
+        return [pair for pair in self.pairs if pair[1] == couple]
+
+    def part(self, pair: tuple[float, int, float], sampling: Sampling) -> int:
+        """The part of the event that a pair is in."""
+        return min(int(PARTS * pair[0] / sampling.duration_s), PARTS - 1)
 
 
 def plain_rows(
     samples: Samples, sampling: Sampling, arms: Array, tau: tuple[float, ...]
 ) -> PlainRows:
     """Every usable row by loops over readings, thrusters and firings, at given lever arms."""
-    rows = PlainRows([], [], [], [], [], [], [], np.zeros((len(sampling.couples), PARTS)))
+    rows = PlainRows([], [], [], [], [], [], [], [], [], [])
     thrusters = samples.on_time_s.shape[1]
     bodies = [rotation(q) for q in samples.attitude]
     impulse = np.zeros((3, thrusters))
     torque = np.zeros((3, 3))
-    cuts = np.zeros((len(sampling.couples), PARTS))
+    cuts = np.zeros(len(sampling.couples))
+    before = np.zeros(len(sampling.couples), dtype=bool)
     effective = effective_steps(samples, sampling, tau)
     for i, time in enumerate(samples.time_s):
         if i > 0:
@@ -160,10 +181,18 @@ def plain_rows(
             torque = torque + (time - samples.time_s[i - 1]) * mean.T
             for k in range(thrusters):
                 impulse[:, k] += mean.T @ arms[:, k] * effective[i, k]
-            part = min(int(PARTS * time / sampling.duration_s), PARTS - 1)
+            length = time - samples.time_s[i - 1]
             for g, couple in enumerate(sampling.couples):
                 started = max(samples.pulses[i, k] - samples.pulses[i - 1, k] for k in couple)
-                cuts[g, part] += max(started - 1, 0)
+                gained = max(samples.on_time_s[i, k] - samples.on_time_s[i - 1, k] for k in couple)
+                within, across = max(started - 1, 0), float(started > 0 and before[g])
+                number = min(1.0, 1.0 / length) * (within + across / 6.0)
+                cuts[g] += number
+                before[g] = started > 0 or gained > 0
+                if number > 0:
+                    rows.pairs.append((float(time), g, number))
+                if before[g]:
+                    rows.shots.append((float(time), g))
         if thrusters and not is_quiet(samples, i, sampling.guard_s):
             continue
         rows.times.append(float(time))
@@ -173,7 +202,7 @@ def plain_rows(
         rows.impulses.append(bodies[i] @ impulse.copy())
         rows.torques.append(bodies[i] @ torque.copy())
         rows.cuts.append(cuts.copy())
-    rows.totals[:] = cuts
+        rows.fired.append(samples.pulses[i].copy())
     return rows
 
 
@@ -217,13 +246,11 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
     return result
 
 
-def plain_log_likelihood(
-    model: Model, events: list[Samples], parameters: Mapping[str, float]
-) -> float:
+def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float:
     """Log density of all channels of all rows, the unknowns integrated out as one dense normal.
 
     Every linear unknown (thrust levels and departures, initial momenta, torques, cut tails,
-    cosines) becomes covariance between rows.
+    cosines) becomes covariance between rows and contrasts of turns.
     """
     linear = model.thrust_prior
     means, blocks, shared, constant = [], [], [], 0.0
@@ -233,8 +260,10 @@ def plain_log_likelihood(
         :, [0, 1, 3]
     ]
     arms = lever_arms(model.spacecraft, model.branch, values)
+    close = values["close_pulse_share"]
     tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
-    for term, samples in zip(model.telemetry, events, strict=True):
+    for term in model.telemetry:
+        samples = Samples.joined(list(term.event.rows))
         fires = samples.on_time_s.shape[1] > 0
         sampling = term.event.sampling
         rows = plain_rows(samples, sampling, arms if fires else np.zeros((3, 0)), tau)
@@ -243,14 +272,21 @@ def plain_log_likelihood(
         white = values["rate_noise_rad_s"] ** 2 * inertia @ inertia
         white = white + values["attitude_noise_rad"] ** 2 * spin
         wheels, wheel_noise = np.array(rows.wheels), (values["wheel_noise_rpm"] * RPM) ** 2
-        own, columns, mean = _unknowns(model, term, samples, rows, arms, tau)
+        own, columns, mean = _unknowns(model, term, samples, rows, arms, tau, close)
         drift_square = values["torque_noise_n_m_s05"] ** 2
         y = np.array(rows.rates) @ inertia
         lacking = y
         total = np.zeros((3 * n, 3 * n))
         still = 0.2 if plain_sparse(n, samples) else 0.5
+        turns = plain_turns(rows, term.event.sampling)
+        row_white = white
         for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
             size = round(np.trace(share))
+            white = (
+                row_white
+                + plain_open(model, term, rows, arms, tau, close, share, np.array(rows.times))
+                / size
+            )
             if not fires:
                 kept, density = np.eye(3), 0.0
             elif band == 0:
@@ -272,8 +308,30 @@ def plain_log_likelihood(
         constant += n * (np.linalg.slogdet(inertia)[1] - 1.5 * np.log(2 * np.pi))
         if fires:
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
+        unknown = np.array(own).T
+        if len(turns.of_rates):
+            # turns in the place of rates, all else integrated; the noise of wheels is summed up
+            gained = turns.of_rates @ inertia + turns.of_rows @ np.array(rows.wheels) @ weights.T
+            attitude = values["attitude_noise_rad"] ** 2 * inertia @ inertia
+            by_wheels = wheel_noise * weights @ weights.T
+            noise = np.zeros((len(gained), 3, len(gained), 3))
+            for share, summed, walked in turns.bands:
+                own_noise = attitude + summed * by_wheels + walked * drift_square * np.eye(3)
+                on_slopes = share[: len(turns.times), : len(turns.times)]
+                open_square = plain_open(
+                    model, term, rows, arms, tau, close, on_slopes, turns.times, turns.ramps
+                )
+                own_noise = own_noise + open_square / np.trace(share)
+                noise += np.einsum("ij,ab->iajb", share, own_noise)
+            on_turns = np.kron(turns.of_rows, np.eye(3))
+            y, mean = np.concatenate([y, gained]), np.concatenate([mean, turns.of_rows @ mean])
+            columns = np.concatenate([columns, on_turns @ columns])
+            unknown = np.concatenate([unknown, on_turns @ unknown])
+            total = block_diag(total, noise.reshape(3 * len(gained), -1))
+            constant += len(gained) * np.linalg.slogdet(inertia)[1]
+        if fires:
             total = total + columns @ linear.own @ linear.own.T @ columns.T
-        total = total + np.array(own).T @ np.array(own)
+        total = total + unknown @ unknown.T
         means.append((y - mean).reshape(-1))
         blocks.append(total)
         shared.append(columns @ linear.shared)
@@ -285,8 +343,10 @@ def plain_log_likelihood(
         place += len(block)
     between = np.concatenate(shared)
     dense += between @ between.T
-    log_density = multivariate_normal.logpdf(np.concatenate(means), np.zeros(size), dense)
-    return float(log_density) + constant
+    lower, residual = np.linalg.cholesky(dense), np.concatenate(means)
+    white = solve_triangular(lower, residual, lower=True)
+    log_density = -0.5 * white @ white - np.log(np.diagonal(lower)).sum()
+    return float(log_density - 0.5 * size * np.log(2.0 * np.pi)) + constant
 
 
 def _unknowns(
@@ -296,6 +356,7 @@ def _unknowns(
     rows: PlainRows,
     arms: Array,
     tau: tuple[float, ...],
+    close: float,
 ) -> tuple[list[Array], Array, Array]:
     """Columns of unit-variance unknowns and of thrusts (3 n, K); mean (n, 3) of the former."""
     n, thrusters = len(rows.times), arms.shape[1]
@@ -309,22 +370,167 @@ def _unknowns(
     columns = np.zeros((3 * n, thrusters))
     if samples.on_time_s.shape[1] == 0:
         return own, columns, mean
-    chance = cut_probability(float(np.median(np.diff(samples.time_s))))
     lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
-    counts = np.array(rows.cuts)  # (n, G, PARTS)
+    counts = np.array(rows.cuts)  # (n, G)
     couples = term.event.sampling.couples
     for k in range(thrusters):
         couple = next(g for g, c in enumerate(couples) if k in c)
-        cut = chance * lost * counts[:, couple].sum(1)[:, None] * arms[:, k]
+        cut = close * lost * counts[:, couple][:, None] * arms[:, k]
         columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
     for g, members in enumerate(couples):
-        arm = arms[:, list(members)].sum(1)
+        step = model.thrust_prior.common_mean_n * lost * arms[:, list(members)].sum(1)
+        if rows.pairs_of(g):
+            own.append((0.5 * close * counts[:, g][:, None] * step).reshape(-1))
         for part in range(PARTS):
-            if rows.totals[g, part] > 0:
-                sd = np.sqrt(chance * (1 - chance) / rows.totals[g, part])
-                step = model.thrust_prior.common_mean_n * lost * sd
-                own.append(step * (counts[:, g, part][:, None] * arm).reshape(-1))
+            pairs = [p for p in rows.pairs_of(g) if rows.part(p, term.event.sampling) == part]
+            if pairs:
+                number = sum(m for _, _, m in pairs)
+                cut = sum(m * (np.array(rows.times) >= t) for t, _, m in pairs) / number
+                scatter = np.sqrt(close * (1.0 - close) * number)
+                own.append((scatter * cut[:, None] * step).reshape(-1))
     return own, columns, mean
+
+
+def plain_open(
+    model: Model,
+    term: TelemetryTerm,
+    rows: PlainRows,
+    arms: Array,
+    tau: tuple[float, ...],
+    close: float,
+    share: Array,
+    times: Array,
+    ramps: Array | float = 1.0,
+) -> Array:
+    """Covariance of what is open, summed over rows at ``times`` that ``share`` (n, n) projects on.
+
+    Whatever is constant enters row i by ``ramps[i]``.
+    """
+    total = np.zeros((3, 3))
+    if not rows.shots:
+        return total
+    sampling = term.event.sampling
+    lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
+    left = term.event.statistics.counters.open_s2
+    for g, members in enumerate(sampling.couples):
+        arm = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
+        square = 0.0
+        for part in range(PARTS):
+            pairs = [p for p in rows.pairs_of(g) if rows.part(p, sampling) == part]
+            whole = sum(v for _, _, v in pairs)
+            steps = [ramps * (times >= t) for t, _, _ in pairs]
+            mean = sum(v * step for (_, _, v), step in zip(pairs, steps, strict=True))
+            for (_, _, v), step in zip(pairs, steps, strict=True):
+                apart = step - mean / whole
+                square += close * (1.0 - close) * lost**2 * v * apart @ share @ apart
+        ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
+        for start, stop in pairwise(ends):
+            level = ramps * ((times >= start) & (times < stop))
+            square += left[g] * level @ share @ level
+        total += square * np.outer(arm, arm)
+    return total
+
+
+@dataclass(frozen=True)
+class PlainTurns:
+    """Contrasts of quiet pieces: of the turns since a piece began, and as integrals of rows.
+
+    First the slopes of P pieces at ``times``, by ``ramps`` of what is constant in them, then all
+    others. ``bands`` are projectors (N, N) and squares of wheel noise and of a random walk.
+    """
+
+    of_rates: Array  # (N, 3)
+    of_rows: Array  # (N, n)
+    times: Array
+    ramps: Array
+    bands: list[tuple[Array, float, float]]
+
+
+def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
+    """Pieces found by a loop over rows, their slopes and an orthonormal basis of all else."""
+    n, times = len(rows.times), rows.times
+    usual = float(np.median(np.diff(times)))
+    wheels = np.array(rows.wheels)
+    pieces, piece = [], [0]
+    for i in range(n - 1):
+        ends = times[i + 1] - times[i] > 2.5 * usual or times[i + 1] - times[piece[0]] > 32.0 + 1e-6
+        ends = ends or any(np.array(rows.fired[i]) != np.array(rows.fired[i + 1]))
+        for at in (i, i + 1):
+            if 0 < at < n - 1:
+                before, after = times[at] - times[at - 1], times[at + 1] - times[at]
+                slopes = (
+                    (wheels[at] - wheels[at - 1]) / before,
+                    (wheels[at + 1] - wheels[at]) / after,
+                )
+                bend = np.abs(slopes[1] - slopes[0]) * after
+                ends = ends or any(
+                    (bend > sampling.corner_rad_s) & (bend * after > sampling.corner_rad)
+                )
+        if ends:
+            pieces.append(piece)
+            piece = []
+        piece.append(i + 1)
+    slope_rates, slope_rows, waves, other_rates, other_rows = [], [], [], [], []
+    slope_times, ramps, sums = [], [], np.zeros(3)
+    duration = sampling.duration_s
+    pieces.append(piece)
+    for piece in [own for own in pieces if len(own) >= 2]:
+        m, step = len(piece), np.diff(np.array(times)[piece])
+        integral, turn = np.zeros((m, m)), np.zeros((m, 3))
+        walk = np.zeros((m, m))
+        for i in range(1, m):
+            integral[i] = integral[i - 1]
+            integral[i, [i - 1, i]] += 0.5 * step[i - 1]
+            walk[i] = walk[i - 1]
+            walk[i, i] = np.sqrt(step[i - 1])
+            relative = rows.bodies[piece[i]] @ rows.bodies[piece[i - 1]].T
+            # the body turns by φ: its axes' matrix by the inverse rotation
+            turn[i] = turn[i - 1] + Rotation.from_matrix(relative.T).as_rotvec()
+        ramp = np.array(times)[piece] - np.mean(np.array(times)[piece])
+        slope = ramp / np.sqrt(np.sum(ramp**2))
+        # orthonormal to a constant and to the ramp, whichever basis
+        contrast = null_space(np.stack([np.ones(m), slope])).T
+        on_all = np.zeros((m, n))
+        on_all[:, piece] = integral
+        slope_rates.append(slope @ turn)
+        slope_rows.append(slope @ on_all)
+        other_rates.append(contrast @ turn)
+        other_rows.append(contrast @ on_all)
+        slope_times.append(np.mean(np.array(times)[piece]))
+        ramps.append(np.sqrt(np.sum(ramp**2)))
+        waves.append(
+            [
+                slope @ integral @ np.cos(order * np.pi * np.array(times)[piece] / duration)
+                for order in range(129)
+            ]
+        )
+        sums += [
+            np.sum((slope @ integral) ** 2),
+            np.sum((contrast @ integral) ** 2),
+            np.sum((contrast @ integral @ walk) ** 2),
+        ]
+    if not slope_rates:
+        return PlainTurns(np.zeros((0, 3)), np.zeros((0, n)), np.zeros(0), np.zeros(0), [])
+    of_rates = np.concatenate([np.array(slope_rates), *other_rates])
+    count, total = len(slope_rates), len(of_rates)
+    order = np.arange(1, 129)
+    scale = np.r_[np.sqrt(duration / 3.0), np.sqrt(2 * duration) / (order * np.pi)]
+    modes, size, _ = np.linalg.svd(np.array(waves) * scale, full_matrices=False)
+    bands = []
+    for start, stop in pairwise([0, *(edge for edge in (2, 8, 32) if edge < count), count]):
+        share = np.zeros((total, total))
+        share[:count, :count] = modes[:, start:stop] @ modes[:, start:stop].T
+        bands.append((share, sums[0] / count, float(np.mean(size[start:stop] ** 2))))
+    if total > count:
+        rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
+        bands.append((rest, sums[1] / (total - count), sums[2] / (total - count)))
+    return PlainTurns(
+        of_rates,
+        np.concatenate([np.array(slope_rows), *other_rows]),
+        np.array(slope_times),
+        np.array(ramps),
+        bands,
+    )
 
 
 def _lacking(

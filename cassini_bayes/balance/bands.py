@@ -18,10 +18,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cassini_bayes.balance.kernel import LEAST_SQUARE
+from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
 from cassini_bayes.balance.statistics import EventStatistics, Layout
 from cassini_bayes.computing.arrays import Array
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
+SLOPE_EDGES: Final = (2, 8, 32)  # the same of slopes of quiet pieces
+WORTH_ADDING: Final = 3.0  # times the information of the rates that slopes must have
 ROWS_PER_MODE: Final = 2
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
@@ -39,7 +42,8 @@ class Band:
 
     ``values`` (W,) are the measured wheel rates' mean squares, rad²/s², along the principal axes
     ``vectors`` (W, W); ``walk`` (R,) or (1,) are the variances of a unit random walk's modes, s.
-    ``motion`` is None where wheels move by any amount at all frequencies.
+    ``motion`` is None where wheels move by any amount at all frequencies. ``cut`` and ``level``
+    (G,) are mean squares, per couple, of what counters leave open (:class:`OpenSquares`).
     """
 
     rows: int
@@ -47,6 +51,8 @@ class Band:
     vectors: Array
     walk: Array
     motion: CubicSpline | None  # of :func:`motion_table`
+    cut: Array
+    level: Array  # s²
 
     @property
     def table(self) -> tuple[Array, Array]:
@@ -76,7 +82,12 @@ def make_bands(statistics: EventStatistics) -> Bands:
 
 
 def _bands(statistics: EventStatistics) -> Bands:
-    walk, modes = turned_modes(statistics)
+    walk, modes, turned = turned_modes(statistics)
+    counters = statistics.counters
+    time = counters.row_time_s
+    waves = np.cos(np.pi / statistics.duration_s * time[:, None] * np.arange(len(turned)))
+    places = Places(time, waves, counters.stride)
+    left_open = open_squares(statistics, places, turned)
     turning = statistics.kind == "slew"
     edges, still = _edges(statistics, len(walk)), STILL
     bands, grams, rest = [], [], statistics.gram
@@ -84,7 +95,8 @@ def _bands(statistics: EventStatistics) -> Bands:
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         motion = None if turning else motion_table(stop - start, still)
-        bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion))
+        noise = left_open.of_modes(start, stop)
+        bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion, *noise))
         grams.append(gram)
         rest = rest - gram
         still = SPARSE_STILL if is_sparse(statistics) else STILL
@@ -94,7 +106,8 @@ def _bands(statistics: EventStatistics) -> Bands:
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         left = np.array([beyond * statistics.rows / rows])
         motion = None if turning else motion_table(rows, still)
-        bands.append(_band(statistics.layout, rest, left, rows, motion))
+        noise = left_open.of_rest(rows)
+        bands.append(_band(statistics.layout, rest, left, rows, motion, *noise))
         grams.append(rest)
     slow = np.ascontiguousarray(modes[..., : bands[0].rows])
     return (
@@ -119,36 +132,179 @@ def _edges(statistics: EventStatistics, modes: int) -> list[int]:
     return [0, *sorted(edge for edge in inner if 0 < edge < modes), modes]
 
 
-def _band(layout: Layout, gram: Array, walk: Array, rows: int, motion: CubicSpline | None) -> Band:
+def _band(
+    layout: Layout,
+    gram: Array,
+    walk: Array,
+    rows: int,
+    motion: CubicSpline | None,
+    cut: Array,
+    level: Array,
+) -> Band:
     square = gram[0, 0, layout.wheel, layout.wheel]
     values, vectors = np.linalg.eigh(square / rows)
-    return Band(rows, np.maximum(values, LEAST_SQUARE), vectors, walk, motion)
+    return Band(rows, np.maximum(values, LEAST_SQUARE), vectors, walk, motion, cut, level)
 
 
-def turned_modes(statistics: EventStatistics) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class OpenSquares:
+    """Squares, summed over rows, of what counters leave open in the number of tails and in on-time.
+
+    Of the patterns of :mod:`cassini_bayes.balance.open_counters`, cut tails with s (1 − s) = 1.
+    Modes (M, G) and all rows (G,), of cut tails and of levels (s²).
+    """
+
+    cut_modes: Array
+    level_modes: Array
+    cut_rows: Array
+    level_rows: Array
+
+    def of_modes(self, start: int, stop: int) -> tuple[Array, Array]:
+        """Mean squares (G,) over some modes."""
+        return self.cut_modes[start:stop].mean(axis=0), self.level_modes[start:stop].mean(axis=0)
+
+    def of_rest(self, rows: int) -> tuple[Array, Array]:
+        """Mean squares (G,) over the R rows that no mode explains."""
+        cut = self.cut_rows - self.cut_modes.sum(axis=0)
+        level = self.level_rows - self.level_modes.sum(axis=0)
+        return np.maximum(cut, 0.0) / rows, np.maximum(level, 0.0) / rows
+
+
+@dataclass(frozen=True)
+class Places:
+    """Times (r,) of evenly thinned rows, each for ``stride`` of them.
+
+    ``waves`` (r, 1 + cosines): a constant and cosines there.
+    """
+
+    time_s: Array
+    waves: Array
+    stride: int
+
+
+def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> OpenSquares:
+    """What counters leave open, on modes that ``turned`` (1 + cosines, M) makes of the cosines."""
+    counters = statistics.counters
+    couples = counters.weight.shape[1]
+    modes, rows = np.zeros((2, turned.shape[1], couples)), np.zeros((2, couples))
+    if couples == 0 or len(counters.end_s) == 0:
+        return OpenSquares(*modes, *rows)
+    on_modes, weight = places.waves @ turned, places.waves[:, :1]
+    step = weight * (places.time_s[:, None] >= counters.end_s)
+    for g in range(couples):
+        cuts = cut_patterns(counters, g, statistics.duration_s, step)
+        for which, pattern in enumerate((cuts, level_patterns(counters, g, step, weight))):
+            modes[which, :, g] = ((places.stride * on_modes.T @ pattern) ** 2).sum(axis=1)
+            rows[which, g] = places.stride * (pattern**2).sum()
+    return OpenSquares(*modes, *rows)
+
+
+@dataclass(frozen=True)
+class TurnBand:
+    """Contrasts of turns over quiet pieces, and what beside the attitude is in their noise.
+
+    Mean squares per contrast: of the wheels' summed noise, of a unit random walk, and per couple of
+    what counters leave open.
+    """
+
+    contrasts: int
+    summed_s2: float
+    walked_s3: float
+    cut: Array  # (G,) s²
+    level: Array  # (G,) s⁴
+
+
+def turn_bands(
+    statistics: EventStatistics, rate_square: float
+) -> tuple[tuple[TurnBand, ...], Array]:
+    """Slopes of the quiet pieces by frequency, then the rest; and their Gram matrices.
+
+    Torque noise and what counters leave open are slow, so that slopes are told apart by modes as
+    rows are (:func:`turned_modes`). The latter is in rates and in slopes alike, and would count
+    twice where both say as much: where something fires and rates are so good that slopes would add
+    little, these are left out. ``rate_square`` is the variance of a measured rate, (rad/s)².
+    Returns the bands and (T, 3, 3, A, A).
+    """
+    turns = statistics.turns
+    bands: list[TurnBand] = []
+    grams: list[Array] = []
+    if turns.pieces > 0 and _adds(statistics, rate_square):
+        bands, grams = _slope_bands(statistics)
+    if turns.contrasts > 0:
+        nothing = np.zeros(statistics.counters.weight.shape[1])
+        bands.append(TurnBand(turns.contrasts, turns.summed_s2, turns.walked_s3, nothing, nothing))
+        grams.append(turns.gram)
+    return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
+
+
+def _adds(statistics: EventStatistics, rate_square: float) -> bool:
+    """Whether nothing fires, or slopes say several times what the rates do by the noise of both."""
+    turns = statistics.turns
+    if len(statistics.layout.thrusters) == 0 or turns.contrasts == 0:
+        return len(statistics.layout.thrusters) == 0
+    turned = statistics.layout.rate
+    attitude_square = float(np.diagonal(turns.gram[0, 0])[turned].mean()) / turns.contrasts
+    by_slopes = float(turns.slope_mode_gram[0, 0]) * rate_square
+    return by_slopes > WORTH_ADDING * statistics.rows * attitude_square
+
+
+def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array]]:
+    turns = statistics.turns
+    walk, turned = diagonal_walk(turns.slope_mode_gram, statistics.duration_s, turns.pieces)
+    modes = np.tensordot(turns.slope_projection, turned, (0, 0))
+    places = Places(turns.slope_time_s, turns.slope_waves, turns.slope_stride)
+    left_open = open_squares(statistics, places, turned)
+    bands, grams, rest = [], [], turns.slope_gram
+    inner = [edge for edge in SLOPE_EDGES if edge < len(walk)]
+    for start, stop in pairwise([0, *inner, len(walk)]):
+        part = modes[..., start:stop]
+        gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
+        walked = float(walk[start:stop].mean())
+        noise = left_open.of_modes(start, stop)
+        bands.append(TurnBand(stop - start, turns.slope_summed_s2, walked, *noise))
+        grams.append(gram)
+        rest = rest - gram
+    if (rows := turns.pieces - len(walk)) > 0:
+        beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
+        walked = float(beyond * turns.slope_mode_gram[0, 0] / rows)
+        bands.append(TurnBand(rows, turns.slope_summed_s2, walked, *left_open.of_rest(rows)))
+        grams.append(rest)
+    return bands, grams
+
+
+def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array]:
     """Constant and cosines, turned to be orthonormal over the rows with a diagonal random walk.
 
-    Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
-    coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
-    mean). Returns the variances (M,) over a² and all columns' coordinates (3, A, M).
+    Returns the variances (M,) of a unit random walk, all columns' coordinates (3, A, M), and the
+    matrix (1 + cosines, M) that makes the modes of a constant and cosines.
     """
     layout, gram = statistics.layout, statistics.gram
-    count = len(statistics.mode_gram)
-    order = np.arange(1, count + 1)
-    scale = np.sqrt(statistics.duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi]
     one = layout.one
     mixed = statistics.projection[:, 0, one]
     square = np.block(
         [[gram[0, 0, one, one][None, None], mixed[None]], [mixed[:, None], statistics.mode_gram]]
     )
-    values, turn = np.linalg.eigh(scale[:, None] * square * scale)
-    most = max(statistics.rows // (1 if is_sparse(statistics) else ROWS_PER_MODE), 1)
-    kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][:most]
-    values, turn = values[kept], turn[:, kept]
+    most = statistics.rows // (1 if is_sparse(statistics) else ROWS_PER_MODE)
+    values, turned = diagonal_walk(square, statistics.duration_s, most)
     constant = np.stack([gram[0, c, one] for c in range(3)])
     seen = np.concatenate([constant[None], statistics.projection])
-    turned = turn / np.sqrt(values) * scale[:, None]
-    return values, np.tensordot(seen, turned, (0, 0))
+    return values, np.tensordot(seen, turned, (0, 0)), turned
+
+
+def diagonal_walk(square: Array, duration_s: float, most: int) -> tuple[Array, Array]:
+    """Combinations of a constant and cosines that are orthonormal, with a diagonal random walk.
+
+    Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
+    coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
+    mean). ``square`` (1 + cosines, 1 + cosines) are inner products over rows. Returns the variances
+    (M,) over a², largest first and at most ``most`` of them, and the matrix (1 + cosines, M).
+    """
+    order = np.arange(1, len(square))
+    scale = np.sqrt(duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi]
+    values, turn = np.linalg.eigh(scale[:, None] * square * scale)
+    kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][: max(most, 1)]
+    values, turn = values[kept], turn[:, kept]
+    return values, turn / np.sqrt(values) * scale[:, None]
 
 
 @lru_cache(maxsize=64)

@@ -64,13 +64,21 @@ class FastBands(NamedTuple):
     coefficients: Array  # (F, 4, T − 1, 2)
 
 
+class Turns(NamedTuple):
+    """T bands of integrated columns, white noise in each."""
+
+    grams: Array  # (T, A', 3, 3, A')
+    contrasts: Array  # (T,)
+
+
 class Noise(NamedTuple):
     """Noise and wheels at n points."""
 
     wheels: Array  # (n, 3, W) momentum per wheel rate
-    beside: Array  # (n, 3, 3) covariance without wheels and torque noise, (N m s)²
+    beside: Array  # (n, 1 + F, 3, 3) covariance without wheels and torque noise, (N m s)²
     wheel: Array  # (n,) variance of measured wheel rates, rad²/s²
     walk: Array  # (n,) density of torque noise, N² m² s
+    turns: Array  # (n, T, 3, 3) covariance of a contrast of integrated columns, (N m s²)²
 
 
 class Placed(NamedTuple):
@@ -86,7 +94,14 @@ class Placed(NamedTuple):
 
 @compiled_sums
 def normal_equations(
-    weights: Array, noise: Noise, entries: Entries, slow: SlowBand, fast: FastBands, placed: Placed
+    weights: Array,
+    turned: Array,
+    noise: Noise,
+    entries: Entries,
+    slow: SlowBand,
+    fast: FastBands,
+    turns: Turns,
+    placed: Placed,
 ) -> tuple[Array, Array, Array]:  # pragma: no cover - compiled
     """Inner products of the new columns with the noise whitened away.
 
@@ -94,7 +109,9 @@ def normal_equations(
     ----------
     weights
         (n, B', 3) weight of every entry per axis; those of measured wheel rates are overwritten.
-    noise, entries, slow, fast, placed
+    turned
+        (n, B', 3) the same for integrated columns.
+    noise, entries, slow, fast, turns, placed
         See there.
 
     Returns
@@ -116,7 +133,7 @@ def normal_equations(
         used, own = weights[i], noise.wheels[i]
         log_scale[i] = _slow_wheels(slow, noise.wheel[i], kept[i, 0])
         _see(own, kept[i, 0], entries.wheel_entries, used, seen)
-        _add_wheels(noise.beside[i], noise.wheel[i], seen, own, covariance)
+        _add_wheels(noise.beside[i, 0], noise.wheel[i], seen, own, covariance)
         _diagonalise(covariance, axes)
         for e in range(3):
             for m in range(modes):
@@ -130,7 +147,7 @@ def normal_equations(
     for f in range(bands):
         for i in range(n):
             used, own = weights[i], noise.wheels[i]
-            other[:] = noise.beside[i]
+            other[:] = noise.beside[i, 1 + f]
             for c in range(3):
                 other[c, c] += noise.walk[i] * fast.walk[f]
             if is_told:
@@ -153,6 +170,11 @@ def normal_equations(
             if not is_told:
                 log_scale[i] -= 0.5 * fast.rows[f] * log_determinant
             _contract(fast.grams[f], entries, used, other, normal[i])
+    for t in range(turns.contrasts.size):
+        for i in range(n):
+            log_determinant = _invert(noise.turns[i, t], other)
+            log_scale[i] -= 0.5 * turns.contrasts[t] * log_determinant
+            _contract(turns.grams[t], entries, turned[i], other, normal[i])
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):

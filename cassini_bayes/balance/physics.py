@@ -22,6 +22,7 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
 
 Parameters = Mapping[str, Array | float]
 
@@ -48,6 +49,7 @@ class Physics:
     wheel_inertia_kg_m2: Array  # (..., W)
     arms_m: Array  # (..., 3, K) torque per newton; no thrusters: K = 0
     tau_s: tuple[Array, Array, Array]  # delay, rise, fall, each (...)
+    close_share: Array | float = 0.0  # (...) of pulses within a second, a control cycle apart
     thrust_factor: Array | float = 1.0  # (..., K)
     impulse_offset_s: Array | float = 0.0  # (..., K) on-time added per pulse
     steady_torque_n_m: Array | float = 0.0  # (..., 3) beyond the collapsed external torque
@@ -92,6 +94,7 @@ def physics_of(
         wheel_inertia_kg_m2=wheel_inertias(spacecraft, parameters),
         arms_m=lever_arms(spacecraft, branch, parameters) if fires else np.zeros((3, 0)),
         tau_s=(delay, rise, fall),
+        close_share=parameters.get(CLOSE_SHARE, zero) if fires else zero,
         rate_bias_rad_s=_rate_bias(parameters),
     )
     for modify in modifiers:

@@ -11,14 +11,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cassini_bayes.balance.bands import Band
+from cassini_bayes.balance.bands import Band, TurnBand
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
     TelemetryBalance,
     balance_weights,
+    band_covariances,
+    covariance_beside_wheels,
     noise_covariance,
+    turn_covariances,
+    turn_weights,
+    wheel_variance,
 )
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 
 
@@ -50,15 +54,63 @@ def row_information(
     step
         Size of the steps.
     """
+    parameters = {**parameters, **_noise_seen(event, parameters)}
     nominal = {name: values[:1] for name, values in parameters.items()}
     total: Array | float = 0.0
-    bands = zip((event.slow, *event.fast), (None, *event.reduced.grams), kept, strict=True)
-    for band, gram, estimate in bands:
+    beside = covariance_beside_wheels(event, physics, parameters)[0]
+    with_open = band_covariances(event, physics, parameters, _scale(event, mean))[0]
+    bands = zip(
+        (event.slow, *event.fast), (None, *event.reduced.grams), kept, with_open, strict=True
+    )
+    for band, gram, estimate, own in bands:
         weights = balance_weights(event, physics, _scale(event, mean), estimate[None])
         columns = _columns(event, weights, mean, own_sd, levels, step)
-        noise = noise_covariance(event, physics, parameters, estimate[None])[0]
+        noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
         total = total + _whitened(event, band, gram, columns, noise, nominal)
+    weights = balance_weights(event, physics, _scale(event, mean))
+    weights = turn_weights(event, physics, weights)
+    columns = _columns(event, weights, mean, own_sd, levels, step)
+    noises = turn_covariances(event, physics, parameters, _scale(event, mean))[0]
+    for turn, gram, noise in zip(event.turns, event.reduced.turns, noises, strict=True):
+        total = total + _of_turns(event, turn, gram, columns, noise, nominal)
     return np.asarray(total)
+
+
+def _noise_seen(event: TelemetryBalance, parameters: Mapping[str, Array]) -> dict[str, Array]:
+    """Noise of rates and attitudes that is no more than what the fastest rows and turns show.
+
+    Prior means of noise levels are good to a factor only, and what a channel's noise is taken for
+    must not exceed all that there is in it.
+    """
+    layout, used = event.statistics.layout, event.reduced.columns
+    rate = (used >= layout.rate.start) & (used < layout.rate.stop)
+    seen = {}
+    for name, grams, counts in (
+        ("rate_noise_rad_s", event.reduced.grams, [band.rows for band in event.fast]),
+        ("attitude_noise_rad", event.reduced.turns, [band.contrasts for band in event.turns]),
+    ):
+        if len(grams) > 0:
+            largest = np.sqrt(np.diagonal(grams[-1][0, 0])[rate].mean() / counts[-1])
+            seen[name] = np.minimum(parameters[name], largest)
+    return seen
+
+
+def _of_turns(
+    event: TelemetryBalance,
+    band: TurnBand,
+    gram: Array,
+    columns: Array,
+    noise: Array,
+    nominal: Mapping[str, Array],
+) -> Array:
+    """Inner products of the derivatives over one band of turns, its noise whitened."""
+    inverse, flat = np.linalg.inv(noise), columns.reshape(len(columns), -1)
+    size = columns.shape[2]
+    weighted = np.einsum("cd,uda->uca", inverse, columns)
+    crossed = np.einsum("ucb,cdba->uda", weighted, gram)
+    quiet = _channel_square(event, nominal["attitude_noise_rad"], nominal, band.summed_s2)
+    own = np.einsum("uca,a,vca->uv", weighted, band.contrasts * quiet, columns)
+    return np.asarray(crossed.reshape(-1, 3 * size) @ flat.T - own)
 
 
 def _scale(event: TelemetryBalance, mean: Array) -> float:
@@ -106,7 +158,7 @@ def _whitened(
     count, size = len(columns), event.reduced.slow.shape[1]
     variance = values[:, None] + nominal["torque_noise_n_m_s05"][0] ** 2 * band.walk  # (3, R)
     modes = event.reduced.slow.reshape(3 * size, -1)
-    quiet = _channel_noise(event, band, nominal)
+    quiet = band.rows * _channel_square(event, nominal["rate_noise_rad_s"], nominal, 1.0)
     result = np.zeros((count, count))
     for own, axis in zip(variance, vectors.T, strict=True):
         along = (axis[:, None] * columns).reshape(count, -1)
@@ -121,18 +173,18 @@ def _whitened(
     return result
 
 
-def _channel_noise(event: TelemetryBalance, band: Band, nominal: Mapping[str, Array]) -> Array:
-    """Square (A,) that the channels' own noise adds to each scalar column over a band's rows.
+def _channel_square(
+    event: TelemetryBalance, rate_noise: Array, nominal: Mapping[str, Array], summed: float
+) -> Array:
+    """Square (A,) per row that the channels' own noise adds to each scalar column.
 
     Noise that drives a regressor tells nothing; the likelihood's Jacobian sees to the same.
+    ``rate_noise`` is that of the rates' columns, ``summed`` the factor of the wheels' variance.
     """
     layout = event.statistics.layout
     used = event.reduced.columns
     square = np.zeros(len(used))
-    square[(used >= layout.rate.start) & (used < layout.rate.stop)] = (
-        nominal["rate_noise_rad_s"][0] ** 2
-    )
-    square[(used >= layout.wheel.start) & (used < layout.wheel.stop)] = (
-        nominal["wheel_noise_rpm"][0] * RAD_S_PER_RPM
-    ) ** 2
-    return band.rows * square
+    square[(used >= layout.rate.start) & (used < layout.rate.stop)] = rate_noise[0] ** 2
+    wheels = (used >= layout.wheel.start) & (used < layout.wheel.stop)
+    square[wheels] = summed * wheel_variance(event, nominal)[0]
+    return square

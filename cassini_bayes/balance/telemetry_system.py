@@ -18,10 +18,12 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
     TelemetryBalance,
     balance_weights,
-    covariance_beside_wheels,
+    band_covariances,
     own_prior,
+    turn_covariances,
+    turn_weights,
+    wheel_variance,
 )
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 
 _THRUST_SPREAD: Final = 0.3  # of thrusts about their level, where slow modes place them
@@ -70,14 +72,24 @@ def event_system(
     own_sd = np.tile(sd, (n, 1))
     noise = Noise(
         np.ascontiguousarray(event.wheel_weights(physics)),
-        covariance_beside_wheels(event, physics, parameters),
-        (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2,
+        band_covariances(event, physics, parameters, thrust_n),
+        wheel_variance(event, parameters),
         parameters["torque_noise_n_m_s05"] ** 2,
+        turn_covariances(event, physics, parameters, thrust_n),
     )
     placed = Placed(np.r_[np.full(k, thrust_n), own_mean], _THRUST_SPREAD * thrust_n, own_sd)
     used = np.ascontiguousarray(weights[:, reduced.entries])
-    normal, log_scale, kept = normal_equations(used, noise, reduced.places, *event.bands, placed)
+    turned = np.ascontiguousarray(turn_weights(event, physics, weights)[:, reduced.entries])
+    normal, log_scale, kept = normal_equations(
+        used, turned, noise, reduced.places, *event.bands, placed
+    )
     channels = 3 + len(event.wheel_places)
-    jacobian = np.linalg.slogdet(physics.momentum_per_rate)[1]
-    log_scale += event.statistics.rows * (jacobian - 0.5 * channels * np.log(2.0 * np.pi))
+    # of the channels' densities: rates and wheels of every row, turns of every contrast
+    by_rate, by_turn = (
+        np.linalg.slogdet(per_unit)[1]
+        for per_unit in (physics.momentum_per_rate, physics.inertia_kg_m2)
+    )
+    log_scale += event.statistics.rows * (by_rate - 0.5 * channels * np.log(2.0 * np.pi))
+    contrasts = sum(band.contrasts for band in event.turns)
+    log_scale += contrasts * (by_turn - 1.5 * np.log(2.0 * np.pi))
     return EventSystem(normal, log_scale, own_sd, own_mean, kept)

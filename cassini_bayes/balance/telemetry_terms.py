@@ -10,25 +10,24 @@ Per row, in body axes,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.bands import Band, make_bands
-from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand
+from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
+from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
-from cassini_bayes.balance.statistics.columns import CUT_PARTS
+from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
 
 INITIAL_SD_N_M_S: Final = 10.0
-CONTROL_CYCLE_S: Final = 0.125
-_CLOSE_S: Final = 0.4
+SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses about that of all
 
 
 @dataclass(frozen=True)
@@ -88,10 +87,10 @@ class Pattern:
     row: Places
     start: Places
     thrusters: int
-    cuts: tuple[int, ...]  # places among the counts of close pairs that are not all zero
+    cuts: tuple[int, ...]  # places among the columns of cut tails that are not all zero
     fired: Places  # (9 K,)
     pulses: Places  # (K,)
-    lost: Places  # (L,) close pairs whose tail may have been cut
+    lost: Places  # (L,) tails that are cut on average
     lost_by: Places  # (L,) the thruster
     members: Array  # (S, K) ones where a thruster is of the couple whose tails may have been cut
     brought: tuple[tuple[int, int, str], ...]  # columns of effects: entry, thruster, name
@@ -114,6 +113,7 @@ class Reduced:
     wheel_entries: Places  # (W,) places among the entries
     grams: Array  # (F, 3, 3, A', A') of the fast bands
     slow: Array  # (3, A', M) coordinates on the slow modes
+    turns: Array  # (T, 3, 3, A', A') of the integrated columns of quiet pieces
 
     @cached_property
     def places(self) -> Entries:
@@ -126,7 +126,8 @@ class Reduced:
 class TelemetryBalance:
     """One telemetry event, ready for likelihood calls.
 
-    ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`).
+    ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`), ``turns``
+    the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters.
     """
@@ -137,6 +138,7 @@ class TelemetryBalance:
     wheel_places: tuple[int, ...]
     slow: Band
     fast: tuple[Band, ...]
+    turns: tuple[TurnBand, ...]
     initial_mean_n_m_s: Array
     spin: Array
     reduced: Reduced
@@ -152,7 +154,7 @@ class TelemetryBalance:
         return tuple(name for name in self.statistics.layout.extra if "@" not in name)
 
     @cached_property
-    def bands(self) -> tuple[SlowBand, FastBands]:
+    def bands(self) -> tuple[SlowBand, FastBands, Turns]:
         """The bands for compiled code."""
         nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
         slow = SlowBand(
@@ -170,7 +172,8 @@ class TelemetryBalance:
             np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
             np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
         )
-        return slow, fast
+        turns = np.ascontiguousarray(self.reduced.turns.transpose(0, 3, 1, 2, 4))
+        return slow, fast, Turns(turns, np.array([float(own.contrasts) for own in self.turns]))
 
     @property
     def fires(self) -> bool:
@@ -185,15 +188,6 @@ class TelemetryBalance:
     def unknowns(self) -> EventUnknowns:
         """Places of the event's unknowns."""
         return EventUnknowns(self.pattern.thrusters, len(self.pattern.cuts))
-
-
-def cut_probability(counter_interval_s: float) -> float:
-    """Chance that two pulses of one counter interval are a control cycle apart.
-
-    Measured on the closed-loop simulation at 1, 4 and 10 s: 0.45, 0.09, 0.035
-    (docs/telemetry-likelihood.md §6).
-    """
-    return min(0.5, _CLOSE_S / counter_interval_s) if counter_interval_s > 0 else 0.0
 
 
 def make_balance(
@@ -222,6 +216,7 @@ def make_balance(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
     slow, fast, slow_modes, grams = make_bands(statistics)
+    turns, turn_grams = turn_bands(statistics, _rate_square(statistics, fast, grams))
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
     return TelemetryBalance(
@@ -231,6 +226,7 @@ def make_balance(
         wheel_places=places,
         slow=slow,
         fast=fast,
+        turns=turns,
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
         reduced=Reduced(
@@ -242,8 +238,17 @@ def make_balance(
             pattern.wheels,
             grams,
             slow_modes,
+            turn_grams,
         ),
     )
+
+
+def _rate_square(statistics: EventStatistics, fast: Sequence[Band], grams: Array) -> float:
+    """Mean square of the measured rates in the fastest band: their noise, or somewhat more."""
+    rate = statistics.layout.rate
+    if not fast:
+        return float(np.diagonal(statistics.gram[0, 0])[rate].mean()) / statistics.rows
+    return float(np.diagonal(grams[-1][0, 0])[rate].mean()) / fast[-1].rows
 
 
 def without_idle_columns(
@@ -274,6 +279,7 @@ def without_idle_columns(
         wheel_entries=np.searchsorted(entries, pattern.wheels),
         grams=np.ascontiguousarray(full.grams[..., columns[:, None], columns]),
         slow=np.ascontiguousarray(full.slow[:, columns]),
+        turns=np.ascontiguousarray(full.turns[..., columns[:, None], columns]),
     )
     return replace(event, reduced=reduced)
 
@@ -307,14 +313,14 @@ def _initial_target(statistics: EventStatistics, scalars: Array, span: slice) ->
 
 def _pattern(statistics: EventStatistics) -> Pattern:
     layout = statistics.layout
-    cuts = tuple(int(place) for place in np.flatnonzero(statistics.close_pairs > 0))
+    cuts = tuple(int(place) for place in np.flatnonzero(statistics.cuts > 0))
     entries: list[list[int]] = []
     lost: list[tuple[int, int]] = []
     brought: list[tuple[int, int, str]] = []
     for k, name in enumerate(layout.thrusters):
         first = layout.fired.start + 9 * k
         couple = next(g for g, members in enumerate(layout.couples) if k in members)
-        own = [layout.cut.start + place for place in cuts if place // CUT_PARTS == couple]
+        own = [layout.cut.start + p for p in cuts if divmod(p, CUT_COLUMNS) == (couple, 0)]
         count = layout.pulse_count.start + k
         after = sum(map(len, entries)) + 10
         lost += [(after + i, k) for i in range(len(own))]
@@ -330,7 +336,7 @@ def _pattern(statistics: EventStatistics) -> Pattern:
     thrusters = len(layout.thrusters)
     members = np.zeros((len(cuts), thrusters))
     for i, place in enumerate(cuts):
-        members[i, list(layout.couples[place // CUT_PARTS])] = 1.0
+        members[i, list(layout.couples[place // CUT_COLUMNS])] = 1.0
     places = np.array(lost, dtype=np.int64).reshape(-1, 2)
     return Pattern(
         row=np.array([column for own in entries for column in own]),
@@ -386,9 +392,15 @@ def noise_covariance(
     """
     wheels = event.wheel_weights(physics)
     left = wheels if kept is None else wheels @ kept
-    noise = (parameters["wheel_noise_rpm"][:, None, None] * RAD_S_PER_RPM) ** 2
+    noise = wheel_variance(event, parameters)[:, None, None]
     other = covariance_beside_wheels(event, physics, parameters)
     return np.asarray(other + noise * left @ np.swapaxes(wheels, -1, -2))
+
+
+def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Variance (n,) of a measured wheel rate, its rounding included, rad²/s²."""
+    noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
+    return np.asarray(noise**2 + event.statistics.steps.wheel_rad_s**2 / 12.0)
 
 
 def covariance_beside_wheels(
@@ -396,9 +408,69 @@ def covariance_beside_wheels(
 ) -> Array:
     """Covariance (n, 3, 3) of what rates and attitudes put into a row, (N m s)²."""
     by_rate = physics.momentum_per_rate
-    rate = parameters["rate_noise_rad_s"][:, None, None] ** 2
+    rounding = event.statistics.steps.rate_rad_s**2 / 12.0
+    rate = (parameters["rate_noise_rad_s"] ** 2 + rounding)[:, None, None]
     attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
     return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * event.spin)
+
+
+def band_covariances(
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
+) -> Array:
+    """Covariance (n, 1 + F, 3, 3) in every band but for wheels and torque noise, (N m s)².
+
+    What counters leave open is slower than the rows: it differs by band.
+    """
+    white = covariance_beside_wheels(event, physics, parameters)
+    bands = (event.slow, *event.fast)
+    each = [_open_covariance(event, physics, thrust_n, own.cut, own.level) for own in bands]
+    return np.ascontiguousarray(white[:, None] + np.stack(each, axis=1))
+
+
+def turn_covariances(
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
+) -> Array:
+    """Covariance (n, T, 3, 3) of a contrast of the integrated balance by band, (N m s²)²."""
+    wheels, inertia = event.wheel_weights(physics), physics.inertia_kg_m2
+    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
+    by_attitude = attitude * inertia @ np.swapaxes(inertia, -1, -2)
+    by_wheels = wheel_variance(event, parameters)[:, None, None] * (
+        wheels @ np.swapaxes(wheels, -1, -2)
+    )
+    by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
+    each = [
+        by_attitude
+        + band.summed_s2 * by_wheels
+        + band.walked_s3 * by_torque
+        + _open_covariance(event, physics, thrust_n, band.cut, band.level)
+        for band in event.turns
+    ]
+    return np.ascontiguousarray(np.array(each).reshape(-1, *by_attitude.shape).swapaxes(0, 1))
+
+
+def _open_covariance(
+    event: TelemetryBalance, physics: Physics, thrust_n: float, cut: Array, level: Array
+) -> Array:
+    """Covariance (n, 3, 3) of tails and on-times that counters leave open, by couple (G,)."""
+    n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
+    if not event.fires or not (cut.any() or level.any()):
+        return np.zeros((n, 3, 3))
+    arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
+    together = np.stack([arms[..., list(own)].sum(-1) for own in couples], axis=-1)
+    lost = lost_per_cut_s(physics, event.sampling.control_cycle_s)
+    share = np.broadcast_to(physics.close_share, (n,))
+    square = (share * (1.0 - share) * lost**2)[:, None] * cut + level
+    return np.asarray(thrust_n**2 * (together * square[:, None]) @ np.swapaxes(together, -1, -2))
+
+
+def turn_weights(event: TelemetryBalance, physics: Physics, weights: Array) -> Array:
+    """Weights (n, B, 3) for integrated columns: turns of the body need no gyro."""
+    result, n = weights.copy(), len(weights)
+    first = event.pattern.start[event.unknowns.measured]
+    inertia = np.broadcast_to(physics.inertia_kg_m2, (n, 3, 3))
+    result[:, first : first + 3] = np.swapaxes(inertia, -1, -2)
+    result[:, first + 3] = 0.0
+    return result
 
 
 def _measured_weights(event: TelemetryBalance, physics: Physics, wheels: Array) -> Array:
@@ -433,22 +505,23 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
     if k > 0:
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
         pulse = pulse_weights(event.sampling, physics)
-        lost = lost_per_cut_s(physics)
+        lost = lost_per_cut_s(physics, event.sampling.control_cycle_s)
         factor = np.broadcast_to(physics.thrust_factor, (n, k))
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
-        probability = cut_probability(event.statistics.counter_interval_s)
         arm = np.swapaxes(arms, -1, -2)
         strength = factor[:, :, None] * pulse[:, None, :]
         fired = arm[..., :, None] * strength[..., None, :]
         weights[:, pattern.fired] = fired.reshape(n, 9 * k, 1)
         weights[:, pattern.pulses] = offset[:, :, None] * arm
-        weights[:, pattern.lost] = -probability * lost[:, None, None] * arm[:, pattern.lost_by]
+        share = np.broadcast_to(physics.close_share, (n,))
+        weights[:, pattern.lost] = -(share * lost)[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
             if name in physics.extra:
                 on_time = factor[:, thruster] * np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
-        weights[:, tails : tails + len(pattern.cuts)] = (
-            thrust_n * lost[:, None, None] * (pattern.members @ arm)
+        per_unit = thrust_n * lost[:, None] * cut_unit(event.statistics, pattern.cuts, share)
+        weights[:, tails : tails + len(pattern.cuts)] = per_unit[..., None] * (
+            pattern.members @ arm
         )
     return weights
 
@@ -457,18 +530,23 @@ def own_prior(
     event: TelemetryBalance, torque_mean_n_m: Array, torque_sd_n_m: Array
 ) -> tuple[Array, Array]:
     """Prior mean and sd (U,) of the event's own unknowns, independent normals."""
-    tails = cut_tail_sd(event)
+    tails = np.ones(len(event.pattern.cuts))  # in units of their sd
     return (
         np.concatenate([event.initial_mean_n_m_s, torque_mean_n_m, np.zeros(len(tails))]),
         np.concatenate([np.full(3, INITIAL_SD_N_M_S), torque_sd_n_m, tails]),
     )
 
 
-def cut_tail_sd(event: TelemetryBalance) -> Array:
-    """Prior sd (S,) of the share of n close pairs whose tail was cut: (p (1 − p)/n)^½."""
-    probability = cut_probability(event.statistics.counter_interval_s)
-    pairs = event.statistics.close_pairs[list(event.pattern.cuts)]
-    return np.asarray(np.sqrt(probability * (1.0 - probability)) / np.sqrt(pairs))
+def cut_unit(statistics: EventStatistics, cuts: Sequence[int], share: Array) -> Array:
+    """Cut tails per standard deviation of every unknown (n, S), over their columns.
+
+    Of a couple's departure from the ``share`` (n,) of close pairs: half of it. Of a part of the
+    event: the square root of the variance s (1 − s) Σ m about that.
+    """
+    places = np.array(cuts, dtype=np.int64)
+    of_all = SHARE_SPREAD * share[:, None]
+    of_part = np.sqrt((share * (1.0 - share))[:, None] / statistics.cuts[places])
+    return np.where(places % CUT_COLUMNS == 0, of_all, of_part)
 
 
 def pulse_weights(sampling: Sampling, physics: Physics) -> Array:
@@ -479,11 +557,11 @@ def pulse_weights(sampling: Sampling, physics: Physics) -> Array:
     return np.stack([np.ones_like(by_rise), by_rise, by_fall], axis=-1)
 
 
-def lost_per_cut_s(physics: Physics) -> Array:
-    """On-time that a tail loses when the next pulse starts one control cycle later, (n,) s.
+def lost_per_cut_s(physics: Physics, gap_s: float) -> Array:
+    """On-time that a tail loses when the next pulse starts ``gap_s`` after it began, (n,) s.
 
     A first-order valve that opens at thrust x0 F loses (τ_f − τ_r) x0 of impulse over F, with
     x0 = exp(−gap/τ_f).
     """
     fall = np.maximum(physics.tau_s[2], 1e-4)
-    return np.asarray((fall - physics.tau_s[1]) * np.exp(-CONTROL_CYCLE_S / fall))
+    return np.asarray((fall - physics.tau_s[1]) * np.exp(-gap_s / fall))

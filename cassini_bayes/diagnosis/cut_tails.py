@@ -1,125 +1,59 @@
-"""Single cut tails, as columns of the innovations' linear model.
+"""Single cut tails and single roundings, as columns of the innovations' linear model.
 
-Counters do not say which pulses were a control cycle apart. For pairs within one counter interval
-the likelihood has the mean loss and one unknown per couple of thrusters and quarter of the event
-(docs/telemetry-likelihood.md §6). Two things it lacks, because a Gram matrix has few columns:
-
-- which pairs of a quarter lost their tails;
-- pairs with a counter reading in between, a quarter of all cut tails at 1 Hz. They are 4 % of the
-  pairs of pulses in neighbouring intervals.
-
-Each leaves a step in the momentum, up to fifteen standard deviations by all rows after it. Rows can
-have a column for every one.
+Counters do not say which pulses were a control cycle apart, nor what their rounding took off. The
+likelihood has the share of close pulses, the mean of every quarter of an event, and the rest as
+noise of every band (docs/telemetry-likelihood.md §7). Each leaves a step in the momentum, up to
+fifteen standard deviations by all rows after it: rows can have a column for every one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.statistics.columns import CUT_PARTS
-from cassini_bayes.balance.telemetry_terms import cut_probability, lost_per_cut_s
+from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
+from cassini_bayes.balance.telemetry_terms import lost_per_cut_s
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 
-ACROSS_S: Final = 0.035
-"""Chance times counter interval: 0.036, 0.024 and 0.030 s in 23 simulated biases read every 1, 4
-and 10 s."""
+_LEAST_SHARE: Final = 1e-9  # of close pulses: an unknown of no width has no precision
 
 
-@dataclass(frozen=True)
-class Losses:
-    """Cut tails that one couple of thrusters may have had.
+def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Array]:
+    """What cut tails and roundings change in the momentum of an event's rows, by the model at z.
 
-    ``profile`` (n, s): tails lost by every row per unit of each unknown, whose mean is 0 and
-    variance ``variance`` (s,); ``mean`` (n,): tails lost on average that the likelihood lacks.
-    """
-
-    profile: Array
-    variance: Array
-    mean: Array
-
-
-def chance_across(counter_interval_s: float) -> float:
-    """Chance that pulses of two neighbouring counter intervals are a control cycle apart."""
-    return min(0.5, ACROSS_S / counter_interval_s) if counter_interval_s > 0 else 0.0
-
-
-def losses(
-    samples: Samples,
-    members: tuple[int, ...],
-    time_s: Array,
-    duration_s: float,
-    counter_interval_s: float,
-) -> Losses:
-    """Possible cut tails of thrusters that only fire together, by the rows at ``time_s`` (n,)."""
-    counted = samples.has_counters
-    ends = samples.time_s[counted][1:]
-    pulses = np.diff(samples.pulses[counted][:, list(members)], axis=0).max(axis=1, initial=0)
-    within = _within(ends, np.maximum(pulses - 1.0, 0.0), time_s, duration_s)
-    chance = cut_probability(counter_interval_s)
-    later = ends[1:][(pulses[:-1] > 0) & (pulses[1:] > 0)]
-    across = (time_s[:, None] >= later).astype(np.float64)
-    rare = chance_across(counter_interval_s)
-    variance = np.concatenate(
-        [
-            np.full(within.shape[1], chance * (1.0 - chance)),
-            np.full(across.shape[1], rare * (1.0 - rare)),
-        ]
-    )
-    return Losses(np.concatenate([within, across], axis=1), variance, rare * across.sum(1))
-
-
-def _within(ends: Array, pairs: Array, time_s: Array, duration_s: float) -> Array:
-    """Steps (n, s) of pairs within an interval, less the mean step of their quarter.
-
-    With s_i = 0 or 1 for pair i of N and step H_i, Σ s_i H_i = (Σ s_i/N) Σ H_j + Σ s_i (H_i − H̄):
-    the likelihood has the first part. √n for n pairs in one interval.
-    """
-    part = np.minimum((CUT_PARTS * ends / duration_s).astype(int), CUT_PARTS - 1)
-    profiles = [np.zeros((len(time_s), 0))]
-    for quarter in range(CUT_PARTS):
-        intervals = np.flatnonzero((part == quarter) & (pairs > 0))
-        if len(intervals) < 2:
-            continue
-        step = (time_s[:, None] >= ends[intervals]).astype(np.float64)
-        mean = step @ pairs[intervals] / pairs[intervals].sum()
-        profiles.append((step - mean[:, None]) * np.sqrt(pairs[intervals]))
-    return np.concatenate(profiles, axis=1)
-
-
-def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Array, Array]:
-    """What single cut tails change in the momentum of an event's rows, by the model at z (d,).
-
-    A cut tail takes F q (τ_f − τ_r) exp(−0.125 s/τ_f), q summed over thrusters that fire together.
+    A cut tail takes F d (τ_f − τ_r) exp(−g/τ_f) off the momentum, g the control cycle and d the
+    couple's lever arm; a rounding gives F d times itself until the next firing.
 
     Parameters
     ----------
+    z
+        (d,) point of the hypothesis.
     place
         Number of the event among those with telemetry.
 
     Returns
     -------
-    Columns (n, 3, s) in N m s, the variances (s,) of their unknowns, whose means are 0, and the
-    mean (n, 3) that the likelihood lacks.
+    Columns (n, 3, s) in N m s, and the variances (s,) of their unknowns, whose means are 0.
     """
     model, term = hypothesis.model, hypothesis.model.telemetry[place]
-    statistics = term.event.statistics
-    layout, time_s = statistics.layout, term.event.usable_rows.time_s
-    mean = np.zeros((len(time_s), 3))
+    counters, sampling = term.event.statistics.counters, term.event.sampling
+    layout, time_s = term.event.statistics.layout, term.event.usable_rows.time_s
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = term.physics(model.points(z[None]))
-    interval, duration = statistics.counter_interval_s, term.event.sampling.duration_s
-    samples = term.event.samples
-    for members in layout.couples if layout.thrusters else ():
-        possible = losses(samples, members, time_s, duration, interval)
+    step = (time_s[:, None] >= counters.end_s).astype(np.float64)
+    lost = float(lost_per_cut_s(physics, sampling.control_cycle_s)[0])
+    share = max(float(np.ravel(physics.close_share)[0]), _LEAST_SHARE)
+    for couple, members in enumerate(layout.couples if layout.thrusters else ()):
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
-        lost = float(lost_per_cut_s(physics)[0]) * arms[:, list(members)].sum(1)
-        taken = -model.thrust_prior.common_mean_n * lost
-        columns.append(possible.profile[:, None] * taken[:, None])
-        variances.append(possible.variance)
-        mean += possible.mean[:, None] * taken
-    return np.concatenate(columns, axis=2), np.concatenate(variances), mean
+        given = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
+        cuts = cut_patterns(counters, couple, sampling.duration_s, step)
+        levels = level_patterns(counters, couple, step, np.ones((len(time_s), 1)))
+        levels = levels[:, levels.any(axis=0)]
+        columns += [-lost * cuts[:, None] * given[:, None], levels[:, None] * given[:, None]]
+        variances += [
+            np.full(cuts.shape[1], share * (1.0 - share)),
+            np.ones(levels.shape[1]),
+        ]
+    return np.concatenate(columns, axis=2), np.concatenate(variances)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from cassini_bayes.balance.rate_information import RateInformation, combined
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds, standard
@@ -37,11 +36,6 @@ class Events:
     def ids(self) -> tuple[str, ...]:
         """Of all events."""
         return tuple(event.id for event in self.all)
-
-    @property
-    def rates(self) -> RateInformation:
-        """What attitudes against integrated rates say of the gyros."""
-        return combined([event.rates for event in self.telemetry])
 
     def without(self, event: str) -> Events:
         """The events with one left out."""

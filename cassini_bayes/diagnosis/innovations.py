@@ -20,7 +20,6 @@ from cassini_bayes.balance.telemetry_terms import (
     INITIAL_SD_N_M_S,
     TelemetryBalance,
     balance_weights,
-    cut_tail_sd,
     noise_covariance,
 )
 from cassini_bayes.computing.arrays import Array
@@ -133,7 +132,7 @@ def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) 
 
 def _own_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
     sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
-    return np.concatenate([sd, cut_tail_sd(terms)])
+    return np.concatenate([sd, np.ones(len(terms.pattern.cuts))])
 
 
 def _stacked(
@@ -166,7 +165,7 @@ def _stacked(
 
 def with_unknowns(
     linear: Linear,
-    opened: Sequence[tuple[Array, Array, Array]],
+    opened: Sequence[tuple[Array, Array]],
     factors: Sequence[Array],
 ) -> Linear:
     """The linear model with a column for everything that counters leave open.
@@ -176,26 +175,23 @@ def with_unknowns(
     linear
         Of the likelihood's columns.
     opened
-        Columns (n, 3, s) in N m s, their variances (s,) and the mean (n, 3) of every event
+        Columns (n, 3, s) in N m s and their variances (s,), of every event
         (:func:`unresolved.unresolved`).
     factors
         Lower factors (3, 3) of every event's noise.
     """
-    widths = [len(variance) for _, variance, _ in opened]
-    added = np.zeros((len(linear.target), sum(widths)))
-    target, place = linear.target.copy(), 0
-    for part, (columns, variance, mean), factor in zip(linear.parts, opened, factors, strict=True):
-        inverse, stop = np.linalg.inv(factor), place + len(variance)
-        white = np.einsum("ab,nbs->nas", inverse, columns)
-        added[part, place:stop] = white.reshape(3 * len(mean), len(variance))
-        target[part] -= (mean @ inverse.T).reshape(-1)
+    widths = [len(variance) for _, variance in opened]
+    added, place = np.zeros((len(linear.target), sum(widths))), 0
+    for part, (columns, variance), factor in zip(linear.parts, opened, factors, strict=True):
+        white = np.einsum("ab,nbs->nas", np.linalg.inv(factor), columns)
+        stop = place + len(variance)
+        added[part, place:stop] = white.reshape(part.stop - part.start, len(variance))
         place = stop
-    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance, _ in opened)])
-    return Linear(
-        target,
-        np.concatenate([linear.columns, added], axis=1),
-        np.concatenate([linear.precision, precision]),
-        linear.rows,
+    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance in opened)])
+    return replace(
+        linear,
+        columns=np.concatenate([linear.columns, added], axis=1),
+        precision=np.concatenate([linear.precision, precision]),
     )
 
 

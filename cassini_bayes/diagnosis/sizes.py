@@ -9,9 +9,10 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import TRUSTED_K, Size, Weighed
+from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
-from cassini_bayes.diagnosis.unresolved import unresolved
+from cassini_bayes.diagnosis.unresolved import timed
 from cassini_bayes.model.posterior import TORQUES
 
 SUMMARY_DRAWS: Final = 2_000
@@ -98,7 +99,7 @@ def weighted_interval(
 def with_unresolved(
     hypothesis: Hypothesis, mode: Array, z: Array, rng: np.random.Generator
 ) -> Array:
-    """Posterior draws z (n, d) about a mode (d,), moved and widened by what counters leave open.
+    """Posterior draws z (n, d) about a mode (d,), moved and widened by when pulses were fired.
 
     With X the linear model's columns, U those of what is open (:mod:`unresolved`), r what the
     model leaves at its mode, G and G' the Gram matrices of X and of (X, U) with their priors'
@@ -106,24 +107,24 @@ def with_unresolved(
 
         (Δ, u) = G'⁻¹ (0, Uᵀ r),  Σ = (G⁻¹)_zz,  Σ' = (G'⁻¹)_zz,
 
-    and (−Xᵀ m, Uᵀ (r − m)) in place of (0, Uᵀ r) where what is open has a mean m. Stay as they are:
-    hypotheses of gyro errors, of which attitudes speak that are not in the rows, and cases with
-    totals rows, whose information the linear model does not have.
+    U those of :func:`cassini_bayes.diagnosis.unresolved.timed`. Cases with totals rows, whose
+    information the linear model does not have, stay as they are.
     """
     model = hypothesis.model
-    if not model.telemetry or model.totals or model.gyros:
+    opened = [timed(hypothesis, mode, i) for i in range(len(model.telemetry))]
+    if model.totals or not any(len(variance) for _, variance in opened):
         return z
     linear, factors = linearise(hypothesis, mode)
-    opened = [unresolved(hypothesis, mode, i) for i in range(len(model.telemetry))]
+    cuts = [single_cuts(hypothesis, mode, i) for i in range(len(model.telemetry))]
+    linear = with_unknowns(linear, cuts, factors)
     wide = with_unknowns(linear, opened, factors)
     d, size = len(mode), linear.columns.shape[1]
     gram = linear.gram()
     pull = np.zeros(size)
     pull[:d] = mode  # of the prior, whose centre is not the mode
     fitted = np.linalg.solve(gram, linear.columns.T @ linear.target - pull)
-    left = linear.target - linear.columns @ fitted
-    slope = wide.columns.T @ (wide.target - linear.columns @ fitted)
-    slope[:size] -= linear.columns.T @ left
+    slope = wide.columns.T @ (linear.target - linear.columns @ fitted)
+    slope[:size] = 0.0
     wider = wide.gram()
     move = np.linalg.solve(wider, slope)[:d]
     added = np.linalg.inv(wider)[:d, :d] - np.linalg.inv(gram)[:d, :d]

@@ -17,36 +17,37 @@ from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.effects.effect import FittedRows
 from cassini_bayes.effects.firings import firings
 
-Unknowns = tuple[Array, Array, Array]
+Unknowns = tuple[Array, Array]
+"""Columns (n, 3, s) in N m s, and variances (s,) of their unknowns, whose means are 0."""
 
 
 def unresolved(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
-    """What counters leave open in the rows of an event (``place``) by a hypothesis at z (d,).
+    """What counters leave open in the rows of an event (``place``) by a hypothesis at z (d,)."""
+    parts = (single_cuts(hypothesis, z, place), timed(hypothesis, z, place))
+    columns, variances = zip(*parts, strict=True)
+    return np.concatenate(columns, axis=2), np.concatenate(variances)
 
-    Returns
-    -------
-    Columns (n, 3, s) in N m s, variances (s,) of their unknowns, whose means are 0, and what the
-    likelihood lacks on average (n, 3).
+
+def timed(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
+    """The part that depends on when in an interval pulses were fired, by effects that tell it.
+
+    The likelihood has the mean of it.
     """
-    columns, variance, mean = single_cuts(hypothesis, z, place)
     model = hypothesis.model
     term = model.telemetry[place]
-    layout = term.event.statistics.layout
-    timed = [effect for effect in hypothesis.effects if effect.kind.left_open is not None]
-    if not timed or not layout.thrusters:
-        return columns, variance, mean
-    samples = term.event.samples
+    layout, time_s = term.event.statistics.layout, term.event.usable_rows.time_s
+    effects = [effect for effect in hypothesis.effects if effect.kind.left_open is not None]
+    parts = [(np.zeros((len(time_s), 3, 0)), np.zeros(0))]
     points = model.points(z[None])
     physics = term.physics(points)
-    arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
-    rows = FittedRows(term.event.usable_rows.time_s, samples, physics)
-    parts = [(columns, variance)]
-    for members in layout.couples:
-        fired = firings(samples, members, model.thrust_prior.common_mean_n * arms)
-        for effect in timed:
+    rows = FittedRows(time_s, term.event.samples, physics)
+    for members in layout.couples if effects and layout.thrusters else ():
+        arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
+        fired = firings(term.event.samples, members, model.thrust_prior.common_mean_n * arms)
+        for effect in effects:
             setting = effect.setting(model.spacecraft, model.branch)
             values = effect.values(points.parameters)
             assert effect.kind.left_open is not None  # it is timed
             parts.append(effect.kind.left_open(fired, rows, values, setting))
-    together, variances = zip(*parts, strict=True)
-    return np.concatenate(together, axis=2), np.concatenate(variances), mean
+    columns, variances = zip(*parts, strict=True)
+    return np.concatenate(columns, axis=2), np.concatenate(variances)

@@ -114,9 +114,6 @@ class Kind:
     search
         Settles before the fit what is no parameter of it, in what a model leaves; None where these
         events are too short. Its priors are those of the effect.
-    rate_errors
-        Bias (n, 3) rad/s and scale (n, 3) that it adds to measured rates: attitudes against
-        integrated rates then speak of it as well (:mod:`cassini_bayes.balance.rate_information`).
     reported, report
         Keys of the sizes that it is reported with, and the function from its parameters to them;
         those of the parameters themselves by default.
@@ -138,7 +135,6 @@ class Kind:
     change_in_rows: Change | None = None
     columns: Callable[[Sequence[str]], tuple[ExtraColumn, ...]] | None = None
     search: Callable[[Remainder, Mapping[str, Distribution]], SearchResult | None] | None = None
-    rate_errors: Callable[[Values, Setting], tuple[Array, Array]] | None = None
     reported: tuple[str, ...] = ()
     report: Callable[[Values, Setting], Values] | None = None
     known_to: Mapping[str, float] = field(default_factory=dict)

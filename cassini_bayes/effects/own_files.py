@@ -36,7 +36,6 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
     "change_in_rows": ("physics", "parameters", "values", "setting"),
     "columns": ("thrusters",),
     "search": ("remainder", "priors"),
-    "rate_errors": ("values", "setting"),
     "report": ("values", "setting"),
     "left_open": ("fired", "rows", "values", "setting"),
     "fire": ("controller", "values"),
@@ -208,10 +207,6 @@ def _checked(path: Path, where: str, name: str, result: Any, given: tuple[Any, .
         return tuple(_checked_column(path, where, column, given[0]) for column in result)
     elif name == "search":
         return None if result is None else _checked_search(path, where, result)
-    elif name == "rate_errors":
-        points = len(next(iter(given[0].values())))
-        for part, what in zip(_pair(where, result), ("bias", "scale"), strict=True):
-            _check_shape(f"{where}: {what}", part, (points, 3))
     elif name == "left_open":
         columns, variances = _pair(where, result)
         _check_shape(f"{where}: columns", columns, (len(given[1].time_s), 3, len(variances)))

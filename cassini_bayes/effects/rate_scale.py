@@ -7,26 +7,19 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters, Physics
-from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.changes import unit_vector, with_rate_errors
 from cassini_bayes.effects.effect import Kind, Setting, Values
 
 
-def rate_errors(values: Values, setting: Setting) -> tuple[Array, Array]:
-    """No bias, and the scale about the target's axis."""
-    scale = values["rate_scale"][..., None] * unit_vector(setting.target)
-    return np.zeros_like(scale), scale
-
-
 def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
-    """Measured rates with the scale."""
-    return with_rate_errors(physics, *rate_errors(values, setting))
+    """Measured rates with the scale about the target's axis."""
+    scale = values["rate_scale"][..., None] * unit_vector(setting.target)
+    return with_rate_errors(physics, np.zeros_like(scale), scale)
 
 
 KIND: Final = Kind(
     "rate_scale",
     change,
-    rate_errors=rate_errors,
     separation={
         "inertia": "attitude from the star tracker against integrated rates over a large turn",
     },

@@ -14,11 +14,11 @@ import numpy as np
 
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext
-from cassini_bayes.balance.telemetry_terms import CONTROL_CYCLE_S
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Setting, Values
 from cassini_bayes.effects.firings import TAIL_S, Firings
+from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 
 OFFSETS_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """Offsets that have columns (zero needs none): whole samples at 1 Hz, to the prior's bounds."""

@@ -20,7 +20,6 @@ import numpy as np
 from cassini_bayes.balance.accelerometer import AccelerometerStatistics, accelerometer_statistics
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
 from cassini_bayes.balance.physics import INERTIA_PARAMETERS, PULSE_PARAMETERS
-from cassini_bayes.balance.rate_information import RateInformation, rate_information
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     ExtraColumn,
@@ -32,6 +31,7 @@ from cassini_bayes.balance.statistics import (
     save_statistics,
 )
 from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
+from cassini_bayes.balance.statistics.preparation import Prepared, prepare
 from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
@@ -69,6 +69,8 @@ _SAME_S: Final = 1e-9
 _TELL_S: Final = 5.0  # between lines of progress
 _TAIL_SPAN: Final = 5.0
 _PRIOR_SPAN: Final = 2.0
+_CORNER: Final = 0.5  # of the attitude's noise
+_CORNER_NOISE: Final = 5.0  # standard deviations of a second difference
 MOST_KEPT: Final = 200_000
 """Rows of an event that stay in memory once they are read, some 50 MB."""
 
@@ -94,7 +96,7 @@ class ReducedEvent:
     statistics: EventStatistics
     sampling: Sampling
     reading: ReadingRecord
-    rows: Iterable[Samples]
+    rows: PreparedRows
     source: str
     digest: str = ""  # of the files; none of telemetry that was never in one
     key: str = ""  # of the reduction in the cache
@@ -137,18 +139,15 @@ class ReducedEvent:
         layout = self.statistics.layout
         return settle(self.samples, Carry.start(layout), layout, self.sampling, final=True)[0]
 
-    @cached_property
-    def rates(self) -> RateInformation:
-        """What attitudes against integrated rates say of the gyros."""
-        return rate_information(self.samples)
-
     def with_columns(self, extra: Sequence[ExtraColumn]) -> ReducedEvent:
         """The event reduced with columns that effects need, which see all of it at once."""
         sampling = replace(self.sampling, extra=tuple(extra))
         layout = replace(self.statistics.layout, extra=tuple(column.name for column in extra))
-        samples = self.samples
-        statistics = reduce_chunks(self.id, self.kind, [samples], layout, sampling, len(samples))
-        return replace(self, statistics=statistics, sampling=sampling, rows=(samples,), key="")
+        samples, found = self.samples, self.rows.prepared.found
+        statistics = reduce_chunks(
+            self.id, self.kind, [samples], layout, sampling, len(samples), found
+        )
+        return replace(self, statistics=statistics, sampling=sampling, key="")
 
 
 class EventRows:
@@ -190,6 +189,24 @@ class EventRows:
             self._kept = tuple(kept)
 
 
+class PreparedRows:
+    """Rows of an event with what a first look at them found: expected on-times, least steps."""
+
+    def __init__(self, rows: Iterable[Samples], control_cycle_s: float) -> None:
+        self._rows, self._control_cycle_s = rows, control_cycle_s
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return PreparedRows, (self._rows, self._control_cycle_s)
+
+    def __iter__(self) -> Iterator[Samples]:
+        return self.prepared.samples(self._rows)
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """The first look, made once."""
+        return prepare(self._rows, self._control_cycle_s)
+
+
 def is_event_folder(path: Path) -> bool:
     """Whether a path given as an event is a folder of telemetry, not a totals file."""
     return exists(path) and path.is_dir()
@@ -216,8 +233,17 @@ def sampling_of(
     """How an event's telemetry is reduced, from the priors of the pulse parameters.
 
     The guard time is the valve delay and five of the longest likely tail-off times: what a pulse
-    delivers later is below a percent of its tail.
+    delivers later is below a percent of its tail. Wheels that change their acceleration between
+    rows end a piece where the trapezoid would miss half the attitude's noise (I_w Δ²ρ Δt/8 against
+    I σ_θ) and where that is no noise of the wheel rates (five standard deviations).
     """
+    means = priors.means()
+    inertia = min(means[f"inertia_{axis}{axis}_kg_m2"] for axis in "xyz")
+    wheel = max(
+        means[w.inertia_parameter] for w in priors.spacecraft.wheels if w.number in priors.wheels
+    )
+    missed = _CORNER * inertia * means["attitude_noise_rad"]
+    noise = means["wheel_noise_rpm"] * RAD_S_PER_RPM
     groups = couples(priors.spacecraft, priors.branch) if thrusters else ()
     reference, guard = (0.0, 0.0, 0.0), 0.0
     if thrusters:
@@ -231,6 +257,9 @@ def sampling_of(
         guard,
         tuple(tuple(list(thrusters).index(name) for name in group) for group in groups),
         duration_s,
+        control_cycle_s=priors.spacecraft.control_cycle_s,
+        corner_rad=8.0 * missed / wheel,
+        corner_rad_s=_CORNER_NOISE * np.sqrt(6.0) * noise,
     )
 
 
@@ -244,7 +273,9 @@ def reduce_samples(
 ) -> ReducedEvent:
     """Reduce telemetry that is in memory, as from a simulation."""
     layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples)
-    statistics = reduce_chunks(event_id, kind, [samples], layout, sampling)
+    rows = PreparedRows((samples,), sampling.control_cycle_s)
+    found = rows.prepared.found
+    statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=found)
     counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
     gained = np.zeros((2, len(thrusters)))
     if len(counted):
@@ -258,7 +289,7 @@ def reduce_samples(
         pulses=tuple(gained[1].tolist()),
         mends=(),
     )
-    return ReducedEvent(statistics, sampling, reading, (samples,), "memory")
+    return ReducedEvent(statistics, sampling, reading, rows, "memory")
 
 
 def reduce_event(
@@ -330,7 +361,7 @@ def reduce_event(
         statistics,
         sampling,
         reading,
-        rows,
+        PreparedRows(rows, sampling.control_cycle_s),
         event.source,
         event.digest,
         key,
@@ -380,6 +411,8 @@ def reduction_key(event: TelemetryEvent, sampling: Sampling, policy: Policy = ST
         "couples": sampling.couples,
         "duration_s": sampling.duration_s,
         "extra": [column.name for column in sampling.extra],
+        "control_cycle_s": sampling.control_cycle_s,
+        "corner": [sampling.corner_rad, sampling.corner_rad_s],
         "thrusters": event.thrusters,
         "code": code_digest(*REDUCED_BY),
     }
@@ -487,7 +520,15 @@ def _reduced(
     layout = Layout(event.wheels, event.thrusters, sampling.couples)
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
     reading = _Reading(event, rows, check, sampling.duration_s, say)
-    statistics = reduce_chunks(event.id, event.kind, reading.samples(), layout, sampling)
+    prepared = prepare(rows, sampling.control_cycle_s)
+    statistics = reduce_chunks(
+        event.id,
+        event.kind,
+        prepared.samples(reading.samples()),
+        layout,
+        sampling,
+        prepared=prepared.found,
+    )
     return statistics, reading.record(check.verdict())
 
 

@@ -17,13 +17,11 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
-from cassini_bayes.balance.rate_information import combined
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.effect import Effect, columns_of
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.gyros import GyroTerm
 from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm, telemetry_terms
 from cassini_bayes.model.terms import Points, Shared, Term, TermAt, TermEvent
 from cassini_bayes.model.thrusts import (
@@ -61,12 +59,11 @@ class Model(Shared):
     telemetry: tuple[TelemetryTerm, ...]
     idle: Mapping[str, float]  # parameters of wheels that no event uses
     effects: tuple[Effect, ...] = ()  # beyond the standard physics
-    gyros: tuple[GyroTerm, ...] = ()  # one where an effect is an error of theirs
 
     @property
     def terms(self) -> tuple[Term, ...]:
         """All terms in order."""
-        return (*self.totals, *self.telemetry, *self.gyros)
+        return (*self.totals, *self.telemetry)
 
     @property
     def totals_rows(self) -> TotalsTerm:
@@ -238,18 +235,13 @@ def with_effects(model: Model, effects: Sequence[Effect]) -> Model:
     specs = {spec.name: spec for effect in effects for spec in effect.specs}
     added = tuple(effect.modifier(*place) for effect in effects)
     in_rows = tuple(effect.modifier(*place, rows=True) for effect in effects)
-    together = (*model.effects, *effects)
-    gyros: tuple[GyroTerm, ...] = ()
-    if any(effect.kind.rate_errors is not None for effect in together):
-        gyros = (GyroTerm(combined([term.event.rates for term in model.telemetry]), together),)
     return replace(
         model,
         space=space,
         specs={**model.specs, **specs},
         totals=tuple(replace(t, modifiers=(*t.modifiers, *added)) for t in model.totals),
         telemetry=tuple(replace(t, modifiers=(*t.modifiers, *in_rows)) for t in model.telemetry),
-        effects=together,
-        gyros=gyros,
+        effects=(*model.effects, *effects),
     )
 
 

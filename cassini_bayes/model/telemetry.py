@@ -2,7 +2,7 @@
 
 Everything about rows is in the event's Gram matrices, so a call costs the same for any number of
 rows. Initial momentum, steady torque and cut tails are integrated out given the thrusts
-(docs/telemetry-likelihood.md §5).
+(docs/telemetry-likelihood.md §6).
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
 from cassini_bayes.spacecraft.pulses import effective_on_time
 
 INITIAL: Final = "initial_momentum_n_m_s"
@@ -409,7 +410,7 @@ def telemetry_parameters(
     names = [*INERTIA_PARAMETERS, *_CHANNELS]
     names += shared.spacecraft.wheel_parameters(wheels)
     if fires:
-        names += [*PULSE_PARAMETERS, *CENTRE_PARAMETERS]
+        names += [*PULSE_PARAMETERS, CLOSE_SHARE, *CENTRE_PARAMETERS]
         names += [*shared.spacecraft.geometry[shared.branch].parameters]
         names += shared.thrust_prior.walked
     if has_delta_v:

@@ -25,7 +25,7 @@ from cassini_bayes.priors.chaining import EarlierFit, read_earlier
 from cassini_bayes.priors.distributions import Distribution, check_bounds, check_keywords
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
-from cassini_bayes.spacecraft.parameters import ParameterSpec, generic_parameters
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, ParameterSpec, generic_parameters
 
 __all__ = [
     "ZERO_CENTRED",
@@ -59,6 +59,11 @@ _BUT_SIGNED: Final = (
 _NEVER_NEGATIVE: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
 # More prior probability of a negative value than this means that a bound was forgotten.
 _NEGATIVE_MASS: Final = 1e-3
+
+
+TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
+"""What priors of telemetry have and those of totals have not."""
+_ANY_SHARE: Final = (Distribution("uniform", {"loc": 0.0, "scale": 0.6}), None)
 
 
 @dataclass(frozen=True)
@@ -261,6 +266,12 @@ def read_priors(path: str | Path) -> Priors:
     own = _table(f"{path}: spacecraft", document.get("spacecraft"))
     spacecraft = _read_spacecraft(Path(path), own)
     parameters = _read_parameters(f"{path}: parameters", document.get("parameters"), spacecraft)
+    if TELEMETRY_NOISE in parameters and CLOSE_SHARE not in parameters:
+        parameters[CLOSE_SHARE] = ParameterPrior(
+            known_parameters(spacecraft)[CLOSE_SHARE],
+            *_ANY_SHARE,
+            "not in the file: any that controllers were seen to have",
+        )
     wheels = _read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft)
     turned = spacecraft.with_platforms(parameters)
     turned.check_platforms(wheels, f"{path}: parameters")

@@ -14,6 +14,8 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.spacecraft.parameters import ParameterSpec
 
+CONTROL_CYCLE_S: Final = 0.125
+"""Where a spacecraft file does not say: paper 001 section III."""
 AXIS_DEMANDS: Final = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -153,7 +155,8 @@ class Spacecraft:
 
     ``axis_pairs`` maps a torque demand (``"+x"`` … ``"-z"``) to the thrusters fired together for
     it; ``parameters`` are the spacecraft's own (geometry, wheels); ``geometry`` maps a branch to
-    its arrays; ``digest`` is the SHA-256 of the file it was read from.
+    its arrays; ``digest`` is the SHA-256 of the file it was read from. Pulses start with control
+    cycles of ``control_cycle_s``.
     """
 
     name: str
@@ -164,6 +167,7 @@ class Spacecraft:
     parameters: tuple[ParameterSpec, ...]
     geometry: Mapping[str, BranchGeometry]
     digest: str
+    control_cycle_s: float = CONTROL_CYCLE_S
 
     def __post_init__(self) -> None:
         for name in ("axis_pairs", "geometry"):

@@ -22,6 +22,9 @@ EFFECT_BLOCK: Final = "effect"
 """Of parameters that no spacecraft has by itself: sizes of effects beyond the standard physics."""
 
 
+CLOSE_SHARE: Final = "close_pulse_share"
+
+
 @dataclass(frozen=True)
 class ParameterSpec:
     """Name, unit (``"1"`` when dimensionless), block and meaning.
@@ -84,6 +87,11 @@ _GENERIC: Final = (
         cm_x_m="centre of mass, X, in the frame of the thruster positions",
         cm_y_m="centre of mass, Y, in the frame of the thruster positions",
         cm_z_m="centre of mass, Z, in the frame of the thruster positions",
+    ),
+    *_specs(
+        "tail-off",
+        "1",
+        close_pulse_share="share of pulses within a second that start one control cycle apart",
     ),
     *_specs(
         "inertia",

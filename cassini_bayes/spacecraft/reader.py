@@ -18,6 +18,7 @@ from cassini_bayes.files.toml_file import toml_bytes, toml_of
 from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
+    CONTROL_CYCLE_S,
     BranchGeometry,
     Platform,
     Spacecraft,
@@ -75,6 +76,7 @@ class _File(_Table):
     wheel: list[_WheelTable] = Field(min_length=1)
     thruster: list[_ThrusterTable] = Field(min_length=1)
     axis_pairs: dict[str, list[str]]
+    control_cycle_s: Annotated[float, Field(gt=0.0, le=60.0)] = CONTROL_CYCLE_S
 
 
 def load_spacecraft(reference: str | Path) -> Spacecraft:
@@ -128,6 +130,7 @@ def _build(content: bytes, where: str) -> Spacecraft:
         parameters=tuple(specs.values()),
         geometry={b: _branch(b, thrusters, pairs, where) for b in file.branches},
         digest=hashlib.sha256(content).hexdigest(),
+        control_cycle_s=file.control_cycle_s,
     )
 
 

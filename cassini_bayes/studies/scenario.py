@@ -42,6 +42,7 @@ from cassini_bayes.simulation import (
     truth_fields,
     truth_text,
 )
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
 
 TRUTH_FILE: Final = "truth.json"
 TOTALS_FILE: Final = "totals.csv"
@@ -143,7 +144,7 @@ def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> T
     drawn: dict[str, float] = {}
     if priors is not None:
         for name in priors.parameters:
-            if name not in given and name not in ZERO_CENTRED:
+            if name not in given and name not in (*ZERO_CENTRED, CLOSE_SHARE):
                 drawn[name] = _draw(priors, name, seed)
     individual = file.individual_n()
     events = {event.id: dict(event.truth) for event in scenario.event}

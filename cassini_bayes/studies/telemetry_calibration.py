@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cassini_bayes.balance.physics import physics_of
 from cassini_bayes.balance.statistics import Samples
@@ -218,9 +219,22 @@ def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Ge
     rates = (momentum - by_wheels) @ np.linalg.inv(physics.inertia_kg_m2).T
     return replace(
         samples,
+        attitude=_turned(samples, rates),
         rate_rad_s=samples.rate_rad_s + rates,
         wheel_rad_s=samples.wheel_rad_s + wheels,
     )
+
+
+def _turned(samples: Samples, rates: Array) -> Array:
+    """Attitudes (n, 4) of a body that has also turned at these rates (n, 3), which are small."""
+    known = np.flatnonzero(np.isfinite(samples.attitude[:, 0]))
+    steps = np.diff(samples.time_s[known])[:, None]
+    gained = 0.5 * steps * (rates[known[1:]] + rates[known[:-1]])
+    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(gained, axis=0)])
+    attitude = samples.attitude.copy()
+    before = Rotation.from_quat(attitude[known])
+    attitude[known] = (before * Rotation.from_rotvec(angle)).as_quat()
+    return attitude
 
 
 def _taken_over(momentum: Array, steps: Array) -> Array:

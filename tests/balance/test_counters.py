@@ -98,12 +98,17 @@ def test_a_step_is_told_from_the_readings() -> None:
 def test_other_widths_are_not_taken_for_multiples() -> None:
     """Negative control: widths of any size are no multiples, nor is a step that tells nothing."""
     rng = np.random.default_rng(5)
-    shown, _, _ = readings(rng.uniform(0.02, 0.125, 30), 0.01)
-    assert not is_quantised(shown[:, 0], 0.01, CYCLE_S)
-    multiples, _, _ = readings(np.full(30, CYCLE_S), 0.1)
-    assert not is_quantised(multiples[:, 0], 0.1, CYCLE_S)
-    exact, _, _ = readings(np.full(30, CYCLE_S), 0.01)
-    assert is_quantised(exact[:, 0], 0.01, CYCLE_S)
+
+    def quantised(widths: Array, step: float) -> bool:
+        shown, _, pulses = readings(widths, step)
+        return is_quantised(shown[:, 0], pulses[:, 0], step, CYCLE_S)
+
+    widths = rng.uniform(0.02, 0.125, 30)
+    assert not quantised(widths, 0.01)
+    assert not quantised(widths, CYCLE_S)
+    assert not quantised(np.full(30, CYCLE_S), 0.1)
+    assert quantised(np.full(30, CYCLE_S), 0.01)
+    assert quantised(np.full(30, CYCLE_S), CYCLE_S)
 
 
 def test_fine_counters_stay_as_they_are() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cassini_bayes.balance import kernel
-from cassini_bayes.balance.kernel import Entries, FastBands, Noise, Placed, SlowBand
+from cassini_bayes.balance.kernel import Entries, FastBands, Noise, Placed, SlowBand, Turns
 from cassini_bayes.computing.arrays import Array
 
 
@@ -44,8 +44,13 @@ def test_factor_and_inverse_are_those_of_lapack(size: int) -> None:
     assert inverse @ matrix == pytest.approx(np.eye(size), abs=1e-6)
 
 
-def equations(beside: Array, own_sd: float = 1.0) -> tuple[Array, Array, Array]:
-    """Normal equations of one unknown and the measured momentum, four modes, nothing faster."""
+def equations(
+    beside: Array, own_sd: float = 1.0, turns: tuple[tuple[Array, float], ...] = ()
+) -> tuple[Array, Array, Array]:
+    """Normal equations of one unknown and the measured momentum, four modes, nothing faster.
+
+    ``turns``: rows (m, 3, 2) of integrated columns and the variance of their noise, by band.
+    """
     modes = np.random.default_rng(2).standard_normal((3, 2, 4))
     slow = SlowBand(modes, np.ones(4), np.ones(1), np.eye(1), np.zeros(0), np.zeros((4, 0, 2)))
     fast = FastBands(
@@ -57,9 +62,15 @@ def equations(beside: Array, own_sd: float = 1.0) -> tuple[Array, Array, Array]:
     )
     places = np.arange(2)
     entries = Entries(places, np.arange(3), places + 1, places[1:], places[1:])
-    noise = Noise(np.ones((1, 3, 1)), beside[None], np.full(1, 1e-12), np.zeros(1))
+    grams = [np.einsum("tca,tdb->acdb", rows, rows) for rows, _ in turns]
+    band = Turns(
+        np.array(grams).reshape(-1, 2, 3, 3, 2), np.array([float(len(rows)) for rows, _ in turns])
+    )
+    by_turns = np.array([variance * np.eye(3) for _, variance in turns]).reshape(1, -1, 3, 3)
+    noise = Noise(np.ones((1, 3, 1)), beside[None, None], np.full(1, 1e-12), np.zeros(1), by_turns)
     placed = Placed(np.zeros(1), 1.0, np.full((1, 1), own_sd))
-    return kernel.normal_equations(np.ones((1, 2, 3)), noise, entries, slow, fast, placed)
+    weights = np.ones((1, 2, 3))
+    return kernel.normal_equations(weights, 2.0 * weights, noise, entries, slow, fast, band, placed)
 
 
 def test_inner_products_of_modes_are_the_sums_written_out() -> None:
@@ -72,6 +83,17 @@ def test_inner_products_of_modes_are_the_sums_written_out() -> None:
     assert normal[0] == pytest.approx(wanted, rel=1e-9)
     assert log_scale[0] == pytest.approx(-2.0 * np.linalg.slogdet(covariance)[1], rel=1e-9)
     assert kept[0, 0] == pytest.approx(np.eye(1))
+
+
+def test_turns_add_their_own_products_and_determinants() -> None:
+    """Integrated rows with weights and noise of their own: Σ (w y)ᵀ (w y)/σ², −½ · 3 N log σ²."""
+    beside, rows = positive(3, 9) + np.eye(3), np.random.default_rng(5).standard_normal((7, 3, 2))
+    without = equations(beside)
+    with_turns = equations(beside, turns=((rows[:2], 0.3), (rows[2:], 0.5)))
+    added = 4.0 * np.einsum("t,tca,tcb->ab", 1.0 / np.r_[[0.3] * 2, [0.5] * 5], rows, rows)
+    assert with_turns[0][0] - without[0][0] == pytest.approx(added, rel=1e-9)
+    log_scale = -0.5 * 3 * (2 * np.log(0.3) + 5 * np.log(0.5))
+    assert with_turns[1][0] - without[1][0] == pytest.approx(log_scale)
 
 
 def test_noise_that_is_none_has_no_density() -> None:

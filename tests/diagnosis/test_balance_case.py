@@ -32,6 +32,7 @@ ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 SEED = int(os.environ.get("CASSINI_BAYES_BLIND_SEED", "7"))
 EVENTS = ("bias-1", "slews")
+FINE = {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
 # Causes and sizes that the blind test draws from: each some ten sigma of these events.
 HIDDEN = (
     ("rate_scale:y", {"rate_scale": 0.002}),
@@ -61,6 +62,7 @@ def flown(seed: int, effects: Sequence[dict[str, Any]] = ()) -> Events:
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     document["event"] = [e for e in document["event"] if e["id"] in EVENTS]
     document["effect"] = list(effects)
+    document["truth"] |= FINE
     simulation = simulate_file(scenario_of(document, SCENARIO.parent), seed, priors=priors())
     return reduced(simulation, priors())
 

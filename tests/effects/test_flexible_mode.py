@@ -164,7 +164,9 @@ def test_an_appendage_flown_in_closed_loop_is_what_the_model_says() -> None:
     """
     scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
     campaign = Blind(scenario, ROOT / "priors" / "x", 7, ("bias-1",))
-    scene = Scene(campaign, campaign.document(np.random.default_rng(7)), 7, PRIORS)
+    document = campaign.document(np.random.default_rng(7))
+    document["truth"] |= {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
+    scene = Scene(campaign, document, 7, PRIORS)
     hidden = {"frequency_hz": 0.04, "damping": 0.002, "axis": 2.0}
     hidden |= {"amplitude_rad_s": 4e-6, "inertia_fraction": 0.01}
     events = scene.fly_quietly((Hidden("flexible_mode", hidden, float("nan")),))

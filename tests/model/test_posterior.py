@@ -37,13 +37,19 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
         made_up_samples(rng, 50, fires=False),
         made_up_samples(rng, 300),  # enough for all bands
         made_up_samples(rng, 110, every_s=4.0),  # sparse: as many modes as rows
+        # turns of quiet pieces between cut tails
+        made_up_samples(rng, 400, firing=0.008, wander=1e-4, rate_noise=2e-4),
     ]
     model = model_of(events)
-    assert [is_sparse(term.event.statistics) for term in model.telemetry] == [False] * 3 + [True]
+    sparse = [is_sparse(term.event.statistics) for term in model.telemetry]
+    assert sparse == [False] * 3 + [True, False]
+    assert model.telemetry[4].event.statistics.turns.pieces > 8
+    assert model.telemetry[4].balance.turns[0].cut.max() > 0.1
     for z in 0.5 * model.space.sample(rng, 2):
         parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
-        plain = plain_log_likelihood(model, events, parameters)
-        assert log_likelihood(model, z[None])[0] == pytest.approx(plain, rel=1e-9)
+        plain = plain_log_likelihood(model, parameters)
+        # where turns tell momentum the dense covariance has a condition of 1e10
+        assert log_likelihood(model, z[None])[0] == pytest.approx(plain, rel=1e-9, abs=3e-4)
 
 
 def test_bands_alike_are_merged_without_a_change() -> None:
@@ -59,7 +65,7 @@ def test_bands_alike_are_merged_without_a_change() -> None:
     assert [len(term.balance.fast) for term in merged.telemetry] == [fast, 1]
     z = 0.5 * model.space.sample(rng, 1)
     parameters = {name: float(v) for name, v in model.space.to_parameters(z[0]).items()}
-    plain = plain_log_likelihood(merged, events, parameters)
+    plain = plain_log_likelihood(merged, parameters)
     assert log_likelihood(merged, z)[0] == pytest.approx(plain, rel=1e-9)
     noisy = build_model(reduced, free)
     assert with_equal_bands_merged(noisy) is noisy
@@ -166,13 +172,16 @@ def test_evidence_of_a_linear_gaussian_case_is_exact() -> None:
             priors = priors.with_fixed(name, value)
     # tails as long as the rise: nothing to cut, so that lever arms enter linearly
     priors = priors.with_fixed("tau_fall_s", 0.02).with_fixed("tau_rise_s", 0.02)
+    # on-times that are no multiples: what rounded ones leave open would scale with lever arms
     samples = made_up_samples(rng, 40)
+    samples = replace(samples, on_time_s=1.000314 * samples.on_time_s)
     model = build_model([event_of(samples, priors)], priors)
     assert model.space.names == free
+    assert not model.telemetry[0].event.statistics.counters.open_s2.any()
 
     def plain(z: np.ndarray) -> float:
         values = {name: float(v) for name, v in model.space.to_parameters(z).items()}
-        return plain_log_likelihood(model, [samples], values) - 0.5 * float(z @ z)
+        return plain_log_likelihood(model, values) - 0.5 * float(z @ z)
 
     unit = np.eye(3)
     centre = plain(np.zeros(3))

@@ -14,7 +14,6 @@ from run_cases import B_BRANCH, EVENTS, FLIGHT, command, small_table, write_run
 from test_joint_run import SAMPLER, do
 from test_run import Silent
 
-from cassini_bayes.balance.rate_information import rate_log_likelihood
 from cassini_bayes.diagnosis.events import prepare
 from cassini_bayes.diagnosis.hypotheses import TORQUE_NOISE, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import find_mode
@@ -22,7 +21,6 @@ from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.effects.registry import KINDS
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import build_model, log_posterior, observability
-from cassini_bayes.model.posterior import log_likelihood
 from cassini_bayes.pipeline.run import Outcome
 from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.pipeline.sweep_run import execute_sweep
@@ -103,25 +101,6 @@ def test_a_fit_has_the_density_of_the_diagnosis(name: str) -> None:
     assert len(model.space.names) == len(cause.model.space.names)
     assert log_posterior(model, z) == pytest.approx(cause.log_density(z), rel=1e-9)
     assert len(KINDS) > len(of_every_kind()) > 10
-
-
-def test_attitudes_speak_of_a_gyro_that_is_fitted() -> None:
-    """The density has the channel's log ratio once, observability its information."""
-    flown = events("bias", "slews")
-    chosen = named_effects(["rate_bias:x"], priors(), WHEELS, ["telemetry"])
-    model = build_model(flown, priors(), effects=chosen)
-    mute = replace(model, gyros=())
-    z = np.zeros((2, model.space.dimension))
-    z[1, -1] = 1.2
-    bias = np.zeros((2, 3))
-    bias[1, 0] = 1.2 * 5.0e-6
-    information = flown[0].rates + flown[1].rates
-    wanted = rate_log_likelihood(information, bias, np.zeros((2, 3)))
-    assert log_likelihood(model, z) - log_likelihood(mute, z) == pytest.approx(wanted, abs=1e-6)
-    names = list(model.space.names)
-    sd = [observability(m).table.set_index("quantity")["expected_sd"] for m in (model, mute)]
-    told = 1.0 / sd[0][names[-1]] ** 2 - 1.0 / sd[1][names[-1]] ** 2
-    assert told == pytest.approx(information.precision[0, 0, 0], rel=0.3)
 
 
 def test_what_events_cannot_see_is_said() -> None:

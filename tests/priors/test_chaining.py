@@ -248,6 +248,8 @@ def telemetry_priors(folder: Path, fit: str = "") -> Path:
         ("rate_noise_rad_s", 2e-6),
         ("wheel_noise_rpm", 0.2),
         ("torque_noise_n_m_s05", 1e-4),
+        ("attitude_noise_rad", 2e-5),
+        ("close_pulse_share", 0.3),
     ):
         unit = table["parameters"][name]["unit"]
         table["parameters"][name] = {"fixed": value, "unit": unit, "source": "test"}

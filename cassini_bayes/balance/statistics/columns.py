@@ -28,6 +28,12 @@ from cassini_bayes.spacecraft.pulses import PulseShape
 AXES = "xyz"
 PULSE_COLUMNS = ("reference", "rise", "fall")
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
+CUT_COLUMNS = 1 + CUT_PARTS  # per couple: pairs that may be close, of all and of every part
+# How often pulses are a control cycle apart is the controller's business (0.45 to 0 of the pairs
+# within a second): a share that is inferred, and how it falls with the time between two counter
+# readings (docs/telemetry-likelihood.md §7).
+ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
+ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
 _SAME_S = 1e-6  # times closer than this are the same
 _STEP_S = 1e-6  # of the derivatives of the effective on-time
@@ -76,7 +82,8 @@ class Sampling:
 
     ``pulse_reference_s`` are the τ_delay, τ_rise, τ_fall at which pulses are linearised;
     ``guard_s`` is how long after its end a pulse may still deliver momentum, ``duration_s`` the
-    time of the last row.
+    time of the last row. ``corner_rad`` is what a trapezoid of wheel rates may miss of a turn, in
+    rad of the wheel, ``corner_rad_s`` the second difference of wheel rates that is no noise.
     """
 
     pulse_shape: PulseShape
@@ -85,6 +92,9 @@ class Sampling:
     couples: tuple[tuple[int, ...], ...]  # thrusters (places) that only ever fire together
     duration_s: float
     extra: tuple[ExtraColumn, ...] = ()
+    control_cycle_s: float = 0.0  # pulses start with control cycles
+    corner_rad: float = np.inf
+    corner_rad_s: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -118,7 +128,7 @@ class Layout:
             *(
                 f"cut:{self.thrusters[couple[0]]}:{part}"
                 for couple in self.couples
-                for part in range(CUT_PARTS)
+                for part in ("mean", *range(CUT_PARTS))
             ),
             *(f"pulses:{name}" for name in self.thrusters),
             *self.extra,
@@ -161,8 +171,8 @@ class Layout:
 
     @property
     def cut(self) -> slice:
-        """Counts of pulses close together, (couple, part of the event) in this order."""
-        return slice(self.wheel.stop, self.wheel.stop + CUT_PARTS * len(self.couples))
+        """Pairs of pulses that may be close together, :data:`CUT_COLUMNS` per couple."""
+        return slice(self.wheel.stop, self.wheel.stop + CUT_COLUMNS * len(self.couples))
 
     @property
     def pulse_count(self) -> slice:
@@ -176,13 +186,37 @@ class Layout:
 
 
 @dataclass(frozen=True)
+class Pairs:
+    """Pairs of pulses that may be close together, by counter interval (m,) and couple (G,).
+
+    Of every pair the tail of the first pulse may have been cut: ``weight`` (m, G) counts pairs,
+    each by how often it is close against one of two pulses within a second. ``fired`` (m, G) tells
+    which couples fired at all.
+    """
+
+    end_s: Array
+    fired: NDArray[np.bool_]
+    weight: Array
+
+    @staticmethod
+    def joined(parts: Sequence[Pairs]) -> Pairs:
+        """Several stretches, one after the other."""
+        return Pairs(
+            *(
+                np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(Pairs)
+            )
+        )
+
+
+@dataclass(frozen=True)
 class Carry:
     """What integrals have gathered up to a time; the state between two chunks.
 
     Integrals are in inertial axes: ``torque`` (3, 3) = ∫ Pᵀ dt, ``fired`` (K, 3, 3, 3) = Σ Pᵀ Δs
-    per thruster and pulse column, last two axes (inertial, j), ``cuts`` the counts of pulses close
-    together. ``waiting`` are rows read already: those
-    after ``done_until_s``, and before it as many as are needed to tell which of them are quiet.
+    per thruster and pulse column, last two axes (inertial, j), ``cuts`` the tails that may have
+    been cut and ``pairs`` the intervals in which. ``waiting`` are rows read already: those after
+    ``done_until_s``, and before it as many as are needed to tell which of them are quiet.
     """
 
     done_until_s: float
@@ -192,14 +226,17 @@ class Carry:
     torque: Array
     fired: Array
     cuts: Array
+    pairs: Pairs
     waiting: Samples | None
 
     @staticmethod
     def start(layout: Layout) -> Carry:
         """Nothing read yet."""
         fired = np.zeros((len(layout.thrusters), len(PULSE_COLUMNS), 3, 3))
-        cuts = np.zeros(CUT_PARTS * len(layout.couples))
-        return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, None)
+        cuts = np.zeros(CUT_COLUMNS * len(layout.couples))
+        none = np.zeros((0, len(layout.couples)))
+        pairs = Pairs(np.zeros(0), none > 0.0, none)
+        return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, pairs, None)
 
 
 @dataclass(frozen=True)
@@ -275,8 +312,12 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
     time, attitude = now.time_s[state], direction_cosines(now.attitude[state])
     counted = _Counted(now, carry.done_until_s)
     fired = _impulses(counted, time, attitude, carry, sampling)
-    cuts = carry.cuts + close_pairs(counted, layout, sampling)
-    gathered = replace(carry, fired=fired[-1], cuts=cuts[-1])
+    pairs = _pairs(counted, layout)
+    added = _cut_columns(pairs, layout, sampling.duration_s)
+    cuts = carry.cuts + np.concatenate([np.zeros((1, len(carry.cuts))), np.cumsum(added, axis=0)])
+    gathered = replace(
+        carry, fired=fired[-1], cuts=cuts[-1], pairs=Pairs.joined([carry.pairs, pairs])
+    )
     new = time > carry.done_until_s
     if not new.any():
         return _no_rows(layout), gathered
@@ -390,25 +431,65 @@ def _impulses(
     return np.concatenate([carry.fired[None], carry.fired + np.cumsum(steps, axis=0)])
 
 
-def close_pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Array:
-    """Pairs of pulses within one counter interval, per couple and part of the event, (1 + m, S).
+def close_pairs(
+    end_s: Array,
+    length_s: Array,
+    pulses: Array,
+    fired: NDArray[np.bool_],
+    before: NDArray[np.bool_],
+) -> Pairs:
+    """Pairs within each of some counter intervals, and across the reading before it.
 
-    Each may have cut the tail of the first pulse; the counters do not tell which did.
+    Counters tell neither which pairs were a control cycle apart nor what share: that is as the
+    controller has it, and inferred (docs/telemetry-likelihood.md §7).
+
+    Parameters
+    ----------
+    end_s, length_s
+        (m,) of the intervals.
+    pulses
+        (m, G) pulses of every couple in them.
+    fired, before
+        (m, G) whether a couple fired in the interval, and in the one before it.
     """
+    within = np.maximum(pulses - 1.0, 0.0)
+    across = (fired & before & (pulses > 0)).astype(np.float64)
+    alike = np.minimum(1.0, ALIKE_S / length_s)[:, None]
+    return Pairs(end_s, fired, alike * (within + ACROSS * across))
+
+
+def _pairs(counted: _Counted, layout: Layout) -> Pairs:
+    """Pairs of the active intervals of a stretch of telemetry, which begins with an idle one."""
     active = counted.active
-    table = np.zeros((1 + len(active), len(layout.couples), CUT_PARTS))
-    part = (
-        np.minimum(
-            (CUT_PARTS * counted.time_s[active + 1] / sampling.duration_s).astype(int),
-            CUT_PARTS - 1,
-        )
-        if len(active)
-        else np.empty(0, dtype=int)
+    groups = [list(couple) for couple in layout.couples]
+    pulses = np.zeros((len(counted.pulses), len(groups)))
+    fired = np.zeros((len(counted.pulses), len(groups)), dtype=bool)
+    for g, members in enumerate(groups):
+        pulses[:, g] = counted.pulses[:, members].max(axis=1, initial=0.0)
+        on_time = counted.on_time[:, members].max(axis=1, initial=0.0)
+        fired[:, g] = (pulses[:, g] > 0.0) | (on_time > 0.0)
+    before = np.concatenate([np.zeros_like(fired[:1]), fired[:-1]])
+    return close_pairs(
+        counted.time_s[active + 1],
+        np.diff(counted.time_s)[active],
+        pulses[active],
+        fired[active],
+        before[active],
     )
-    for g, couple in enumerate(layout.couples):
-        pairs = np.maximum(counted.pulses[active][:, list(couple)].max(axis=1, initial=0) - 1, 0)
-        table[1 + np.arange(len(active)), g, part] = pairs
-    return np.cumsum(table, axis=0).reshape(1 + len(active), -1)
+
+
+def _cut_columns(pairs: Pairs, layout: Layout, duration_s: float) -> Array:
+    """What every active interval adds to the columns of cut tails, (m, S)."""
+    m, part = len(pairs.end_s), quarter_of(pairs.end_s, duration_s)
+    table = np.zeros((m, len(layout.couples), CUT_COLUMNS))
+    table[:, :, 0] = pairs.weight
+    table[np.arange(m), :, 1 + part] = pairs.weight
+    return table.reshape(m, CUT_COLUMNS * len(layout.couples))
+
+
+def quarter_of(time_s: Array, duration_s: float) -> NDArray[np.intp]:
+    """Part of the event (m,) that times lie in."""
+    return np.minimum((CUT_PARTS * time_s / duration_s).astype(np.intp), CUT_PARTS - 1)
 
 
 def effective_increments(on_time: Array, pulses: Array, sampling: Sampling) -> Array:

@@ -14,7 +14,7 @@ is known exactly. Otherwise widths are taken as N(w, v), so that with σ² = ste
 
 w and v by maximum likelihood; E[Δc | u] = n w + v n Var⁻¹ (Δu − n w). Of the cumulative on-time a
 variance σ² (q/(q + 4))^½ stays open, q = v n̄/σ² (a random walk seen with white noise, smoothed).
-Derivation: ``docs/telemetry-likelihood.md`` §6.
+Derivation: ``docs/telemetry-likelihood.md`` §7.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
     if step_s < LEAST_STEP_S:
         return OnTimes(result, left)
     for k in range(on_time_s.shape[1]):
-        if is_quantised(on_time_s[:, k], step_s, quantum_s):
+        if is_quantised(on_time_s[:, k], pulses[:, k], step_s, quantum_s):
             start = on_time_s[0, k]
             result[:, k] = start + quantum_s * np.round((on_time_s[:, k] - start) / quantum_s)
         else:
@@ -86,18 +86,19 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
     return OnTimes(result, left)
 
 
-def is_quantised(on_time_s: Array, step_s: float, quantum_s: float) -> bool:
+def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool:
     """Whether every reading (m,) is within its rounding of a multiple of the quantum.
 
     By chance a reading is so with probability 2 step/quantum; with five different ones, of a step
-    of a quarter of the quantum or less, that is nobody's chance. A step that is the quantum itself
-    leaves nothing open.
+    of a quarter of the quantum or less, that is nobody's chance. With a step that is the quantum
+    itself all readings are multiples; shorter pulses are seen by a gain of less than one each (but
+    for the last, which may have been counted and not yet fired).
     """
     gained = on_time_s - on_time_s[0]
     if quantum_s <= 0.0 or len(np.unique(gained)) < LEAST_RUNS:
         return False
     if abs(step_s - quantum_s) < _SLACK:
-        return True
+        return bool(np.all(gained >= quantum_s * (pulses - pulses[0] - 1.0) - _SLACK))
     off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
     # the first reading is rounded, too
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))

@@ -2,13 +2,13 @@
 
 For white channel noise the telemetry enters the likelihood only through inner products of its
 columns. They add over chunks, files and machines; after the pass the cost of a likelihood call does
-not depend on the number of samples (``docs/telemetry-likelihood.md`` §5).
+not depend on the number of samples (``docs/telemetry-likelihood.md`` §6).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,18 +19,28 @@ from cassini_bayes.balance.statistics.columns import (
     PULSE_COLUMNS,
     Carry,
     Layout,
+    Pairs,
     Rows,
     Sampling,
     settle,
 )
 from cassini_bayes.balance.statistics.rows import Samples
+from cassini_bayes.balance.statistics.turns import (
+    SLOPE_WAVES,
+    PieceRule,
+    piece_breaks,
+    piece_ends,
+    turned,
+)
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 Array = NDArray[np.float64]
 MODES: Final = 512
-_FORMAT: Final = 1
+_FORMAT: Final = 4
 BLOCK_ROWS: Final = 4_096
+MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
+MOST_STEPS: Final = 256  # intervals with firings that are told apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +49,8 @@ class EventStatistics:
 
     ``gram[c, d]`` (3, 3, A, A) holds Σ_t a_c(t) b_d(t) for all pairs of columns and axes;
     ``projection`` (M, 3, A) = Σ_t φ_m(t) a_c(t) and ``mode_gram`` (M, M) = Σ_t φ_m φ_l belong to
-    the cosines φ_m(t) = cos(m π t / T), m = 1 … M, of the torque noise.
+    the cosines φ_m(t) = cos(m π t / T), m = 1 … M, of the torque noise. ``turns`` are those of the
+    integrated columns of quiet pieces, ``counters`` what counters leave open.
     """
 
     event_id: str
@@ -50,40 +61,71 @@ class EventStatistics:
     gram: Array
     projection: Array
     mode_gram: Array
-    close_pairs: Array  # (S,) counts per couple and part of the event
+    cuts: Array  # (S,) pairs that may be close, of every cut column
     counter_interval_s: float  # usual time between two readings of the counters, 0 without
-
-    def __add__(self, other: EventStatistics) -> EventStatistics:
-        """Statistics of two stretches of one event together."""
-        if (self.layout, self.duration_s) != (other.layout, other.duration_s):
-            raise ValueError("statistics of different layouts or events do not add")
-        return replace(
-            self,
-            rows=self.rows + other.rows,
-            gram=self.gram + other.gram,
-            projection=self.projection + other.projection,
-            mode_gram=self.mode_gram + other.mode_gram,
-            close_pairs=self.close_pairs + other.close_pairs,
-        )
+    turns: TurnStatistics
+    counters: CounterStatistics
+    steps: ChannelSteps
 
 
-def empty_statistics(
-    event_id: str, kind: str, layout: Layout, duration_s: float
-) -> EventStatistics:
-    """Statistics of no rows."""
-    a = layout.size
-    return EventStatistics(
-        event_id,
-        kind,
-        layout,
-        duration_s,
-        0,
-        np.zeros((3, 3, a, a)),
-        np.zeros((MODES, 3, a)),
-        np.zeros((MODES, MODES)),
-        np.zeros(layout.cut.stop - layout.cut.start),
-        0.0,
-    )
+@dataclass(frozen=True, eq=False)
+class TurnStatistics:
+    """Inner products of integrated, centred columns of quiet pieces, and their noise.
+
+    Of the ``pieces`` slopes: ``slope_gram`` (3, 3, A, A), and with the cosines m = 0 … M of the
+    momentum ``slope_projection`` (1 + M, 3, A) and ``slope_mode_gram`` (1 + M, 1 + M);
+    ``slope_time_s`` (r,) and ``slope_waves`` (r, 1 + M) are evenly thinned times of the pieces and
+    the cosines there, the first of them |t − t̄|, each for ``slope_stride`` pieces. Of the
+    ``contrasts`` that are left: ``gram``. The others are mean squares per slope or contrast
+    (:class:`cassini_bayes.balance.statistics.turns.Turned`).
+    """
+
+    pieces: int
+    slope_gram: Array
+    slope_projection: Array
+    slope_mode_gram: Array
+    slope_time_s: Array
+    slope_waves: Array
+    slope_stride: int
+    slope_summed_s2: float
+    contrasts: int
+    gram: Array
+    summed_s2: float
+    walked_s3: float
+
+
+@dataclass(frozen=True, eq=False)
+class CounterStatistics:
+    """What counters leave open, by the times of the intervals in which something fired.
+
+    ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
+    ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
+    (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2`` (G,) is the variance of
+    a couple's cumulative on-time that rounded counters leave open.
+    """
+
+    row_time_s: Array
+    stride: int
+    end_s: Array
+    fired: NDArray[np.bool_]
+    weight: Array
+    open_s2: Array
+
+
+@dataclass(frozen=True)
+class ChannelSteps:
+    """Least steps of measured rates and wheel rates, 0 where they have none to be seen."""
+
+    rate_rad_s: float = 0.0
+    wheel_rad_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What a first look at an event's telemetry found, for the pass that reduces it."""
+
+    steps: ChannelSteps = ChannelSteps()
+    open_s2: tuple[float, ...] = ()  # (K,) of cumulative on-times, that rounded counters leave open
 
 
 @dataclass(frozen=True)
@@ -127,23 +169,16 @@ def _inner_products(rows: Rows, layout: Layout, duration_s: float) -> _Inner:
     return _Inner(columns[every[:, None], every], on_waves[:, every], modes)
 
 
-def _sorted_out(inner: _Inner, rows: int, statistics: EventStatistics) -> EventStatistics:
-    """Statistics with one Gram matrix per pair of axes."""
-    vectors, scalars = len(statistics.layout.vector), len(statistics.layout.scalar)
+def _by_axes(columns: Array, layout: Layout) -> tuple[Array, list[NDArray[np.intp]]]:
+    """One Gram matrix (3, 3, A, A) per pair of axes, and the places of every axis's columns."""
+    vectors, scalars = len(layout.vector), len(layout.scalar)
     scalar = range(3 * vectors, 3 * vectors + scalars)
     places = [np.r_[c * vectors : (c + 1) * vectors, scalar] for c in range(3)]
-    gram = np.empty_like(statistics.gram)
+    gram = np.empty((3, 3, layout.size, layout.size))
     for c in range(3):
         for d in range(3):
-            gram[c, d] = inner.columns[places[c][:, None], places[d]]
-    return replace(
-        statistics,
-        rows=rows,
-        gram=gram,
-        projection=np.stack([inner.mixed[:, place] for place in places], axis=1),
-        mode_gram=inner.modes,
-        close_pairs=np.zeros_like(statistics.close_pairs),
-    )
+            gram[c, d] = columns[places[c][:, None], places[d]]
+    return gram, places
 
 
 def _twins(vector: Array, layout: Layout) -> NDArray[np.intp]:
@@ -191,6 +226,7 @@ def reduce_chunks(
     layout: Layout,
     sampling: Sampling,
     block_rows: int = BLOCK_ROWS,
+    prepared: Preparation | None = None,
 ) -> EventStatistics:
     """Reduce telemetry that comes in chunks, in constant memory.
 
@@ -200,32 +236,163 @@ def reduce_chunks(
         Rows in order of time, as :class:`Samples`.
     block_rows
         Most rows whose columns are made at once: what extra columns see of an event.
+    prepared
+        What a first look found; without it no channel is rounded.
 
     Raises
     ------
     InputError
         Fewer than ten rows can be used.
     """
-    total = empty_statistics(event_id, kind, layout, sampling.duration_s)
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
+    turns, times = _Turns(layout, sampling), Thinned()
     for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
             inner.gather(_inner_products(rows, layout, sampling.duration_s))
+            turns.add(rows)
+            times.add(rows.time_s)
             used += len(rows.time_s)
         interval = interval or counter_interval(chunk)
-    total = _sorted_out(inner, used, total)
-    if total.rows < LEAST_ROWS:
+    if used < LEAST_ROWS:
         raise InputError(
             f"event {event_id}: telemetry",
             f"at least {LEAST_ROWS} rows with attitude, body rates and wheel rates at one time, "
             f"none within {sampling.guard_s:.2f} s of a firing",
-            str(total.rows),
+            str(used),
             "give more telemetry, or the counters at a faster rate",
         )
-    return replace(total, close_pairs=carry.cuts, counter_interval_s=interval)
+    gram, places = _by_axes(inner.columns, layout)
+    prepared = prepared or Preparation()
+    return EventStatistics(
+        event_id=event_id,
+        kind=kind,
+        layout=layout,
+        duration_s=sampling.duration_s,
+        rows=used,
+        gram=gram,
+        projection=np.stack([inner.mixed[:, place] for place in places], axis=1),
+        mode_gram=inner.modes,
+        cuts=carry.cuts,
+        counter_interval_s=interval,
+        turns=turns.statistics(),
+        counters=_counter_statistics(carry.pairs, times, layout, prepared.open_s2),
+        steps=prepared.steps,
+    )
+
+
+class Thinned:
+    """Rows of arrays (n, …) that come in stretches, evenly thinned in constant memory.
+
+    ``kept`` are those that stay, each for ``stride`` rows.
+    """
+
+    def __init__(self) -> None:
+        self.stride = 1
+        self._seen = 0
+        self.kept: list[Array] = []
+
+    def add(self, values: Array) -> None:
+        """Take some more rows."""
+        number = np.arange(self._seen, self._seen + len(values))
+        self._seen += len(values)
+        self.kept.append(values[number % self.stride == 0])
+        while sum(map(len, self.kept)) > MOST_TIMES:
+            self.kept = [np.concatenate(self.kept)[::2]]
+            self.stride *= 2
+
+
+def _counter_statistics(
+    pairs: Pairs, times: Thinned, layout: Layout, open_s2: Sequence[float]
+) -> CounterStatistics:
+    """Intervals with firings, neighbours joined where there are very many."""
+    every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
+    first = np.arange(0, len(pairs.end_s), every)
+    weight, fired = pairs.weight, pairs.fired
+    if every > 1:
+        weight = np.add.reduceat(weight, first, axis=0)
+        fired = np.logical_or.reduceat(fired, first, axis=0)
+    by_thruster = open_s2 or np.zeros(len(layout.thrusters))
+    by_couple = [max(by_thruster[k] for k in own) for own in layout.couples]
+    return CounterStatistics(
+        np.concatenate(times.kept),
+        times.stride,
+        pairs.end_s[first],
+        fired,
+        weight,
+        np.array(by_couple),
+    )
+
+
+class _Turns:
+    """Gathers the inner products of quiet pieces from rows that come in stretches."""
+
+    def __init__(self, layout: Layout, sampling: Sampling) -> None:
+        size, waves = 3 * len(layout.vector) + len(layout.scalar), SLOPE_WAVES + 1
+        self._layout, self._sampling = layout, sampling
+        self._rule: PieceRule | None = None
+        self._waiting: list[Rows] = []
+        self._before = 0  # rows of the piece before, by which a corner at the first row shows
+        self._places = Thinned()  # (p, 1 + waves) times, and cosines there
+        self._pieces, self._contrasts = 0, 0
+        self._slopes = _Inner(
+            np.zeros((size, size)), np.zeros((waves, size)), np.zeros((waves, waves))
+        )
+        self._rest = np.zeros((size, size))
+        self._squares = np.zeros(3)
+
+    def add(self, rows: Rows) -> None:
+        """Take more rows; those of a piece that may go on wait."""
+        rows = Rows.joined([*self._waiting, rows])
+        self._waiting = [rows]
+        if self._rule is None and len(rows.time_s) > 2:
+            usual = float(np.median(np.diff(rows.time_s)))
+            self._rule = PieceRule(usual, self._sampling.corner_rad_s, self._sampling.corner_rad)
+        self._work_up(is_last=False)
+
+    def _work_up(self, *, is_last: bool) -> None:
+        """Gather the pieces that are over."""
+        if self._rule is None:
+            return
+        (rows,), first = self._waiting, self._before
+        breaks = piece_breaks(rows, self._layout, self._rule)
+        ends = [first + end for end in piece_ends(rows.time_s[first:], breaks[first:])]
+        if not is_last:
+            ends = ends[:-1]
+        found = turned(rows, self._layout, ends, self._sampling.duration_s)
+        slopes, waves = found.slopes, found.waves
+        self._slopes.gather(_Inner(slopes.T @ slopes, waves.T @ slopes, waves.T @ waves))
+        self._places.add(np.concatenate([found.time_s[:, None], waves], axis=1))
+        self._pieces += len(slopes)
+        self._rest += found.rest.T @ found.rest
+        self._contrasts += found.contrasts
+        self._squares += (found.slopes_summed, found.rest_summed, found.rest_walked)
+        self._before = min(ends[-1], 1)
+        self._waiting = [rows.part(slice(ends[-1] - self._before, None))]
+
+    def statistics(self) -> TurnStatistics:
+        """All of it, once the last rows have been added."""
+        self._work_up(is_last=True)
+        slope_gram, columns = _by_axes(self._slopes.columns, self._layout)
+        counts = np.maximum([self._pieces, self._contrasts, self._contrasts], 1)
+        by_slope, by_contrast, walked = (self._squares / counts).tolist()
+        places = np.concatenate([np.zeros((0, SLOPE_WAVES + 2)), *self._places.kept])
+        return TurnStatistics(
+            self._pieces,
+            slope_gram,
+            np.stack([self._slopes.mixed[:, own] for own in columns], axis=1),
+            self._slopes.modes,
+            places[:, 0],
+            places[:, 1:],
+            self._places.stride,
+            by_slope,
+            self._contrasts,
+            _by_axes(self._rest, self._layout)[0],
+            by_contrast,
+            walked,
+        )
 
 
 def _in_blocks(chunks: Iterable[Samples], rows: int) -> Iterator[Samples]:
@@ -258,6 +425,13 @@ def counter_interval(samples: Samples) -> float:
 LEAST_ROWS: Final = 10
 
 
+_PARTS: Final[Mapping[str, Any]] = {
+    "turns": TurnStatistics,
+    "counters": CounterStatistics,
+    "steps": ChannelSteps,
+}
+
+
 def save_statistics(path: Path, statistics: EventStatistics) -> None:
     """Write statistics as a plain array archive, atomically."""
     layout = statistics.layout
@@ -273,9 +447,12 @@ def save_statistics(path: Path, statistics: EventStatistics) -> None:
         "projection": statistics.projection,
         "mode_gram": statistics.mode_gram,
         "couples": np.array([couple_of(i, layout) for i in range(len(layout.thrusters))]),
-        "close_pairs": statistics.close_pairs,
+        "cuts": statistics.cuts,
         "counter_interval_s": np.array(statistics.counter_interval_s),
     }
+    for name, kind in _PARTS.items():
+        own = getattr(statistics, name)
+        arrays |= {f"{name}.{f.name}": np.asarray(getattr(own, f.name)) for f in fields(kind)}
     write_arrays(path, arrays)
 
 
@@ -315,8 +492,15 @@ def load_statistics(path: Path) -> EventStatistics | None:
             stored["gram"],
             stored["projection"],
             stored["mode_gram"],
-            stored["close_pairs"],
+            stored["cuts"],
             float(stored["counter_interval_s"]),
+            **{name: _part(kind, name, stored) for name, kind in _PARTS.items()},
         )
     except (InputError, ValueError, TypeError, KeyError):
         return None
+
+
+def _part(kind: type[Any], name: str, stored: Mapping[str, Any]) -> Any:
+    """One part of the statistics, its numbers as plain ones."""
+    values = (stored[f"{name}.{field.name}"] for field in fields(kind))
+    return kind(*(value.item() if value.ndim == 0 else value for value in values))

@@ -8,11 +8,11 @@ fires the balance holds at all times, so its integral does:
     I Θ(t) + ∫ T I_w ρ dt = ∫ [R h0 + Σ F_k q_k s_k + τ …] dt + constant + I θ(t),
 
 Θ the turn of the body since the piece began, θ the attitude's white noise. The constant is the
-piece's own and free, so that columns are centred: what is left of a piece of m rows are m − 1
-contrasts of white noise. Pieces end at firings (when in a counter interval a pulse came is not
-known, and that shifts the angle, not the rate), at gaps, where wheels change their acceleration
-between rows, and after :data:`LONGEST_S`, beyond which the integrated noise of wheel rates would be
-more than that of the attitude. Derivation: ``docs/telemetry-likelihood.md`` §4.
+piece's own and free, so that columns are centred: what is left of a piece of m rows are its slope
+and m − 2 other contrasts of white noise. Pieces end at firings (when in a counter interval a pulse
+came is not known, and that shifts the angle, not the rate), at gaps, where wheels change their
+acceleration between rows, and after :data:`LONGEST_S`, beyond which the integrated noise of wheel
+rates would be more than that of the attitude. Derivation: ``docs/telemetry-likelihood.md`` §5.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.computing.arrays import Array, Flags
 
 LONGEST_S: Final = 32.0
-LEAST_PIECE: Final = 3  # rows: two contrasts, of which one is the mean rate
+LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate
+SLOPE_WAVES: Final = 128  # cosines of the momentum that slopes of pieces are seen on
 GAP: Final = 2.5  # times the usual time between rows
 _SAME_S: Final = 1e-6
 
@@ -36,18 +37,26 @@ _SAME_S: Final = 1e-6
 class Turned:
     """Integrated and centred columns of some pieces, and what else their noise is made of.
 
-    ``columns`` (n, 3 V + S) are vector columns (axis first) and scalar columns at all rows of the
-    pieces; those of rates hold turns. ``contrasts`` counts the m − 1 of every piece. The others are
-    sums of squares over the centred rows: of unit white noise of a rate summed up by trapezoids
-    (``summed``, s²), of a unit random walk integrated (``walked``, s³), and of a ramp of unit rate
-    (``ramped``, s²).
+    A piece of m rows has m − 1 contrasts of unit noise. One is along the ramp t − t̄: its **slope**,
+    a momentum as every row's, known |t − t̄| times as well as by one rate of the attitude's noise.
+    Whatever is constant within a piece (cut tails, rounded counters, torque noise gathered before)
+    is in the slopes alone. The m − 2 others are the **rest**.
+
+    ``slopes`` (p, 3 V + S) are vector columns (axis first) and scalar columns, one row for every
+    piece at ``time_s`` (p,); ``waves`` (p, 1 + M) are those of the cosines cos(m π t/T), m = 0 … M,
+    the first of them |t − t̄|. ``rest`` (n, 3 V + S) are the columns without their slopes, at all
+    rows of the pieces. The others are sums of squares: of unit white noise of a rate summed up by
+    trapezoids (s²), and of a unit random walk since the piece began, integrated (s³).
     """
 
-    columns: Array
+    time_s: Array
+    slopes: Array
+    waves: Array
+    slopes_summed: float
+    rest: Array
     contrasts: int
-    summed: float
-    walked: float
-    ramped: float
+    rest_summed: float
+    rest_walked: float
 
 
 @dataclass(frozen=True)
@@ -81,30 +90,33 @@ def turns_between(cosines: Array) -> Array:
     return np.asarray(sine * stretch[:, None])
 
 
-def piece_ends(rows: Rows, layout: Layout, rule: PieceRule) -> list[int]:
-    """Bounds of the pieces: rows ``ends[i]`` to ``ends[i + 1]`` belong together.
+def piece_breaks(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
+    """Whether a piece ends between a row and the next, (n − 1,): a firing, a gap, a corner."""
+    vectors = rows.vector.shape[2]
+    pulses = rows.scalar[:, layout.pulse_count.start - vectors : layout.pulse_count.stop - vectors]
+    fired = np.any(np.diff(pulses, axis=0) != 0.0, axis=1)
+    return np.asarray(
+        fired | (np.diff(rows.time_s) > GAP * rule.usual_s) | _corners(rows, layout, rule)
+    )
+
+
+def piece_ends(time_s: Array, breaks: Flags) -> list[int]:
+    """Bounds of the pieces of rows at times (n,): rows ``ends[i]`` to ``ends[i + 1]`` of each.
 
     The last piece may go on with rows still to come.
     """
-    n, vectors = len(rows.time_s), rows.vector.shape[2]
-    if n == 0:
-        return [0]
-    step = np.diff(rows.time_s)
-    pulses = rows.scalar[:, layout.pulse_count.start - vectors : layout.pulse_count.stop - vectors]
-    breaks = np.any(np.diff(pulses, axis=0) != 0.0, axis=1) | (step > GAP * rule.usual_s)
-    breaks |= _corners(rows, layout, rule)
-    ends, start = [0], rows.time_s[0]
-    for i in range(n - 1):
-        if breaks[i] or rows.time_s[i + 1] - start > LONGEST_S + _SAME_S:
+    ends, start = [0], time_s[0]
+    for i, is_break in enumerate(breaks):
+        if is_break or time_s[i + 1] - start > LONGEST_S + _SAME_S:
             ends.append(i + 1)
-            start = rows.time_s[i + 1]
-    return [*ends, n]
+            start = time_s[i + 1]
+    return [*ends, len(time_s)]
 
 
 def _corners(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
     """Intervals (n − 1,) next to a row at which a wheel changes its acceleration."""
     n, vectors = len(rows.time_s), rows.vector.shape[2]
-    found = np.zeros(n - 1, dtype=bool)
+    found = np.zeros(max(n - 1, 0), dtype=bool)
     if n < 3:
         return found
     wheels = rows.scalar[:, layout.wheel.start - vectors : layout.wheel.stop - vectors]
@@ -117,14 +129,16 @@ def _corners(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
     return found
 
 
-def turned(rows: Rows, layout: Layout, ends: list[int]) -> Turned:
+def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Turned:
     """Integrate and centre the columns of the pieces between bounds."""
     vectors = rows.vector.shape[2]
     n = len(rows.time_s)
     flat = np.concatenate([rows.vector.reshape(n, -1), rows.scalar], axis=1)
     rate = slice(layout.rate.start + 2 * vectors, layout.rate.stop + 2 * vectors)
-    parts = [np.zeros((0, flat.shape[1]))]
-    contrasts, summed, walked, ramped = 0, 0.0, 0.0, 0.0
+    order = np.arange(SLOPE_WAVES + 1)
+    times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, len(order)))]
+    rest = [np.zeros((0, flat.shape[1]))]
+    contrasts, slopes_summed, rest_summed, rest_walked = 0, 0.0, 0.0, 0.0
     for start, stop in pairwise(ends):
         if stop - start < LEAST_PIECE:
             continue
@@ -132,13 +146,29 @@ def turned(rows: Rows, layout: Layout, ends: list[int]) -> Turned:
         own = _integral(time, flat[start:stop])
         turns = turns_between(rows.cosines[start:stop])
         own[:, rate] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
-        parts.append(own - own.mean(axis=0))
-        contrasts += stop - start - 1
-        summed += _centred_square(_integral(time, np.eye(len(time))))
-        walk = np.sqrt(np.diff(time)) * np.tri(len(time), len(time) - 1, -1)
-        walked += _centred_square(_integral(time, walk))
-        ramped += _centred_square(time[:, None])
-    return Turned(np.concatenate(parts), contrasts, summed, walked, ramped)
+        cosines = _integral(time, np.cos(np.pi / duration_s * time[:, None] * order))
+        summed = _integral(time, np.eye(len(time)))
+        walked = summed @ (np.sqrt(np.diff(time)) * np.tri(len(time), len(time) - 1, -1))
+        ramp = time - time.mean()
+        ramp /= np.linalg.norm(ramp)
+        times.append(time.mean())
+        slopes.append(ramp[None] @ own)
+        waves.append(ramp[None] @ cosines)
+        rest.append(_without_slope(own, ramp))
+        contrasts += stop - start - 2
+        slopes_summed += float(((ramp @ summed) ** 2).sum())
+        rest_summed += float((_without_slope(summed, ramp) ** 2).sum())
+        rest_walked += float((_without_slope(walked, ramp) ** 2).sum())
+    return Turned(
+        np.array(times),
+        np.concatenate(slopes),
+        np.concatenate(waves),
+        slopes_summed,
+        np.concatenate(rest),
+        contrasts,
+        rest_summed,
+        rest_walked,
+    )
 
 
 def _integral(time_s: Array, values: Array) -> Array:
@@ -148,5 +178,7 @@ def _integral(time_s: Array, values: Array) -> Array:
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(gained, axis=0)])
 
 
-def _centred_square(values: Array) -> float:
-    return float(((values - values.mean(axis=0)) ** 2).sum())
+def _without_slope(values: Array, ramp: Array) -> Array:
+    """Centred values (m, …) less what is along the unit ramp (m,)."""
+    centred = values - values.mean(axis=0)
+    return np.asarray(centred - ramp[:, None] * (ramp @ centred))

@@ -29,10 +29,9 @@ from cassini_bayes.effects.changes import AXES
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.studies.blind.rate_information import RATE_KINDS, combined, rate_information
 from cassini_bayes.studies.blind.sizes import NULL_VALUES, hidden_oscillation
 
-RATE_KINDS: Final = ("rate_bias", "rate_scale")
-"""In the order of the attitude channel's information."""
 KINKED: Final = ("pulse_shape", "time_offset")
 """Kinds whose change of the data has another direction on each side of zero."""
 KINK: Final = 5e-3  # prior scales off zero, where a kinked effect's slopes are taken
@@ -218,19 +217,20 @@ def _columns(
 
 def _add_attitude(gram: Array, score: Array, events: Events, sides: Sequence[Side]) -> None:
     """Add what attitude against integrated rates says of rate bias and scale."""
+    rates = combined([rate_information(event.samples) for event in events.telemetry])
     for side in sides:
         kind, _, axis = side.name.partition(":")
         if kind not in RATE_KINDS:
             continue
         i, a = side.places[0], AXES.index(axis)
         mine = RATE_KINDS.index(kind)
-        score[i] += _scale(events, side.name) * events.rates.linear[a, mine]
+        score[i] += _scale(events, side.name) * rates.linear[a, mine]
         for other in sides:
             theirs, _, same = other.name.partition(":")
             if theirs in RATE_KINDS and same == axis:
                 both = _scale(events, side.name) * _scale(events, other.name)
                 j, other_kind = other.places[0], RATE_KINDS.index(theirs)
-                gram[i, j] += both * events.rates.precision[a, mine, other_kind]
+                gram[i, j] += both * rates.precision[a, mine, other_kind]
 
 
 def _scale(events: Events, name: str) -> float:

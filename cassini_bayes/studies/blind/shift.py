@@ -50,7 +50,11 @@ def at_truth(events: Events, truth: Truth) -> View:
     """Look at a flight without noise with the true parameters, thrusts and torques."""
     none = none_hypothesis(events)
     names = none.model.space.names
-    point = none.model.space.to_standard({name: truth.parameters[name] for name in names})
+    # how often pulses are close is what the controller did, no parameter of the truth
+    means = dict(zip(names, none.model.space.distributions, strict=True))
+    point = none.model.space.to_standard(
+        {name: truth.parameters.get(name, means[name].mean()) for name in names}
+    )
     linear, factors = linearise(none, point, smooth_channels=False)
     left = linear.target - linear.columns @ _known(none, events, truth, linear.columns.shape[1])
     return View(events, none, point, linear, left, tuple(factors))

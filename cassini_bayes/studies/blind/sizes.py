@@ -21,6 +21,7 @@ from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import Hidden, Scene
+from cassini_bayes.studies.blind.rate_information import RATE_KINDS
 from cassini_bayes.studies.blind.shift import View, at_truth, changed_size, held, modelled_size
 
 LARGEST_IN_PRIOR_SCALES: Final = 4.0
@@ -170,7 +171,7 @@ def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> 
         return _flexible(stage, effect, None, rng)
     for _ in range(MOST_DRAWS):
         path = draw_from_prior(effect, rng)
-        if effect.kind.rate_errors is not None:
+        if effect.kind.name in RATE_KINDS:
             rate = sensitivity(stage.events, stage.base, path)
             hidden = hide(path, 1.0, stage.truth.parameters, rate)
         else:
@@ -192,7 +193,7 @@ def sized_between(
     if rate <= 0.0:
         return None
     start = min(sigma / rate, LARGEST_IN_PRIOR_SCALES)
-    if effect.kind.rate_errors is not None:
+    if effect.kind.name in RATE_KINDS:
         # believable sizes only, and none that is cut off
         return hide(path, start, stage.truth.parameters, sigma) if start * rate >= sigma else None
     return search_size(lambda s: measured(stage, path, s), start, sigma, (low, high))

@@ -30,6 +30,10 @@ _LEAST_BLOCKS: Final = 8  # for two noises and two unknowns
 _NORMAL_MEDIAN: Final = 0.6745  # of |x|, in standard deviations
 
 
+RATE_KINDS: Final = ("rate_bias", "rate_scale")
+"""Kinds of errors of the gyros, in the order of the information."""
+
+
 @dataclass(frozen=True)
 class RateInformation:
     """Precision (3, 2, 2) and linear term (3, 2) of rate bias [rad/s] and scale [1] per axis."""
@@ -124,10 +128,3 @@ def _block_variance(missed: Array, columns: Array, kept: Array, walked: float) -
 def combined(parts: Sequence[RateInformation]) -> RateInformation:
     """All events together."""
     return sum(parts, NOTHING)
-
-
-def rate_log_likelihood(information: RateInformation, bias: Array, scale: Array) -> Array:
-    """Log likelihood ratio (n,) of the channel at bias and scale (n, 3) against none of either."""
-    x = np.stack(np.broadcast_arrays(bias, scale), axis=-1)
-    square = np.einsum("nai,aij,naj->n", x, information.precision, x)
-    return np.asarray((x * information.linear).sum((-2, -1)) - 0.5 * square)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cassini_bayes.balance import rate_information as module
-from cassini_bayes.balance.rate_information import rate_information, rotation_vectors
 from cassini_bayes.balance.statistics import Samples
+from cassini_bayes.studies.blind import rate_information as module
+from cassini_bayes.studies.blind.rate_information import rate_information, rotation_vectors
 
 
 def made_up(

@@ -1,0 +1,133 @@
+"""A first look at an event's telemetry: least steps of its channels, on-times behind its counters.
+
+Both need the whole event, so they come before the pass that reduces it. Only readings at which a
+counter changes are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.balance.statistics.counters import counter_step, expected_on_times
+from cassini_bayes.balance.statistics.reduction import ChannelSteps, Preparation
+from cassini_bayes.balance.statistics.rows import Samples
+
+Array = NDArray[np.float64]
+LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
+LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
+_SAME: Final = 1e-3  # of a step, that a printed multiple may be off
+_SAME_S: Final = 1e-6
+RPM_RAD_S: Final = 2.0 * np.pi / 60.0  # wheel rates are rounded in rev/min
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a first look found, and the telemetry with it.
+
+    ``counter_time_s`` (m,) and ``on_time_s`` (m, K) are expected on-times at the readings around
+    every change.
+    """
+
+    found: Preparation
+    counter_time_s: Array
+    on_time_s: Array
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
+        """The same telemetry with expected on-times in the place of rounded ones."""
+        for chunk in chunks:
+            if len(self.counter_time_s) == 0 or chunk.on_time_s.shape[1] == 0:
+                yield chunk
+                continue
+            place = np.searchsorted(self.counter_time_s, chunk.time_s + _SAME_S, side="right") - 1
+            on_time = self.on_time_s[np.maximum(place, 0)]
+            read = np.isfinite(chunk.on_time_s)
+            yield replace(chunk, on_time_s=np.where(read, on_time, chunk.on_time_s))
+
+
+def prepare(chunks: Iterable[Samples], control_cycle_s: float) -> Prepared:
+    """Look at an event's telemetry once, chunk by chunk.
+
+    Parameters
+    ----------
+    chunks
+        Rows in order of time.
+    control_cycle_s
+        What commands may be multiples of; the readings tell whether they are.
+    """
+    readings, rates, wheels, looked = _Readings(), [], [], 0
+    for chunk in chunks:
+        readings.add(chunk)
+        if looked < LOOKED_AT:
+            rates.append(chunk.rate_rad_s)
+            wheels.append(chunk.wheel_rad_s)
+            looked += len(chunk)
+    steps = ChannelSteps(
+        channel_step(np.concatenate(rates)),
+        channel_step(np.concatenate(wheels) / RPM_RAD_S) * RPM_RAD_S,
+    )
+    time, on_time, pulses = readings.around_changes()
+    if len(time) == 0:
+        return Prepared(Preparation(steps), time, on_time)
+    expected = expected_on_times(on_time, pulses, counter_step(on_time), control_cycle_s)
+    return Prepared(Preparation(steps, tuple(expected.open_s2.tolist())), time, expected.on_time_s)
+
+
+def channel_step(values: Array) -> float:
+    """Largest 1, 2 or 5 times a power of ten that all values are multiples of, to print; else 0."""
+    every = np.unique(values[np.isfinite(values)])
+    if len(every) < LEAST_VALUES:
+        return 0.0
+    largest = float(np.abs(every).max())
+    top = int(np.floor(np.log10(np.diff(every).max())))
+    for exponent in range(top, int(np.floor(np.log10(largest))) - 9, -1):
+        for digit in (5.0, 2.0, 1.0):
+            step = digit * 10.0**exponent
+            ratio = every / step
+            if np.all(np.abs(ratio - np.round(ratio)) < _SAME):
+                return step
+    return 0.0
+
+
+class _Readings:
+    """Counter readings before and after every change, from rows that come in chunks."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[Array, Array, Array]] = []
+        self._last: tuple[Array, Array, Array] | None = None
+
+    def add(self, chunk: Samples) -> None:
+        """Take the readings of some more rows."""
+        counted = chunk.has_counters
+        if not counted.any():
+            return
+        own = (chunk.time_s[counted], chunk.on_time_s[counted], chunk.pulses[counted])
+        if self._last is None:
+            self._kept.append((own[0][:1], own[1][:1], own[2][:1]))
+        else:
+            one, two, three = self._last
+            own = (
+                np.concatenate([one, own[0]]),
+                np.concatenate([two, own[1]]),
+                np.concatenate([three, own[2]]),
+            )
+        time, on_time, pulses = own
+        changed = np.any(np.diff(on_time, axis=0) != 0.0, axis=1)
+        changed |= np.any(np.diff(pulses, axis=0) != 0.0, axis=1)
+        used = np.zeros(len(time), dtype=bool)
+        used[:-1] |= changed
+        used[1:] |= changed
+        self._kept.append((time[used], on_time[used], pulses[used]))
+        self._last = (time[-1:], on_time[-1:], pulses[-1:])
+
+    def around_changes(self) -> tuple[Array, Array, Array]:
+        """Times (m,), on-times and pulses (m, K), each reading once."""
+        if not self._kept:
+            return np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
+        time, on_time, pulses = (np.concatenate(part) for part in zip(*self._kept, strict=True))
+        time, first = np.unique(time, return_index=True)
+        return time, on_time[first], pulses[first]

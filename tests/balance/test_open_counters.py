@@ -1,0 +1,44 @@
+"""What counters leave open: steps of single cut tails and levels of rounded counters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
+from cassini_bayes.balance.statistics.reduction import CounterStatistics
+
+DURATION_S = 80.0
+TIME = np.arange(DURATION_S)
+ENDS = np.array([3.0, 7.0, 13.0, 31.0])
+STEP = (TIME[:, None] >= ENDS).astype(float)
+
+
+def counters(pairs: list[float]) -> CounterStatistics:
+    """One couple that fired in four intervals, with so many pairs in them."""
+    weight = np.array(pairs)[:, None]
+    return CounterStatistics(TIME, 1, ENDS, np.ones((4, 1), dtype=bool), weight, np.array([4e-6]))
+
+
+def test_pairs_of_a_quarter_add_up_to_what_the_likelihood_has() -> None:
+    """A step is its quarter's mean, which the likelihood has, and what is added; one: nothing."""
+    found = cut_patterns(counters([1.0, 1.0, 1.0, 0.0]), 0, DURATION_S, STEP)
+    for i in range(3):
+        assert STEP[:, :3].mean(axis=1) + found[:, i] == pytest.approx(STEP[:, i])
+    alone = cut_patterns(counters([1.0, 0.0, 0.0, 1.0]), 0, DURATION_S, STEP)
+    assert not alone.any()
+
+
+def test_several_pairs_of_an_interval_scatter_together() -> None:
+    """Four pairs have twice the deviation of one, about a mean that leans to them."""
+    found = cut_patterns(counters([4.0, 1.0, 0.0, 0.0]), 0, DURATION_S, STEP)
+    mean = 0.8 * STEP[:, 0] + 0.2 * STEP[:, 1]
+    assert found[:, 0] == pytest.approx(2.0 * (STEP[:, 0] - mean))
+    assert found[:, 1] == pytest.approx(STEP[:, 1] - mean)
+
+
+def test_a_rounding_lasts_until_the_next_firing() -> None:
+    """Five levels of 2 ms, which add up to a constant."""
+    found = level_patterns(counters([0.0] * 4), 0, STEP, np.ones((len(TIME), 1)))
+    assert found.sum(axis=1) == pytest.approx(np.full(len(TIME), 2e-3))
+    assert found[:, 1] == pytest.approx(2e-3 * ((TIME >= 3.0) & (TIME < 7.0)))
