@@ -534,7 +534,7 @@ def gram(statistics: EventStatistics) -> Array:
     """Norms of the columns (3, A) in order of their names, and counts."""
     order, norms = sizes_of(statistics)
     counts = [statistics.rows, statistics.duration_s, statistics.counter_interval_s]
-    return np.concatenate([norms[:, order].reshape(-1), counts, statistics.close_pairs])
+    return np.concatenate([norms[:, order].reshape(-1), counts, statistics.cuts])
 
 
 def projected(statistics: EventStatistics) -> Array:

@@ -43,6 +43,7 @@ TOTALS_PRIORS = Path("priors/cassini_b_branch_2010.toml")
 MISSION_PRIORS = Path("priors/cassini_mission.toml")
 TELEMETRY_PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 SCENARIO = Path("runs/scenarios/calibration.toml")
+PRIORS = Path("priors")
 HYBRID_SCENARIO = Path("runs/scenarios/hybrid_2012.toml")
 
 
@@ -120,6 +121,29 @@ def calibrate_sbc_command(
     page = out / "telemetry-sbc.md"
     with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
         passed = calibrate_telemetry(study, str(scenario), str(priors), numbers)
+    _end(page, passed)
+
+
+@app.command("conditions")
+def calibrate_conditions_command(
+    scenario: ScenarioFile = SCENARIO,
+    priors: Annotated[Path, typer.Option("--priors", help="Folder of priors files.")] = PRIORS,
+    trials: Trials = None,
+    quick: Quick = False,
+    seed: Seed = 20_261_123,
+    jobs: Jobs = None,
+    dask: Dask = None,
+    work: Work = WORK,
+    out: Out = OUT,
+    quiet: Quiet = False,
+) -> None:
+    """Calibration over conditions: controllers, steps of counters, cadence, noise, events."""
+    from cassini_bayes.studies.conditions_calibration import FULL, QUICK, calibrate_conditions
+
+    numbers = _numbers(FULL, QUICK, trials, quick)
+    page = out / "conditions.md"
+    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
+        passed = calibrate_conditions(study, str(scenario), str(priors), numbers)
     _end(page, passed)
 
 

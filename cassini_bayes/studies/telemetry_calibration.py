@@ -35,6 +35,7 @@ from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.simulation.arrays import prime_wheels
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
 from cassini_bayes.studies.scenario import (
     Simulation,
     draw_wheel_rates,
@@ -125,7 +126,9 @@ class TelemetryCampaign:
         """Names of the ranked scalars: walked parameters, thrusts and torques of the events."""
         priors = self.priors()
         thrusters = priors.spacecraft.thruster_names(priors.branch)
-        walked = _walked(priors, fires=any(_fires(e) for e in self.variant.events))
+        fires = any(_fires(event) for event in self.variant.events)
+        # how often pulses are close is what the controller did: no parameter of the truth
+        walked = [name for name in _walked(priors, fires=fires) if name != CLOSE_SHARE]
         thrusts = [
             f"thrust_n[{event},{thruster}]"
             for event in self.variant.events
@@ -150,7 +153,7 @@ class TelemetryCampaign:
         priors = self.priors()
         simulation = self.simulate(priors, rng)
         model = model_of(simulation, self.variant, priors, rng)
-        z, pareto_k, by_chain = _posterior_draws(log_density_of(model, self.variant), model, rng)
+        z, pareto_k, by_chain = posterior_draws(log_density_of(model, self.variant), model, rng)
         drawn = flat_draws(model, z, rng)
         truth = flat_truth(simulation)
         ranks = [rank(drawn[name], truth[name], rng) for name in self.names()]
@@ -263,10 +266,10 @@ def without_jacobian(model: Model, z: Array) -> Array:
     return np.asarray(log_posterior(model, z) - rows * np.linalg.slogdet(inertia)[1])
 
 
-def _posterior_draws(
+def posterior_draws(
     log_density: LogDensity, model: Model, rng: np.random.Generator
 ) -> tuple[Array, float, bool]:
-    """Importance draws where k̂ allows, else draws of a chain."""
+    """Draws (n, d) by importance where Pareto k̂ allows, else of a chain; k̂; whether a chain's."""
     dimension = len(model.space.names)
     for dof, pilots, draws in EFFORTS:
         warm = warm_start(log_density, dimension, rng, dof=dof, pilots=pilots, draws=draws)
