@@ -138,11 +138,11 @@ def judged(found: Mapping[str, NDArray[Any]]) -> tuple[pd.DataFrame, pd.DataFram
                 continue
             tail = 0.5 * (1.0 - PROBABILITY)
             coverage = np.array([((own > tail) & (own < 1.0 - tail)).mean()])
-            p_ranks = float(envelope_p_values(own[:, None])[0])
-            p_coverage = float(coverage_p_values(coverage, len(own), PROBABILITY)[0])
-            rows.append(
-                [name, level, scalar, len(own), own.mean(), coverage[0], p_ranks, p_coverage]
+            p_values = (
+                float(kstest(own, "uniform").pvalue),
+                float(coverage_p_values(coverage, len(own), PROBABILITY)[0]),
             )
+            rows.append([name, level, scalar, len(own), own.mean(), coverage[0], *p_values])
         known = ranks[chosen]
         inside = (known > 0.05) & (known < 0.95)
         share = inside.sum() / max(int(np.isfinite(known).sum()), 1)
