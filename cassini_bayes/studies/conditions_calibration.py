@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.stats import kstest
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import identity
