@@ -29,6 +29,7 @@ from cassini_bayes.results.tables import (
     predictive_table,
     summarise,
     thrust_baselines,
+    thrust_conflicts,
 )
 from cassini_bayes.results.telemetry_baselines import torque_methods
 from cassini_bayes.results.time_series import EventSeries, event_series
@@ -66,7 +67,10 @@ class Review:
         is_broken = self.model.telemetry and self.physicality.is_broken
         physical = (self.physicality.sentence,) if is_broken else ()
         unseen = self.observability.unseen_effects if self.model.effects else ()
-        return (*self.notes, *physical, *unseen, *conflict_sentences(self.nuisances))
+        thrusts = thrust_conflicts(self.summary)
+        thrusts = thrusts[~thrusts["name"].isin(self.nuisances["name"])]
+        pulled = (*conflict_sentences(thrusts), *conflict_sentences(self.nuisances))
+        return (*self.notes, *physical, *unseen, *pulled)
 
     @cached_property
     def summary(self) -> pd.DataFrame:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 
@@ -79,7 +81,12 @@ def error_budget(model: Model, z: Array) -> pd.DataFrame:
 
 
 def prior_against_posterior(model: Model, z: Array) -> pd.DataFrame:
-    """Prior and posterior of every walked parameter, with a conflict flag.
+    """Prior and posterior of every walked parameter, with a conflict flag: :func:`conflicts`."""
+    return conflicts(model.space.names, z.mean(0), z.std(0, ddof=1))
+
+
+def conflicts(names: Sequence[str], mean: Array, sd: Array) -> pd.DataFrame:
+    """Whether priors and data agree, from posterior means and standard deviations.
 
     In standard-normal coordinates the prior is N(0, 1). If prior and likelihood agree, the shift of
     the posterior mean is itself N(0, 1 − s²) with s the posterior standard deviation (exact for
@@ -88,7 +95,6 @@ def prior_against_posterior(model: Model, z: Array) -> pd.DataFrame:
     than 5 % it is ``prior returned`` and the surprise is not evaluated (NaN), unless they moved it
     by more than half a prior width; else ``informed``.
     """
-    mean, sd = z.mean(0), z.std(0, ddof=1)
     contraction = 1.0 - sd
     told = contraction > LEAST_CONTRACTION
     surprise = np.full(len(mean), np.nan)
@@ -103,7 +109,7 @@ def prior_against_posterior(model: Model, z: Array) -> pd.DataFrame:
     )
     return pd.DataFrame(
         {
-            "name": model.space.names,
+            "name": names,
             "contraction": contraction,
             "surprise": surprise,
             "verdict": verdicts,

@@ -18,7 +18,7 @@ from cassini_bayes.model.totals import SOFTWARE
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.baselines import perturbation_bars
 from cassini_bayes.results.record import Fit
-from cassini_bayes.results.sensitivity import prior_against_posterior
+from cassini_bayes.results.sensitivity import conflicts, prior_against_posterior
 from cassini_bayes.results.telemetry_baselines import burn_methods, thrust_methods
 from cassini_bayes.results.time_series import EventSeries
 from cassini_bayes.sampling.ensembles import stored_ess
@@ -256,6 +256,22 @@ def conflict_sentences(nuisances: pd.DataFrame) -> list[str]:
         f"{row['sd']:.2g} {row['unit']})."
         for _, row in nuisances[nuisances["verdict"] == "conflict"].iterrows()
     ]
+
+
+def thrust_conflicts(summary: pd.DataFrame) -> pd.DataFrame:
+    """Prior against posterior of thrusts, which no table of walked parameters has, by one rule.
+
+    The common thrust; where it agrees with its prior, every thruster's level.
+    """
+    for quantity in ("thrust_common_n", "thrust_level_n"):
+        own = summary[(summary["quantity"] == quantity) & (summary["prior_sd"] > 0)]
+        moved = ((own["mean"] - own["prior_mean"]) / own["prior_sd"]).to_numpy()
+        width = (own["sd"] / own["prior_sd"]).to_numpy()
+        judged = own.merge(conflicts(list(own["name"]), moved, width), on="name")
+        found = judged[judged["verdict"] == "conflict"]
+        if len(found):
+            break
+    return found
 
 
 def worst_convergence(summary: pd.DataFrame) -> tuple[float, float, float]:

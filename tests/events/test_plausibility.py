@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from simulation_cases import BIAS, EPOCH, PARAMETERS, SLEWS
 from totals_cases import B_BRANCH, FLIGHT
 
+from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import (
     STRICT,
@@ -32,6 +34,8 @@ from cassini_bayes.events.telemetry import (
 )
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.pipeline.inputs import read_inputs
+from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
@@ -60,6 +64,7 @@ DOCUMENT: Mapping[str, Any] = {
         "on_time_resolution_s": 0.001,
     },
 }
+ROOT = Path(__file__).parents[2]
 Event = tuple[TelemetryEvent, Chunk]
 
 
@@ -283,6 +288,26 @@ def test_mistakes_in_all_rows_are_named() -> None:
     assert judged(wheels).startswith("wheel-order")
 
 
+def in_rad_s(event: TotalsEvent) -> TotalsEvent:
+    """Wheel rates in rad/s where rev/min belong."""
+    return replace(
+        event,
+        rwa_start_rpm=event.rwa_start_rpm * np.pi / 30.0,
+        rwa_end_rpm=event.rwa_end_rpm * np.pi / 30.0,
+    )
+
+
+def test_wheel_rates_in_rad_s_are_named() -> None:
+    """In every row, in one of eight, and in a row that stands alone: firing cannot vanish."""
+    rows = list(flight())
+    assert judged([in_rad_s(row) for row in rows]).startswith("wheel-unit")
+    one = judged([*rows[:3], in_rad_s(rows[3]), *rows[4:]])
+    assert one.startswith("wheel-unit")
+    assert rows[3].id in one
+    assert judged([in_rad_s(rows[3])]).startswith("wheel-unit")
+    assert judged([rows[3]]) == ""
+
+
 def test_a_mistake_in_one_row_is_named_with_the_row() -> None:
     """One row with its ends exchanged, or one cell, among seven good ones."""
     rows = list(flight())
@@ -308,3 +333,20 @@ def test_the_same_data_under_another_name_is_refused() -> None:
     with pytest.raises(InputError, match=rows[2].id):
         refuse_duplicates([(row.id, content_of_totals(row)) for row in twice])
     assert refuse_duplicates([(row.id, content_of_totals(row)) for row in rows]) == ()
+
+
+def test_telemetry_under_another_id_is_refused(tmp_path: Path) -> None:
+    """A copied folder with another id, for a fit and a diagnosis; accepted, it is said."""
+    simulated(tmp_path, {}, None)
+    first, copied = tmp_path / "slews", tmp_path / "copied"
+    shutil.copytree(first, copied)
+    described = copied / "event.toml"
+    described.write_text(described.read_text().replace('"slews"', '"another"'))
+    priors = ROOT / "priors" / "cassini_b_branch_telemetry.toml"
+    table = {"events": [str(first), str(copied)], "priors": str(priors)}
+    with pytest.raises(InputError, match="under another name"):
+        read_inputs(check_run(table, "run"), Path())
+    with pytest.raises(InputError, match="under another name"):
+        read_events(table["events"], priors)
+    accepted = read_inputs(check_run(table | {"accept": ["same-telemetry"]}, "run"), Path())
+    assert [finding.count("same-telemetry") for finding in accepted.findings] == [1]

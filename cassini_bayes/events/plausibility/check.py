@@ -130,9 +130,8 @@ class TelemetryCheck:
             return
         count = len(self._cells)
         worst = sorted(self._cells, key=lambda cell: -abs(cell.sigmas))[:MOST_CELLS_NAMED]
-        said = f"{count} cell{'s' if count > 1 else ''} that do not fit: " + "; ".join(
-            map(str, worst)
-        )
+        what = "1 cell that does" if count == 1 else f"{count} cells that do"
+        said = f"{what} not fit: " + "; ".join(map(str, worst))
         if self._policy.leave_out:
             findings.sentences.append(f"{self._event.telemetry}: left out {said}")
             return

@@ -220,7 +220,10 @@ class Momentum:
         if "common" in names:
             kinds = np.array(names)
             common = float(solution[kinds == "common"][0])
-            excess += vanishing(common, solution[kinds == "thrust"])
+            own = solution[kinds == "thrust"]
+            level = 1.0 + WIDTHS["common"] * common + WIDTHS["thrust"] * float(own.mean())
+            variance = WIDTHS["common"] ** 2 + WIDTHS["thrust"] ** 2 / len(own)
+            excess += vanishing(level, variance)
         return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
 
 
@@ -305,18 +308,15 @@ def _thruster_departures(
     return each
 
 
-def vanishing(common: float, own: Array) -> float:
-    """What it costs beyond the normal prior that thrust vanishes, given its departures in σ.
+def vanishing(level: float, variance: float) -> float:
+    """What it costs beyond the normal prior that firing falls to ``level`` of its nominal impulse.
 
     A normal prior of ± 15 % lets it fall to nothing for the price of seven standard deviations,
-    and with it all momentum that a mistake left open. Its logarithm is what has a width.
+    and with it all momentum that a mistake left open. Its logarithm is what has a width, of
+    ``variance``.
     """
-    level = (
-        1.0 + WIDTHS["common"] * common + WIDTHS["thrust"] * float(own.mean() if len(own) else 0)
-    )
     level = min(max(level, 1e-3), 1.0)
-    width = WIDTHS["common"] ** 2 + WIDTHS["thrust"] ** 2 / max(len(own), 1)
-    return float((np.log(level) ** 2 - (level - 1.0) ** 2) / width)
+    return float((np.log(level) ** 2 - (level - 1.0) ** 2) / variance) if variance > 0.0 else 0.0
 
 
 def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:

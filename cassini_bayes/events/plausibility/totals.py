@@ -49,6 +49,8 @@ LOST: Final = 0.4
 TAIL_S: Final = 0.03
 OWN_TAIL_S: Final = 0.01
 """Thrust per pulse beyond the nominal: with more, firing could vanish in tables of short pulses."""
+LEAST_IMPULSE: Final = 1e-9
+"""N m s, of rows that fire nothing."""
 USUAL_PULSE_S: Final = 0.25
 """Mean width taken where a table has no pulse counts."""
 UNKNOWN_PER_ROW: Final = 20.0
@@ -96,7 +98,7 @@ class _Table:
     pushes: Array
 
     def misfit(self, rows: Sequence[TotalsRow], free: Array | None = None) -> float:
-        """yᵀ K⁻¹ y and the price of vanishing thrust; a direction ``free`` (3 E,) has none."""
+        """yᵀ K⁻¹ y and the price of vanishing impulse; a direction ``free`` (3 E,) has none."""
         left, shared, noise = (
             np.concatenate(parts) for parts in zip(*map(self._row, rows), strict=True)
         )
@@ -113,10 +115,9 @@ class _Table:
         strength = np.einsum("nk,nm,mk->k", weakened, inverse, weakened)
         least = float(left @ pulled)
         misfit = min(least, float(np.min(least - (weakened.T @ pulled) ** 2 / (1.0 + strength))))
-        departures = shared.T @ pulled
-        thrusts = departures[self._thrust : self._thrust + self.pushes.shape[1]]
-        level = thrusts * (OWN_THRUST / WIDTHS["thrust"])
-        return misfit + vanishing(float(departures[self._common]), level)
+        share = self._share_of_impulse(rows)
+        departures = (shared.T @ pulled)[self._common : self._common + len(share)]
+        return misfit + vanishing(1.0 + float(share @ departures), float(share @ share))
 
     @property
     def _common(self) -> int:
@@ -125,6 +126,22 @@ class _Table:
     @property
     def _thrust(self) -> int:
         return self._common + 1
+
+    def _share_of_impulse(self, rows: Sequence[TotalsRow]) -> Array:
+        """What 1 σ of each departure of firing adds to the impulse of all rows, as a share of it.
+
+        In the order of the shared departures: thrust common and own, tail common and own.
+        """
+        on, pulses = np.zeros((2, self.pushes.shape[1]))
+        for row in rows:
+            nominal = self.nominals[row.wheels]
+            size = np.linalg.norm(nominal.torques, axis=0)
+            on += size * (row.on_time_s + nominal.tail_s * row.pulses)
+            pulses += size * row.pulses
+        common, tail = WIDTHS["common"] * on.sum(), TAIL_S * pulses.sum()
+        parts = [[common], OWN_THRUST * on, [tail], OWN_TAIL_S * pulses]
+        shares: Array = np.concatenate([np.asarray(part) for part in parts])
+        return shares / max(float(on.sum()), LEAST_IMPULSE)
 
     def _row(self, row: TotalsRow) -> tuple[Array, Array, Array]:
         """What is left (3,), shared departures (3, J), covariance of the row's own (3, 3)."""

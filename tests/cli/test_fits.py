@@ -1,0 +1,40 @@
+"""What a fit says at its end, and the status it ends with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import run_cases
+
+CONTRADICTIONS = ("first: pulled", "second: pulled")
+
+
+@pytest.mark.parametrize(
+    ("warnings", "options", "status"),
+    [
+        (CONTRADICTIONS, [], 0),
+        (CONTRADICTIONS, ["--strict"], 1),
+        ((), ["--strict"], 0),
+    ],
+)
+def test_contradictions_stand_last(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    warnings: tuple[str, ...],
+    options: list[str],
+    status: int,
+) -> None:
+    """Printed last, even when quiet; a failure with --strict, only where there are any."""
+    outcome = SimpleNamespace(
+        folder=tmp_path, converged=True, review=SimpleNamespace(warnings=warnings)
+    )
+    monkeypatch.setattr("cassini_bayes.pipeline.run.execute", lambda *_, **__: outcome)
+    run_file = str(run_cases.write_run(tmp_path))
+    fit = ["fit", str(run_cases.FLIGHT), "--priors", "p", "--out", str(tmp_path)]
+    for command in (["run", run_file], fit):
+        assert run_cases.command([*command, "--quiet", *options]) == status
+        error = capsys.readouterr().err
+        assert error.splitlines() == [f"warning: {line}" for line in warnings]
