@@ -87,6 +87,7 @@ EFFECT_CASES: Mapping[str, Mapping[str, Any]] = {
     "center_of_mass:y": {"cm_y_m": 0.10},
     "wheel_inertia:2": {"rwa2_inertia_kg_m2": 0.166},
     "wheel_alignment:4": {"rwa4_tilt_u_rad": 0.05, "rwa4_tilt_v_rad": 0.02},
+    "wheel_articulation:4": {"rwa4_articulation_rad": -2.0},
     "thruster_misalignment:y2": {"cant_a_rad": 0.02, "cant_b_rad": -0.03},
     "external_torque": {f"external_torque_{axis}_n_m": 2e-4 for axis in "xyz"},
     "thruster_leak:z1": {"leak_n": 0.01},

@@ -181,6 +181,7 @@ def _targets(table: Table, priors: Priors, wheels: Sequence[int]) -> tuple[str, 
         "tilting wheel": tuple(
             str(n) for n in wheels if spacecraft.wheel(n).tilt_parameters is not None
         ),
+        "articulated wheel": tuple(str(n) for n in wheels if spacecraft.wheel(n).is_turned),
         "axis": AXES,
         "element": ELEMENTS,
     }

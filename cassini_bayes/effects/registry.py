@@ -27,6 +27,7 @@ from cassini_bayes.effects import (
     thruster_misalignment,
     time_offset,
     wheel_alignment,
+    wheel_articulation,
     wheel_inertia,
 )
 from cassini_bayes.effects.effect import Kind, columns_of
@@ -50,6 +51,7 @@ KINDS: Final[tuple[Kind, ...]] = (
     center_of_mass.KIND,
     wheel_inertia.KIND,
     wheel_alignment.KIND,
+    wheel_articulation.KIND,
     thruster_misalignment.KIND,
     external_torque.KIND,
     thruster_leak.KIND,

@@ -11,7 +11,10 @@ from typing import Any, Final
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number, nearest
 
-TARGETS: Final = ("none", "thruster", "wheel", "tilting wheel", "axis", "element")
+TARGETS: Final = (
+    *("none", "thruster", "wheel", "tilting wheel", "articulated wheel"),
+    *("axis", "element"),
+)
 INPUTS: Final = ("telemetry", "totals", "on_times", "estimates")
 ROLES: Final = ("value", "departure")
 SYMBOLS: Final = (

@@ -87,6 +87,11 @@ def _parameters(plan: Plan, _: str, values: Values) -> Plan:
     return plan.with_parameters(**values)
 
 
+def _articulation(plan: Plan, _: str, values: Values) -> Plan:
+    turned = plan.with_parameters(**values)
+    return replace(turned, spacecraft=plan.spacecraft.with_platforms(turned.parameters))
+
+
 def _pulse_shape(plan: Plan, _: str, values: Values) -> Plan:
     return replace(plan, impulse_offset_s=values["impulse_time_offset_s"])
 
@@ -173,6 +178,12 @@ _ALL: Final = (
         "tilting wheel",
         _parameters,
     ),
+    Effect(
+        "wheel_articulation",
+        ("rwa{target}_articulation_rad",),
+        "articulated wheel",
+        _articulation,
+    ),
     Effect("thruster_misalignment", ("cant_a_rad", "cant_b_rad"), "thruster", _misalignment),
     Effect(
         "external_torque", tuple(f"external_torque_{axis}_n_m" for axis in AXES), None, _parameters
@@ -258,6 +269,8 @@ def possible_targets(
         return tuple(str(number) for number in wheels)
     if effect.targets == "tilting wheel":
         return tuple(str(n) for n in wheels if spacecraft.wheel(n).tilt_parameters is not None)
+    if effect.targets == "articulated wheel":
+        return tuple(str(n) for n in wheels if spacecraft.wheel(n).platform is not None)
     return {"axis": AXES, "element": ELEMENTS}.get(effect.targets or "", ())
 
 

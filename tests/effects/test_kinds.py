@@ -61,6 +61,43 @@ def test_departure_is_the_baseline_parameter_moved(name: str, baseline: str) -> 
     assert found.tau_s[2] == pytest.approx(wanted.tau_s[2])
 
 
+def test_a_turned_platform_is_its_angle_moved_and_nearly_a_tilt() -> None:
+    """A departure of the angle does what the baseline's angle does, and to first order the tilt
+    u = sin 54.7° δθ; priors without the angle have no such cause.
+    """
+    priors = read_priors(ROOT / "priors" / "cassini_hybrid_2012.toml")
+    catalogue = read_catalogue(priors, priors.wheels, ("telemetry",))
+    means = {name: np.array([value]) for name, value in priors.means().items()}
+    idle = dict.fromkeys(priors.spacecraft.wheel_parameters(), np.zeros(1))
+    point = {**idle, **means}
+
+    def weights(added: dict[str, float], name: str | None = None) -> np.ndarray:
+        moved = {**point, **{k: point.get(k, np.zeros(1)) + v for k, v in added.items()}}
+        modifiers = ()
+        if name is not None:
+            modifiers = (catalogue.effect(name).modifier(priors.spacecraft, priors.branch),)
+        return physics_of(priors.spacecraft, priors.branch, moved, modifiers).wheel_weights
+
+    angle = "rwa4_articulation_rad"
+    turn, tilt = (
+        {p.key: p.name for p in catalogue.effect(f"{kind}:4").parameters}
+        for kind in ("wheel_articulation", "wheel_alignment")
+    )
+    found = weights({turn[angle]: 0.05}, "wheel_articulation:4")
+    np.testing.assert_allclose(found, weights({angle: 0.05}), atol=1e-15)
+    small = weights({turn[angle]: 1e-5}, "wheel_articulation:4") - weights({})
+    alike = {tilt["rwa4_tilt_u_rad"]: np.sqrt(2 / 3) * 1e-5, tilt["rwa4_tilt_v_rad"]: 0.0}
+    np.testing.assert_allclose(
+        small,
+        weights(alike, "wheel_alignment:4") - weights({}),
+        atol=1e-9 * np.abs(small).max() + 1e-10,
+    )
+    across = {tilt["rwa4_tilt_u_rad"]: 0.0, tilt["rwa4_tilt_v_rad"]: np.sqrt(2 / 3) * 1e-5}
+    other = weights(across, "wheel_alignment:4") - weights({})
+    assert np.abs(small - other).max() > 0.1 * np.abs(small).max()  # negative control
+    assert not any(name.startswith("wheel_articulation") for name in CATALOGUE.names)
+
+
 def test_cant_turns_the_force() -> None:
     """A canted thruster's arm is (r − e) × unit(d + a e1 + b e2)."""
     effect = CATALOGUE.effect("thruster_misalignment:y2")
