@@ -49,7 +49,7 @@ OF_A_BRANCH: Final = ("thrust", "tail-off")
 MAY_CHANGE: Final = ("centre of mass", "inertia", "mass")
 """Blocks that dated facts and propellant may change."""
 _SAME_THRUST: Final = 0.1  # events whose expected thrusts differ less share an expansion
-_MOST_ROWS: Final = 5_000  # events times points worked up at a time: design rows of 5 MB
+_MOST_POINTS, _MOST_ROWS = 100, 20_000  # worked up at a time; rows are events times points
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ class MissionModel:
 
     def batches(self, n: int) -> Iterator[slice]:
         """Slices that cover n points, fewer at a time the more events there are."""
-        size = max(1, _MOST_ROWS // len(self.circumstances.events))
+        size = min(_MOST_POINTS, max(1, _MOST_ROWS // len(self.circumstances.events)))
         return (slice(start, min(start + size, n)) for start in range(0, n, size))
 
     def _years(self, part: Part) -> float:
