@@ -56,10 +56,10 @@ def priors() -> Priors:
     return read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
 
 
-def flown(seed: int, effects: Sequence[dict[str, Any]] = ()) -> Events:
-    """A bias and slews with effects hidden."""
+def flown(seed: int, effects: Sequence[dict[str, Any]] = (), ids: Sequence[str] = EVENTS) -> Events:
+    """A bias and slews, or one of them, with effects hidden."""
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
-    document["event"] = [e for e in document["event"] if e["id"] in EVENTS]
+    document["event"] = [e for e in document["event"] if e["id"] in ids]
     document["effect"] = list(effects)
     simulation = simulate_file(scenario_of(document, SCENARIO.parent), seed, priors=priors())
     return reduced(simulation, priors())
@@ -121,7 +121,9 @@ def test_nothing_hidden_gives_none_and_something_strange_gives_unknown() -> None
     assert sum(null.probabilities.values()) == pytest.approx(1.0)
     pulse = {"peak_x_n_m": 4e-4, "peak_y_n_m": -3e-4, "peak_z_n_m": 2e-4}
     pulse |= {"centre_s": 600.0, "width_s": 150.0}
-    odd = verdict_of(flown(SEED + 1, [{"name": "atmospheric_torque", "parameters": pulse}]))
+    hidden = [{"name": "atmospheric_torque", "parameters": pulse}]
+    # slews alone: with a bias beside them the same answer takes ten times as long
+    odd = verdict_of(flown(SEED + 1, hidden, ("slews",)))
     assert odd.best.name == "unknown"
     left = odd.none.remainder
     assert left is not None

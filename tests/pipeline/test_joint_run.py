@@ -168,10 +168,11 @@ def test_the_rows_lie_inside_the_band(mixed: tuple[Outcome, Silent]) -> None:
 def test_it_says_what_it_can_see_before_it_samples(mixed: tuple[Outcome, Silent]) -> None:
     """Rows read, then what can be expected, then sampling."""
     lines = mixed[1].lines
+    # a slow machine is told of every few seconds of reading: that line may come first
+    read = next(i for i, line in enumerate(lines) if "rows of telemetry" in line)
     expected = next(i for i, line in enumerate(lines) if line.startswith("Expected before"))
     warm = next(i for i, line in enumerate(lines) if line.startswith("warm start"))
-    assert "rows of telemetry" in lines[0]
-    assert expected < warm
+    assert read < expected < warm
 
 
 def test_resume_takes_the_cache_and_gives_the_same(mixed: tuple[Outcome, Silent]) -> None:

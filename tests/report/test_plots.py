@@ -184,12 +184,11 @@ def test_thrusters_keep_their_colour_and_twelve_differ() -> None:
 @pytest.mark.parametrize(
     "shape",
     [
-        {"n_events": 1, "n_thrusters": 4, "delta_v": False},
-        {"n_events": 2, "n_thrusters": 12},
+        {"n_events": 1, "n_thrusters": 12},
         {"n_events": 3, "n_thrusters": 2, "baseline": False, "delta_v": False},
         {"n_events": 3, "n_thrusters": 4, "missing_cells": True},
         {"n_events": 20, "n_thrusters": 3},
-        {"n_events": 1, "n_thrusters": 1},
+        {"n_events": 1, "n_thrusters": 1, "delta_v": False},
     ],
     ids=str,
 )

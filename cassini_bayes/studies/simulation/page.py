@@ -23,7 +23,7 @@ BODY: Final = """{seeds} seeds, {scan_seeds} for the scan. The physics and the s
 
 {momentum}
 
-Agreement with an independent integration is a test (`tests/test_simulation_dynamics.py`); agreement
+Agreement with an independent integration is a test (`tests/simulation/`); agreement
 with another simulator, and the speed beside it, are in [Open loop against
 Basilisk](simulation_basilisk.md).
 
