@@ -55,7 +55,19 @@ class LossTerms:
         """C between losses given as (o, k) rows (m, 2), (n, m)."""
         (o, k), (p, j) = first.T, second.T
         both = self.total[:, np.maximum(o, p), k, j]
-        return np.asarray(both - (self.spent[:, o, k] * self.spent[:, p, j]).sum(-1))
+        # one coefficient after the other: all at once would need q times the memory
+        for spent in np.moveaxis(self.spent, -1, 0):
+            both -= spent[:, o, k] * spent[:, p, j]
+        return np.asarray(both)
+
+    @classmethod
+    def joined(cls, parts: Sequence[LossTerms]) -> LossTerms:
+        """The terms of several lots of points, in their order."""
+        linear, total, spent = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("linear", "total", "spent")
+        )
+        return cls(linear, total, spent)
 
     def at(self, places: Places | slice) -> LossTerms:
         """The same at some of the points."""

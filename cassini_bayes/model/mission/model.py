@@ -49,7 +49,7 @@ OF_A_BRANCH: Final = ("thrust", "tail-off")
 MAY_CHANGE: Final = ("centre of mass", "inertia", "mass")
 """Blocks that dated facts and propellant may change."""
 _SAME_THRUST: Final = 0.1  # events whose expected thrusts differ less share an expansion
-_BLOCK: Final = 100  # points worked up at a time: 20 MB of design rows for 200 events
+_MOST_POINTS, _MOST_ROWS = 100, 20_000  # worked up at a time; rows are events times points
 
 
 @dataclass(frozen=True)
@@ -185,11 +185,16 @@ class MissionModel:
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
-        return np.concatenate([self._log_likelihood(z[rows]) for rows in blocks(len(z))])
+        return np.concatenate([self._log_likelihood(z[rows]) for rows in self.batches(len(z))])
 
     def _log_likelihood(self, z: Array) -> Array:
         branches, rest = self.at(z)
         return np.asarray(rest + sum(branch.collapsed.log_likelihood for branch in branches))
+
+    def batches(self, n: int) -> Iterator[slice]:
+        """Slices that cover n points, fewer at a time the more events there are."""
+        size = min(_MOST_POINTS, max(1, _MOST_ROWS // len(self.circumstances.events)))
+        return (slice(start, min(start + size, n)) for start in range(0, n, size))
 
     def _years(self, part: Part) -> float:
         for branch in self.branches:
@@ -212,11 +217,6 @@ class MissionModel:
         share = np.broadcast_to(np.asarray(parameters[INTERCEPT]), (len(relative),))[:, None]
         scale = share + (1.0 - share) * relative[:, branch.events]
         return BranchAt(branch, information, scale)
-
-
-def blocks(n: int) -> Iterator[slice]:
-    """Slices that cover n points, as many at a time as memory and cache like."""
-    return (slice(start, min(start + _BLOCK, n)) for start in range(0, n, _BLOCK))
 
 
 def mission_name(name: str, block: str, branch: str, own: Sequence[str], several: bool) -> str:

@@ -22,13 +22,14 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.mission.losses import (
     Hypothesis,
     LossPrior,
+    LossTerms,
     chosen,
     log_bayes,
     loss_terms,
     place_of,
     weigh,
 )
-from cassini_bayes.model.mission.model import MissionModel, blocks
+from cassini_bayes.model.mission.model import MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import (
@@ -48,6 +49,7 @@ LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
 _LOOKS: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
+_KEPT: Final = 100  # points whose densities one file keeps
 _WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
 _DOF: Final = 15.0  # of the proposal, as in a warm start
 
@@ -190,7 +192,7 @@ def target(model: MissionModel, references: References, prior: LossPrior) -> Log
 
     def log_density(z: Array) -> Array:
         found = []
-        for rows in blocks(len(z)):
+        for rows in model.batches(len(z)):
             branches, total = model.at(z[rows])
             for branch in branches:
                 total = total + branch.collapsed.log_likelihood
@@ -214,7 +216,8 @@ class Remembered:
         """Values at z (n, d)."""
         if self.store is None:
             return self.log_density(z)
-        return np.concatenate([self._kept(self.store, z[rows]) for rows in blocks(len(z))])
+        starts = range(0, len(z), _KEPT)
+        return np.concatenate([self._kept(self.store, z[i : i + _KEPT]) for i in starts])
 
     def _kept(self, store: CheckpointStore, z: Array) -> Array:
         name = f"density_{hashlib.sha256(z.tobytes()).hexdigest()[:24]}"
@@ -358,11 +361,13 @@ def weighed_losses(
     model: MissionModel, prior: LossPrior, z: Array, references: References
 ) -> tuple[Losses, ...]:
     """Posterior probabilities of every branch's hypotheses, the other branch at its reference."""
-    branches, _ = model.at(z)
+    lots = [
+        [loss_terms(branch) for branch in model.at(z[rows])[0]] for rows in model.batches(len(z))
+    ]
     found = []
-    for branch in branches:
-        name = branch.thrusts.branch
-        weighed = weigh(loss_terms(branch), prior, include=references[name])
+    for branch, parts in zip(model.branches, zip(*lots, strict=True), strict=True):
+        name = branch.branch
+        weighed = weigh(LossTerms.joined(parts), prior, include=references[name])
         reference = place_of(weighed, references[name])
         probability = chosen(weighed, reference)
         ratio = weighed.log_bayes - weighed.log_bayes[:, [reference]]

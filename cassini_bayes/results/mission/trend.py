@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import gaussian_kde, norm
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.mission.losses import (
     DrawnLosses,
+    Hypothesis,
     draw_losses,
     draw_thrusts_given,
     loss_terms,
@@ -83,24 +84,51 @@ def trend_of(
 
 def draw_branches(fit: MissionFit, rng: np.random.Generator) -> dict[str, BranchDraws]:
     """As many draws of every branch as the fit has, of points and hypotheses together."""
-    branches, _ = fit.model.at(fit.z)
     share = fit.model.space.to_parameters(fit.z)[INTERCEPT]
     intercept = np.broadcast_to(np.asarray(share), (len(fit.z),))
     found = {}
-    for branch, losses in zip(branches, fit.losses, strict=True):
+    for number, losses in enumerate(fit.losses):
         places, which = losses.draw(rng, len(fit.z))
-        terms = loss_terms(branch).at(places)
-        drawn = draw_losses(terms, which, fit.prior.scale, rng)
-        there = branch.take(places)
-        shared, thrust = draw_thrusts_given(there, drawn, rng)
-        thrusts = branch.thrusts
-        lost = drawn.lost(len(thrusts.events), len(thrusts.thrusters))
-        rows = thrusts.rows(thrusts.years)
-        level = thrusts.common_n + np.einsum("ekq,nq->nek", rows, shared) - thrusts.common_n * lost
-        found[thrusts.branch] = BranchDraws(
-            thrusts, level, thrust, shared, drawn, intercept[places]
+        found[losses.branch] = _joined(
+            [
+                _draw_batch(fit, number, places[rows], which[rows], intercept[places[rows]], rng)
+                for rows in fit.model.batches(len(places))
+            ]
         )
     return found
+
+
+def _draw_batch(
+    fit: MissionFit,
+    number: int,
+    places: Places,
+    which: Sequence[Hypothesis],
+    intercept: Array,
+    rng: np.random.Generator,
+) -> BranchDraws:
+    """Draws of one branch, by its number, at some of the fit's points with their hypotheses."""
+    branch = fit.model.at(fit.z[places])[0][number]
+    losses = draw_losses(loss_terms(branch), which, fit.prior.scale, rng)
+    shared, thrust = draw_thrusts_given(branch, losses, rng)
+    thrusts = branch.thrusts
+    lost = losses.lost(len(thrusts.events), len(thrusts.thrusters))
+    rows = thrusts.rows(thrusts.years)
+    level = thrusts.common_n + np.einsum("ekq,nq->nek", rows, shared) - thrusts.common_n * lost
+    return BranchDraws(thrusts, level, thrust, shared, losses, intercept)
+
+
+def _joined(parts: Sequence[BranchDraws]) -> BranchDraws:
+    """All batches of one branch's draws, in their order."""
+    level, thrust, shared, intercept = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("level_n", "thrust_n", "shared", "intercept")
+    )
+    thruster, onset, share = (
+        np.concatenate([getattr(part.losses, name) for part in parts])
+        for name in ("thruster", "onset", "share")
+    )
+    losses = DrawnLosses(thruster, onset, share)
+    return BranchDraws(parts[0].thrusts, level, thrust, shared, losses, intercept)
 
 
 def proportional_odds(fit: MissionFit) -> float | None:

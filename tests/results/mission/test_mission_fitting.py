@@ -12,7 +12,13 @@ from totals_cases import flight
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.results.mission.fitting import Remembered, fit_mission, loss_prior, target
+from cassini_bayes.results.mission.fitting import (
+    Remembered,
+    fit_mission,
+    loss_prior,
+    target,
+    weighed_losses,
+)
 
 FIXED = (
     *(f"inertia_{e}_kg_m2" for e in ("xx", "yy", "zz", "xy", "xz", "yz")),
@@ -46,6 +52,21 @@ def test_chained_draws_equal_the_joint_fit() -> None:
     np.testing.assert_allclose(chained.z.std(0), joint.z.std(0), rtol=0.35)
     # negative control: the shorter mission says something else
     assert abs(begun.log_evidence - joint.log_evidence) > 0.8
+
+
+def test_batches_of_points_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Likelihood and losses of eleven points at once, and of three at a time."""
+    events, _ = flight()
+    model = mission_of(events[:5], mission_table(pressure=None, dated=[]), few_unknowns())
+    prior, none = loss_prior(few_unknowns()), {"B": ()}
+    z = np.random.default_rng(4).standard_normal((11, model.space.dimension))
+    likelihood, (whole,) = model.log_likelihood(z), weighed_losses(model, prior, z, none)
+    monkeypatch.setattr("cassini_bayes.model.mission.model._MOST_ROWS", 15)
+    assert len(list(model.batches(len(z)))) == 4
+    np.testing.assert_allclose(model.log_likelihood(z), likelihood, rtol=1e-9)
+    (batched,) = weighed_losses(model, prior, z, none)
+    assert batched.which == whole.which
+    np.testing.assert_allclose(batched.probability, whole.probability, rtol=1e-6)
 
 
 def test_values_of_a_killed_fit_are_read_back(
