@@ -24,7 +24,6 @@ def plain(label: str) -> str:
 
 def label_powers(axis: Axis, minor: bool = False) -> None:
     """Label a logarithmic axis; ``minor`` ticks too, where it spans less than a power."""
-    # tables without figures load no plotting library
     from matplotlib.ticker import LogFormatterSciNotation
 
     class Powers(LogFormatterSciNotation):
