@@ -147,6 +147,17 @@ def calibrate_conditions_command(
     _end(page, passed)
 
 
+@app.command("attitude")
+def calibrate_attitude_command(out: Out = OUT, quiet: Quiet = False) -> None:
+    """Noise, steps and gyro errors of real attitude records: the source of the noise priors."""
+    from cassini_bayes.studies.real_attitude import study_real_attitude
+
+    page = out / "real-attitude.md"
+    with _study(page, 0, WORK, quiet) as study:
+        study_real_attitude(study)
+    _end(page)
+
+
 @app.command("perturbations")
 def calibrate_perturbations_command(
     events: Totals = FLIGHT,

@@ -41,7 +41,7 @@ from cassini_bayes.studies.telemetry_calibration import (
     with_torque_noise,
 )
 
-MODULE: Final = "cassini_bayes.studies.conditions_calibration"
+MODULE: Final = "studies.conditions_calibration"
 FULL: Final[Mapping[str, int]] = {"conditions": 1_000}
 QUICK: Final[Mapping[str, int]] = {"conditions": 40}
 LEVEL: Final = 0.05
