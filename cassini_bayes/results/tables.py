@@ -267,8 +267,11 @@ def thrust_conflicts(summary: pd.DataFrame) -> pd.DataFrame:
         own = summary[(summary["quantity"] == quantity) & (summary["prior_sd"] > 0)]
         moved = ((own["mean"] - own["prior_mean"]) / own["prior_sd"]).to_numpy()
         width = (own["sd"] / own["prior_sd"]).to_numpy()
-        judged = own.merge(conflicts(list(own["name"]), moved, width), on="name")
-        found = judged[judged["verdict"] == "conflict"]
+        judged = conflicts(list(own["name"]), moved, width)
+        own = own.reset_index(drop=True).assign(
+            surprise=judged["surprise"], verdict=judged["verdict"]
+        )
+        found = own[own["verdict"] == "conflict"]
         if len(found):
             break
     return found

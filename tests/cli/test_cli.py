@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import run_cases
@@ -342,7 +343,8 @@ def test_exit_status_tells_convergence(
     from cassini_bayes.pipeline.run import Outcome
 
     def done(*_: object, **__: object) -> Outcome:
-        return Outcome(tmp_path, None, converged, 1.0)  # type: ignore[arg-type]
+        nothing_amiss = SimpleNamespace(warnings=())
+        return Outcome(tmp_path, nothing_amiss, converged, 1.0)  # type: ignore[arg-type]
 
     monkeypatch.setattr("cassini_bayes.pipeline.run.execute", done)
     run_file = str(run_cases.write_run(tmp_path))
