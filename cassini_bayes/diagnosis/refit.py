@@ -25,6 +25,7 @@ from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import Proposal, importance, laplace, refined
 
 DRAWS: Final = 1_000  # of every ensemble
+SETTINGS: Final = SamplerSettings(target_ess=1_000)
 PILOT_ROUNDS: Final = 2
 PILOT_DRAWS: Final = 4_000
 _PILOTS, _LINEAR = 6, 7  # streams of the proposal's draws, and of what is integrated out
@@ -54,7 +55,7 @@ def fit_extended(
     folder: Path,
     seed: int,
     log: Callable[[str], None],
-    target_ess: int = 1_000,
+    settings: SamplerSettings = SETTINGS,
 ) -> pd.DataFrame:
     """Sample the extended model; write ``fit.nc`` and ``summary.csv``.
 
@@ -66,8 +67,8 @@ def fit_extended(
         What was found.
     folder, seed, log
         Where to write, the sampler's seed, told how far it got.
-    target_ess
-        Effective draws of every walked parameter to stop at.
+    settings
+        How to sample, and when to stop; the seed is the one above.
 
     Raises
     ------
@@ -81,9 +82,8 @@ def fit_extended(
     pilot = np.random.default_rng((seed, _PILOTS))
     for _ in range(PILOT_ROUNDS):
         proposal = refined(proposal, importance(density_of, proposal, pilot, PILOT_DRAWS))
-    settings = SamplerSettings(target_ess=target_ess, seed=seed)
     log(f"sampling {weighed.name}, {weighed.hypothesis.dimension} dimensions")
-    chains = sample(density_of, proposal, settings)
+    chains = sample(density_of, proposal, replace(settings, seed=seed))
     z, density = chains.thinned(DRAWS)
     attributes: dict[str, str | float | int] = {
         "created_by": f"cassini_bayes {__version__}",

@@ -29,6 +29,7 @@ from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.results.record import read_fit
+from cassini_bayes.sampling.ensembles import SamplerSettings
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.blind.flights import reduced
 from cassini_bayes.studies.scenario import Simulation, simulate_file
@@ -149,7 +150,8 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     own = verdict(True)
     leak = next(w for w in own.weighed if w.name == "thruster_leak:z3")
     diagnosis = cast(Diagnosis[Hypothesis], SimpleNamespace(extended=leak))
-    fit_extended(diagnosis, tmp_path / "fit", 1, lambda _: None, target_ess=200)
+    short = SamplerSettings(ensembles=2, first_check=100, max_steps=100, target_ess=100)
+    fit_extended(diagnosis, tmp_path / "fit", 1, lambda _: None, short)
     fit = read_fit(tmp_path / "fit" / "fit.nc")
     found = fit.groups["posterior"]["thruster_leak_z3_leak_n"]
     assert found.attrs["units"] == "N"

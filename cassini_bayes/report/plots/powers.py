@@ -7,20 +7,13 @@ that a name with a dollar in it is shown as it is; matplotlib's own labels are m
 from __future__ import annotations
 
 import re
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from matplotlib.axis import Axis
-from matplotlib.ticker import LogFormatterSciNotation
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
 
 _RAISED: Final = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MARKUP: Final = re.compile(r"\$|\\mathdefault\{|\}$")
-
-
-class _Powers(LogFormatterSciNotation):
-    """``−2×10³`` in place of markup."""
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        return plain(super().__call__(x, pos))
 
 
 def plain(label: str) -> str:
@@ -31,6 +24,14 @@ def plain(label: str) -> str:
 
 def label_powers(axis: Axis, minor: bool = False) -> None:
     """Label a logarithmic axis; ``minor`` ticks too, where it spans less than a power."""
-    axis.set_major_formatter(_Powers())
+    from matplotlib.ticker import LogFormatterSciNotation
+
+    class Powers(LogFormatterSciNotation):
+        """``−2×10³`` in place of markup."""
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return plain(super().__call__(x, pos))
+
+    axis.set_major_formatter(Powers())
     if minor:
-        axis.set_minor_formatter(_Powers())
+        axis.set_minor_formatter(Powers())
