@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
+from closed_loop.arrays import Array
 
 Table = dict[str, Any]
 
