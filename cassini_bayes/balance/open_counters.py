@@ -8,6 +8,8 @@ independent level between two firings (docs/telemetry-likelihood.md §7).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
@@ -37,3 +39,16 @@ def level_patterns(counters: CounterStatistics, couple: int, step: Array, always
     """
     ends = np.concatenate([always, step[:, counters.fired[:, couple]]], axis=1)
     return np.asarray(-np.diff(ends, axis=1, append=0.0) * np.sqrt(counters.open_s2[couple]))
+
+
+def patterns_at(
+    counters: CounterStatistics, duration_s: float, time_s: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Cut tails and levels of every couple in rows at times (n,), each (n, s)."""
+    step = (time_s[:, None] >= counters.end_s).astype(np.float64)
+    for couple in range(counters.weight.shape[1]):
+        levels = level_patterns(counters, couple, step, np.ones((len(time_s), 1)))
+        yield (
+            cut_patterns(counters, couple, duration_s, step),
+            levels[:, levels.any(axis=0)],
+        )

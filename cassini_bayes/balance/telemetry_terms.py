@@ -452,15 +452,28 @@ def _open_covariance(
     event: TelemetryBalance, physics: Physics, thrust_n: float, cut: Array, level: Array
 ) -> Array:
     """Covariance (n, 3, 3) of tails and on-times that counters leave open, by couple (G,)."""
-    n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
+    n = len(physics.inertia_kg_m2)
     if not event.fires or not (cut.any() or level.any()):
         return np.zeros((n, 3, 3))
+    torque, tail = open_scales(event, physics, thrust_n)
+    square = tail[:, None] ** 2 * cut + level
+    return np.asarray((torque * square[:, None]) @ np.swapaxes(torque, -1, -2))
+
+
+def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> tuple[Array, Array]:
+    """Torque of every couple (n, 3, G), N m, and the deviation of one pair's tail (n,), s."""
+    n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
     arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
-    together = np.stack([arms[..., list(own)].sum(-1) for own in couples], axis=-1)
-    lost = lost_per_cut_s(physics, event.sampling.control_cycle_s)
-    share = np.broadcast_to(physics.close_share, (n,))
-    square = (share * (1.0 - share) * lost**2)[:, None] * cut + level
-    return np.asarray(thrust_n**2 * (together * square[:, None]) @ np.swapaxes(together, -1, -2))
+    together = [arms[..., list(own)].sum(-1) for own in couples]
+    share = close_share(physics, n)
+    tail = np.sqrt(share * (1.0 - share)) * lost_per_cut_s(physics, event.sampling.control_cycle_s)
+    torque = thrust_n * np.stack([np.zeros((n, 3)), *together], axis=-1)[..., 1:]
+    return torque, np.broadcast_to(tail, (n,))
+
+
+def close_share(physics: Physics, n: int) -> Array:
+    """Share (n,) of close pulses, which widened priors may take out of its bounds."""
+    return np.asarray(np.clip(np.broadcast_to(physics.close_share, (n,)), 0.0, 1.0))
 
 
 def turn_weights(event: TelemetryBalance, physics: Physics, weights: Array) -> Array:
@@ -513,7 +526,7 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
         fired = arm[..., :, None] * strength[..., None, :]
         weights[:, pattern.fired] = fired.reshape(n, 9 * k, 1)
         weights[:, pattern.pulses] = offset[:, :, None] * arm
-        share = np.broadcast_to(physics.close_share, (n,))
+        share = close_share(physics, n)
         weights[:, pattern.lost] = -(share * lost)[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
             if name in physics.extra:

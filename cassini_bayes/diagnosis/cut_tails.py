@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
-from cassini_bayes.balance.telemetry_terms import lost_per_cut_s
+from cassini_bayes.balance.open_counters import patterns_at
+from cassini_bayes.balance.telemetry_terms import open_scales
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 
-_LEAST_SHARE: Final = 1e-9  # of close pulses: an unknown of no width has no precision
+_LEAST: Final = 1e-12  # s², of a tail's variance: an unknown of no width has no precision
 
 
 def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Array]:
@@ -35,25 +35,19 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
 
     Returns
     -------
-    Columns (n, 3, s) in N m s, and the variances (s,) of their unknowns, whose means are 0.
+    Columns (n, 3, s) in N m, and the variances (s,) of their unknowns in s², whose means are 0.
     """
     model, term = hypothesis.model, hypothesis.model.telemetry[place]
     counters, sampling = term.event.statistics.counters, term.event.sampling
-    layout, time_s = term.event.statistics.layout, term.event.usable_rows.time_s
+    time_s = term.event.usable_rows.time_s
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = term.physics(model.points(z[None]))
-    step = (time_s[:, None] >= counters.end_s).astype(np.float64)
-    lost = float(lost_per_cut_s(physics, sampling.control_cycle_s)[0])
-    share = max(float(np.ravel(physics.close_share)[0]), _LEAST_SHARE)
-    for couple, members in enumerate(layout.couples if layout.thrusters else ()):
-        arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
-        given = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
-        cuts = cut_patterns(counters, couple, sampling.duration_s, step)
-        levels = level_patterns(counters, couple, step, np.ones((len(time_s), 1)))
-        levels = levels[:, levels.any(axis=0)]
-        columns += [-lost * cuts[:, None] * given[:, None], levels[:, None] * given[:, None]]
+    torque, tail = open_scales(term.balance, physics, model.thrust_prior.common_mean_n)
+    couples = patterns_at(counters, sampling.duration_s, time_s)
+    for given, (cuts, levels) in zip(torque[0].T, couples, strict=True):
+        columns += [cuts[:, None] * given[:, None], levels[:, None] * given[:, None]]
         variances += [
-            np.full(cuts.shape[1], share * (1.0 - share)),
+            np.full(cuts.shape[1], max(float(tail[0]) ** 2, _LEAST)),
             np.ones(levels.shape[1]),
         ]
     return np.concatenate(columns, axis=2), np.concatenate(variances)

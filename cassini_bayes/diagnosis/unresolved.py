@@ -18,7 +18,7 @@ from cassini_bayes.effects.effect import FittedRows
 from cassini_bayes.effects.firings import firings
 
 Unknowns = tuple[Array, Array]
-"""Columns (n, 3, s) in N m s, and variances (s,) of their unknowns, whose means are 0."""
+"""Columns (n, 3, s) and variances (s,) of their unknowns, together N m s, whose means are 0."""
 
 
 def unresolved(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:

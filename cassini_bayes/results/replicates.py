@@ -1,10 +1,10 @@
 """Telemetry that the fitted model would have sent: replicated channels of every event.
 
 At a posterior draw the balance of a row, r = I ω + T I_w ρ − momentum predicted, is normal with the
-covariance of the channels' noise, plus the drift of the torque noise. A replicated balance r' is
-drawn, and each channel is moved to where it would have to be for it, the other one staying as
-measured: ω' = ω + I⁻¹ (r' − r), ρ' = ρ + (T I_w)⁺ (r' − r). The balance is that of the report's
-time series (:mod:`cassini_bayes.results.time_series`).
+covariance of the channels' noise, plus the drift of the torque noise and what counters leave open.
+A replicated balance r' is drawn, and each channel is moved to where it would have to be for it, the
+other one staying as measured: ω' = ω + I⁻¹ (r' − r), ρ' = ρ + (T I_w)⁺ (r' − r). The balance is
+that of the report's time series (:mod:`cassini_bayes.results.time_series`).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def replicated(balance: BalanceRows, rng: np.random.Generator) -> Replicates:
     white = rng.standard_normal((draws, rows, 3)) @ np.swapaxes(factor, -1, -2)
     kicks = rng.standard_normal((draws, balance.drift.shape[1], 3))
     drift = np.sqrt(balance.walk)[:, None, None] * (balance.drift @ kicks)
-    change = white + drift - balance.residual
+    change = white + drift + balance.open_momentum(rng) - balance.residual
     event = balance.term.event
     layout = event.statistics.layout
     first = len(layout.vector)

@@ -31,6 +31,7 @@ def scenario(folder: Path) -> Path:
     kept = [own for own in events if not own.startswith('id = "bias-2"')]
     effect = f'[[effect]]\nname = "plume:z3"\n[effect.parameters]\nlever_m = {LEVER_M}\n'
     head = head.replace("../../priors", str(ROOT / "priors"))
+    head = head.replace("mass_kg = ", "rate_noise_rad_s = 2e-6\nmass_kg = ")
     path = folder / "scenario.toml"
     path.write_text("[[event]]\n".join([head, *kept]) + "\n" + effect, encoding="utf-8")
     return path
