@@ -463,12 +463,13 @@ def _open_covariance(
 def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> tuple[Array, Array]:
     """Torque of every couple (n, 3, G), N m, and the deviation of one pair's tail (n,), s."""
     n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
+    if not event.fires:
+        return np.zeros((n, 3, 0)), np.zeros(n)
     arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
     together = [arms[..., list(own)].sum(-1) for own in couples]
     share = close_share(physics, n)
     tail = np.sqrt(share * (1.0 - share)) * lost_per_cut_s(physics, event.sampling.control_cycle_s)
-    torque = thrust_n * np.stack([np.zeros((n, 3)), *together], axis=-1)[..., 1:]
-    return torque, np.broadcast_to(tail, (n,))
+    return thrust_n * np.stack(together, axis=-1), np.broadcast_to(tail, (n,))
 
 
 def close_share(physics: Physics, n: int) -> Array:

@@ -143,9 +143,10 @@ def test_truths_lie_inside(mixed: tuple[Outcome, Silent]) -> None:
 
 
 def test_the_rows_lie_inside_the_band(mixed: tuple[Outcome, Silent]) -> None:
-    """Nine rows in ten lie inside their 90 % band, on every axis of every event."""
+    """Nine rows in ten or more lie inside their 90 % band, on every axis of every event."""
     for series in mixed[0].review.series:
-        assert np.all(np.abs(series.inside - 0.9) < 0.07)
+        # where tails may have been cut the band is wider than what became of them
+        assert np.all(series.inside > 0.9 - 0.07)
         assert len(series.time_s) <= 2_000
     bias, slews = mixed[0].review.series
     left = mixed[0].review.balance.set_index("event").loc["bias", "residual_n_m_s"]

@@ -74,7 +74,7 @@ def shares(found: Replicates) -> Array:
 
 @pytest.mark.parametrize("place", range(2))
 def test_measured_rows_lie_among_their_replicates(place: int) -> None:
-    """On simulated telemetry nine tenths of all channels together, and of each of them.
+    """On simulated telemetry nine tenths or more of all channels together, and of each of them.
 
     Three axes have noise of their own: together three binomial errors, and four for the worst of
     the twelve shares that the two events have.
@@ -82,13 +82,17 @@ def test_measured_rows_lie_among_their_replicates(place: int) -> None:
     found = replicated(rows()[place], np.random.default_rng(6))
     error = np.sqrt(INNER * (1.0 - INNER) / len(found.time_s))
     assert len(found.time_s) > 300
-    assert abs(shares(found).mean() - INNER) < 3.0 * error / np.sqrt(3.0)
-    assert np.abs(shares(found) - INNER).max() < 4.0 * error
+    # cut tails are drawn anew where the measured ones are fixed: replicates may be wider
+    assert shares(found).mean() > INNER - 3.0 * error / np.sqrt(3.0)
+    assert shares(found).min() > INNER - 4.0 * error
 
 
 def test_replicates_without_noise_do_not_hold_the_measured_rows() -> None:
     """Negative control: spread over the posterior alone is far too narrow."""
-    quiet = [replace(b, covariance=1e-4 * b.covariance, walk=0.0 * b.walk) for b in rows()]
+    quiet = [
+        replace(b, covariance=1e-4 * b.covariance, walk=0.0 * b.walk, torque=0.0 * b.torque)
+        for b in rows()
+    ]
     for balance in quiet:
         assert shares(replicated(balance, np.random.default_rng(6))).max() < 0.7
 

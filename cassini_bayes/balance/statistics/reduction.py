@@ -382,10 +382,11 @@ class _Turns:
         return TurnStatistics(
             self._pieces,
             slope_gram,
-            np.stack([self._slopes.mixed[:, own] for own in columns], axis=1),
+            # in the order in which the cache gives them back: sums are the same to the last bit
+            np.ascontiguousarray(np.stack([self._slopes.mixed[:, own] for own in columns], axis=1)),
             self._slopes.modes,
-            places[:, 0],
-            places[:, 1:],
+            places[:, 0].copy(),
+            places[:, 1:].copy(),
             self._places.stride,
             by_slope,
             self._contrasts,
