@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array
-
+Array = NDArray[np.float64]
 Table = dict[str, Any]
 
 THRUSTERS = ("z1", "z2", "z3", "z4", "y1", "y2", "y3", "y4")

@@ -10,9 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
 from closed_loop import vehicle as vehicles
-from closed_loop.cassini import THRUSTERS, Body, Truth
+from closed_loop.cassini import THRUSTERS, Array, Body, Truth
 from closed_loop.flight import NS_PER_MS, Flight
 from closed_loop.hidden import Departures, Effect
 from closed_loop.records import telemetry_csv

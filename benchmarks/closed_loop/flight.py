@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array
-from closed_loop.cassini import THRUSTERS, Body, Truth
+from closed_loop.cassini import THRUSTERS, Array, Body, Truth
 from closed_loop.hidden import Departures, leak_force
 from closed_loop.thruster_control import CYCLE_MS, Law
 from closed_loop.valve import Firing, Pulses, merged

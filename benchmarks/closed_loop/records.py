@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from cassini_bayes.computing.arrays import Array
-from closed_loop.cassini import AXES, THRUSTERS, Table, Truth
+from closed_loop.cassini import AXES, THRUSTERS, Array, Table, Truth
 from closed_loop.flight import Flight
 from closed_loop.hidden import Departures, Effect
 from closed_loop.valve import commanded

@@ -15,8 +15,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
-from closed_loop.cassini import AXES, THRUSTERS, Table, Truth, spread
+from closed_loop.cassini import AXES, THRUSTERS, Array, Table, Truth, spread
 from closed_loop.flight import Flight
 from closed_loop.hidden import Departures, Effect
 from closed_loop.records import Channels

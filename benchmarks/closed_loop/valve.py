@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array
+from closed_loop.cassini import Array
 
 
 class Firing(NamedTuple):

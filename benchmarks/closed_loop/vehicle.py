@@ -28,8 +28,7 @@ from Basilisk.simulation import (
 )
 from Basilisk.utilities import simIncludeRW
 
-from cassini_bayes.computing.arrays import Array
-from closed_loop.cassini import Body
+from closed_loop.cassini import Array, Body
 
 Vector = tuple[float, float, float]
 

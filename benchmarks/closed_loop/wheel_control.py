@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
+from closed_loop.cassini import Array
 
 Three = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
