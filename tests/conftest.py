@@ -1,7 +1,8 @@
 """What every test relies on: one BLAS thread, figures without a screen, repeatable hypothesis.
 
-``slow.txt`` lists the tests that take long. All others are marked ``quick``; where several workers
-share the tests, files with the longest ones come first, so that all workers end together.
+``slow.txt`` lists the tests and fixtures that take long. Tests that are not there and need nothing
+that is there are marked ``quick``; where several workers share the tests, files with the longest
+ones come first, so that all workers end together.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ hypothesis.settings.load_profile("repeatable")
 
 
 def slow_tests() -> dict[str, float]:
-    """Seconds by test function, without parameters."""
+    """Seconds by function, test or fixture, without parameters."""
     text = Path(__file__).with_name("slow.txt").read_text()
     lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
     return {name: float(seconds) for seconds, name in lines}
@@ -35,7 +36,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Mark quick tests; put the longest files first where workers share them."""
     slow = slow_tests()
     for item in items:
-        if item.nodeid.partition("[")[0] not in slow:
+        file, needed = item.nodeid.partition("::")[0], getattr(item, "fixturenames", ())
+        names = {item.nodeid.partition("[")[0], *(f"{file}::{name}" for name in needed)}
+        if not names & slow.keys():
             item.add_marker("quick")
     if not hasattr(config, "workerinput"):
         return
