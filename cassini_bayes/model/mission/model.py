@@ -1,6 +1,6 @@
 """The mission model: a sum of models of events, whose thrusts share levels, ageing and pressure.
 
-Thrust of thruster k of a branch in event e is
+Thrust of thruster k of a branch in event e is ::
 
     F = u(p_e) [common + individual_k + (drift + ageing_k) t_e − losses so far] + event_e
         + jitter_ek,
