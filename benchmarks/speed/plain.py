@@ -29,11 +29,11 @@ from cassini_bayes.balance.telemetry_terms import (
     cut_probability,
     cut_tail_sd,
 )
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 from speed.wheel_motion import fast_motion, mean_walk, slow_motion
 
 Values = Any  # arrays of either module

@@ -22,9 +22,9 @@ from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 INITIAL_SD_N_M_S: Final = 10.0
 SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses about that of all

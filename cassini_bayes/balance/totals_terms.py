@@ -17,7 +17,6 @@ the derivation.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -26,9 +25,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.branches import require_branch
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.spacecraft import Spacecraft, couples, pair_indicator
-
-RAD_S_PER_RPM: Final = 2.0 * np.pi / 60.0
-RPM_PER_RAD_S: Final = 60.0 / (2.0 * np.pi)
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,11 @@ from contextlib import contextmanager
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.errors import CassiniBayesError
 
-Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, hold_rate_covariance
+from cassini_bayes.balance.totals_terms import hold_rate_covariance
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE
 from cassini_bayes.diagnosis.gauss_newton import Model
@@ -46,6 +46,7 @@ from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import inertia_tensor
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 COMMON: Final = "thrust_common_n"
 TAIL_STEP: Final = 0.5

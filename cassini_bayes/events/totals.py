@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.cells import Row, read_rows, rows_of
 from cassini_bayes.files.checks import in_utc, nearest
@@ -26,7 +26,6 @@ from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.spacecraft import Spacecraft
 
-Array = NDArray[np.float64]
 DeltaVSource = Literal["measured", "computed"]
 
 SOURCES: Final = ("flight", "fsds", "gsw_ideal", "gsw", "simulation")

@@ -32,7 +32,6 @@ from cassini_bayes.balance.statistics import (
 )
 from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.statistics.preparation import Prepared, prepare
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.branches import require_branch
@@ -57,6 +56,7 @@ from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import Spacecraft, couples
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 Say = Callable[[str], None]
 DESCRIPTION: Final = "event.toml"
@@ -335,15 +335,18 @@ def reduce_event(
     )
     search = CellSearch(nominal, event.wheels) if policy.leave_out else None
     rows = EventRows(event, priors.spacecraft, search)
+    looked = PreparedRows(rows, priors.spacecraft.control_cycle_s)
     guess = last_time(event.telemetry)
     sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
     key = reduction_key(event, sampling, policy)
     cached = _cached(cache, key)
     if cached is None:
-        statistics, reading = _reduced(event, rows, priors, sampling, say, policy)
+        statistics, reading = _reduced(event, rows, looked.prepared, priors, sampling, say, policy)
         if abs(reading.end_s - guess) > _SAME_S:  # the file's tail did not tell
             sampling = sampling_of(priors, event.thrusters, reading.end_s, pulse_shape)
-            statistics, reading = _reduced(event, rows, priors, sampling, say, policy)
+            statistics, reading = _reduced(
+                event, rows, looked.prepared, priors, sampling, say, policy
+            )
     else:
         statistics, reading = cached
         sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
@@ -361,7 +364,7 @@ def reduce_event(
         statistics,
         sampling,
         reading,
-        PreparedRows(rows, sampling.control_cycle_s),
+        looked,
         event.source,
         event.digest,
         key,
@@ -512,6 +515,7 @@ class _Reading:
 def _reduced(
     event: TelemetryEvent,
     rows: EventRows,
+    prepared: Prepared,
     priors: Priors,
     sampling: Sampling,
     say: Say | None,
@@ -520,7 +524,6 @@ def _reduced(
     layout = Layout(event.wheels, event.thrusters, sampling.couples)
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
     reading = _Reading(event, rows, check, sampling.duration_s, say)
-    prepared = prepare(rows, sampling.control_cycle_s)
     statistics = reduce_chunks(
         event.id,
         event.kind,

@@ -36,7 +36,7 @@ from cassini_bayes.balance.totals_system import (
     TotalsSystem,
     totals_system,
 )
-from cassini_bayes.balance.totals_terms import RPM_PER_RAD_S, TotalsStack, stack_events
+from cassini_bayes.balance.totals_terms import TotalsStack, stack_events
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
@@ -54,6 +54,7 @@ from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import check_axis_pairs, thruster_directions
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES, PulseShape
+from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 DeltaVUse = Literal["as-declared", "ignore", "as-measured"]
 

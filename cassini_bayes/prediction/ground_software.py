@@ -16,7 +16,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
@@ -30,6 +29,7 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 GRAVITY_M_S2: Final = 9.8065  # as printed in paper 001
 TORQUE_LIMIT_N_M: Final = 0.03

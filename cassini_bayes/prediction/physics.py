@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.model.draws import draw
@@ -24,8 +24,7 @@ from cassini_bayes.model.totals import SOFTWARE, software_of
 from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
 from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
-
-Array = NDArray[np.float64]
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 
 @dataclass(frozen=True)

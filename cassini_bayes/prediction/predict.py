@@ -29,6 +29,7 @@ from cassini_bayes.prediction.requests import BiasRequest
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES, segments_rpm
 from cassini_bayes.spacecraft import inertia_tensor, thruster_directions
 from cassini_bayes.spacecraft.pulses import effective_on_time
+from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 Source = Literal[
     "limit cycle", "rates at the ends", "thrust and geometry", "thrust of the event", "on-board ΔV"
@@ -194,7 +195,7 @@ def _momentum_noise(
     covariance = covariance + hold_attitude_covariance(start, end, attitude)[:, 0]
     prime = np.array([[w.number in request.wheels for w in model.spacecraft.wheels]])
     per_rpm = wheels_of(model, learned.physics).momentum_per_rpm
-    unit = np.ones(per_rpm.shape[-1]) * 60.0 / (2.0 * np.pi)
+    unit = np.full(per_rpm.shape[-1], RPM_PER_RAD_S)
     step = np.asarray(p["wheel_resolution_rpm"])
     covariance = covariance + wheel_rounding_covariance(per_rpm, unit, prime, step)[:, 0]
     factor = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))

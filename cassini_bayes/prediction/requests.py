@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.cells import read_rows
 from cassini_bayes.files.checks import in_utc, nearest
 from cassini_bayes.spacecraft import Spacecraft
-
-Array = NDArray[np.float64]
 
 WHEEL_LIMIT_RPM: Final = 2000.0
 LOW_RPM: Final = 300.0

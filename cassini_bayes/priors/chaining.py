@@ -16,16 +16,15 @@ from typing import Final
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import kurtosis, skew
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.storage import digest
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import JointNormal
-
-Array = NDArray[np.float64]
 
 LEVELS: Final = "thrust_level_n"
 MOST_SKEW: Final = 0.75

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.report.page import Section
@@ -18,6 +15,7 @@ from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT
 from cassini_bayes.report.plots.tables import all_events_of, events_of
 from cassini_bayes.report.sections import figures_of, sections_of, write_tables
 from cassini_bayes.report.telemetry import inertia_numbers, inertia_sentence
+from cassini_bayes.report.templating import address_of, rendered
 from cassini_bayes.report.thrusts import key_numbers, summary_sentences
 from cassini_bayes.results.review import Review
 
@@ -54,14 +52,8 @@ def render_report(
     review: Review, sections: Sequence[Section], figures: Mapping[str, Figure]
 ) -> str:
     """The report as HTML; every text of the review is escaped."""
-    environment = Environment(
-        loader=PackageLoader("cassini_bayes", "report/templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html.jinja").render(
+    return rendered(
+        "report.html.jinja",
         name=review.name,
         warnings=review.warnings,
         facts=review.facts,
@@ -81,5 +73,4 @@ def render_report(
 
 def _address(name: str, figure: Figure) -> str:
     kind, media = ("png", "image/png") if is_corner(name) else ("svg", "image/svg+xml")
-    content = encode(figure, "png" if kind == "png" else "svg")
-    return f"data:{media};base64,{base64.b64encode(content).decode('ascii')}"
+    return address_of(encode(figure, "png" if kind == "png" else "svg"), media)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes import __version__
 from cassini_bayes.computing.processes import in_processes
@@ -32,6 +30,7 @@ from cassini_bayes.report.plots.criticism import (
     innovation_figure,
     whiteness_figure,
 )
+from cassini_bayes.report.templating import address_of, rendered
 
 MOST_CAUSES: Final = 12
 UNITS: Final = {"rmse_nms": "N m s", "rmse_n": "N", "rmse_s": "s"}  # of what is left
@@ -307,13 +306,6 @@ def render_diagnosis(
     curves: Sequence[Curve] = (),
 ) -> str:
     """The page as HTML; every text is escaped."""
-    environment = Environment(
-        loader=PackageLoader("cassini_bayes", "report/templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     before, after = record["baseline"], record["extended"]
     labels = {
         "log_evidence": "log evidence (nats)",
@@ -323,13 +315,18 @@ def render_diagnosis(
         **{f"heldout_{key}": f"held-out RMS residual ({unit})" for key, unit in UNITS.items()},
         "heldout_coverage_90": "coverage of held-out 90 % central intervals (1)",
     }
-    return environment.get_template("diagnosis.html.jinja").render(
+    return rendered(
+        "diagnosis.html.jinja",
         name=name,
         sentences=sentences(record),
         symptoms=record["symptoms"],
         findings=record.get("findings", []),
         pictures=[
-            {"name": image.name, "caption": image.caption, "address": _address(image)}
+            {
+                "name": image.name,
+                "caption": image.caption,
+                "address": address_of(image.png, "image/png"),
+            }
             for image in pictures
         ],
         closure=_closure_rows(record, curves),
@@ -348,7 +345,3 @@ def render_diagnosis(
         gain_sentence=gain_sentence(record),
         made=f"cassini_bayes {__version__}",
     )
-
-
-def _address(picture: Drawn) -> str:
-    return f"data:image/png;base64,{base64.b64encode(picture.png).decode('ascii')}"

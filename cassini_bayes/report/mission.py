@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.report.cells import Cell, Column, Table, tabulate
-from cassini_bayes.report.plots import Figure, encode
+from cassini_bayes.report.plots import Figure
+from cassini_bayes.report.templating import rendered, svg_address
 from cassini_bayes.results.mission.fitting import MissionFit, describe
 from cassini_bayes.results.mission.trend import Trend, proportional_odds
 
@@ -30,18 +28,12 @@ def write_trend_report(
     made: str,
 ) -> None:
     """Write the page, atomically."""
-    environment = Environment(
-        loader=PackageLoader("cassini_bayes", "report/templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    html = environment.get_template("trend.html.jinja").render(
+    html = rendered(
+        "trend.html.jinja",
         name=name,
         sentences=sentences_of(fit, mission, trend),
         tables=tables_of(mission, trend),
-        pictures=[(alt, _address(figure)) for alt, figure in figures.items()],
+        pictures=[(alt, svg_address(figure)) for alt, figure in figures.items()],
         made=made,
     )
     write_text(page, html)
@@ -138,8 +130,3 @@ def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
 
 def _probability(column: str) -> Column:
     return lambda row: f"{row[column]:.3f}"
-
-
-def _address(figure: Figure) -> str:
-    content = base64.b64encode(encode(figure, "svg")).decode("ascii")
-    return f"data:image/svg+xml;base64,{content}"

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.report.cells import Cell, Table
-from cassini_bayes.report.plots import Figure, encode
+from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.plots.quantities import MISSING
+from cassini_bayes.report.templating import rendered, svg_address
 from cassini_bayes.sweep.scaling import EVENT, SENSITIVE
 from cassini_bayes.sweep.tables import SweepTables
 
@@ -55,15 +54,9 @@ def render_section(
     tables: SweepTables, names: Sequence[str], figures: Mapping[str, Figure], facts: str
 ) -> str:
     """The section as HTML; every text is escaped."""
-    environment = Environment(
-        loader=PackageLoader("cassini_bayes", "report/templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    pictures = {name: _address(figure) for name, figure in figures.items()}
-    return environment.get_template("sweep.html.jinja").render(
+    pictures = {name: svg_address(figure) for name, figure in figures.items()}
+    return rendered(
+        "sweep.html.jinja",
         facts=facts,
         pictures=pictures,
         quantities=[(i, name) for i, name in enumerate(names, start=1)],
@@ -159,8 +152,3 @@ def _signed(value: float, places: int) -> str:
 def _plain(value: float) -> str:
     """Two decimals without a sign on nothing."""
     return f"{round(float(value), 2) + 0.0:.2f}".replace("-", "−")
-
-
-def _address(figure: Figure) -> str:
-    content = base64.b64encode(encode(figure, "svg")).decode("ascii")
-    return f"data:image/svg+xml;base64,{content}"

@@ -17,12 +17,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.record import Coordinates, labelled
 from cassini_bayes.results.time_series import BalanceRows, balances, shown_places
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 REPLICATED_ROWS: Final = 500  # with the draws shown 1.2 MB per event of three wheels
 _STORED: Final = np.float32  # six digits finer than any channel's noise

@@ -8,12 +8,11 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.simulation import kernel
-from cassini_bayes.simulation.motion import RPM_PER_RAD_S
 from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.spacecraft import (
     Spacecraft,
@@ -26,8 +25,8 @@ from cassini_bayes.spacecraft import (
     wheel_inertias,
 )
 from cassini_bayes.spacecraft.two_wheels import HELD_AXES, free_axis, wheel_torques
+from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
-Array = NDArray[np.float64]
 LEAST_SINGULAR_VALUE: Final = 0.1
 """Of the wheel axes (1 for orthogonal ones): less, and two wheels are all but parallel."""
 NEVER_REACHED_RAD: Final = 1e9

@@ -25,10 +25,11 @@ from cassini_bayes.simulation.arrays import (
     unit,
     wheel_loop,
 )
-from cassini_bayes.simulation.motion import RPM_PER_RAD_S, Motion, PulseLog
+from cassini_bayes.simulation.motion import Motion, PulseLog
 from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.spacecraft import wheel_inertias
 from cassini_bayes.spacecraft.two_wheels import free_axis
+from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 RAMP_TIME_CONSTANTS = 6.0
 """Paper 001 section IV: a wheel has arrived n = 6 time constants after its linear ramp."""

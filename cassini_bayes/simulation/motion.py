@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.simulation.kernel import Body
-
-RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
+from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 
 @dataclass(frozen=True, eq=False)

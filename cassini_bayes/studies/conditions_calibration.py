@@ -20,10 +20,8 @@ from scipy.stats import kstest
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import identity
-from cassini_bayes.model.event_reduction import reduce_samples, sampling_of
 from cassini_bayes.model.posterior import build_model, log_posterior
 from cassini_bayes.results.ranks import coverage_p_values, holm, rank
-from cassini_bayes.simulation import SimulatedEvent
 from cassini_bayes.studies.conditions import (
     CRAFTS,
     LEVELS,
@@ -32,13 +30,13 @@ from cassini_bayes.studies.conditions import (
     scenario_under,
     with_known_noise,
 )
-from cassini_bayes.studies.scenario import simulate_file, simulated_samples
+from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.study import Study
 from cassini_bayes.studies.telemetry_calibration import (
     flat_draws,
     flat_truth,
     posterior_draws,
-    with_torque_noise,
+    reduced_simulation,
 )
 
 MODULE: Final = "studies.conditions_calibration"
@@ -80,7 +78,9 @@ class ConditionTrials:
             priors = with_known_noise(priors, truth)
         ranks, pareto_k = np.full(len(SCALARS), np.nan), np.nan
         try:
-            model = build_model([_reduced(event, priors, rng) for event in flight.events], priors)
+            model = build_model(
+                [reduced_simulation(event, priors, rng) for event in flight.events], priors
+            )
             z, pareto_k, _ = posterior_draws(partial(log_posterior, model), model, rng)
             drawn = flat_draws(model, z, rng)
             for place, name in enumerate(SCALARS):
@@ -89,16 +89,6 @@ class ConditionTrials:
         except InputError:
             pass  # declined: every rank stays unknown
         return {"levels": np.array(levels), "ranks": ranks, "pareto_k": pareto_k}
-
-
-def _reduced(event: SimulatedEvent, priors: Any, rng: np.random.Generator) -> Any:
-    samples, thrusters = simulated_samples(event)
-    samples = with_torque_noise(samples, event, rng)
-    sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
-    plan = event.plan
-    return reduce_samples(
-        plan.event.id, plan.event.kind, plan.wheel_numbers, thrusters, samples, sampling
-    )
 
 
 SCALARS: Final = (
@@ -125,6 +115,7 @@ def judged(found: Mapping[str, NDArray[Any]]) -> tuple[pd.DataFrame, pd.DataFram
     levels, ranks = found["levels"].astype(int), found["ranks"]
     answered = np.isfinite(ranks).any(axis=1)
     rows, places = [], []
+    tail = 0.5 * (1.0 - PROBABILITY)
     everything = np.ones(len(ranks), dtype=bool)
     strata = [("all", "all", everything)] + [
         (name, level, levels[:, c] == i)
@@ -137,7 +128,6 @@ def judged(found: Mapping[str, NDArray[Any]]) -> tuple[pd.DataFrame, pd.DataFram
             own = own[np.isfinite(own)]
             if len(own) < LEAST:
                 continue
-            tail = 0.5 * (1.0 - PROBABILITY)
             coverage = np.array([((own > tail) & (own < 1.0 - tail)).mean()])
             p_values = (
                 float(kstest(own, "uniform").pvalue),
@@ -145,7 +135,7 @@ def judged(found: Mapping[str, NDArray[Any]]) -> tuple[pd.DataFrame, pd.DataFram
             )
             rows.append([name, level, scalar, len(own), own.mean(), coverage[0], *p_values])
         known = ranks[chosen]
-        inside = (known > 0.05) & (known < 0.95)
+        inside = (known > tail) & (known < 1.0 - tail)
         share = inside.sum() / max(int(np.isfinite(known).sum()), 1)
         places.append([name, level, int(chosen.sum()), int((chosen & ~answered).sum()), share])
     columns = ["condition", "level", "scalar", "n", "mean_rank", "coverage_90", "p_ranks"]

@@ -22,11 +22,11 @@ from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.balance.telemetry_terms import pulse_weights
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ROWS_EVERY_S: Final = 10.0
 STARTS_EVERY_S: Final = 50.0

@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MISTAKES, TelemetryCheck
@@ -25,6 +24,7 @@ from cassini_bayes.files.code import identity
 from cassini_bayes.model.event_reduction import nominal_values
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 from cassini_bayes.studies.scenario import draw_wheel_rates, simulate_file, simulated_samples
 from cassini_bayes.studies.study import Arrays, Study
 

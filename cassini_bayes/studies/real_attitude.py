@@ -14,6 +14,7 @@ their most likely values what is left to minimise is
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -37,12 +38,8 @@ AXES: Final = "xyz"
 def high_difference_noise(values: Array, order: int) -> Array:
     """Standard deviation (c,) of white noise in columns (n, c) by differences of some order."""
     differences = np.diff(values, n=order, axis=0)
-    variance = np.sum(np.array([_binomial(order, k) for k in range(order + 1)]) ** 2)
+    variance = sum(math.comb(order, k) ** 2 for k in range(order + 1))
     return np.asarray(np.median(np.abs(differences), axis=0) / NORMAL_MEDIAN / np.sqrt(variance))
-
-
-def _binomial(n: int, k: int) -> float:
-    return float(np.prod([(n - i) / (i + 1) for i in range(k)]))
 
 
 def even_stretch(record: AttitudeRecord) -> AttitudeRecord:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM
 from cassini_bayes.effects.own_files import guarded, load_module
 from cassini_bayes.effects.tables import Place, read_table
 from cassini_bayes.errors import InputError
@@ -43,6 +42,7 @@ from cassini_bayes.simulation import (
     truth_text,
 )
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 TRUTH_FILE: Final = "truth.json"
 TOTALS_FILE: Final = "totals.csv"

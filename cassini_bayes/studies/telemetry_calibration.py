@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cassini_bayes.balance.physics import physics_of
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.draws import draw
-from cassini_bayes.model.event_reduction import reduce_samples, sampling_of
+from cassini_bayes.model.event_reduction import ReducedEvent, reduce_samples, sampling_of
 from cassini_bayes.model.posterior import Model, build_model, log_posterior, shared_of
 from cassini_bayes.model.telemetry import telemetry_parameters
 from cassini_bayes.model.terms import TORQUE
@@ -43,7 +43,6 @@ from cassini_bayes.studies.scenario import (
     simulated_samples,
 )
 
-Array = NDArray[np.float64]
 LogDensity = Any
 Control = Literal["none", "balance-residual", "pulse-blind"]
 
@@ -184,18 +183,29 @@ def model_of(
     simulation: Simulation, variant: Variant, priors: Priors, rng: np.random.Generator
 ) -> Model:
     """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
-    reduced = []
-    for event in simulation.events:
-        samples, thrusters = simulated_samples(event)
+    guard_s = 0.0 if variant.control == "pulse-blind" else None
+    events = [reduced_simulation(event, priors, rng, guard_s) for event in simulation.events]
+    return build_model(events, priors)
+
+
+def reduced_simulation(
+    event: SimulatedEvent,
+    priors: Priors,
+    rng: np.random.Generator | None = None,
+    guard_s: float | None = None,
+) -> ReducedEvent:
+    """A simulated event as a model takes it.
+
+    With ``rng`` the telemetry gets its torque noise first; ``guard_s`` replaces the guard time.
+    """
+    samples, thrusters = simulated_samples(event)
+    if rng is not None:
         samples = with_torque_noise(samples, event, rng)
-        duration = float(samples.time_s[-1])
-        sampling = sampling_of(priors, thrusters, duration, "first_order")
-        if variant.control == "pulse-blind":
-            sampling = replace(sampling, guard_s=0.0)
-        plan, wheels = event.plan, event.plan.wheel_numbers
-        own = reduce_samples(plan.event.id, plan.event.kind, wheels, thrusters, samples, sampling)
-        reduced.append(own)
-    return build_model(reduced, priors)
+    sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
+    if guard_s is not None:
+        sampling = replace(sampling, guard_s=guard_s)
+    declared, wheels = event.plan.event, event.plan.wheel_numbers
+    return reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
 
 
 def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Generator) -> Samples:

@@ -17,7 +17,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.stats import kstest, norm
 
-from cassini_bayes.balance.totals_terms import RAD_S_PER_RPM, wheel_momentum
+from cassini_bayes.balance.totals_terms import wheel_momentum
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
@@ -33,6 +33,7 @@ from cassini_bayes.spacecraft import (
     thruster_directions,
 )
 from cassini_bayes.spacecraft.pulses import effective_on_time
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 Control = Literal["none", "hold-rates-ignored", "rectangular-pulses"]
 CONTROLS: Final[tuple[Control, ...]] = ("none", "hold-rates-ignored", "rectangular-pulses")

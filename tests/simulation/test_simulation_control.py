@@ -11,7 +11,7 @@ from simulation_cases import BIAS, SLEWS, make_plan, run
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.arrays import make_body
 from cassini_bayes.simulation.engine import event_duration_s, ramp_duration_s
-from cassini_bayes.simulation.motion import RPM_PER_RAD_S, Motion
+from cassini_bayes.simulation.motion import Motion
 from cassini_bayes.simulation.settings import (
     PropulsionSettings,
     RcsSettings,
@@ -20,6 +20,7 @@ from cassini_bayes.simulation.settings import (
     WheelSettings,
 )
 from cassini_bayes.spacecraft import pair_indicator
+from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 QUIET = RcsSettings(attitude_knowledge_rad=0.0, rate_knowledge_rad_s=0.0)
 

@@ -7,8 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
+from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.studies.blind import rate_information as module
-from cassini_bayes.studies.blind.rate_information import rate_information, rotation_vectors
+from cassini_bayes.studies.blind.rate_information import rate_information
 
 
 def made_up(
@@ -50,7 +52,7 @@ def test_attitude_tells_rate_bias_and_scale() -> None:
         miss = (found - np.array([bias, scale])) / np.sqrt(np.diag(covariance))
         assert np.abs(miss).max() < 4.0
         assert np.sqrt(covariance[0, 0]) < 5e-7
-    turned = rotation_vectors(made_up(0.0, 0.0, np.random.default_rng(0)).attitude)
+    turned = turns_between(direction_cosines(made_up(0.0, 0.0, np.random.default_rng(0)).attitude))
     assert np.abs(turned[:, :2]).max() < 1e-12
 
 
@@ -70,5 +72,5 @@ def test_gyros_without_errors_gain_as_chance_does(monkeypatch: pytest.MonkeyPatc
     nats = gyro_nats(120)
     assert abs(nats.mean() - 1.0) < 4.0 / np.sqrt(len(nats))
     assert nats.max() < np.log(len(nats)) + 5.0
-    monkeypatch.setattr(module, "_white_variance", lambda _: np.zeros(3))
+    monkeypatch.setattr(module, "high_difference_noise", lambda *_: np.zeros(3))
     assert gyro_nats(120).max() > np.log(len(nats)) + 5.0

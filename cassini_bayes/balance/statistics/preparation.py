@@ -11,18 +11,17 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics.counters import counter_step, expected_on_times
 from cassini_bayes.balance.statistics.reduction import ChannelSteps, Preparation
 from cassini_bayes.balance.statistics.rows import Samples
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-Array = NDArray[np.float64]
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 _SAME: Final = 1e-3  # of a step, that a printed multiple may be off
 _SAME_S: Final = 1e-6
-RPM_RAD_S: Final = 2.0 * np.pi / 60.0  # wheel rates are rounded in rev/min
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float) -> Prepared:
             looked += len(chunk)
     steps = ChannelSteps(
         channel_step(np.concatenate(rates)),
-        channel_step(np.concatenate(wheels) / RPM_RAD_S) * RPM_RAD_S,
+        channel_step(np.concatenate(wheels) / RAD_S_PER_RPM) * RAD_S_PER_RPM,
     )
     time, on_time, pulses = readings.around_changes()
     if len(time) == 0:

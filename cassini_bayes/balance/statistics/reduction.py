@@ -32,10 +32,10 @@ from cassini_bayes.balance.statistics.turns import (
     piece_ends,
     turned,
 )
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
-Array = NDArray[np.float64]
 MODES: Final = 512
 _FORMAT: Final = 4
 BLOCK_ROWS: Final = 4_096

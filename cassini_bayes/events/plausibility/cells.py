@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
-from cassini_bayes.events.plausibility.momentum import RPM_RAD_S, Nominal
+from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.telemetry import Chunk
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 LEAST_ROWS: Final = 20
 CELL_SIGMAS: Final = 10.0
@@ -65,7 +66,7 @@ class CellSearch:
         if len(rows) < LEAST_ROWS:
             return []
         cells = np.concatenate([chunk.rate_rad_s[rows], chunk.wheel_rpm[rows]], axis=1)
-        spins = self.nominal.spins * RPM_RAD_S
+        spins = self.nominal.spins * RAD_S_PER_RPM
         weights = np.concatenate([self.nominal.inertia, spins], axis=1)  # (3, 3 + W)
         turn = body_to_inertial(chunk.attitude[rows])
         slack = np.zeros(len(rows))

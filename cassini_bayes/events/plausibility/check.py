@@ -29,6 +29,7 @@ from cassini_bayes.events.plausibility.verdict import (
 )
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
 from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 OPEN: Final = 0.3
 """Of the momentum exchanged: what may stay open without a name before an event is refused."""
@@ -241,7 +242,7 @@ def _exchanged(rows: Rows, nominal: Nominal) -> float:
     """Largest change of momentum that any kind of carrier shows, RMS over rows, N m s."""
     momenta = (
         rows.rate_rad_s @ nominal.inertia.T,
-        (2.0 * np.pi / 60.0) * rows.wheel_rpm @ nominal.spins.T,
+        RAD_S_PER_RPM * rows.wheel_rpm @ nominal.spins.T,
         rows.on_time_s @ nominal.torques.T,
     )
     return max(

@@ -13,7 +13,6 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import read_as
 from cassini_bayes.events.plausibility.momentum import (
-    RPM_RAD_S,
     Correction,
     Momentum,
     MomentumFit,
@@ -24,6 +23,7 @@ from cassini_bayes.events.plausibility.momentum import (
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
 from cassini_bayes.events.plausibility.turning import INSTRUMENTS, Turning, turning_of
 from cassini_bayes.events.plausibility.verdict import AS_GOOD, PHYSICS, Explanation
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
 FREE_PRICE: Final = 12.0  # a free size: some six nats of Occam's factor
@@ -32,10 +32,10 @@ SILENT: Final = 1.5
 LEAST_STILL: Final = 0.2
 """Of the event: how long a channel has to stand still before it is asked whether it is stuck."""
 WHEEL_UNITS: Final = {
-    "rad/s": 1.0 / RPM_RAD_S,
+    "rad/s": 1.0 / RAD_S_PER_RPM,
     "deg/s": 1.0 / 6.0,
     "rev/s": 60.0,
-    "rev/min turned to rad/s twice": RPM_RAD_S,
+    "rev/min turned to rad/s twice": RAD_S_PER_RPM,
 }
 RATE_UNITS: Final = {
     "deg/s": np.pi / 180.0,

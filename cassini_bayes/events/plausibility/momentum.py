@@ -32,8 +32,8 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-RPM_RAD_S: Final = 2.0 * np.pi / 60.0
 WIDTHS: Final[Mapping[str, float]] = {
     "inertia": 0.1,  # of the mean moment of inertia, each element
     "wheel": 0.03,  # of the spin inertia, along and across each spin axis
@@ -351,9 +351,9 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     modes = np.sin(np.pi * np.outer(time / span, orders)) * np.sqrt(2.0 * span) / (np.pi * orders)
     of = columns.of
     table[:, :, of["rate"]] = carried(rows.rate_rad_s)
-    table[:, :, of["wheel"]] = carried(RPM_RAD_S * rows.wheel_rpm)
+    table[:, :, of["wheel"]] = carried(RAD_S_PER_RPM * rows.wheel_rpm)
     table[:, :, of["rate around"]] = carried(_around(rows.rate_rad_s))
-    table[:, :, of["wheel around"]] = carried(RPM_RAD_S * _around(rows.wheel_rpm))
+    table[:, :, of["wheel around"]] = carried(RAD_S_PER_RPM * _around(rows.wheel_rpm))
     table[:, :, of["fire"]] = fired
     table[:, :, of["pulse"]] = accumulated(np.diff(rows.pulses, axis=0))
     table[:, :, of["warm up"]] = accumulated(-WARM_UP_S * np.diff(warm, axis=0))

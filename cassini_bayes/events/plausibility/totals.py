@@ -24,7 +24,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     ORDER_PRICE,
     WHEEL_UNITS,
 )
-from cassini_bayes.events.plausibility.momentum import RPM_RAD_S, WIDTHS, Nominal, vanishing
+from cassini_bayes.events.plausibility.momentum import WIDTHS, Nominal, vanishing
 from cassini_bayes.events.plausibility.verdict import (
     STRICT,
     Explanation,
@@ -35,6 +35,7 @@ from cassini_bayes.events.plausibility.verdict import (
 )
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 HOLD_N_M_S: Final = 0.5
 """Momentum of the body at the two ends, each axis: rates of 5e-5 rad/s left in the dead-band."""
@@ -146,7 +147,7 @@ class _Table:
     def _row(self, row: TotalsRow) -> tuple[Array, Array, Array]:
         """What is left (3,), shared departures (3, J), covariance of the row's own (3, 3)."""
         nominal = self.nominals[row.wheels]
-        change = RPM_RAD_S * (row.end_rpm - row.start_rpm)
+        change = RAD_S_PER_RPM * (row.end_rpm - row.start_rpm)
         effective = row.on_time_s + nominal.tail_s * row.pulses
         each = nominal.torques * effective
         left = nominal.spins @ change - each.sum(axis=1)
@@ -345,7 +346,7 @@ def _cells(table: _Table, row: TotalsRow, thrusters: Sequence[str]) -> Iterator[
     """Cells of a row, and what an error of a usual size in each brings (3,)."""
     nominal = table.nominals[row.wheels]
     for place, number in enumerate(row.wheels):
-        direction = 1000.0 * RPM_RAD_S * nominal.spins[:, place]
+        direction = 1000.0 * RAD_S_PER_RPM * nominal.spins[:, place]
         yield f"rwa{number}_rpm_start or rwa{number}_rpm_end", direction
     for k, name in enumerate(thrusters):
         yield f"on_time_{name}_s", 30.0 * nominal.torques[:, k]

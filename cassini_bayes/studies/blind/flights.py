@@ -11,16 +11,15 @@ import numpy as np
 
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.model.event_reduction import ReducedEvent, reduce_samples, sampling_of
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.simulation import ScenarioFile, SimulatedEvent, Truth, scenario_of
+from cassini_bayes.simulation import ScenarioFile, Truth, scenario_of
 from cassini_bayes.studies.scenario import (
     Simulation,
     draw_truth,
     draw_wheel_rates,
     simulate_file,
-    simulated_samples,
 )
+from cassini_bayes.studies.telemetry_calibration import reduced_simulation
 
 CHANNEL_NOISE: Final = ("rate_noise_rad_s", "wheel_noise_rpm", "attitude_noise_rad")
 
@@ -86,11 +85,4 @@ class Scene:
 
 def reduced(flight: Simulation, priors: Priors) -> Events:
     """All events of a flight, ready for a diagnosis."""
-    return prepare([_reduced_event(event, priors) for event in flight.events], priors)
-
-
-def _reduced_event(event: SimulatedEvent, priors: Priors) -> ReducedEvent:
-    samples, thrusters = simulated_samples(event)
-    sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
-    declared, wheels = event.plan.event, event.plan.wheel_numbers
-    return reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
+    return prepare([reduced_simulation(event, priors) for event in flight.events], priors)

@@ -21,14 +21,14 @@ from scipy.optimize import minimize
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.studies.real_attitude import high_difference_noise
 
 BLOCKS: Final = 200
 """Of an event, summed over: judgement, both noises are told apart, and sine transforms are
 short."""
 _LEAST_BLOCKS: Final = 8  # for two noises and two unknowns
-_NORMAL_MEDIAN: Final = 0.6745  # of |x|, in standard deviations
-
 
 RATE_KINDS: Final = ("rate_bias", "rate_scale")
 """Kinds of errors of the gyros, in the order of the information."""
@@ -49,28 +49,10 @@ class RateInformation:
 NOTHING = RateInformation(np.zeros((3, 2, 2)), np.zeros((3, 2)))
 
 
-def rotation_vectors(attitude: Array) -> Array:
-    """Turns (N − 1, 3) rad of the body between attitudes (N, 4), in body axes."""
-    cosines = direction_cosines(attitude)
-    step = cosines[1:] @ np.swapaxes(cosines[:-1], 1, 2)
-    sine = 0.5 * np.stack(
-        [
-            step[:, 1, 2] - step[:, 2, 1],
-            step[:, 2, 0] - step[:, 0, 2],
-            step[:, 0, 1] - step[:, 1, 0],
-        ],
-        axis=1,
-    )
-    size = np.linalg.norm(sine, axis=1)
-    angle = np.arcsin(np.clip(size, 0.0, 1.0))
-    stretch = np.where(size > 0, angle / np.where(size > 0, size, 1.0), 1.0)
-    return np.asarray(sine * stretch[:, None])
-
-
 def rate_information(samples: Samples) -> RateInformation:
     """What one event's attitudes and rates say of rate bias and scale."""
     state = np.flatnonzero(samples.has_state)
-    turned = rotation_vectors(samples.attitude[state])
+    turned = turns_between(direction_cosines(samples.attitude[state]))
     steps = np.diff(samples.time_s[state])
     rates = samples.rate_rad_s[state]
     integrated = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
@@ -86,19 +68,13 @@ def rate_information(samples: Samples) -> RateInformation:
     missed, time, angle = blocks(integrated - turned), blocks(steps[:, None]), blocks(turned)
     kept = 2.0 - 2.0 * np.cos(np.pi * np.arange(1, count + 1) / (count + 1))
     precision, linear = np.zeros((3, 2, 2)), np.zeros((3, 2))
-    walked = size * float((steps**2).mean()) * _white_variance(rates)
+    walked = size * float((steps**2).mean()) * high_difference_noise(rates, 2) ** 2
     for axis in range(3):
         columns = np.stack([time[:, 0], angle[:, axis]], axis=1)
         weight = 1.0 / _block_variance(missed[:, axis], columns, kept, float(walked[axis]))
         precision[axis] = columns.T @ (weight[:, None] * columns)
         linear[axis] = columns.T @ (weight * missed[:, axis])
     return RateInformation(precision, linear)
-
-
-def _white_variance(rates: Array) -> Array:
-    """Variance (3,) of the noise of rates (n, 3), by second differences; few steps do not count."""
-    second = rates[2:] - 2.0 * rates[1:-1] + rates[:-2]
-    return np.asarray((np.median(np.abs(second), axis=0) / _NORMAL_MEDIAN) ** 2 / 6.0)
 
 
 def _block_variance(missed: Array, columns: Array, kept: Array, walked: float) -> Array:
