@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import base64
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cassini_bayes.report.plots import Figure, encode
+from cassini_bayes.report.plots import encode
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def rendered(template: str, **values: object) -> str:
