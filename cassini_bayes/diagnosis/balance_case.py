@@ -51,8 +51,9 @@ MOST_DRAWN: Final = 3  # of the best: what a reader compares
 DRAWS: Final = 2_000  # of these: 0.015 nats at an efficiency of 0.7, and sizes by their draws
 BENT: Final = 5.0
 """Prior standard deviations of the baseline's parameters: with an inertia of half its value (ten of
-them) no search from the baseline's mode found the cause, 28,000 nats better (docs/criticism.md §1).
-Five is judgement: a search from the centre takes as long as all others."""
+them) no search from the baseline's mode found the cause, 28,000 nats better
+(docs/topics/criticism.md §1). Five is judgement: a search from the centre takes as long as all
+others."""
 TOGETHER: Final = 4  # causes searched from the centre at once: two for each of two processes
 GAINED_ALIKE: Final = 0.1
 """Of what the best has gained: causes nearer than that may be the same one seen from another side

@@ -3,7 +3,7 @@
 Every kind is one file of this package with its table beside it, ``<name>.py`` and ``<name>.toml``.
 The file ends with ``KIND = Kind(...)``, which holds all that other modules know of it. The table
 says which targets the kind has, which inputs show it, and what is believed of its size
-(:mod:`cassini_bayes.effects.catalogue`). docs/own-effect.md writes one.
+(:mod:`cassini_bayes.effects.catalogue`). docs/how-to/own-effect.md writes one.
 """
 
 from __future__ import annotations

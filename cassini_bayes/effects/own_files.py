@@ -81,7 +81,7 @@ def load_kind(path: Path) -> Kind:
     kind = getattr(load_module(path), "KIND", None)
     if not isinstance(kind, Kind):
         raise InputError(
-            str(path), "KIND = Kind(...)", repr(kind), "make it as docs/own-effect.md does"
+            str(path), "KIND = Kind(...)", repr(kind), "make it as docs/how-to/own-effect.md does"
         )
     if kind.name != path.stem:
         raise InputError(

@@ -152,7 +152,7 @@ An effect is hidden in simulated telemetry (one wheel bias and a slew set at 1 H
 from the priors, wheel rates anew in every trial) and the diagnosis, which knows nothing of it, says
 what is wrong. {len(records)} trials, by part, of those planned:
 {strata}.
-[The method](../../criticism.md) says what the parts are and analyses the failures.
+[The method](../../topics/criticism.md) says what the parts are and analyses the failures.
 
 | rate | count | value | 95 % interval (binomial) | goal |
 | --- | --- | --- | --- | --- |
