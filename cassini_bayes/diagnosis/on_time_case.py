@@ -57,7 +57,7 @@ MOST_NEAR: Final = 6  # of these: judgement, every one takes some seconds
 FAR_NATS: Final = 50.0
 """Behind the best, where causes keep their evidence at other widths: a prior half or twice as wide
 changes it by a few nats (docs/results/diagnosis-published.md)."""
-DRAWS: Final = 500  # the linearised evidence is off by 0.2 nats (docs/topics/criticism.md §7)
+DRAWS: Final = 500  # the linearised evidence is off by 0.2 nats (docs/results/published-cases.md)
 SIZE_DRAWS: Final = 4_000  # ends of an interval scatter by a thirtieth of a standard deviation
 NOISE_GRID: Final = np.linspace(-6.0, 6.0, 801)  # standard normals of the noise of unknown
 NOISE_FITS: Final = 3  # mode and noise in turn: the noise settles to a node of the grid (judgement)

@@ -85,17 +85,17 @@ def write_results(study: Study) -> dict[str, Any]:
 
 
 def _against_goal(row: Mapping[str, Any]) -> str:
-    """The goal and whether the 95 % interval reaches it; null trials shall stay below theirs.
+    """The goal and whether the figure reaches it; null trials shall stay below theirs.
 
-    With too few trials every interval reaches its goal: then it is only called not excluded.
+    Few trials show nothing either way: then no goal is called reached or missed.
     """
     if not row["reached"] or not row["trials"]:
         return ""
     sign = "≤" if str(row["rate"]).startswith("null") else "≥"
     sign = "=" if "intervals" in str(row["rate"]) else sign
-    enough = row["trials"] >= ENOUGH_TRIALS
-    reached = "reached" if enough else "not excluded (few trials)"
-    return f"{sign} {row['goal']:.2f}: {reached if row['reached'] == 'True' else 'missed'}"
+    if row["trials"] < ENOUGH_TRIALS:
+        return f"{sign} {row['goal']:.2f}: too few trials"
+    return f"{sign} {row['goal']:.2f}: {'reached' if row['reached'] == 'True' else 'missed'}"
 
 
 def _failures(table: pd.DataFrame) -> str:
@@ -152,7 +152,8 @@ An effect is hidden in simulated telemetry (one wheel bias and a slew set at 1 H
 from the priors, wheel rates anew in every trial) and the diagnosis, which knows nothing of it, says
 what is wrong. {len(records)} trials, by part, of those planned:
 {strata}.
-[The method](../../topics/criticism.md) says what the parts are and analyses the failures.
+[The method](../../topics/criticism.md) says what the parts are, [what campaigns
+found](../diagnosis-campaigns.md) why trials failed.
 
 | rate | count | value | 95 % interval (binomial) | goal |
 | --- | --- | --- | --- | --- |
