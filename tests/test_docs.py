@@ -106,6 +106,17 @@ def test_the_index_leads_to_every_part() -> None:
     assert [path.name for path in DOCS.glob("*.md")] == ["index.md"]
 
 
+def test_the_comparison_quotes_the_vision() -> None:
+    """What is excluded is excluded by words that VISION has."""
+    page = (DOCS / "topics" / "comparison.md").read_text("utf-8")
+    vision = " ".join((ROOT / "VISION.md").read_text("utf-8").split())
+    excluded = [line for line in page.splitlines() if line.startswith("|") and "xcluded" in line]
+    assert excluded
+    assert all("VISION: “" in line for line in excluded)
+    for quoted in re.findall(r"“([^”]+)”", page):
+        assert quoted in vision
+
+
 def test_the_readme_is_short() -> None:
     """What, two commands, a picture, a page of use, links."""
     assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= README_LINES
