@@ -2,9 +2,9 @@
 
 The file (TOML, docs/reference/priors-format.md) states everything believed before the data: one
 table per parameter, with distribution or fixed value, unit and source. :func:`read_priors` checks
-all of it at the door. A model names the parameters it needs (:meth:`Priors.require`) and gets an ordered
-:class:`ParameterSpace`, in which every parameter occurs once, so a prior shared by many events
-counts once.
+all of it at the door. A model names the parameters it needs (:meth:`Priors.require`) and gets an
+ordered :class:`ParameterSpace`, in which every parameter occurs once, so a prior shared by many
+events counts once.
 """
 
 from __future__ import annotations
