@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.diagnosis import diagnosis
+from cassini_bayes.effects.registry import KINDS
 from cassini_bayes.events.plausibility import MISTAKES
 from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.events.telemetry.columns import KINDS, NEEDED, channel_columns
@@ -171,6 +172,14 @@ def test_the_table_of_a_diagnosis_names_what_is_recorded() -> None:
     assert isinstance(made, ast.Dict)
     keys = [key.value for key in made.keys if isinstance(key, ast.Constant)]
     assert sorted(names("results-format.md", "Keys of the record")) == sorted(keys)
+
+
+def test_every_cause_has_its_row() -> None:
+    """The kinds of effects, by the names that diagnoses and fits give them."""
+    text = (REFERENCE / "causes.md").read_text("utf-8")
+    cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    listed = {name for cell in cells for name in re.findall(r"`([a-z_]+)(?::<[^`]+>)?`", cell)}
+    assert listed == {kind.name for kind in KINDS}
 
 
 def test_every_mistake_has_its_row() -> None:
