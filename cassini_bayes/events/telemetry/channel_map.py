@@ -70,7 +70,7 @@ class ChannelTable(Table):
 
 
 class _File(Table):
-    channels: dict[str, ChannelTable]
+    channels: dict[str, ChannelTable] = Field(default_factory=dict)
     ignore: list[str] = Field(default_factory=list)
     ignore_others: bool = False
     delimiter: str = ","

@@ -126,7 +126,7 @@ def seconds_of(values: NDArray[Any], read: TextReader, where: str) -> Array:
         zero = read("1970-01-01", where)
         whole = np.int64(np.floor(zero))
         counts = values.astype("datetime64[ns]").astype(np.int64) + whole * 1_000_000_000
-        return np.where(np.isnat(values), np.nan, counts * 1e-9 + (zero - whole))
+        return np.where(np.isnat(values), np.nan, counts / 1e9 + (zero - whole))
     if values.dtype.kind not in "OU":
         raise InputError(
             where, "dates or their text", f"numbers ({values.dtype})", "correct time_system"

@@ -147,7 +147,10 @@ def _table_of(frame: pd.DataFrame, name: str) -> MemoryTable:
             raise InputError(name, "each column once", f"{label!r} twice", "drop one of the two")
     columns = {}
     for i, label in enumerate(header):
-        values = np.array(frame.iloc[:, i].to_numpy())
+        series = frame.iloc[:, i]
+        if getattr(series.dtype, "tz", None) is not None:
+            series = series.dt.tz_convert("UTC").dt.tz_localize(None)
+        values = np.array(series.to_numpy())
         values.setflags(write=False)
         columns[label] = values
     return MemoryTable(name, columns)

@@ -56,7 +56,7 @@ def factor_to(unit: str, wanted: str, where: str) -> float:
         raise InputError(
             where,
             f"a unit that turns into {wanted}, such as {', '.join(examples)}",
-            f"{unit!r}, which is {root or 'a pure number'}",
+            f"{unit!r}, which is {root}",
             "write the unit that the column has",
         )
     return float(factor) / float(scale)
