@@ -17,7 +17,11 @@ KINDS: Final[tuple[Kind, ...]] = ("slew", "bias", "quiescent", "delta_v")
 TIME: Final = "time_s"
 _ALIKE: Final = 0.8  # of 1, a name and what it may have been
 _CLEARLY: Final = 0.05
-_UNITS: Final = frozenset("deg mrad urad arcsec ms us min h hz rps psi bar pa mpa mm cm km g".split())
+_UNITS: Final = frozenset(
+    {"deg", "mrad", "urad", "arcsec", "ms", "us", "min", "h", "hz", "rps"}
+    | {"psi", "bar", "pa", "mpa", "mm", "cm", "km", "g"}
+)
+"""Words of a name that are units, but none of this format's."""
 _MOTION: Final = ("attitude", "rate", "wheel")
 NEEDED: Final[Mapping[Kind, tuple[str, ...]]] = MappingProxyType(
     {

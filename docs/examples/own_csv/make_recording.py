@@ -1,10 +1,10 @@
-"""The recording of the tutorial: simulated wheel biases, written the way a telemetry desk would.
+"""The recording of the tutorial: a simulated wheel bias, written the way a telemetry desk would.
 
-    cassini-bayes simulate docs/examples/own_csv/scenario.toml --out build/own_csv --seed 3
+    cassini-bayes simulate docs/examples/own_csv/scenario.toml --out build/own_csv --seed 4
     python docs/examples/own_csv/make_recording.py build/own_csv docs/examples/own_csv
 
-Nothing of it follows this package's format: names, degrees per second, a scalar-first quaternion from
-body to inertial, on-times and pulses per interval, on-times in milliseconds, UTC times, a text column.
+Nothing of it follows this package's format: names, degrees per second, a scalar-first quaternion
+from body to inertial, pulses and on-times per interval, those in milliseconds, UTC times, text.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def foreign(own: pd.DataFrame, epoch: pd.Timestamp) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Convert every event folder of a simulation."""
+    """Convert the event folders of a simulation."""
     source, target = map(Path, sys.argv[1:])
     for description in sorted(source.glob("*/event.toml")):
         event = tomllib.loads(description.read_text())
