@@ -1,8 +1,8 @@
-"""Events named on the command line, read for a diagnosis."""
+"""Events as a caller gives them, read for a diagnosis."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,20 +12,16 @@ from cassini_bayes.diagnosis.estimates import estimates_of, is_estimates, read_e
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility import (
-    STRICT,
-    Policy,
-    content_of_totals,
-    refuse_duplicates,
-)
-from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.event_reduction import check_rows, is_event_folder, reduce_event
-from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.events.plausibility import STRICT, Policy
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.gather import EventLike, gather
+from cassini_bayes.priors.reader import Priors, read_priors
 
 
 def read_events(
-    references: Sequence[str],
-    priors_path: Path,
+    references: Iterable[EventLike],
+    priors: Path | Priors,
     source: str = "flight",
     log: Log = silent,
     kinds: Kinds | None = None,
@@ -36,9 +32,9 @@ def read_events(
     Parameters
     ----------
     references
-        Event folders, totals CSV files (all rows) or ``file.csv:ID``.
-    priors_path
-        The priors file.
+        Event folders, totals CSV files (all rows), ``file.csv:ID``, or events that were read.
+    priors
+        The priors, or their file.
     source
         Which rows of a totals CSV.
     log
@@ -53,24 +49,12 @@ def read_events(
     InputError
         Bad data or priors, as when fitting.
     """
-    priors = read_priors(priors_path)
-    folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
-    telemetry = [reduce_event(folder, priors, "first_order", policy=policy) for folder in folders]
-    findings = [finding for event in telemetry for finding in event.reading.findings]
-    contents = [
-        (str(folder), event.reading.content)
-        for folder, event in zip(folders, telemetry, strict=True)
-    ]
-    rows: list[TotalsEvent] = []
-    for table in references:
-        if not is_event_folder(Path(table)):
-            own = read_totals(table, priors.spacecraft, source)
-            findings += check_rows(own, priors, table, policy)
-            contents += [(f"{table}: {row.id}", content_of_totals(row)) for row in own]
-            rows += own
-    findings += refuse_duplicates(contents, policy)
+    known = priors if isinstance(priors, Priors) else read_priors(priors)
+    found, findings = gather(references, known, source=source, policy=policy)
+    telemetry = [event for event in found if isinstance(event, ReducedEvent)]
+    rows = [event for event in found if isinstance(event, TotalsEvent)]
     log(f"read {len(telemetry)} telemetry events and {len(rows)} totals rows")
-    return replace(prepare(telemetry, priors, rows, kinds), findings=tuple(findings))
+    return replace(prepare(telemetry, known, rows, kinds), findings=findings)
 
 
 def read_estimate_case(

@@ -227,7 +227,7 @@ def is_converged(review: Review) -> bool:
     """Whether the stop rule held, and every scalar has its R-hat and effective sample size."""
     attributes = review.fit.attributes
     rhat, bulk, tail = worst_convergence(review.summary)
-    target = attributes["target_ess"]
+    target = float(attributes["target_ess"])
     done = attributes["stop_rule"] == ALL_MET
     return bool(done and rhat < MAX_RHAT and bulk >= target and tail >= target)
 

@@ -25,6 +25,7 @@ from cassini_bayes.model.posterior import Model, log_posterior
 from cassini_bayes.model.totals import SOFTWARE, software_of
 from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
+from cassini_bayes.results.record import Fit
 from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
@@ -96,8 +97,8 @@ def importance_physics(
     return physics, warm.draws.efficiency, warm.draws.pareto_k
 
 
-def physics_of_fit(model: Model, path: Path, rng: np.random.Generator, size: int) -> Physics:
-    """Read ``size`` random draws of a fit, checked against the events of the model.
+def physics_of_fit(model: Model, fit: Path | Fit, rng: np.random.Generator, size: int) -> Physics:
+    """``size`` random draws of a fit or of its file, checked against the events of the model.
 
     Of a fit of telemetry the model is that of its biases' totals. What only totals rows tell
     (how well attitude is held) comes from its prior there: the fit says nothing of it.
@@ -108,7 +109,12 @@ def physics_of_fit(model: Model, path: Path, rng: np.random.Generator, size: int
         The file is missing, is no fit, or was made of other events.
     """
     needed = {"posterior": ("thrust_common_n",), "observed_data": ("event", "on_time_s")}
-    groups, attributes = read_groups(path, needed, "a fit.nc of this package")
+    path = fit if isinstance(fit, Path) else Path("fit")
+    groups, attributes = (
+        read_groups(fit, needed, "a fit.nc of this package")
+        if isinstance(fit, Path)
+        else (fit.groups, fit.attributes)
+    )
     posterior = groups["posterior"]
     if attributes.get("causes", NO_CAUSE) != NO_CAUSE:
         raise InputError(

@@ -24,6 +24,7 @@ from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
 from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.results.record import Fit
 
 FIT_DRAWS = 2_000
 
@@ -117,7 +118,11 @@ def _recorded(references: Sequence[str], priors: Priors) -> tuple[TotalsEvent, .
 
 
 def learn_from_fit(
-    fit: Path, sources: Sources, seed: int, beliefs: Beliefs | None = None, size: int = FIT_DRAWS
+    fit: Path | Fit,
+    sources: Sources,
+    seed: int,
+    beliefs: Beliefs | None = None,
+    size: int = FIT_DRAWS,
 ) -> Learned:
     """Condition prediction on a fit and the events behind it."""
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0)))
