@@ -75,10 +75,7 @@ _PARTS = {
     "spacecraft": ("Spacecraft", "load_spacecraft"),
 }
 _HOME_OF = {
-    name: home
-    for homes in (_VERBS, _PARTS)
-    for home, names in homes.items()
-    for name in names
+    name: home for homes in (_VERBS, _PARTS) for home, names in homes.items() for name in names
 }
 
 __all__ = [

@@ -26,8 +26,8 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
-from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ class DiagnosisResult:
         }
         return draws_as_inference_data(variables, "posterior")
 
-    def fit(self, folder: PathLike, seed: int | None = None) -> pd.DataFrame:
+    def fit(self, folder: PathLike, seed: int | None = None, log: Log = silent) -> pd.DataFrame:
         """Sample the extended model with emcee; writes ``fit.nc`` and ``summary.csv``.
 
         Raises
@@ -174,7 +174,7 @@ class DiagnosisResult:
         if not isinstance(self.diagnosis.case, BalanceCase):
             raise InputError("--then-fit", "telemetry or totals", "printed estimates", "drop it")
         number = self.seed if seed is None else seed
-        return fit_extended(self.diagnosis, Path(folder), number, silent)
+        return fit_extended(self.diagnosis, Path(folder), number, log)
 
     def report(self, folder: PathLike) -> Path:
         """Write ``diagnosis.json``, tables, figures and ``report.html``; returns its path."""

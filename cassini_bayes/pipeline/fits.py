@@ -28,9 +28,9 @@ from cassini_bayes.pipeline.models import PriorsLike, model_of, priors_of
 from cassini_bayes.pipeline.provenance import read_provenance
 from cassini_bayes.pipeline.run import Reporter, execute, facts_of, write_results
 from cassini_bayes.pipeline.run_file import RunFile, SamplerTable, check_run, read_run_file
-from cassini_bayes.report.shown import html_of, names_shown, value_with_unit, with_interval
 from cassini_bayes.prediction.sources import locate
 from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.report.shown import html_of, names_shown, value_with_unit, with_interval
 from cassini_bayes.results import record
 from cassini_bayes.results.exchange import inference_data
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model, fit_warnings

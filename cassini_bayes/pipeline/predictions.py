@@ -18,7 +18,6 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.pipeline.fits import FIT_FILE, FitResult
-from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.prediction import planning
 from cassini_bayes.prediction.learning import FEW_DRAWS, Learned
 from cassini_bayes.prediction.minimise import (
@@ -43,6 +42,7 @@ from cassini_bayes.prediction.requests import (
 )
 from cassini_bayes.prediction.sources import Sources, learn_from_fit, read_sources
 from cassini_bayes.prediction.summary import INTERVAL, as_csv, as_dictionary, as_text, lines
+from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 
 if TYPE_CHECKING:
