@@ -18,9 +18,10 @@ from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model, log_posterior
 from cassini_bayes.model.telemetry import TAILS
 from cassini_bayes.results.groups import build_fit
-from cassini_bayes.results.record import Fit
+from cassini_bayes.results.record import Fit, labelled
 from cassini_bayes.sampling.ensembles import (
     Chains,
+    Convergence,
     ProgressReport,
     SamplerSettings,
     sample,
@@ -36,6 +37,9 @@ from cassini_bayes.sampling.warmstart import (
 
 _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
 SERIOUS_EXPANSION_ERROR: Final = 0.1
+WALKED: Final = "walked"
+"""Dimension of the statistics of walked parameters."""
+ALL_MET: Final = "all criteria met"
 WORST_PARETO_K: Final = 0.7
 FALLBACK_INDEPENDENCE: Final = 0.2
 
@@ -62,29 +66,33 @@ class Sampled:
     @property
     def warnings(self) -> list[str]:
         """Sentences about anything that makes the draws or the evidence doubtful."""
-        found = []
-        convergence, draws = self.chains.convergence, self.warm.draws
-        if not convergence.done:
-            found.append(
-                "Sampling stopped at its limit before the stop rule held: "
-                + "; ".join(convergence.failed)
-            )
-        if draws.pareto_k > WORST_PARETO_K:
-            found.append(
-                "The importance draws behind the evidence are not reliable (Pareto k̂ = "
-                f"{draws.pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
-                "sampling instead of the independence move."
-            )
-        stats = self.fit.groups["sample_stats"]
-        if "jacobian_expansion_error" not in stats:
-            return found
-        error = stats["jacobian_expansion_error"].values.std()
-        if error > SERIOUS_EXPANSION_ERROR:
-            found.append(
-                f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
-                f"deviation over the posterior; {SERIOUS_EXPANSION_ERROR} is tolerable)."
-            )
+        return fit_warnings(self.fit)
+
+
+def fit_warnings(fit: Fit) -> list[str]:
+    """Sentences about anything that makes the draws or the evidence of a fit doubtful."""
+    found, kept = [], fit.attributes
+    if kept["stop_rule"] != ALL_MET:
+        found.append(
+            f"Sampling stopped at its limit before the stop rule held: {kept['stop_rule']}"
+        )
+    pareto_k = float(kept.get("pareto_k", 0.0))
+    if pareto_k > WORST_PARETO_K:
+        found.append(
+            "The importance draws behind the evidence are not reliable (Pareto k̂ = "
+            f"{pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
+            "sampling instead of the independence move."
+        )
+    stats = fit.groups["sample_stats"]
+    if "jacobian_expansion_error" not in stats:
         return found
+    error = stats["jacobian_expansion_error"].values.std()
+    if error > SERIOUS_EXPANSION_ERROR:
+        found.append(
+            f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
+            f"deviation over the posterior; {SERIOUS_EXPANSION_ERROR} is tolerable)."
+        )
+    return found
 
 
 def fit_model(
@@ -140,6 +148,7 @@ def fit_model(
             model, density_of, settings, draws_per_ensemble, store, tell, progress
         )
     z, density = chains.thinned(draws_per_ensemble)
+    convergence = chains.convergence
     tell(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
     attributes: dict[str, str | float | int] = {
         "seed": settings.seed,
@@ -148,15 +157,36 @@ def fit_model(
         "log_evidence": warm.draws.log_evidence,
         "log_evidence_se": warm.draws.log_evidence_se,
         "pareto_k": warm.draws.pareto_k,
+        "importance_efficiency": warm.draws.efficiency,
         "laplace_log_evidence": warm.laplace_log_evidence,
-        "steps": chains.convergence.step,
+        "steps": convergence.step,
         "burn_in_steps": chains.burn_in,
         "acceptance": float(chains.acceptance.mean()),
-        "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
+        "stop_rule": "; ".join(convergence.failed) or ALL_MET,
+        "largest_tau_steps": float(convergence.autocorrelation_time.max()),
+        "tau_change": float(convergence.tau_change),
+        "worst_rhat": float(convergence.rhat.max()),
+        "least_ess": float(convergence.ess.min()),
     }
     rng = _stream(settings.seed, _LINEAR)
     fit = build_fit(model, z, density, rng, attributes, prior_draws)
+    fit = _with_convergence(fit, model.space.names, convergence)
     return Sampled(model, settings, fit, z, warm, chains)
+
+
+def _with_convergence(fit: Fit, names: Sequence[str], convergence: Convergence) -> Fit:
+    """The fit with the stop rule's figures of every walked parameter among its statistics."""
+    columns = {
+        "tau_steps": (convergence.autocorrelation_time, "autocorrelation time, steps"),
+        "walked_rhat": (convergence.rhat, "R-hat between independent ensembles"),
+        "walked_ess": (convergence.ess, "effective sample size, the smaller of two estimates"),
+    }
+    variables = {
+        name: labelled((WALKED,), values, "1", meaning)
+        for name, (values, meaning) in columns.items()
+    }
+    stats = fit.groups["sample_stats"].assign(variables).assign_coords({WALKED: list(names)})
+    return Fit({**fit.groups, "sample_stats": stats}, fit.attributes)
 
 
 def _sampled(
@@ -202,15 +232,20 @@ def _count(events: Sequence[str]) -> str:
     return f"{len(events)} event{'s' if len(events) != 1 else ''}"
 
 
-def convergence_table(sampled: Sampled) -> pd.DataFrame:
-    """Autocorrelation time, R-hat and effective sample size of every walked parameter."""
-    convergence = sampled.chains.convergence
+def convergence_table(fit: Sampled | Fit) -> pd.DataFrame:
+    """Autocorrelation time, R-hat and effective sample size of every walked parameter.
+
+    Empty for a fit that an earlier version stored without them.
+    """
+    stats = (fit.fit if isinstance(fit, Sampled) else fit).groups["sample_stats"]
+    if WALKED not in stats.coords:
+        return pd.DataFrame({"name": [], "tau_steps": [], "rhat": [], "ess": []})
     return pd.DataFrame(
         {
-            "name": sampled.model.space.names,
-            "tau_steps": convergence.autocorrelation_time,
-            "rhat": convergence.rhat,
-            "ess": convergence.ess,
+            "name": stats[WALKED].values.astype(object),
+            "tau_steps": stats["tau_steps"].values,
+            "rhat": stats["walked_rhat"].values,
+            "ess": stats["walked_ess"].values,
         }
     )
 

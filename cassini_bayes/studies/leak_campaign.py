@@ -210,7 +210,7 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
         named = "" if np.isnan(row["named"]) else f"{row['named']:.0%}"
         sizes.append(
             f"| {row['monitor']} | {max(low, 0.01):.2g} to {high:.2g} | {row['leaks']}"
-            f" | {row['found']:.0%} | {delay} | {named} |"
+            f" | {float(row['found']):.0%} | {delay} | {named} |"
         )
     return BODY.format(
         leaks=len(table) // len(MONITORS),
