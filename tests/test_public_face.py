@@ -65,6 +65,7 @@ def test_every_verb_has_an_example() -> None:
 
 
 def run_all(blocks: list[str], space: dict[str, object]) -> None:
+    """Every block, in one namespace."""
     for block in blocks:
         exec(block, space)  # noqa: S102
 

@@ -208,9 +208,10 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
         low, high = 1e3 * row["leak_n"].left, 1e3 * row["leak_n"].right
         delay = "" if np.isnan(row["delay_s"]) else f"{row['delay_s']:.0f}"
         named = "" if np.isnan(row["named"]) else f"{row['named']:.0%}"
+        found = f"{float(row['found']):.0%}"
         sizes.append(
             f"| {row['monitor']} | {max(low, 0.01):.2g} to {high:.2g} | {row['leaks']}"
-            f" | {float(row['found']):.0%} | {delay} | {named} |"
+            f" | {found} | {delay} | {named} |"
         )
     return BODY.format(
         leaks=len(table) // len(MONITORS),
