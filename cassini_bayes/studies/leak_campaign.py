@@ -208,10 +208,9 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
         low, high = 1e3 * row["leak_n"].left, 1e3 * row["leak_n"].right
         delay = "" if np.isnan(row["delay_s"]) else f"{row['delay_s']:.0f}"
         named = "" if np.isnan(row["named"]) else f"{row['named']:.0%}"
-        found = f"{float(row['found']):.0%}"
         sizes.append(
             f"| {row['monitor']} | {max(low, 0.01):.2g} to {high:.2g} | {row['leaks']}"
-            f" | {found} | {delay} | {named} |"
+            f" | {row['found']:.0%} | {delay} | {named} |"
         )
     return BODY.format(
         leaks=len(table) // len(MONITORS),
@@ -227,7 +226,7 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
     )
 
 
-def _apart(priors: Priors) -> dict[str, object]:
+def _apart(priors: Priors) -> dict[str, Any]:
     """What the text says of a leak and a torque."""
     noise = momentum_noise(priors)
     head = f"| turn | until {CLEAR_SIGMA:g} σ, s after it | σ {STAY_S:.0f} s after it |"
