@@ -42,6 +42,7 @@ from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
 from cassini_bayes.diagnosis.widths import change_of_evidence
 from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
+from cassini_bayes.effects.registry import Kinds
 
 Candidate = Weighed[Hypothesis]
 NEAR_NATS: Final = 10.0
@@ -173,6 +174,11 @@ class BalanceCase(Case[Hypothesis]):
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
         """With as many draws as the best causes have."""
         return importance_sampled(pair, rng, DRAWS)
+
+    @property
+    def kinds(self) -> Kinds:
+        """Those of its catalogue."""
+        return self.events.catalogue.kinds
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From draws with what counters leave open (:mod:`cassini_bayes.diagnosis.sizes`)."""

@@ -18,6 +18,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.effects.effect import Remainder
+from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.sampling.warmstart import Proposal
 
 Log = Callable[[str], None]
@@ -172,6 +173,11 @@ class Case(ABC, Generic[H]):
         self, width: float, verdict: Ranking[H], rng: np.random.Generator
     ) -> Mapping[str, float]:
         """Log of evidence times prior probability with all priors of effects wider by a factor."""
+
+    @property
+    @abstractmethod
+    def kinds(self) -> Kinds:
+        """The effects that there are, which put their sizes in words."""
 
     @abstractmethod
     def sizes(self, weighed: Weighed[H], rng: np.random.Generator) -> Mapping[str, Size]:

@@ -14,6 +14,7 @@ from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Log, Shown, Size, Weighed, Work, silent
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
+from cassini_bayes.effects.wording import Stated
 
 WIDTHS: Final = (0.5, 2.0)  # of the effects' priors, which are good to a factor of two
 LEAST_PROBABILITY: Final = 1e-6
@@ -182,7 +183,10 @@ def _cause_records(
             "name": w.name,
             "probability": float(np.exp(log_probability)),
             "log_bayes_factor": verdict.log_bayes_factor(w),
-            "parameters": {key: _size_record(size) for key, size in sizes.items()},
+            "parameters": {
+                key: _size_record(size, case.kinds.unit(w.name, key)) for key, size in sizes.items()
+            },
+            "says": _said(case, w.name, sizes),
             "confounded_with": list(verdict.confounded_with(w.name)) if is_shown else [],
             "log_evidence_se": w.log_evidence_se,
             "effective_draws": w.effective_draws,
@@ -194,8 +198,19 @@ def _cause_records(
     return [record(*cause) for cause in each[edges[part] : edges[part + 1]]]
 
 
-def _size_record(size: Size) -> dict[str, Any]:
-    return {"mean": size.mean, "sd": size.sd, "hdi_90": list(size.interval)}
+def _size_record(size: Size, unit: str) -> dict[str, Any]:
+    return {"mean": size.mean, "sd": size.sd, "hdi_90": list(size.interval), "unit": unit}
+
+
+def _said(case: Case[H], name: str, sizes: Mapping[str, Size]) -> str | None:
+    """What the sizes of a cause mean, in words; None without sizes."""
+    if not sizes:
+        return None
+    stated = {
+        key: Stated(size.mean, size.sd, *size.interval, case.kinds.unit(name, key))
+        for key, size in sizes.items()
+    }
+    return case.kinds.says(name, stated)
 
 
 def _runner_up(
