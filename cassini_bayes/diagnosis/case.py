@@ -109,11 +109,12 @@ class Weighed(Generic[H]):
 class Shown:
     """What tests say of the baseline and of the extended model, for the record.
 
-    ``detail`` is what the case's own figures need.
+    ``more`` are further fields of the record, ``detail`` is what the case's own figures need.
     """
 
     symptoms: Sequence[Mapping[str, Any]] = ()
     closure: Sequence[Mapping[str, Any]] = ()
+    more: Mapping[str, Any] = field(default_factory=dict)
     detail: Any = field(default=None, repr=False)
 
 
@@ -192,6 +193,11 @@ class Case(ABC, Generic[H]):
     @abstractmethod
     def rmse(self, weighed: Weighed[H]) -> float | None:
         """Root mean square of what a hypothesis leaves, where it was :meth:`examined`."""
+
+    def drafts(self, unknown: Weighed[H]) -> Sequence[Any]:
+        """Effects proposed from what no cause mends, the best first; each has a ``record``."""
+        del unknown
+        return ()
 
     @abstractmethod
     def separation(self, one: str, other: str) -> str:

@@ -29,7 +29,7 @@ class Diagnosis(Generic[H]):
     """A verdict, what tests show, and the record that is written.
 
     ``extended`` is the model to go on with, ``widths`` has the probabilities of all hypotheses with
-    the effects' priors that much wider.
+    the effects' priors that much wider, ``drafts`` the effects proposed where ``unknown`` is best.
     """
 
     case: Case[H]
@@ -38,6 +38,7 @@ class Diagnosis(Generic[H]):
     widths: Mapping[float, Mapping[str, float]]
     shown: Shown
     record: dict[str, Any]
+    drafts: tuple[Any, ...] = ()
 
 
 def diagnose(
@@ -88,13 +89,16 @@ def diagnose(
         work["extended p"] = partial(case.p_value, extended, of_extended_p)
     work["p"] = partial(case.p_value, none, of_p)
     work["shown"] = partial(case.show, none, extended, of_shown)
+    if verdict.best.name == UNKNOWN:
+        work["drafts"] = partial(case.drafts, verdict.unknown)
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
     results = in_processes(lambda part: part(), work.values(), workers)
     measured = dict(zip(work, results, strict=True))
     widths = {width: normalised(measured[f"width {width:g}"]) for width in WIDTHS}
     record = _record(case, verdict, extended, widths, measured)
-    return Diagnosis(case, verdict, extended, widths, measured["shown"], record)
+    drafts = tuple(measured.get("drafts", ()))
+    return Diagnosis(case, verdict, extended, widths, measured["shown"], record, drafts)
 
 
 def _record(
@@ -121,6 +125,7 @@ def _record(
         "closure": list(shown.closure),
         "causes": [cause for part in range(PARTS) for cause in measured[f"causes {part}"]],
         "runner_up": measured.get("runner-up"),
+        "drafts": [draft.record for draft in measured.get("drafts", ())],
         "extended": {
             "causes": list(extended.hypothesis.causes or [extended.name] * (extended is not none)),
             **_fit_record(case.unit, extended, own_score, case.rmse(left_by)),
@@ -138,6 +143,7 @@ def _record(
             {"cause": other, "measurement": case.separation(best.name, other)}
             for other in verdict.confounded_with(best.name)
         ],
+        **shown.more,
     }
 
 
