@@ -56,7 +56,12 @@ def diagnose_command(
     from cassini_bayes.diagnosis.read import read_estimate_case, read_events
     from cassini_bayes.effects.registry import read_kinds
     from cassini_bayes.events.plausibility import Policy
+    from cassini_bayes.files.storage import digest
+    from cassini_bayes.model.event_reduction import is_event_folder
+    from cassini_bayes.pipeline.inputs import file_of
+    from cassini_bayes.pipeline.provenance import library_versions
     from cassini_bayes.report.diagnosis import diagnosis_json, write_diagnosis
+    from cassini_bayes.report.diagnosis_pictures import drawings
 
     if (out / "diagnosis.json").exists() and not force:
         raise InputError(str(out), "a new folder", "an existing diagnosis", "add --force")
@@ -73,11 +78,17 @@ def diagnose_command(
         case = BalanceCase(read_events(events, priors, source, reporter.say, kinds, policy))
     rng = np.random.default_rng(number)
     result: Diagnosis[Any] = diagnose(
-        case, rng, measure_gain=gain, log=reporter.say, workers=processes
+        case, rng, measure_gain=gain, log=reporter.say, workers=processes, drawing=drawings
     )
     result.record["seed"] = number
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
     result.record["effects"] = dict(kinds.files)
+    tables = [file_of(Path(), event) for event in events if not is_event_folder(Path(event))]
+    result.record["sha256"] = {str(path): digest(Path(path)) for path in (priors, *tables)}
+    if isinstance(case, BalanceCase):
+        telemetry = case.events.telemetry
+        result.record["sha256"] |= {f"event {event.id}": event.digest for event in telemetry}
+    result.record["versions"] = library_versions()
     write_diagnosis(result, out, out.name, processes)
     if then_fit and isinstance(case, BalanceCase):
         from cassini_bayes.diagnosis.refit import fit_extended
@@ -86,6 +97,8 @@ def diagnose_command(
     if as_json:
         typer.echo(diagnosis_json(result.record).rstrip())
     elif not quiet:
+        for sentence in result.record["verdict"]:
+            typer.echo(sentence)
         typer.echo(str(out / "report.html"))
     for sentence in case.findings:
         typer.echo(f"warning: {sentence}", err=True)

@@ -9,11 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import Case, Log, Ranking, Shown, Size, Weighed, Work, silent
 from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests, strongest
+from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.drafts import Draft, drafted
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.evidence import (
@@ -72,8 +74,13 @@ way."""
 
 @dataclass(frozen=True)
 class BalanceDetail:
-    """What the figures of a balance need: tests of both models, channels, a trade, spectra."""
+    """What the figures of a balance need: innovations and tests of both models, channels, a trade.
 
+    ``extended_rows`` is empty without a cause.
+    """
+
+    rows: tuple[EventRows, ...]
+    extended_rows: tuple[EventRows, ...]
     before: InnovationTests
     after: InnovationTests
     overlays: tuple[Overlay, ...]
@@ -250,14 +257,26 @@ class BalanceCase(Case[Hypothesis]):
                 "spectrum": [spectrum.record for spectrum in lines],
                 "drivers": strongest(tests),
             },
-            BalanceDetail(tests, extended_tests, laid_over, trade, lines),
+            BalanceDetail(
+                before.rows,
+                after.rows if cause is not None else (),
+                tests,
+                extended_tests,
+                laid_over,
+                trade,
+                lines,
+            ),
         )
+
+    def curves(self, unknown: Candidate, rng: np.random.Generator) -> Sequence[Curve]:
+        """Of the momentum that nothing explains (:mod:`.discrepancy`)."""
+        return curves_of(self.events, unknown, rng)
 
     def drafts(self, unknown: Candidate) -> Sequence[Draft]:
         """Forms of discrepancy in what the baseline leaves (:mod:`.drafts`)."""
         if not self.events.telemetry:
             return ()
-        return drafted(self.events, unknown.hypothesis, unknown.mode)
+        return drafted(self.events, unknown)
 
     def separation(self, one: str, other: str) -> str:
         """What the kinds say, or events that fire other thrusters."""

@@ -194,6 +194,11 @@ class Case(ABC, Generic[H]):
     def rmse(self, weighed: Weighed[H]) -> float | None:
         """Root mean square of what a hypothesis leaves, where it was :meth:`examined`."""
 
+    def curves(self, unknown: Weighed[H], rng: np.random.Generator) -> Sequence[Any]:
+        """What ``unknown`` makes of the data against time, for figures and tables."""
+        del unknown, rng
+        return ()
+
     def drafts(self, unknown: Weighed[H]) -> Sequence[Any]:
         """Effects proposed from what no cause mends, the best first; each has a ``record``."""
         del unknown

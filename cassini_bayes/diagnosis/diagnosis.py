@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +21,7 @@ LEAST_PROBABILITY: Final = 1e-6
 """Of a cause, below which its size and its probability at other widths are not written: nobody
 reads them, and sizes of fifty causes take as long as their searches."""
 SIGNIFICANT: Final = 0.05  # p-value below which a model is called discrepant still
+Drawing = Callable[[Any], Sequence[Any]]
 PARTS: Final = 4  # in which the records of causes are made: work for up to four processes
 
 
@@ -29,7 +30,8 @@ class Diagnosis(Generic[H]):
     """A verdict, what tests show, and the record that is written.
 
     ``extended`` is the model to go on with, ``widths`` has the probabilities of all hypotheses with
-    the effects' priors that much wider, ``drafts`` the effects proposed where ``unknown`` is best.
+    the effects' priors that much wider. ``curves`` are those of what nothing explains, ``drafts``
+    the effects proposed where ``unknown`` is best, ``drawn`` what was drawn on the way.
     """
 
     case: Case[H]
@@ -38,7 +40,15 @@ class Diagnosis(Generic[H]):
     widths: Mapping[float, Mapping[str, float]]
     shown: Shown
     record: dict[str, Any]
+    curves: tuple[Any, ...] = ()
     drafts: tuple[Any, ...] = ()
+    drawn: tuple[Any, ...] = ()
+
+
+def undrawn(shown: object) -> Sequence[Any]:
+    """Draw nothing."""
+    del shown
+    return ()
 
 
 def diagnose(
@@ -49,6 +59,7 @@ def diagnose(
     pairs: bool = True,
     log: Log = silent,
     workers: int = 1,
+    drawing: Drawing = undrawn,
 ) -> Diagnosis[H]:
     """Show, name, extend and measure; returns everything for JSON and report.
 
@@ -66,6 +77,9 @@ def diagnose(
         Told how far it got.
     workers
         Processes among which causes and measures are shared out; the result does not depend on it.
+    drawing
+        Draws what is shown (:class:`.Shown`) and the curves as soon as they are there, in the
+        process that has made them.
     """
     at_start = deepcopy(rng)
     verdict = weigh(case, rng, pairs=pairs, log=log, workers=workers)
@@ -74,7 +88,7 @@ def diagnose(
     # a generator for each: what is drawn does not depend on how the work is shared out
     of_baseline, of_extended, of_p, of_extended_p, of_shown = rng.spawn(5)
     of_causes = rng.spawn(len(verdict.weighed))
-    (of_runner_up,) = rng.spawn(1)
+    of_runner_up, of_curves = rng.spawn(2)
     work: dict[str, Work] = {
         f"causes {part}": partial(_cause_records, case, verdict, of_causes, part)
         for part in range(PARTS)
@@ -88,17 +102,37 @@ def diagnose(
     if extended.is_cause:
         work["extended p"] = partial(case.p_value, extended, of_extended_p)
     work["p"] = partial(case.p_value, none, of_p)
-    work["shown"] = partial(case.show, none, extended, of_shown)
+    work["shown"] = partial(_then, drawing, partial(case.show, none, extended, of_shown))
+    work["curves"] = partial(_then, drawing, partial(case.curves, verdict.unknown, of_curves))
     if verdict.best.name == UNKNOWN:
         work["drafts"] = partial(case.drafts, verdict.unknown)
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
     results = in_processes(lambda part: part(), work.values(), workers)
     measured = dict(zip(work, results, strict=True))
+    drawn = []
+    for name in ("shown", "curves"):
+        measured[name], images = measured[name]
+        drawn += images
     widths = {width: normalised(measured[f"width {width:g}"]) for width in WIDTHS}
     record = _record(case, verdict, extended, widths, measured)
-    drafts = tuple(measured.get("drafts", ()))
-    return Diagnosis(case, verdict, extended, widths, measured["shown"], record, drafts)
+    return Diagnosis(
+        case,
+        verdict,
+        extended,
+        widths,
+        measured["shown"],
+        record,
+        tuple(measured["curves"]),
+        tuple(measured.get("drafts", ())),
+        tuple(drawn),
+    )
+
+
+def _then(drawing: Drawing, work: Work) -> tuple[Any, Sequence[Any]]:
+    """A piece of work and what is drawn of it."""
+    shown = work()
+    return shown, drawing(shown)
 
 
 def _record(

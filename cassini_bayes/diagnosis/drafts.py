@@ -25,10 +25,11 @@ from scipy.linalg import cho_factor, cho_solve
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import Weighed
+from cassini_bayes.diagnosis.discrepancy import baseline_at
 from cassini_bayes.diagnosis.events import Events
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
-from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.score import LEAST_PIECES, STANDARD_ERRORS, summed
 from cassini_bayes.diagnosis.spectrum import AXES, spectra
 from cassini_bayes.effects.wording import decimals_of, rounded
@@ -56,7 +57,8 @@ class Draft:
     target
         What of: a body axis, a thruster or ``all``, a wheel's number.
     numbers
-        When (``start_s``, ``stop_s``), ``frequency_hz`` or ``power`` of the speed.
+        When (``start_s``, ``stop_s``), ``frequency_hz``, or ``power`` of a wheel's speed and the
+        wheel's ``place`` among those of the events.
     sizes
         Posterior mean and standard deviation of the weights, by key with unit.
     gain, gain_se
@@ -203,19 +205,9 @@ def _change(kappa: Array, rotated: Array, amplitudes: Array) -> Array:
     return np.asarray(0.5 * (square * rotated**2 / grown - np.log(grown)).sum(-1))
 
 
-def drafted(events: Events, unknown: Hypothesis, mode: Mode) -> tuple[Draft, ...]:
-    """One draft of every form, that of the largest held-out gain first.
-
-    Parameters
-    ----------
-    events
-        With telemetry.
-    unknown, mode
-        The hypothesis ``unknown`` and its mode.
-    """
-    full = none_hypothesis(events)
-    at = dict(zip(unknown.model.space.names, mode.point, strict=True))
-    point = np.array([at[name] for name in full.model.space.names])
+def drafted(events: Events, unknown: Weighed[Hypothesis]) -> tuple[Draft, ...]:
+    """One draft of every form, that of the largest held-out gain first; for telemetry."""
+    full, point = baseline_at(events, unknown)
     left = innovations(full, point)
     columns = _columns(full, point, left.rows)
     white = columns.white()
@@ -293,7 +285,8 @@ def _columns(full: Hypothesis, point: Array, rows: Sequence[EventRows]) -> _Colu
     for number in sorted({number for event in rows for number in event.wheels}):
         for power in (1, 2):
             places = tuple(columns.add(_about(c, _speed(number, power))) for c in range(3))
-            numbers = {"power": float(power)}
+            place = next(e.wheels.index(number) for e in rows if number in e.wheels)
+            numbers = {"power": power, "place": place}
             columns.offer("wheel", _Candidate(str(number), numbers, places))
     _oscillations(columns, rows)
     return columns
@@ -421,9 +414,9 @@ def _said_thrust(draft: Draft) -> str:
 
 
 def _said_wheel(draft: Draft) -> str:
-    shape = "the square of the speed" if draft.numbers["power"] == 2.0 else "the speed"
+    shape = "the square of the speed" if draft.numbers["power"] == 2 else "the speed"
     values = ", ".join(f"{1e3 * mean:+.2g}" for mean, _ in draft.sizes.values())
-    unit = "(1000 rpm)²" if draft.numbers["power"] == 2.0 else "1000 rpm"
+    unit = "(1000 rpm)²" if draft.numbers["power"] == 2 else "1000 rpm"
     return (
         f"momentum goes with {shape} of wheel {draft.target}: {values} mN m s about X, Y, Z at "
         f"{unit}"

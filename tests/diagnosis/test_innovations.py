@@ -78,7 +78,7 @@ def shown(own: Verdict[Hypothesis]) -> InnovationTests:
 
 def curves(leak: bool) -> dict[str, Curve]:
     """Discrepancy curves by event."""
-    found = curves_of(case_of(leak), verdict(leak), np.random.default_rng(3))
+    found = curves_of(case_of(leak).events, verdict(leak).unknown, np.random.default_rng(3))
     return {curve.event: curve for curve in found}
 
 
