@@ -26,6 +26,7 @@ from cassini_bayes.effects.effect import Remainder
 LEAST_BENT: Final = 0.5
 """Prior standard deviations that a cause gives back before a quantity is said to take it up."""
 MOST_BENT: Final = 4  # of these: more are not read
+LEVEL: Final = "thrust level of"
 DRAWS: Final = 2_000  # of a trade: its contours are drawn, not read
 
 
@@ -46,7 +47,7 @@ class Trade:
     """A size of a cause against the free quantity that it trades with most.
 
     ``posterior`` (n, 2) and ``prior`` (n, 2) are draws of both, size first, in the units of their
-    names; ``correlation`` is that of the posterior.
+    names or in ``unit``; ``correlation`` is that of the posterior.
     """
 
     cause: str
@@ -55,6 +56,7 @@ class Trade:
     correlation: float
     posterior: Array
     prior: Array
+    unit: str = ""
 
     @property
     def record(self) -> dict[str, Any]:
@@ -110,6 +112,7 @@ def traded(weighed: Weighed[Hypothesis], rng: np.random.Generator) -> Trade | No
         correlation[quantity],
         np.stack([sizes, others[quantity]], axis=1),
         np.stack([before[0][size], before[1][quantity]], axis=1),
+        "N" if quantity.startswith(LEVEL) else "",
     )
 
 
@@ -160,7 +163,7 @@ def _departures(weighed: Weighed[Hypothesis]) -> dict[str, float]:
 
 
 def _level(thruster: str) -> str:
-    return f"thrust level of {thruster.upper()}"
+    return f"{LEVEL} {thruster.upper()}"
 
 
 def _thrusters(weighed: Weighed[Hypothesis]) -> tuple[str, ...]:

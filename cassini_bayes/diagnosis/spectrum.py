@@ -72,7 +72,7 @@ def line_powers(time_s: Array, white: Array) -> tuple[Array, Array]:
     grid = np.zeros((int(at[-1]) + 1, white.shape[1]))
     np.add.at(grid, at, white)
     power = np.abs(np.fft.rfft(grid, axis=0)[1:]) ** 2 / len(time_s)
-    return np.fft.rfftfreq(len(grid), step)[1:], power
+    return np.asarray(np.fft.rfftfreq(len(grid), step)[1:], dtype=np.float64), power
 
 
 def spectra(rows: Sequence[EventRows]) -> tuple[Spectrum, ...]:

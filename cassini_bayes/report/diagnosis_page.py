@@ -8,6 +8,7 @@ from typing import Any, Final
 from cassini_bayes import __version__
 from cassini_bayes.diagnosis.discrepancy import Curve
 from cassini_bayes.diagnosis.drafts import Draft
+from cassini_bayes.effects.wording import rounded
 from cassini_bayes.report.cells import Cell, Table
 from cassini_bayes.report.diagnosis_pictures import Drawn
 from cassini_bayes.report.diagnosis_verdict import (
@@ -180,7 +181,7 @@ def _comparison_table(record: Record) -> Table:
         for key, text in labels.items()
         if before.get(key) is not None or after.get(key) is not None
     ]
-    return _table(("", "baseline", f"extended ({name})"), rows, "before and after")
+    return _table(("quantity", "baseline", f"extended ({name})"), rows, "before and after")
 
 
 def _fit_table(record: Record) -> Table | None:
@@ -237,7 +238,7 @@ def _taken_up_table(record: Record) -> Table | None:
     if not bent:
         return None
     rows = [
-        (item["quantity"], _signed(item["baseline"], ".2f"), _signed(item["extended"], ".2f"))
+        (item["quantity"], rounded(item["baseline"], 2), rounded(item["extended"], 2))
         for item in bent
     ]
     columns = ("free quantity", "baseline (prior σ)", "with the cause (prior σ)")

@@ -28,8 +28,8 @@ CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
         "overlay": "Rates and wheel speeds, measured and modelled. A modelled rate is what the "
         "balance of momentum gives with the measured wheel speeds, a modelled wheel speed what it "
         "gives with the measured rates. Shaded: what the cause adds. Below each: measured less "
-        "modelled, running means over 61 rows. Fit: 100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) %, as MATLAB's "
-        "compare has it.",
+        "modelled, running means over 61 rows. Fit as MATLAB's compare has it: "
+        "100 (1 − RMS(measured − modelled)/SD(measured)) per cent.",
         "trade": "The size of the cause against the free quantity that it trades with most, priors "
         "in grey: normal approximation about the mode, contours of 50 % and 90 %.",
         "spectrum": "Spectrum of what the baseline leaves. White noise has power one everywhere; "

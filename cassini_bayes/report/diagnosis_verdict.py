@@ -12,6 +12,7 @@ from typing import Any, Final
 from cassini_bayes.diagnosis.diagnosis import SIGNIFICANT
 from cassini_bayes.diagnosis.score import STANDARD_ERRORS
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS
+from cassini_bayes.effects.wording import rounded
 
 Record = Mapping[str, Any]
 MOST_NAMED: Final = 4  # confounded causes in a sentence; more are counted
@@ -131,10 +132,10 @@ def _taken_up(record: Record) -> str:
     if not bent:
         return "the baseline's free quantities take its effect up between them"
     parts = ", ".join(
-        f"{item['quantity']} ({item['baseline']:+.1f} prior σ, {item['extended']:+.1f} with the "
-        "cause)"
+        f"{item['quantity']} ({rounded(item['baseline'], 1)} prior σ, with the cause "
+        f"{rounded(item['extended'], 1)})"
         for item in bent
-    ).replace("-", "−")
+    )
     return f"without it the baseline takes the effect up by {parts}"
 
 

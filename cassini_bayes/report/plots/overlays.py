@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib
 import numpy as np
@@ -15,6 +15,7 @@ from cassini_bayes.diagnosis.nuisances import Trade
 from cassini_bayes.diagnosis.overlay import Channel, Overlay
 from cassini_bayes.diagnosis.spectrum import RARE, Spectrum
 from cassini_bayes.report.plots.criticism import EXTENDED
+from cassini_bayes.report.plots.powers import label_powers
 from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, PRIOR_LINE, STYLE
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 MEASURED: Final = "#9a9a9a"
 CAUSE: Final = "#f3c9a4"
+BASELINE_LINE: Final[dict[str, Any]] = {"lw": 2.2, "color": POSTERIOR, "alpha": 0.75}
+EXTENDED_LINE: Final[dict[str, Any]] = {"lw": 0.9, "color": EXTENDED}
 CONTOURS: Final = (0.5, 0.9)
 _POINTS: Final = 2_500
 _BINS: Final = 40
@@ -71,20 +74,19 @@ def _laid_over(panel: Axes, time_s: Array, channel: Channel) -> None:
             lw=0,
             label="the cause's part",
         )
-    panel.plot(time_s[at], channel.baseline[at], lw=1.0, color=POSTERIOR, label="baseline")
+    panel.plot(time_s[at], channel.baseline[at], label="baseline", **BASELINE_LINE)
     if channel.extended is not None:
-        panel.plot(time_s[at], channel.extended[at], lw=1.0, color=EXTENDED, label="with the cause")
+        panel.plot(time_s[at], channel.extended[at], label="with the cause", **EXTENDED_LINE)
     before, after = channel.fit
     fit = f"{before:.2f} %" if after is None else f"{before:.2f} → {after:.2f} %"
     panel.set_title(f"{channel.name}, fit {fit}", loc="left")
 
 
 def _left(panel: Axes, time_s: Array, channel: Channel) -> None:
-    shown = [(channel.baseline, POSTERIOR)]
-    if channel.extended is not None:
-        shown.append((channel.extended, EXTENDED))
-    for modelled, colour in shown:
-        panel.plot(time_s, running_mean(channel.measured - modelled, WINDOW_ROWS), color=colour)
+    for modelled, look in ((channel.baseline, BASELINE_LINE), (channel.extended, EXTENDED_LINE)):
+        if modelled is not None:
+            left = running_mean(channel.measured - modelled, WINDOW_ROWS)
+            panel.plot(time_s, left, **look)
     panel.axhline(0.0, lw=0.6, color=INK)
 
 
@@ -118,6 +120,8 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
                         fontsize=8,
                         color=PRIOR_LINE,
                     )
+                label_powers(panel.xaxis)
+                label_powers(panel.yaxis)
                 panel.set_title(f"{event}, {spectrum.axis.upper()}", loc="left")
             panels[row, 0].set_ylabel("power (1)")
         for panel in panels[-1]:
@@ -147,14 +151,16 @@ def trade_figure(trade: Trade) -> Figure:
         across = panels[1, 0]
         for values, colour in ((trade.prior, PRIOR), (trade.posterior, POSTERIOR)):
             across.plot(*values.T, ".", ms=2.0, color=colour, alpha=0.5, rasterized=True)
-            for share in CONTOURS:
-                across.plot(*_ellipse(values, share), lw=1.1, color=colour)
+        for share in CONTOURS:
+            across.plot(*_ellipse(trade.posterior, share), lw=1.1, color=POSTERIOR)
         across.set_xlim(*ends[0])
         across.set_ylim(*ends[1])
         across.set_xlabel(f"{trade.cause}: {trade.size}")
-        across.set_ylabel(trade.quantity)
-        panels[1, 1].set_xlabel(trade.quantity)
-        panels[0, 0].set_title(f"correlation {trade.correlation:+.2f}", loc="left")
+        name = f"{trade.quantity} ({trade.unit})" if trade.unit else trade.quantity
+        across.set_ylabel(name)
+        panels[1, 1].set_xlabel(name)
+        correlation = f"{trade.correlation:+.2f}".replace("-", "−")
+        panels[0, 0].set_title(f"correlation {correlation}", loc="left")
         panels[0, 0].legend(loc="upper right")
     return figure
 
