@@ -209,14 +209,37 @@ def drafted(events: Events, unknown: Weighed[Hypothesis]) -> tuple[Draft, ...]:
     """One draft of every form, that of the largest held-out gain first; for telemetry."""
     full, point = baseline_at(events, unknown)
     left = innovations(full, point)
-    columns = _columns(full, point, left.rows)
-    white = columns.white()
-    target = left.linear.target.copy()
-    target += left.linear.columns[:, : len(point)] @ point  # about the prior mean
-    pieces, what = _pieces(left.linear)
-    whole = _told(left.linear, target, white, ())
-    without = [_told(left.linear, target, white, (piece,)) for piece in pieces]
+    thrusts = [thrust_columns(full, point, place) for place in range(len(left.rows))]
     common = full.model.thrust_prior.common_mean_n
+    return drafts_of(left.linear, left.rows, point, thrusts, common)
+
+
+def drafts_of(
+    linear: Linear,
+    rows: Sequence[EventRows],
+    point: Array,
+    thrusts: Sequence[Array],
+    common_n: float,
+) -> tuple[Draft, ...]:
+    """Drafts of what a linear model leaves.
+
+    Parameters
+    ----------
+    linear, rows
+        The baseline's linear model and innovations at a point.
+    point
+        The point z (d,): the prior mean of its walked parameters is −z away from it.
+    thrusts
+        Momentum per newton (n, 3, K) of every thruster in every event's rows.
+    common_n
+        Common level of the thrust, N.
+    """
+    columns = _columns(rows, thrusts)
+    white = columns.white()
+    target = linear.target + linear.columns[:, : len(point)] @ point  # about the prior mean
+    pieces, what = _pieces(linear)
+    whole = _told(linear, target, white, ())
+    without = [_told(linear, target, white, (piece,)) for piece in pieces]
     drafts = []
     for form, candidates in columns.forms.items():
         scores = []
@@ -230,7 +253,7 @@ def drafted(events: Events, unknown: Weighed[Hypothesis]) -> tuple[Draft, ...]:
         chosen, amplitude = whole.best(candidates)
         if not amplitude > 0.0:
             continue
-        sizes = _sizes(form, *whole.weights(chosen, amplitude), common)
+        sizes = _sizes(form, *whole.weights(chosen, amplitude), common_n)
         gain, error = summed(np.array(scores))
         drafts.append(Draft(form, chosen.target, chosen.numbers, sizes, gain, error, what))
     return tuple(sorted(drafts, key=lambda draft: -draft.gain)[:MOST])
@@ -267,7 +290,7 @@ def _told(linear: Linear, target: Array, white: Array, without: Sequence[slice])
     return _Told(told[:-1, :-1], told[:-1, -1])
 
 
-def _columns(full: Hypothesis, point: Array, rows: Sequence[EventRows]) -> _Columns:
+def _columns(rows: Sequence[EventRows], thrusts: Sequence[Array]) -> _Columns:
     columns = _Columns(rows)
     longest = max(float(event.time_s[-1]) for event in rows)
     times = np.linspace(0.0, longest, TIMES + 2)[:-1]
@@ -275,7 +298,6 @@ def _columns(full: Hypothesis, point: Array, rows: Sequence[EventRows]) -> _Colu
         _jumps(columns, times[1:], c, axis)
         ramps = [columns.add(_about(c, _since(start))) for start in times]
         _windows(columns, "torque", axis, times, ramps)
-    thrusts = [thrust_columns(full, point, place) for place in range(len(rows))]
     names = next((event.thrusters for event in rows if event.on_time_s.shape[1]), ())
     every: dict[str, slice] = {name: slice(k, k + 1) for k, name in enumerate(names)}
     for name, which in ({"all": slice(None)} | every).items() if names else ():

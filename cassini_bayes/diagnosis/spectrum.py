@@ -33,8 +33,15 @@ class Spectrum:
 
     @property
     def peak(self) -> int:
-        """Place of the largest power of an oscillation, four cycles or more in the event."""
-        return LEAST_CYCLES - 1 + int(self.power[LEAST_CYCLES - 1 :].argmax())
+        """Place of the highest summit of four cycles or more in the event.
+
+        A summit is no lower than either neighbour: the skirt of a drift is none.
+        """
+        padded = np.concatenate([self.power, [0.0]])
+        first = LEAST_CYCLES - 1
+        own, before, after = padded[first:-1], padded[first - 1 : -2], padded[first + 1 :]
+        summits = np.where((own >= before) & (own >= after), own, 0.0)
+        return first + int(summits.argmax())
 
     @property
     def chance(self) -> float:

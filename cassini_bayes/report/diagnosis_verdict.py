@@ -202,8 +202,8 @@ def _traces(record: Record) -> list[str]:
         )
     drivers = [item for item in record.get("drivers", []) if abs(item["z"]) > item["band_z"]]
     if drivers:
-        named = ", ".join(f"{item['driver']} ({item['z']:+.0f} σ)" for item in drivers[:3])
-        sentences.append(f"What is left goes most with {named}.".replace("-", "−"))
+        named = ", ".join(f"{item['driver']} ({rounded(item['z'], 0)} σ)" for item in drivers[:3])
+        sentences.append(f"What is left goes most with {named}.")
     return sentences
 
 
