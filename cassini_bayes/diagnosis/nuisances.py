@@ -20,7 +20,7 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.sizes import effect_values
+from cassini_bayes.diagnosis.sizes import effect_draws, effect_values
 from cassini_bayes.effects.effect import Remainder
 
 LEAST_BENT: Final = 0.5
@@ -96,7 +96,7 @@ def traded(weighed: Weighed[Hypothesis], rng: np.random.Generator) -> Trade | No
     assert weighed.remainder is not None
     effect = weighed.hypothesis.effects[0]
     size = (effect.kind.reported or tuple(p.key for p in effect.parameters))[0]
-    posterior = _values(weighed, _drawn(_gaussian(weighed), rng))
+    posterior = _values(weighed, _drawn(weighed, rng))
     others = {name: values for name, values in posterior[1].items() if values.std() > 0.0}
     sizes = posterior[0][size]
     if not others or not sizes.std() > 0.0:
@@ -130,9 +130,18 @@ def _gaussian(weighed: Weighed[Hypothesis]) -> _Gaussian:
     return _Gaussian(mean, np.linalg.solve(gram, unit)[:kept])
 
 
-def _drawn(gaussian: _Gaussian, rng: np.random.Generator) -> Array:
-    factor = np.linalg.cholesky(gaussian.covariance)
-    return np.asarray(gaussian.mean + rng.standard_normal((DRAWS, len(gaussian.mean))) @ factor.T)
+def _drawn(weighed: Weighed[Hypothesis], rng: np.random.Generator) -> Array:
+    """Draws (n, d + q): walked coordinates as sizes have them, levels' coefficients given these."""
+    z, weights = effect_draws(weighed, rng, DRAWS)
+    z = z[rng.choice(len(z), DRAWS, p=weights / weights.sum())]
+    gaussian, d = _gaussian(weighed), z.shape[1]
+    own, across = gaussian.covariance[:d, :d], gaussian.covariance[:d, d:]
+    slope = np.linalg.solve(own, across)
+    left = gaussian.covariance[d:, d:] - across.T @ slope
+    spread = np.linalg.cholesky(0.5 * (left + left.T))
+    levels = gaussian.mean[d:] + (z - gaussian.mean[:d]) @ slope
+    levels += rng.standard_normal((DRAWS, len(left))) @ spread.T
+    return np.concatenate([z, levels], axis=1)
 
 
 def _values(

@@ -31,7 +31,7 @@ CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
         "modelled, running means over 61 rows. Fit as MATLAB's compare has it: "
         "100 (1 − RMS(measured − modelled)/SD(measured)) per cent.",
         "trade": "The size of the cause against the free quantity that it trades with most, priors "
-        "in grey: normal approximation about the mode, contours of 50 % and 90 %.",
+        "in grey; curves hold 50 % and 90 % of a normal of the draws' covariance.",
         "spectrum": "Spectrum of what the baseline leaves. White noise has power one everywhere; "
         "above the dashed line its largest value comes with a chance of one in a hundred.",
         "innovations": "Measured less predicted momentum after fitting, in body axes.",

@@ -98,6 +98,7 @@ def test_causes_near_nothing_are_one_line_with_the_list_folded() -> None:
 def test_overlay_and_trade_are_drawn_of_what_there_is() -> None:
     """With a cause its part is shaded and the fit has two numbers; without one there is one."""
     time, wave = np.arange(100.0), np.sin(np.arange(100.0) / 9.0)
+    wave = wave - wave.mean()
     own = Channel("rate X", "mrad/s", wave, 0.9 * wave)
     both = Channel("wheel 1", "rpm", wave, 0.9 * wave, 0.99 * wave, 0.3 * wave)
     figure = overlay_figure(Overlay("e", time, (own, both)))
