@@ -25,8 +25,9 @@ class Chapter:
 SEEN: Final = Chapter("seen", "What these events can see")
 INERTIA: Final = Chapter("inertia", "Inertia")
 THRUSTS: Final = Chapter("thrusts", "Thrust of every thruster in every bias")
-NUMBERS: Final = Chapter("numbers", "Thrusts in numbers")
-JOINT: Final = Chapter("joint", "Thrust levels and tail-off together")
+NUMBERS: Final = Chapter("numbers", "Bias by bias")
+JOINT: Final = Chapter("joint", "What trades against what")
+PRIORS: Final = Chapter("priors", "Had the priors been wider or narrower")
 NUISANCES: Final = Chapter("nuisances", "Nuisances: prior against posterior")
 BUDGET: Final = Chapter("budget", "Error budget")
 CHECKS: Final = Chapter("checks", "Model against measurement")
@@ -63,7 +64,10 @@ class Shown:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure, drawn when asked for; nothing where there is nothing to draw."""
+    """A figure, drawn when asked for; nothing where there is nothing to draw.
+
+    With ``fold`` it is behind that line until asked for.
+    """
 
     kind: ClassVar[str] = "drawing"
     name: str
@@ -71,9 +75,28 @@ class Drawing:
     caption: str
     draw: Callable[[], Figure | None]
     portrait: bool = False
+    fold: str = ""
 
 
-Block = Paragraph | Bullets | Shown | Drawing
+@dataclass(frozen=True)
+class Card:
+    """What is known of one item: its table, what is said of it, and the same in a line."""
+
+    title: str
+    line: str
+    table: Table
+    said: str = ""
+
+
+@dataclass(frozen=True)
+class Cards:
+    """Cards beside one another, folded but the first."""
+
+    kind: ClassVar[str] = "cards"
+    items: tuple[Card, ...]
+
+
+Block = Paragraph | Bullets | Shown | Drawing | Cards
 
 
 @dataclass(frozen=True)
