@@ -26,7 +26,7 @@ from cassini_bayes.model.observability import observability
 from cassini_bayes.pipeline.inputs import STATISTICS, Inputs, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile
-from cassini_bayes.report.sections import figures_of, sections_of, write_tables
+from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.results.fitting import Sampled, convergence_table, fit_model
 from cassini_bayes.results.record import save_fit
 from cassini_bayes.results.review import Review
@@ -198,12 +198,12 @@ def execute(
     write_tables(sections, folder / "tables")
     if run.output.report:
         from cassini_bayes.report import write_report
-        from cassini_bayes.report.plots import save_figures
+        from cassini_bayes.report.plots import save_pictures
 
         reporter.say("figures and report")
-        figures = figures_of(sections)
-        save_figures(figures, folder / "figures")
-        write_report(review, sections, figures, folder / "report.html")
+        pictures = pictures_of(sections, cores())
+        save_pictures(pictures, folder / "figures")
+        write_report(review, sections, pictures, folder / "report.html")
     seconds = time.monotonic() - began
     reporter.say(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
     return Outcome(folder, review, converged, seconds)

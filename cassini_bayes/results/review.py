@@ -12,7 +12,7 @@ import pandas as pd
 
 from cassini_bayes.balance.inertia import Physicality, physicality
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.model.observability import Observability, observability
+from cassini_bayes.model.observability import Observability, event_worth, observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.delta_v_uses import thrusts_by_delta_v_use
@@ -135,6 +135,11 @@ class Review:
     def observability(self) -> Observability:
         """What the events can see, before anything is sampled."""
         return observability(self.model)
+
+    @cached_property
+    def worth(self) -> pd.DataFrame:
+        """How much narrower shared quantities are for each event."""
+        return event_worth(self.model)
 
     @cached_property
     def physicality(self) -> Physicality:
