@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
+
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.report.page import Section
 from cassini_bayes.report.plots import Picture

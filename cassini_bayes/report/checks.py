@@ -210,6 +210,7 @@ def balance(review: Review) -> Iterator[Section]:
                 "90 % interval (mean ± 1.645 standard deviations). Grey: 90 % interval of the "
                 "noise that the model allows for (dead-band rates and attitudes, rounding).",
                 partial(balance_figure, review),
+                fold="Momentum left over, drawn",
             ),
             Shown(balance_table(review), fold="Momentum balance of every event and axis"),
         ),
@@ -243,6 +244,7 @@ def delta_v(review: Review) -> Iterator[Section]:
         "bars: the computed value; thin bars: with the channel's own noise, as fitted; both 90 % "
         "intervals (mean ± 1.645 standard deviations).",
         partial(delta_v_figure, review),
+        fold="Printed ΔV against the on-board computation, drawn",
     )
     blocks = (text, drawing, Shown(delta_v_table(review), fold="ΔV of every event"))
     yield Section(DELTA_V, blocks, name="delta_v", frame=review.delta_v)

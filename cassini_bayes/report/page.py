@@ -90,13 +90,63 @@ class Card:
 
 @dataclass(frozen=True)
 class Cards:
-    """Cards beside one another, folded but the first."""
+    """Cards beside one another, folded."""
 
     kind: ClassVar[str] = "cards"
     items: tuple[Card, ...]
 
 
-Block = Paragraph | Bullets | Shown | Drawing | Cards
+@dataclass(frozen=True)
+class SliderRow:
+    """A quantity under one prior: its texts, and its bar in percent of the axis."""
+
+    value: str
+    interval: str
+    left: float
+    width: float
+
+
+@dataclass(frozen=True)
+class SliderPrior:
+    """A prior at every width: what is said of it, and its rows (none where not trusted)."""
+
+    name: str
+    notes: tuple[str, ...]
+    trusted: tuple[bool, ...]
+    rows: tuple[tuple[SliderRow | None, ...], ...]
+
+
+@dataclass(frozen=True)
+class Slider:
+    """Quantities that move with the width of a prior; ``start`` is the width as fitted."""
+
+    kind: ClassVar[str] = "slider"
+    quantities: tuple[str, ...]
+    units: tuple[str, ...]
+    widths: tuple[str, ...]
+    start: int
+    priors: tuple[SliderPrior, ...]
+
+    @property
+    def data(self) -> dict[str, object]:
+        """What the page's script needs, as plain lists."""
+        return {
+            "widths": self.widths,
+            "start": self.start,
+            "priors": [
+                {
+                    "notes": prior.notes,
+                    "rows": [
+                        [(row.value, row.interval, row.left, row.width) for row in rows if row]
+                        for rows in prior.rows
+                    ],
+                }
+                for prior in self.priors
+            ],
+        }
+
+
+Block = Paragraph | Bullets | Shown | Drawing | Cards | Slider
 
 
 @dataclass(frozen=True)

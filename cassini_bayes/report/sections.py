@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.tables import frame_csv
-from cassini_bayes.report import checks, telemetry, thrusts
+from cassini_bayes.report import checks, priors, telemetry, thrusts
 from cassini_bayes.report.page import Section
 from cassini_bayes.report.plots import Picture, draw, draw_encoded
 from cassini_bayes.results.review import Review
@@ -28,6 +28,7 @@ SECTIONS: Final[tuple[Callable[[Review], Iterator[Section]], ...]] = (
     thrusts.thrust_numbers,
     telemetry.thrust_methods,
     thrusts.joint,
+    priors.prior_slider,
     checks.nuisances,
     checks.torques,
     telemetry.torque_methods,

@@ -192,10 +192,10 @@ def summary_sentences(review: Review) -> list[str]:
     return [*sentences, *_limit_sentence(review), *_printed_sentence(review, common)]
 
 
-def _span(values: np.ndarray, unit: str) -> str:
+def _span(values: np.ndarray, unit: str, to: str = " to ") -> str:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     first, last = number(low, low), number(high, high)
-    return f"{first}{unit}" if first == last else f"{first} to {last}{unit}"
+    return f"{first}{unit}" if first == last else f"{first}{to}{last}{unit}"
 
 
 def _limit_sentence(review: Review) -> list[str]:
@@ -336,11 +336,11 @@ def _prior_share(sd: str = "sd", prior_sd: str = "prior_sd") -> Column:
 
 def _card_line(thrusts: pd.DataFrame, impulses: pd.DataFrame) -> str:
     """A card in a line: how narrow thrust and impulse are."""
-    line = f"thrust to {_span(thrusts['sd'].to_numpy(dtype=float) * MN, ' mN')}"
+    line = f"thrust ± {_span(thrusts['sd'].to_numpy(dtype=float) * MN, ' mN', '–')}"
     if impulses.empty:
         return line
     relative = 100.0 * impulses["relative"].to_numpy(dtype=float)
-    return f"{line}, impulse per second to {relative.min():.1f}–{relative.max():.1f} %"
+    return f"{line}, impulse ± {_span(relative, ' %', '–')}"
 
 
 def _worth_sentence(review: Review, event: str) -> str:

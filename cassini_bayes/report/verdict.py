@@ -112,4 +112,4 @@ def _impulse(review: Review) -> list[str]:
 def _relative(shares: pd.Series) -> str:
     """The range of relative widths in percent."""
     low, high = (f"{100 * float(v):.2g}" for v in (np.nanmin(shares), np.nanmax(shares)))
-    return f"{low} %" if low == high else f"{low}–{high} %"
+    return f"{low}\N{NO-BREAK SPACE}%" if low == high else f"{low}–{high}\N{NO-BREAK SPACE}%"
