@@ -27,6 +27,7 @@ from cassini_bayes.pipeline.inputs import STATISTICS, Inputs, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
+from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import Sampled, convergence_table, fit_model
 from cassini_bayes.results.record import save_fit
 from cassini_bayes.results.review import Review
@@ -59,12 +60,13 @@ class Reporter(Protocol):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run produced; ``converged`` decides the exit code."""
+    """What a run produced; ``converged`` decides the exit code, ``verdict`` is the answer."""
 
     folder: Path
     review: Review
     converged: bool
     seconds: float
+    verdict: tuple[str, ...] = ()
 
 
 def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
@@ -206,7 +208,7 @@ def execute(
         write_report(review, sections, pictures, folder / "report.html")
     seconds = time.monotonic() - began
     reporter.say(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
-    return Outcome(folder, review, converged, seconds)
+    return Outcome(folder, review, converged, seconds, tuple(verdict(review)))
 
 
 def _converged(review: Review, sampled: Sampled) -> bool:

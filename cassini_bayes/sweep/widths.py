@@ -65,7 +65,7 @@ def width_effects(
     standard deviation are left out.
     """
     even = np.full(len(values), 1.0 / len(values))
-    mean, sd = values.mean(0), values.std(0)
+    mean, sd, order = values.mean(0), values.std(0), np.argsort(values, axis=0)
     found = []
     for group in groups:
         narrow = _weights(priors, group, draws, len(values), WIDTHS[0])
@@ -73,15 +73,21 @@ def width_effects(
         shift = np.abs(weights @ values - mean) / sd
         width = np.abs(np.sqrt(weights @ (values - weights @ values) ** 2) / sd - 1.0)
         if max(shift.max(), width.max()) >= least or not _told(narrow):
-            found.append(_effect(priors, group, draws, values))
+            found.append(_effect(priors, group, draws, values, order))
     return tuple(found)
 
 
-def _effect(priors: Priors, group: Group, draws: Mapping[str, Array], values: Array) -> WidthEffect:
-    n = len(values)
+def _effect(
+    priors: Priors,
+    group: Group,
+    draws: Mapping[str, Array],
+    values: Array,
+    order: NDArray[np.int64],
+) -> WidthEffect:
+    n, even = len(values), np.full(len(values), 1.0 / len(values))
     found = [_weights(priors, group, draws, n, width) for width in WIDTHS]
     told = np.array([_told(own) for own in found])[:, None]
-    every = [moments(values, own.values if _told(own) else np.full(n, 1.0 / n)) for own in found]
+    every = [moments(values, own.values if _told(own) else even, order) for own in found]
 
     def stacked(rows: Sequence[Array]) -> Array:
         return np.where(told, np.stack(rows), np.nan)
