@@ -194,6 +194,7 @@ def execute(
         seed=run.sampler.seed,
         what_if=run.output.report,
     )
+    review.work_out(cores())
     converged = _converged(review, sampled)
     sections = sections_of(review)
     write_text(folder / "summary.csv", frame_csv(review.summary))
