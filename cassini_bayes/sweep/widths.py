@@ -23,6 +23,7 @@ from cassini_bayes.sweep.weights import QUANTILES, Weights, moments, smoothed_we
 
 WIDTHS: Final = tuple(2.0 ** (step / 2.0) for step in range(-4, 5))
 """¼ … 4 in steps of √2."""
+ERRORS: Final = 3.0  # Monte Carlo errors that a change has to exceed
 LOW: Final = int(np.argmin(np.abs(QUANTILES - 0.05)))
 HIGH: Final = int(np.argmin(np.abs(QUANTILES - 0.95)))
 
@@ -62,7 +63,7 @@ def width_effects(
     """Weight draws of the groups' parameters (n,) and of quantities (n, q), group by group.
 
     Groups whose prior, made :data:`WIDTHS` [0] times as wide, moves nothing by ``least`` of its
-    standard deviation are left out.
+    standard deviation, or by no more than the Monte Carlo error could, are left out.
     """
     even = np.full(len(values), 1.0 / len(values))
     mean, sd, order = values.mean(0), values.std(0), np.argsort(values, axis=0)
@@ -72,7 +73,8 @@ def width_effects(
         weights = narrow.values if _told(narrow) else even
         shift = np.abs(weights @ values - mean) / sd
         width = np.abs(np.sqrt(weights @ (values - weights @ values) ** 2) / sd - 1.0)
-        if max(shift.max(), width.max()) >= least or not _told(narrow):
+        chance = ERRORS / np.sqrt(narrow.effective) if _told(narrow) else 0.0
+        if max(shift.max(), width.max()) >= max(least, chance) or not _told(narrow):
             found.append(_effect(priors, group, draws, values, order))
     return tuple(found)
 

@@ -144,7 +144,7 @@ def test_order_summary_then_warnings_then_the_headline(html: str) -> None:
 
 
 def test_the_verdict_names_the_prior_and_what_is_known_well(html: str, review: Review) -> None:
-    """Level, prior and narrowing by hand; the impulse's relative width over thrusters and events."""
+    """Level, prior and narrowing by hand; the impulse's relative width over all thrusters."""
     first = Page(html.split('<div class="verdict">')[1].split("</div>")[0]).text
     common = review.summary[review.summary["quantity"] == "thrust_common_n"].iloc[0]
     assert f"Thrust {common['mean']:.3f} ± {common['sd']:.3f} N" in first
