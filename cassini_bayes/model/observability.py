@@ -82,9 +82,9 @@ def event_worth(model: Model) -> pd.DataFrame:
     unknowns = model.unknowns
     size = unknowns.levels.stop
     own = np.zeros((len(model.events), size, size))
-    for event, places, part in _parts(model, unknowns):
+    for place, places, part in _parts(model, unknowns):
         shared = np.flatnonzero(places < size)
-        own[event][np.ix_(places[shared], places[shared])] += _marginal(part, shared)
+        own[place][np.ix_(places[shared], places[shared])] += _marginal(part, shared)
     total = own.sum(0) + np.eye(size)
     everything = _shared_rows(model, unknowns, np.linalg.inv(total))
     tables = []

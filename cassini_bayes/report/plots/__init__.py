@@ -53,7 +53,7 @@ class Picture:
     @property
     def shown(self) -> tuple[Kind, bytes]:
         """What a page shows: SVG where there is one."""
-        kind = "svg" if "svg" in self.files else "png"
+        kind: Kind = "svg" if "svg" in self.files else "png"
         return kind, self.files[kind]
 
 
