@@ -27,7 +27,8 @@ from cassini_bayes.model.posterior import Model
 from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile
-from cassini_bayes.report.sections import figures_of, sections_of, write_tables
+from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
+from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.results.review import Review
@@ -60,12 +61,13 @@ class Reporter(Protocol):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run produced; ``converged`` decides the exit code."""
+    """What a run produced; ``converged`` decides the exit code, ``verdict`` is the answer."""
 
     folder: Path
     review: Review
     converged: bool
     seconds: float
+    verdict: tuple[str, ...] = ()
 
 
 def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
@@ -192,11 +194,12 @@ def execute(
         seed=run.sampler.seed,
         what_if=run.output.report,
     )
+    review.work_out(cores())
     converged = is_converged(review)
     write_results(review, folder, reporter.say, report=run.output.report)
     seconds = time.monotonic() - began
     reporter.say(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
-    return Outcome(folder, review, converged, seconds)
+    return Outcome(folder, review, converged, seconds, tuple(verdict(review)))
 
 
 def write_results(
@@ -215,12 +218,12 @@ def write_results(
     write_tables(sections, folder / "tables")
     if report:
         from cassini_bayes.report import write_report
-        from cassini_bayes.report.plots import save_figures
+        from cassini_bayes.report.plots import save_pictures
 
         say("figures and report")
-        figures = figures_of(sections)
-        save_figures(figures, folder / "figures")
-        write_report(review, sections, figures, folder / "report.html")
+        pictures = pictures_of(sections, cores())
+        save_pictures(pictures, folder / "figures")
+        write_report(review, sections, pictures, folder / "report.html")
 
 
 def is_converged(review: Review) -> bool:

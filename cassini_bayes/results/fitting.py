@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.computing.processes import in_parts
+from cassini_bayes.computing.processes import in_parts, in_processes
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.draws import Draws, draw
@@ -144,8 +144,8 @@ def fit_model(
         f"{collapsed_size(model)} collapsed parameters"
     )
     with in_parts(partial(log_posterior, model), threads) as density_of:
-        warm, chains = _sampled(
-            model, density_of, settings, draws_per_ensemble, store, tell, progress
+        warm, chains, last = _sampled(
+            model, density_of, settings, draws_per_ensemble, store, tell, progress, threads
         )
     z, density = chains.thinned(draws_per_ensemble)
     convergence = chains.convergence
@@ -168,8 +168,9 @@ def fit_model(
         "worst_rhat": float(convergence.rhat.max()),
         "least_ess": float(convergence.ess.min()),
     }
-    rng = _stream(settings.seed, _LINEAR)
-    fit = build_fit(model, z, density, rng, attributes, prior_draws)
+    if last is None or not np.array_equal(last.z, z):  # stopped at the limit of steps
+        last = _drawn_back(model, z, settings.seed)
+    fit = build_fit(model, z, density, last.rng, attributes, prior_draws, drawn=last.draws)
     fit = _with_convergence(fit, model.space.names, convergence)
     return Sampled(model, settings, fit, z, warm, chains)
 
@@ -197,8 +198,12 @@ def _sampled(
     store: CheckpointStore | None,
     tell: Callable[[str], None],
     progress: Callable[[ProgressReport], None] | None,
-) -> tuple[WarmStart, Chains]:
-    """Warm start and ensembles, the moves chosen by what the warm start is worth."""
+    processes: int,
+) -> tuple[WarmStart, Chains, _DrawnBack | None]:
+    """Warm start and ensembles, the moves chosen by what the warm start is worth.
+
+    Also what the stop rule drew back last.
+    """
     warm = _warm_start(density_of, len(model.space.names), settings.seed, store)
     tell(
         f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
@@ -212,10 +217,13 @@ def _sampled(
             f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
         )
 
+    last: _DrawnBack | None = None
+
     def wants_more(chains: Chains) -> bool:
+        nonlocal last
         z, _ = chains.thinned(draws_per_ensemble)
-        walkers = chains.z.shape[2]
-        return _derived_ess(model, z, walkers, settings.seed) < settings.target_ess
+        last = _drawn_back(model, z, settings.seed)
+        return _derived_ess(last, chains.z.shape[2], processes) < settings.target_ess
 
     chains = sample(
         density_of,
@@ -225,7 +233,7 @@ def _sampled(
         progress=progress,
         more=wants_more,
     )
-    return warm, chains
+    return warm, chains, last
 
 
 def _count(events: Sequence[str]) -> str:
@@ -308,14 +316,31 @@ def _warm_start(
     return warm
 
 
-def _derived_ess(model: Model, z: Array, walkers: int, seed: int) -> float:
+@dataclass(frozen=True)
+class _DrawnBack:
+    """Stored draws z (M, n, d) with all that is integrated out, and the stream they came from."""
+
+    z: Array
+    draws: Draws
+    rng: np.random.Generator
+
+
+def _drawn_back(model: Model, z: Array, seed: int) -> _DrawnBack:
+    rng = _stream(seed, _LINEAR)
+    return _DrawnBack(z, draw(model, z.reshape(-1, z.shape[-1]), rng), rng)
+
+
+def _derived_ess(drawn: _DrawnBack, walkers: int, processes: int) -> float:
     """Smallest bulk or tail effective sample size over what is drawn back for these points."""
-    m, n, d = z.shape
-    draws = draw(model, z.reshape(-1, d), _stream(seed, _LINEAR))
-    drawn = watched(draws).reshape(m, n, -1)
-    varying = drawn[..., drawn.std((0, 1)) > 0]
-    sizes = [min(stored_ess(varying[:, :, j], walkers)) for j in range(varying.shape[-1])]
-    return min(sizes, default=np.inf)
+    m, n, _ = drawn.z.shape
+    values = watched(drawn.draws).reshape(m, n, -1)
+    varying = np.flatnonzero(values.std((0, 1)) > 0)
+    sizes = in_processes(
+        lambda places: [min(stored_ess(values[:, :, j], walkers)) for j in places],
+        [part for part in np.array_split(varying, processes) if len(part)],
+        processes,
+    )
+    return min((size for part in sizes for size in part), default=np.inf)
 
 
 def watched(draws: Draws) -> Array:
