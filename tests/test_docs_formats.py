@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.diagnosis import diagnosis
-from cassini_bayes.effects.registry import KINDS
+from cassini_bayes.effects import registry
 from cassini_bayes.events.plausibility import MISTAKES
 from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.events.telemetry.columns import KINDS, NEEDED, channel_columns
@@ -179,7 +179,7 @@ def test_every_cause_has_its_row() -> None:
     text = (REFERENCE / "causes.md").read_text("utf-8")
     cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
     listed = {name for cell in cells for name in re.findall(r"`([a-z_]+)(?::<[^`]+>)?`", cell)}
-    assert listed == {kind.name for kind in KINDS}
+    assert listed == {kind.name for kind in registry.KINDS}
 
 
 def test_every_mistake_has_its_row() -> None:
