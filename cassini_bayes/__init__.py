@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cassini_bayes.errors import CassiniBayesError, InputError
+    from cassini_bayes.events.telemetry import TelemetryEvent, event_from_frame, read_event
     from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
     from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_event
     from cassini_bayes.priors.reader import Priors, read_priors
@@ -35,6 +36,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "errors": ("CassiniBayesError", "InputError"),
+    "events.telemetry": ("TelemetryEvent", "event_from_frame", "read_event"),
     "events.totals": ("TotalsEvent", "read_totals", "write_totals"),
     "model": ("Model", "ReducedEvent", "build_model", "reduce_event"),
     "priors.reader": ("Priors", "read_priors"),
@@ -61,15 +63,18 @@ __all__ = [
     "Sampled",
     "SamplerSettings",
     "Spacecraft",
+    "TelemetryEvent",
     "TotalsEvent",
     "build_model",
     "convergence_table",
     "error_budget",
+    "event_from_frame",
     "figures_of",
     "fit_model",
     "load_spacecraft",
     "nuisance_table",
     "perturbation_bars",
+    "read_event",
     "read_fit",
     "read_priors",
     "read_totals",

@@ -15,6 +15,7 @@ from cassini_bayes.cli import (
     fits,
     predictions,
     simulations,
+    starts,
     sweeps,
     trends,
 )
@@ -32,6 +33,7 @@ app = typer.Typer(
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it; typer turns the interrupt into it."""
 
+app.command("init")(starts.init_command)
 app.command("run")(fits.run_command)
 app.command("fit")(fits.fit_command)
 app.command("diagnose")(diagnoses.diagnose_command)

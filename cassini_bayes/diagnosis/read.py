@@ -18,13 +18,19 @@ from cassini_bayes.events.plausibility import (
     content_of_totals,
     refuse_duplicates,
 )
+from cassini_bayes.events.telemetry import TelemetryEvent
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.event_reduction import check_rows, is_event_folder, reduce_event
+from cassini_bayes.model.event_reduction import (
+    ReducedEvent,
+    check_rows,
+    is_event_folder,
+    reduce_event,
+)
 from cassini_bayes.priors.reader import read_priors
 
 
 def read_events(
-    references: Sequence[str],
+    references: Sequence[str | TelemetryEvent],
     priors_path: Path,
     source: str = "flight",
     log: Log = silent,
@@ -36,7 +42,7 @@ def read_events(
     Parameters
     ----------
     references
-        Event folders, totals CSV files (all rows) or ``file.csv:ID``.
+        Event folders, events of telemetry, totals CSV files (all rows) or ``file.csv:ID``.
     priors_path
         The priors file.
     source
@@ -54,19 +60,21 @@ def read_events(
         Bad data or priors, as when fitting.
     """
     priors = read_priors(priors_path)
-    folders = [Path(reference) for reference in references if is_event_folder(Path(reference))]
-    telemetry = [reduce_event(folder, priors, "first_order", policy=policy) for folder in folders]
-    findings = [finding for event in telemetry for finding in event.reading.findings]
-    contents = [
-        (str(folder), event.reading.content)
-        for folder, event in zip(folders, telemetry, strict=True)
-    ]
+    telemetry: list[ReducedEvent] = []
     rows: list[TotalsEvent] = []
-    for table in references:
-        if not is_event_folder(Path(table)):
-            own = read_totals(table, priors.spacecraft, source)
-            findings += check_rows(own, priors, table, policy)
-            contents += [(f"{table}: {row.id}", content_of_totals(row)) for row in own]
+    findings: list[str] = []
+    contents: list[tuple[str, str]] = []
+    for given in references:
+        if isinstance(given, TelemetryEvent) or is_event_folder(Path(given)):
+            reduced = reduce_event(given, priors, "first_order", policy=policy)
+            telemetry.append(reduced)
+            findings += reduced.reading.findings
+            name = given.id if isinstance(given, TelemetryEvent) else str(Path(given))
+            contents.append((name, reduced.reading.content))
+        else:
+            own = read_totals(given, priors.spacecraft, source)
+            findings += check_rows(own, priors, given, policy)
+            contents += [(f"{given}: {row.id}", content_of_totals(row)) for row in own]
             rows += own
     findings += refuse_duplicates(contents, policy)
     log(f"read {len(telemetry)} telemetry events and {len(rows)} totals rows")

@@ -84,6 +84,8 @@ def read_inputs(
             )
             found: tuple[Event, ...] = (reduced,)
             digests[reference] = reduced.digest
+            if reduced.channels is not None:
+                digests[f"channels of {reference}"] = reduced.channels.digest
             findings += reduced.reading.findings
             contents.append((str(base / reference), reduced.reading.content))
         else:

@@ -29,11 +29,12 @@ from cassini_bayes.studies.blind.rates import (
     timing_table,
     trial_table,
 )
-from cassini_bayes.studies.blind.trials import STRATA, run_trial, trial_code, trial_name
+from cassini_bayes.studies.blind.strata import STRATA, planned
+from cassini_bayes.studies.blind.trials import run_trial, trial_code, trial_name
 from cassini_bayes.studies.study import Study
 
 ENOUGH_TRIALS: Final = 40
-FULL: Final[Mapping[str, int]] = {"trials": sum(count for _, count in STRATA)}
+FULL: Final[Mapping[str, int]] = {"trials": planned(STRATA)}
 QUICK: Final[Mapping[str, int]] = {"trials": 47}
 
 
@@ -145,7 +146,7 @@ def _body(
     counts = Counter(r["stratum"] for r in records)
     times = timing_table(records)
     broken = _errors(records) if any(map(failed, records)) else ""
-    strata = ", ".join(f"{name} {counts.get(name, 0)} of {planned}" for name, planned in STRATA)
+    strata = ", ".join(f"{s.name} {counts.get(s.name, 0)} of {s.trials}" for s in STRATA)
     digests = ", ".join(sorted({r["code"] for r in records}))
     return f"""\
 An effect is hidden in simulated telemetry (one wheel bias and a slew set at 1 Hz, everything drawn
