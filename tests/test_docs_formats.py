@@ -15,7 +15,7 @@ from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.diagnosis import diagnosis
 from cassini_bayes.effects import registry
 from cassini_bayes.events.plausibility import MISTAKES
-from cassini_bayes.events.telemetry import read_event
+from cassini_bayes.events.telemetry import channel_map, read_event
 from cassini_bayes.events.telemetry.columns import KINDS, NEEDED, channel_columns
 from cassini_bayes.events.telemetry.event import _KEYS as EVENT_KEYS
 from cassini_bayes.events.telemetry.reader import load_event
@@ -137,6 +137,16 @@ def test_the_tables_of_an_event_are_those_of_the_reader() -> None:
         row = re.search(rf"^\| `{kind}` \| ([^|]+)\|", text, re.MULTILINE)
         assert row is not None
         assert {"time", *NEEDED[kind]} <= set(re.findall(r"\w+", row[1]))
+
+
+def test_the_tables_of_a_channel_map_are_those_of_its_reader() -> None:
+    """Keys of a channel and of the whole map, in the how-to that has them."""
+    page = "../how-to/own-columns.md"
+    assert set(names(page, "Keys")) >= set(channel_map.ChannelTable.model_fields)
+    of_map = set(channel_map._File.model_fields) - {"channels"}
+    assert set(names(page, "Keys of the whole map")) >= of_map
+    text = (REFERENCE / page).read_text("utf-8")
+    assert all(f"| `{channel}` |" in text for channel in channel_map.UNITS)
 
 
 def test_the_table_of_totals_is_that_of_the_reader() -> None:

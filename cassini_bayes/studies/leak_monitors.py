@@ -62,8 +62,9 @@ class Stretches:
     """Rows at rest amid stretches in which nothing delivers, with their mean rates there.
 
     The turn over a stretch tells the body's rate far better than a measured rate does
-    (docs/telemetry-likelihood.md §5). ``rate_per_rad`` (N,) is the noise of these rates per noise
-    of an attitude, 1/s; ``wheel_share`` (N,) that of the wheels' mean rates per noise of a row.
+    (docs/topics/telemetry-likelihood.md §5). ``rate_per_rad`` (N,) is the noise of these rates per
+    noise of an attitude, 1/s; ``wheel_share`` (N,) that of the wheels' mean rates per noise of a
+    row.
     """
 
     rows: NDArray[np.intp]  # (N,) among the samples

@@ -108,7 +108,8 @@ class Counter:
                     column,
                     f"a cumulative count of at least {before:.10g} {self._unit}",
                     "it was reset or misread, and is no counter that wraps: add what was counted"
-                    " before, or split the event there",
+                    " before, or split the event there; counts per interval need a channel map with"
+                    ' kind = "per_interval"',
                     f"{now:.10g}",
                 )
             self._size = size
