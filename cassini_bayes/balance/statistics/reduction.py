@@ -24,6 +24,7 @@ from cassini_bayes.balance.statistics.columns import (
     Sampling,
     settle,
 )
+from cassini_bayes.balance.statistics.counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.balance.statistics.turns import (
     SLOPE_WAVES,
@@ -37,7 +38,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512
-_FORMAT: Final = 4
+_FORMAT: Final = 5
 BLOCK_ROWS: Final = 4_096
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -100,8 +101,9 @@ class CounterStatistics:
 
     ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
     ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
-    (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2`` (G,) is the variance of
-    a couple's cumulative on-time that rounded counters leave open.
+    (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2``, ``open_ratio``
+    and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
+    (:class:`cassini_bayes.balance.statistics.counters.Rounding`).
     """
 
     row_time_s: Array
@@ -110,6 +112,8 @@ class CounterStatistics:
     fired: NDArray[np.bool_]
     weight: Array
     open_s2: Array
+    open_ratio: Array
+    coarse: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,7 @@ class Preparation:
     """What a first look at an event's telemetry found, for the pass that reduces it."""
 
     steps: ChannelSteps = ChannelSteps()
-    open_s2: tuple[float, ...] = ()  # (K,) of cumulative on-times, that rounded counters leave open
+    rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters
 
 
 @dataclass(frozen=True)
@@ -278,7 +282,7 @@ def reduce_chunks(
         cuts=carry.cuts,
         counter_interval_s=interval,
         turns=turns.statistics(),
-        counters=_counter_statistics(carry.pairs, times, layout, prepared.open_s2),
+        counters=_counter_statistics(carry.pairs, times, layout, prepared.rounding),
         steps=prepared.steps,
     )
 
@@ -305,7 +309,7 @@ class Thinned:
 
 
 def _counter_statistics(
-    pairs: Pairs, times: Thinned, layout: Layout, open_s2: Sequence[float]
+    pairs: Pairs, times: Thinned, layout: Layout, rounding: Sequence[Rounding]
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
     every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
@@ -314,15 +318,20 @@ def _counter_statistics(
     if every > 1:
         weight = np.add.reduceat(weight, first, axis=0)
         fired = np.logical_or.reduceat(fired, first, axis=0)
-    by_thruster = open_s2 or np.zeros(len(layout.thrusters))
-    by_couple = [max(by_thruster[k] for k in own) for own in layout.couples]
+    by_thruster = rounding or (KNOWN,) * len(layout.thrusters)
+    by_couple = [
+        max((by_thruster[k] for k in own), key=lambda one: one.variance_s2)
+        for own in layout.couples
+    ]
     return CounterStatistics(
         np.concatenate(times.kept),
         times.stride,
         pairs.end_s[first],
         fired,
         weight,
-        np.array(by_couple),
+        np.array([one.variance_s2 for one in by_couple]),
+        np.array([one.ratio for one in by_couple]),
+        np.array([one.coarse for one in by_couple], dtype=np.bool_),
     )
 
 
