@@ -154,3 +154,13 @@ def test_fine_counters_stay_as_they_are() -> None:
     found = expected_on_times(shown, pulses, 1e-4, 0.0)
     np.testing.assert_array_equal(found.on_time_s, shown)
     assert found.rounding == (KNOWN,)
+
+
+def test_steps_longer_than_the_pulses_are_told() -> None:
+    """Pulses of 60 to 120 ms on counters of 125 ms have a step that hides them; of 20 ms not."""
+    widths = np.random.default_rng(8).uniform(0.06, 0.12, 100)
+    for step, hidden in ((CYCLE_S, True), (0.02, False)):
+        shown, _, pulses = readings(widths, step)
+        (found,) = expected_on_times(shown, pulses, step, CYCLE_S).rounding
+        assert found.step_s == pytest.approx(step)
+        assert (found.step_s > found.width_s) is hidden

@@ -58,11 +58,18 @@ class Rounding:
 
     ``variance_s2`` is σ², none of a counter that is known; ``ratio`` is q, infinite where nothing
     is known of the widths. With ``coarse`` the 1 is there for the first and last level only.
+    ``width_s`` is the mean width of a pulse.
     """
 
     variance_s2: float = 0.0
     ratio: float = np.inf
     coarse: bool = False
+    width_s: float = np.inf
+
+    @property
+    def step_s(self) -> float:
+        """Step of the counter, 0 where it is known."""
+        return float(np.sqrt(12.0 * self.variance_s2))
 
 
 KNOWN: Final = Rounding()
@@ -160,7 +167,7 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Ro
     gained = np.zeros_like(change)
     gained[active] = expected[run] * share
     on_time = on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)])
-    return on_time, Rounding(rounding, ratio, coarse)
+    return on_time, Rounding(rounding, ratio, coarse, float(seconds.sum() / count.sum()))
 
 
 def _banded(count: Array, spread: float, rounding: float) -> Array:

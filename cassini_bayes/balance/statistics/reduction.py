@@ -246,7 +246,7 @@ def reduce_chunks(
     Raises
     ------
     InputError
-        Fewer than ten rows can be used.
+        Fewer than ten rows can be used, or a counter's steps are longer than the pulses.
     """
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
@@ -270,6 +270,7 @@ def reduce_chunks(
         )
     gram, places = _by_axes(inner.columns, layout)
     prepared = prepared or Preparation()
+    _require_readable(event_id, layout, prepared.rounding)
     return EventStatistics(
         event_id=event_id,
         kind=kind,
@@ -285,6 +286,23 @@ def reduce_chunks(
         counters=_counter_statistics(carry.pairs, times, layout, prepared.rounding),
         steps=prepared.steps,
     )
+
+
+def _require_readable(event_id: str, layout: Layout, rounding: Sequence[Rounding]) -> None:
+    """Refuse counters whose steps hide the pulses: what was fired cannot be read from them.
+
+    The widths' scatter, which would then be noise, is not known well enough from such readings:
+    overstated noise makes the inertia several standard deviations too large.
+    """
+    for name, own in zip(layout.thrusters, rounding, strict=False):
+        if own.step_s > own.width_s:
+            raise InputError(
+                f"event {event_id}: on_time_{name}_s",
+                f"a counter in finer steps than its pulses, {own.width_s:.3f} s on average",
+                f"steps of {own.step_s:g} s",
+                "give the counter in finer steps; if pulses are whole numbers of control cycles, "
+                "say so by control_cycle_s in the spacecraft file",
+            )
 
 
 class Thinned:
