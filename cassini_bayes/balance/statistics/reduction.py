@@ -38,7 +38,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512
-_FORMAT: Final = 5
+_FORMAT: Final = 6
 BLOCK_ROWS: Final = 4_096
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -67,6 +67,7 @@ class EventStatistics:
     turns: TurnStatistics
     counters: CounterStatistics
     steps: ChannelSteps
+    shown: ShownWheels
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,16 @@ class CounterStatistics:
     open_s2: Array
     open_ratio: Array
     coarse: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ShownWheels:
+    """Measured wheel rates ``rate_rad_s`` (r, W) at the thinned rows of :class:`CounterStatistics`.
+
+    Their rounding is the same in all rows in which a wheel rests.
+    """
+
+    rate_rad_s: Array
 
 
 @dataclass(frozen=True)
@@ -251,13 +262,15 @@ def reduce_chunks(
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
-    turns, times = _Turns(layout, sampling), Thinned()
+    turns, times, wheels = _Turns(layout, sampling), Thinned(), Thinned()
+    wheel = slice(layout.wheel.start - len(layout.vector), layout.wheel.stop - len(layout.vector))
     for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
             inner.gather(_inner_products(rows, layout, sampling.duration_s))
             turns.add(rows)
             times.add(rows.time_s)
+            wheels.add(rows.scalar[:, wheel])
             used += len(rows.time_s)
         interval = interval or counter_interval(chunk)
     if used < LEAST_ROWS:
@@ -285,6 +298,7 @@ def reduce_chunks(
         turns=turns.statistics(),
         counters=_counter_statistics(carry.pairs, times, layout, prepared.rounding),
         steps=prepared.steps,
+        shown=ShownWheels(np.concatenate(wheels.kept)),
     )
 
 
@@ -457,6 +471,7 @@ _PARTS: Final[Mapping[str, Any]] = {
     "turns": TurnStatistics,
     "counters": CounterStatistics,
     "steps": ChannelSteps,
+    "shown": ShownWheels,
 }
 
 
