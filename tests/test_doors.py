@@ -381,7 +381,11 @@ def test_a_bad_fit_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("door", ["HDF5", "MATLAB"])
-@pytest.mark.parametrize("content", [b"", b"text", b"\x89HDF\r\n\x1a\n" + bytes(99), b"MATLAB 5.0"])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"text", b"\x89HDF\r\n\x1a\n" + bytes(99), b"MATLAB 5.0"],
+    ids=["nothing", "text", "HDF5 cut", "MATLAB cut"],
+)
 def test_bytes_of_another_kind_are_refused(tmp_path: Path, door: str, content: bytes) -> None:
     """Nothing, text, and the first bytes of a foreign file."""
     path = tmp_path / DOORS[door].name

@@ -53,9 +53,11 @@ from cassini_bayes.events.telemetry import (
     read_chunks,
     read_event,
 )
+from cassini_bayes.events.telemetry.files import PARQUET
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.cells import cells_of
 from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.foreign import SUFFIXES
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
@@ -579,8 +581,10 @@ def last_time(event: TelemetryEvent) -> float:
     telemetry = event.telemetry
     if event.channels is not None or not isinstance(telemetry, Path):
         return 1.0
+    if telemetry.suffix.lower() in SUFFIXES:
+        return 1.0
     try:
-        if telemetry.suffix == ".parquet":
+        if telemetry.suffix.lower() in PARQUET:
             return _last_time_of_parquet(telemetry)
         with telemetry.open("rb") as stream:
             header = stream.readline().decode("utf-8-sig")

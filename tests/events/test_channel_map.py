@@ -239,7 +239,6 @@ def test_days_of_the_year_are_dates() -> None:
 @given(st.lists(st.integers(0, 5), min_size=3, max_size=30), st.integers(1, 7))
 def test_intervals_add_up_over_chunks(counts: list[int], rows: int) -> None:
     """Counts per interval become running sums, wherever chunks end and cells are empty."""
-    from cassini_bayes.events.telemetry.block import Selection
     from cassini_bayes.events.telemetry.channel_map import Column
     from cassini_bayes.events.telemetry.clocks import Line
     from cassini_bayes.events.telemetry.mapped import MappedTable
@@ -250,7 +249,7 @@ def test_intervals_add_up_over_chunks(counts: list[int], rows: int) -> None:
     values[::3] = np.nan
     table = MemoryTable("memory", {"n": values})
     mapped = MappedTable(table, [Column("pulses_z1", 0, Line(1.0, 0.0), per_interval=True)])
-    found = np.concatenate([b.cells[0] for b in mapped.blocks(rows, Mends(), Selection())])
+    found = np.concatenate([b.cells[0] for b in mapped.blocks(rows, Mends())])
     sums = pd.Series(values).cumsum().to_numpy()  # pandas skips NaN and keeps it in its place
     np.testing.assert_array_equal(found, sums)
 

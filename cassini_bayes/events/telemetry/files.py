@@ -18,7 +18,7 @@ from cassini_bayes.events.telemetry.mapped import MappedTable
 from cassini_bayes.events.telemetry.memory import MemoryTable
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.events.telemetry.parquet_file import open_parquet
-from cassini_bayes.events.telemetry.table import Table
+from cassini_bayes.events.telemetry.table import ForeignTable, Table
 from cassini_bayes.files.foreign import SUFFIXES, read_foreign
 from cassini_bayes.files.reading import open_file
 from cassini_bayes.spacecraft import Spacecraft
@@ -59,7 +59,7 @@ def open_table(
 
 
 @contextmanager
-def open_foreign(telemetry: Path | MemoryTable, delimiter: str = COMMA) -> Iterator[Table]:
+def open_foreign(telemetry: Path | MemoryTable, delimiter: str = COMMA) -> Iterator[ForeignTable]:
     """Open telemetry by its suffix, with the columns that it has; any other suffix is text.
 
     Raises
@@ -72,13 +72,13 @@ def open_foreign(telemetry: Path | MemoryTable, delimiter: str = COMMA) -> Itera
     elif telemetry.suffix.lower() in PARQUET:
         yield open_parquet(telemetry)
     elif telemetry.suffix.lower() in SUFFIXES:
-        yield _ForeignTable(telemetry)
+        yield _WholeFile(telemetry)
     else:
         with open_file(telemetry, "telemetry") as stream:
             yield CsvTable(telemetry, stream, delimiter)
 
 
-class _ForeignTable:
+class _WholeFile:
     """An HDF5 or MATLAB file: its names first, its columns once they are asked for."""
 
     unit: Final = "row"

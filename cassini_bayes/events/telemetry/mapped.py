@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection
+from cassini_bayes.events.telemetry.block import Block, Selection
 from cassini_bayes.events.telemetry.channel_map import Column
 from cassini_bayes.events.telemetry.mends import Mends
-from cassini_bayes.events.telemetry.table import Table
+from cassini_bayes.events.telemetry.table import ForeignTable
 
 MOST_CELLS: Final = 1 << 24
 """Of a block, read or not: some 130 MB, however many columns a file has."""
@@ -20,19 +20,16 @@ MOST_CELLS: Final = 1 << 24
 class MappedTable:
     """An open table whose columns are made from those of another."""
 
-    def __init__(self, table: Table, columns: Sequence[Column]) -> None:
+    def __init__(self, table: ForeignTable, columns: Sequence[Column]) -> None:
         self._table, self._columns = table, tuple(columns)
         self.header = tuple(column.name for column in columns)
         self.header_place = table.header_place
         self.unit = table.unit
-        self.refused: dict[str, str] = {}
 
-    def blocks(self, rows: int, mends: Mends, selection: Selection = EVERYTHING) -> Iterator[Block]:
+    def blocks(self, rows: int, mends: Mends) -> Iterator[Block]:
         """Yield the rows in file order, at most ``rows`` at a time."""
         foreign = self._table.header
-        read = {column.place for column in self._columns} - {
-            self._columns[i].place for i in selection.unread
-        }
+        read = {column.place for column in self._columns}
         asked = Selection(
             {c.place: c.dates for c in self._columns if c.dates is not None},
             frozenset(range(len(foreign))) - read,

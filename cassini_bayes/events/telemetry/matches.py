@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.clocks import reader_of_dates
 from cassini_bayes.events.telemetry.columns import channel_columns
-from cassini_bayes.events.telemetry.files import open_foreign
+from cassini_bayes.events.telemetry.files import PARQUET, open_foreign
 from cassini_bayes.files.checks import parse_number
 from cassini_bayes.files.foreign import SUFFIXES
 from cassini_bayes.files.reading import open_file
@@ -58,7 +59,7 @@ def sample_of(path: Path) -> Sample:
     InputError
         It cannot be read, or has no header.
     """
-    if path.suffix.lower() in (".parquet", ".pq", *SUFFIXES):
+    if path.suffix.lower() in (*PARQUET, *SUFFIXES):
         with open_foreign(path) as table:
             return Sample(path, ",", table.header, {})
     with open_file(path, "telemetry") as stream:
@@ -134,8 +135,6 @@ def _times(sample: Sample) -> list[Match]:
 
 def first_date(value: str) -> bool:
     """Whether a cell is an ISO 8601 time and no number."""
-    from datetime import UTC, datetime
-
     if not value or parse_number(value) is not None:
         return False
     try:

@@ -21,12 +21,19 @@ class Table(Protocol):
         """Where they stand, for messages."""
 
     @property
-    def refused(self) -> Mapping[str, str]:
-        """Columns that cannot be read as numbers or dates, and why."""
-
-    @property
     def unit(self) -> str:
         """``line`` or ``row``, whatever rows are counted in."""
+
+    def blocks(self, rows: int, mends: Mends) -> Iterator[Block]:
+        """Yield the rows in file order, at most ``rows`` at a time."""
+
+
+class ForeignTable(Table, Protocol):
+    """An open table of any columns, of which some can be chosen and some cannot be read."""
+
+    @property
+    def refused(self) -> Mapping[str, str]:
+        """Columns that cannot be read as numbers or dates, and why."""
 
     def blocks(self, rows: int, mends: Mends, selection: Selection = EVERYTHING) -> Iterator[Block]:
         """Yield the rows in file order, at most ``rows`` at a time."""
