@@ -14,6 +14,7 @@ import xarray as xr
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report import figures_of, render_report, sections_of
+from cassini_bayes.report.plots import encoded
 from cassini_bayes.results.record import Fit
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
@@ -143,6 +144,7 @@ def made_up_review(
         baseline=_baseline(rng, events, thrusters, on_time) if baseline else _no_baseline(),
         predictive=_predictive(rng, events, thrusters, on_time),
         balance=_balance(rng, events),
+        worth=_worth(events, thrusters),
         delta_v=_delta_v(rng, events) if delta_v else _no_delta_v(),
         variants=_variants(rng, summary) if delta_v else pd.DataFrame(),
         inertia_methods=pd.DataFrame(),
@@ -172,7 +174,8 @@ def without_corners(section: Section) -> Section:
 
 def page_of(review: Review, figures: dict[str, Figure]) -> str:
     """Its report, with these figures."""
-    return render_report(review, sections_of(review), figures)
+    pictures = {name: encoded(name, figure) for name, figure in figures.items()}
+    return render_report(review, sections_of(review), pictures)
 
 
 def _date(i: int) -> str:
@@ -219,6 +222,11 @@ def _thrust_datasets(
         "thrust_n": (("event", "thruster"), thrust, "N"),
         "thrust_level_n": (("thruster",), level, "N"),
         "thrust_common_n": ((), common, "N"),
+        "impulse_per_on_time_n": (
+            ("event", "thruster"),
+            thrust * (1.0 + values["tau_fall_s"][:, None, None] / 0.4),
+            "N",
+        ),
         "external_torque_n_m": (("event", "axis"), torque, "N m"),
         "rwa_inertia_kg_m2": (
             ("wheel",),
@@ -424,6 +432,19 @@ def _balance(rng: np.random.Generator, events: list[str]) -> pd.DataFrame:
             "sd_n_m_s": 0.5 * noise,
             "noise_sd_n_m_s": noise,
             "standardised": residual / noise,
+        }
+    )
+
+
+def _worth(events: list[str], thrusters: list[str]) -> pd.DataFrame:
+    quantities = [*(f"thrust[all events,{name}]" for name in thrusters), "tau_fall_s"]
+    return pd.DataFrame(
+        {
+            "quantity": np.tile(quantities, len(events)),
+            "block": "thrust",
+            "unit": "N",
+            "event": np.repeat(events, len(quantities)),
+            "narrowing": 0.02,
         }
     )
 

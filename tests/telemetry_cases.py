@@ -13,6 +13,7 @@ from scipy.integrate import trapezoid
 from scipy.linalg import block_diag, null_space, solve_triangular, sqrtm
 from scipy.spatial.transform import Rotation
 
+from cassini_bayes.balance.open_counters import LEAST_RATIO
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     Layout,
@@ -411,7 +412,7 @@ def plain_open(
         return total
     sampling = term.event.sampling
     lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
-    left = term.event.statistics.counters.open_s2
+    counters = term.event.statistics.counters
     for g, members in enumerate(sampling.couples):
         arm = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
         square = 0.0
@@ -424,9 +425,16 @@ def plain_open(
                 apart = step - mean / whole
                 square += close * (1.0 - close) * lost**2 * v * apart @ share @ apart
         ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
-        for start, stop in pairwise(ends):
-            level = ramps * ((times >= start) & (times < stop))
-            square += left[g] * level @ share @ level
+        levels = np.column_stack(
+            [ramps * ((times >= start) & (times < stop)) for start, stop in pairwise(ends)]
+        )
+        apart = np.diff(np.eye(levels.shape[1]), axis=0)
+        seen = np.ones(levels.shape[1])
+        if counters.coarse[g]:
+            seen[1:-1] = 0.0
+        precision = np.diag(seen) + apart.T @ apart / max(counters.open_ratio[g], LEAST_RATIO)
+        open_levels = counters.open_s2[g] * np.linalg.inv(precision)
+        square += np.trace(levels.T @ share @ levels @ open_levels)
         total += square * np.outer(arm, arm)
     return total
 

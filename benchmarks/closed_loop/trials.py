@@ -94,7 +94,8 @@ def run(setting: Setting, index: int, say: Callable[[str], None]) -> None:
     said = _called([setting.command, "diagnose", *inputs, "--out", str(folder / "diagnosis")])
     record["diagnosis"] = said | read_diagnosis(folder / "diagnosis" / "diagnosis.json")
     if setting.fit:
-        fitted = _called([setting.command, "fit", *inputs, "--out", str(folder / "fit")])
+        where = ["--out", str(folder / "fit"), "--no-report"]
+        fitted = _called([setting.command, "fit", *inputs, *where])
         summary = folder / "fit" / "summary.csv"
         table = summary.read_text("utf-8") if summary.exists() else None
         record["fit"] = fitted | {"summary": table}

@@ -15,6 +15,7 @@ from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cassini_bayes.balance.kernel import LEAST_SQUARE
@@ -43,7 +44,9 @@ class Band:
     ``values`` (W,) are the measured wheel rates' mean squares, rad²/s², along the principal axes
     ``vectors`` (W, W); ``walk`` (R,) or (1,) are the variances of a unit random walk's modes, s.
     ``motion`` is None where wheels move by any amount at all frequencies. ``cut`` and ``level``
-    (G,) are mean squares, per couple, of what counters leave open (:class:`OpenSquares`).
+    (G,) are mean squares, per couple, of what counters leave open (:class:`OpenSquares`), and
+    ``resting`` that of the wheel rates' rounding over the one of a single row
+    (:func:`resting_squares`).
     """
 
     rows: int
@@ -53,6 +56,7 @@ class Band:
     motion: CubicSpline | None  # of :func:`motion_table`
     cut: Array
     level: Array  # s²
+    resting: float
 
     @property
     def table(self) -> tuple[Array, Array]:
@@ -88,6 +92,7 @@ def _bands(statistics: EventStatistics) -> Bands:
     waves = np.cos(np.pi / statistics.duration_s * time[:, None] * np.arange(len(turned)))
     places = Places(time, waves, counters.stride)
     left_open = open_squares(statistics, places, turned)
+    resting = resting_squares(statistics, places, turned)
     turning = statistics.kind == "slew"
     edges, still = _edges(statistics, len(walk)), STILL
     bands, grams, rest = [], [], statistics.gram
@@ -95,7 +100,7 @@ def _bands(statistics: EventStatistics) -> Bands:
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         motion = None if turning else motion_table(stop - start, still)
-        noise = left_open.of_modes(start, stop)
+        noise = (*left_open.of_modes(start, stop), float(resting[start:stop].mean()))
         bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion, *noise))
         grams.append(gram)
         rest = rest - gram
@@ -106,7 +111,8 @@ def _bands(statistics: EventStatistics) -> Bands:
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         left = np.array([beyond * statistics.rows / rows])
         motion = None if turning else motion_table(rows, still)
-        noise = left_open.of_rest(rows)
+        rest_resting = max(float(statistics.rows - resting.sum()), 0.0) / rows
+        noise = (*left_open.of_rest(rows), rest_resting)
         bands.append(_band(statistics.layout, rest, left, rows, motion, *noise))
         grams.append(rest)
     slow = np.ascontiguousarray(modes[..., : bands[0].rows])
@@ -140,10 +146,12 @@ def _band(
     motion: CubicSpline | None,
     cut: Array,
     level: Array,
+    resting: float,
 ) -> Band:
     square = gram[0, 0, layout.wheel, layout.wheel]
     values, vectors = np.linalg.eigh(square / rows)
-    return Band(rows, np.maximum(values, LEAST_SQUARE), vectors, walk, motion, cut, level)
+    squares = np.maximum(values, LEAST_SQUARE)
+    return Band(rows, squares, vectors, walk, motion, cut, level, resting)
 
 
 @dataclass(frozen=True)
@@ -197,6 +205,43 @@ def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> 
             modes[which, :, g] = ((places.stride * on_modes.T @ pattern) ** 2).sum(axis=1)
             rows[which, g] = places.stride * (pattern**2).sum()
     return OpenSquares(*modes, *rows)
+
+
+def resting_squares(statistics: EventStatistics, places: Places, turned: Array) -> Array:
+    """Square (M,) of the wheel rates' rounding on every mode, over that of a single row.
+
+    Rounding is white where a wheel moves by more than a step between rows, or passes one step
+    after the other: over a step its mean is nothing. While a wheel *rests*, at a printed value that
+    it does not leave on the other side, the rounding is the same in all rows, and the slow modes
+    have all of it. Mean over wheels of Σ_runs |Φᵀ 1_run|², with runs of one row where nothing
+    rests.
+    """
+    if statistics.steps.wheel_rad_s == 0.0:
+        return np.ones(turned.shape[1])
+    on_modes, stride = places.waves @ turned, places.stride
+    shown = statistics.shown.rate_rad_s
+    total = np.zeros(turned.shape[1])
+    for rates in shown.T:
+        starts = _runs(rates)
+        lengths = np.diff(starts, append=len(rates))
+        # a row on its own stands for ``stride`` rows with roundings of their own
+        own = np.where(lengths == 1, stride, stride**2)
+        total += own @ np.add.reduceat(on_modes, starts) ** 2
+    return np.asarray(total / shown.shape[1])
+
+
+def _runs(rates: Array) -> NDArray[np.intp]:
+    """First rows of the runs that share a rounding: printed values at rest, else every row."""
+    change = np.diff(rates)
+    edges = np.flatnonzero(change != 0.0) + 1
+    bounds = np.concatenate([[0], edges, [len(rates)]])
+    sign = np.sign(change[edges - 1])
+    passes = np.zeros(len(bounds) - 1, dtype=bool)
+    passes[1:-1] = sign[1:] == sign[:-1]
+    single = np.repeat(passes, np.diff(bounds))
+    first = np.zeros(len(rates), dtype=bool)
+    first[bounds[:-1]] = True
+    return np.flatnonzero(first | single)
 
 
 @dataclass(frozen=True)

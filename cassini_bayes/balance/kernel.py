@@ -76,7 +76,7 @@ class Noise(NamedTuple):
 
     wheels: Array  # (n, 3, W) momentum per wheel rate
     beside: Array  # (n, 1 + F, 3, 3) covariance without wheels and torque noise, (N m s)²
-    wheel: Array  # (n,) variance of measured wheel rates, rad²/s²
+    wheel: Array  # (n, 1 + F) variance of measured wheel rates, rad²/s²
     walk: Array  # (n,) density of torque noise, N² m² s
     turns: Array  # (n, T, 3, 3) covariance of a contrast of integrated columns, (N m s²)²
 
@@ -131,9 +131,9 @@ def normal_equations(
     is_told = slow.nodes.size > 0
     for i in range(n):
         used, own = weights[i], noise.wheels[i]
-        log_scale[i] = _slow_wheels(slow, noise.wheel[i], kept[i, 0])
+        log_scale[i] = _slow_wheels(slow, noise.wheel[i, 0], kept[i, 0])
         _see(own, kept[i, 0], entries.wheel_entries, used, seen)
-        _add_wheels(noise.beside[i, 0], noise.wheel[i], seen, own, covariance)
+        _add_wheels(noise.beside[i, 0], noise.wheel[i, 0], seen, own, covariance)
         _diagonalise(covariance, axes)
         for e in range(3):
             for m in range(modes):
@@ -159,13 +159,13 @@ def normal_equations(
                     products,
                     other,
                     own,
-                    noise.wheel[i],
+                    noise.wheel[i, 1 + f],
                     kept[i, 1 + f],
                 )
             else:
                 kept[i, 1 + f] = np.eye(wheels)
             _see(own, kept[i, 1 + f], entries.wheel_entries, used, seen)
-            _add_wheels(other, noise.wheel[i], seen, own, covariance)
+            _add_wheels(other, noise.wheel[i, 1 + f], seen, own, covariance)
             log_determinant = _invert(covariance, other)
             if not is_told:
                 log_scale[i] -= 0.5 * fast.rows[f] * log_determinant

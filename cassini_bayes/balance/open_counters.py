@@ -9,12 +9,16 @@ independent level between two firings (docs/topics/telemetry-likelihood.md §7).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
+from scipy.linalg import cholesky_banded, solve_banded
 
 from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
 from cassini_bayes.computing.arrays import Array
+
+LEAST_RATIO: Final = 1e-6  # of widths all alike: what stays open is one constant
 
 
 def cut_patterns(counters: CounterStatistics, couple: int, duration_s: float, step: Array) -> Array:
@@ -35,10 +39,22 @@ def cut_patterns(counters: CounterStatistics, couple: int, duration_s: float, st
 def level_patterns(counters: CounterStatistics, couple: int, step: Array, always: Array) -> Array:
     """Patterns (n, s), in s of on-time and of variance 1, of a couple's rounded counters.
 
-    ``always`` (n, 1) is what a constant leaves in the rows.
+    Levels between two firings have the precision (1 + D'D/q)/σ² = U'U/σ² of
+    :class:`~cassini_bayes.balance.statistics.counters.Rounding`, and the patterns are B U⁻¹, B what
+    a level leaves in the rows. ``always`` (n, 1) is what a constant leaves in them.
     """
     ends = np.concatenate([always, step[:, counters.fired[:, couple]]], axis=1)
-    return np.asarray(-np.diff(ends, axis=1, append=0.0) * np.sqrt(counters.open_s2[couple]))
+    levels = -np.diff(ends, axis=1, append=0.0) * np.sqrt(counters.open_s2[couple])
+    bound = 1.0 / max(counters.open_ratio[couple], LEAST_RATIO)
+    if bound == 0.0 or not levels.any():
+        return np.asarray(levels)
+    place = np.arange(levels.shape[1])
+    first, last = place == 0, place == len(place) - 1
+    neighbours = 2.0 - first - last
+    seen = (first | last) if counters.coarse[couple] else np.ones(len(place))
+    factor = cholesky_banded(np.stack([np.full(len(place), -bound), seen + bound * neighbours]))
+    lower = np.stack([factor[1], np.roll(factor[0], -1)])  # of U', by columns
+    return np.asarray(solve_banded((1, 0), lower, levels.T).T)
 
 
 def patterns_at(

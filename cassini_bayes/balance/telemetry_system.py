@@ -19,10 +19,10 @@ from cassini_bayes.balance.telemetry_terms import (
     TelemetryBalance,
     balance_weights,
     band_covariances,
+    band_wheel_variances,
     own_prior,
     turn_covariances,
     turn_weights,
-    wheel_variance,
 )
 from cassini_bayes.computing.arrays import Array
 
@@ -73,7 +73,7 @@ def event_system(
     noise = Noise(
         np.ascontiguousarray(event.wheel_weights(physics)),
         band_covariances(event, physics, parameters, thrust_n),
-        wheel_variance(event, parameters),
+        band_wheel_variances(event, parameters),
         parameters["torque_noise_n_m_s05"] ** 2,
         turn_covariances(event, physics, parameters, thrust_n),
     )

@@ -292,6 +292,8 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     """
     if len(event.fast) < 2 or any(band.motion is not None for band in event.fast):
         return event
+    if event.statistics.steps.wheel_rad_s > 0.0:  # rounding, too, differs by band
+        return event
     first, rows = event.fast[0], sum(band.rows for band in event.fast)
     reduced = event.reduced
     return replace(
@@ -401,6 +403,14 @@ def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> 
     """Variance (n,) of a measured wheel rate, its rounding included, rad²/s²."""
     noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
     return np.asarray(noise**2 + event.statistics.steps.wheel_rad_s**2 / 12.0)
+
+
+def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Variance (n, 1 + F) of measured wheel rates in every band, rad²/s²: rounding is not white."""
+    noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
+    resting = np.array([band.resting for band in (event.slow, *event.fast)])
+    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0 * resting
+    return np.ascontiguousarray(noise[:, None] ** 2 + rounding)
 
 
 def covariance_beside_wheels(

@@ -11,9 +11,12 @@ import typer
 from cassini_bayes import __version__
 from cassini_bayes.cli import (
     calibrations,
+    checks,
     diagnoses,
     fits,
+    listings,
     predictions,
+    reports,
     simulations,
     starts,
     sweeps,
@@ -26,7 +29,7 @@ app = typer.Typer(
     name="cassini-bayes",
     help="Bayesian posteriors of a spacecraft's thruster forces from wheel-bias telemetry.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 
@@ -34,14 +37,19 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it; typer turns the interrupt into it."""
 
 app.command("init")(starts.init_command)
+app.command("check")(checks.check_command)
 app.command("run")(fits.run_command)
 app.command("fit")(fits.fit_command)
+app.command("report")(reports.report_command)
 app.command("diagnose")(diagnoses.diagnose_command)
 app.command("simulate")(simulations.simulate_command)
 app.command("sweep")(sweeps.sweep_command)
 app.command("trend")(trends.trend_command)
 app.command("predict")(predictions.predict_command)
 app.command("plan")(predictions.plan_command)
+app.command("causes")(listings.causes_command)
+app.command("parameters")(listings.parameters_command)
+app.command("quantities")(listings.quantities_command)
 app.command("diagnose-published")(calibrations.diagnose_published_command)
 app.add_typer(calibrations.app, name="calibrate")
 

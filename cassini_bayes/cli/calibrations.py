@@ -218,7 +218,7 @@ def calibrate_two_wheels_command(
     scenario: ScenarioFile = HYBRID_SCENARIO,
     priors: PriorsFile = HYBRID_PRIORS,
     events: Annotated[str, typer.Option("--events", help="Ids of the scenario's events.")] = (
-        "mosaic,spin-up"
+        "mosaic"
     ),
     trials: Trials = None,
     quick: Quick = False,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -46,47 +47,44 @@ def diagnose_command(
     quiet: Quiet = False,
 ) -> None:
     """Show what the simulation gets wrong, name the cause, measure the gain."""
-    import numpy as np
-
-    from cassini_bayes.computing.workers import cores
-    from cassini_bayes.diagnosis.balance_case import BalanceCase
-    from cassini_bayes.diagnosis.case import Case
-    from cassini_bayes.diagnosis.diagnosis import Diagnosis, diagnose
-    from cassini_bayes.diagnosis.estimates import is_estimates
-    from cassini_bayes.diagnosis.read import read_estimate_case, read_events
-    from cassini_bayes.effects.registry import read_kinds
-    from cassini_bayes.events.plausibility import Policy
-    from cassini_bayes.report.diagnosis import diagnosis_json, write_diagnosis
+    from cassini_bayes.pipeline.diagnoses import diagnose
+    from cassini_bayes.report.diagnosis import diagnosis_json
 
     if (out / "diagnosis.json").exists() and not force:
         raise InputError(str(out), "a new folder", "an existing diagnosis", "add --force")
     reporter = ConsoleReporter(quiet)
-    number, processes = DEFAULT_SEED if seed is None else seed, cores()
-    kinds = read_kinds(effects or ())
-    case: Case[Any]
-    if any(is_estimates(Path(event)) for event in events):
-        if then_fit:
-            raise InputError("--then-fit", "telemetry or totals", "printed estimates", "drop it")
-        case = read_estimate_case(events, priors, kinds)
-    else:
-        policy = Policy.of(accept or [], leave_out=leave_out)
-        case = BalanceCase(read_events(events, priors, source, reporter.say, kinds, policy))
-    rng = np.random.default_rng(number)
-    result: Diagnosis[Any] = diagnose(
-        case, rng, measure_gain=gain, log=reporter.say, workers=processes
+    if then_fit:
+        refuse_estimates(events)
+    result = diagnose(
+        events,
+        priors,
+        own_effects=effects or (),
+        source=source,
+        gain=gain,
+        accept=accept or [],
+        leave_out=leave_out,
+        seed=DEFAULT_SEED if seed is None else seed,
+        log=reporter.say,
+        draw=True,
     )
-    result.record["seed"] = number
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
-    result.record["effects"] = dict(kinds.files)
-    write_diagnosis(result, out, out.name, processes)
-    if then_fit and isinstance(case, BalanceCase):
-        from cassini_bayes.diagnosis.refit import fit_extended
-
-        fit_extended(result, out / "extended", number, reporter.say)
+    reporter.say("figures and report")
+    page = result.report(out)
+    if then_fit:
+        result.fit(out / "extended", log=reporter.say)
     if as_json:
         typer.echo(diagnosis_json(result.record).rstrip())
     elif not quiet:
-        typer.echo(str(out / "report.html"))
-    for sentence in case.findings:
+        typer.echo("\n".join([*result.sentences, str(page)]))
+    findings = result.record["findings"]
+    for sentence in findings:
         typer.echo(f"warning: {sentence}", err=True)
-    raise typer.Exit(1 if strict and case.findings else 0)
+    raise typer.Exit(1 if strict and findings else 0)
+
+
+def refuse_estimates(events: Sequence[str]) -> None:
+    """Printed estimates have no model to sample: say so before anything is searched."""
+    from cassini_bayes.diagnosis.estimates import is_estimates
+
+    if any(is_estimates(Path(event)) for event in events):
+        raise InputError("--then-fit", "telemetry or totals", "printed estimates", "drop it")

@@ -16,6 +16,7 @@ from cassini_bayes.cli.options import (
     Force,
     Json,
     LeaveOut,
+    NoReport,
     OwnSeed,
     Quiet,
     Resume,
@@ -80,10 +81,11 @@ def fit_command(
     accept: Accept = None,
     leave_out: LeaveOut = False,
     strict: Strict = False,
+    no_report: NoReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Posterior only: fit.nc and tables, no report."""
+    """Posterior of events: fit.nc, tables, figures and report."""
     from cassini_bayes.pipeline.run_file import check_run
 
     sampler: dict[str, Any] = {} if seed is None else {"seed": seed}
@@ -96,7 +98,7 @@ def fit_command(
             "leave_out": leave_out,
             "model": {"effects": effect or []},
             "sampler": sampler,
-            "output": {"report": False},
+            "output": {"report": not no_report},
         },
         "command line",
     )
@@ -144,11 +146,16 @@ def _finish(outcome: Outcome, as_json: bool, quiet: bool, strict: bool) -> None:
             "seconds": round(outcome.seconds, 1),
             "interval": "90 % highest density",
             "summary": outcome.review.summary[columns].to_dict(orient="records"),
+            "verdict": list(outcome.verdict),
             "warnings": list(warnings),
         }
         typer.echo(json.dumps(result))
     elif not quiet:
-        report = outcome.folder / "report.html"
+        for sentence in outcome.verdict:
+            typer.echo(sentence)
+        report, figures = outcome.folder / "report.html", outcome.folder / "figures"
+        if report.exists():
+            typer.echo(str(figures))
         typer.echo(str(report if report.exists() else outcome.folder / "summary.csv"))
     if not outcome.converged:
         typer.echo(

@@ -34,6 +34,7 @@ Accept = Annotated[
 LeaveOut = Annotated[
     bool, typer.Option("--leave-out", help="Leave out single cells of telemetry that do not fit.")
 ]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out figures and HTML report.")]
 Strict = Annotated[
     bool,
     typer.Option("--strict", help="Exit with 1 where data, priors and physics contradict."),

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import json
-import time
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cassini_bayes.cli.options import Accept, Json, Quiet, Seed
-from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
-    from cassini_bayes.prediction.learning import Learned
-    from cassini_bayes.prediction.planning import Plan
+    from cassini_bayes.pipeline.predictions import PredictionResult
     from cassini_bayes.prediction.predict import Prediction
-    from cassini_bayes.prediction.requests import BiasRequest
-    from cassini_bayes.prediction.sources import Sources
 
-Fit = Annotated[Path, typer.Option("--fit", help="fit.nc of a run (its folder says the rest).")]
+Fit = Annotated[Path, typer.Option("--fit", help="Folder of a run, or its fit.nc.")]
 Events = Annotated[
-    str | None, typer.Option("--events", help="Totals CSV of the fit, if it has moved.")
+    str | None, typer.Option("--events", help="Events of the fit, if they have moved.")
 ]
 PriorsFile = Annotated[
     Path | None, typer.Option("--priors", help="Priors file of the fit, if it has moved.")
@@ -61,27 +56,29 @@ def predict_command(
     quiet: Quiet = False,
 ) -> None:
     """Predict planned wheel biases: on-times, pulses, ΔV, hydrazine, duration."""
-    from cassini_bayes.prediction.predict import predict
-    from cassini_bayes.prediction.sources import learn_from_fit, read_sources
+    from cassini_bayes.pipeline.predictions import predict
 
-    began = time.perf_counter()
-    sources = read_sources(fit, events, priors, accept=accept or [])
-    requests = _requests(sources, bias, epoch, branch, quaternion)
-    learned = learn_from_fit(fit, sources, seed)
-    _warn(learned)
-    predictions = [
-        predict(learned, request, _stream(seed, i)) for i, request in enumerate(requests)
-    ]
-    seconds = time.perf_counter() - began
-    results = [_as_result(learned, p, simulations if simulate else 0, seed) for p in predictions]
-    document: dict[str, Any] = {"seconds": round(seconds, 3), "seed": seed, "biases": results}
+    found = predict(
+        fit,
+        bias,
+        epoch=epoch,
+        branch=branch,
+        quaternion=quaternion,
+        events=events,
+        priors=priors,
+        accept=accept or [],
+        seed=seed,
+    )
+    _warn(found.warnings)
+    flown = [_closed_loop(found, own, simulations) if simulate else {} for own in found]
+    document = found.as_record(flown)
     if out is not None:
-        _write(out, predictions, document)
+        found.save(out, document)
     if as_json:
         typer.echo(json.dumps(document))
     elif not quiet:
-        typer.echo("\n\n".join(_text(p, r) for p, r in zip(predictions, results, strict=True)))
-        typer.echo(f"\nanswered in {seconds:.2f} s", err=True)
+        typer.echo("\n\n".join(_text(p, r) for p, r in zip(found, flown, strict=True)))
+        typer.echo(f"\nanswered in {found.seconds:.2f} s", err=True)
 
 
 def plan_command(
@@ -120,158 +117,55 @@ def plan_command(
     quiet: Quiet = False,
 ) -> None:
     """Rank wheel biases by what they teach of a quantity, or find the one that costs least."""
-    from cassini_bayes.prediction.planning import plan, plan_csv, plan_dictionary, plan_text
-    from cassini_bayes.prediction.sources import learn_from_fit, read_sources
+    from cassini_bayes.pipeline.predictions import PlanResult, plan
 
-    if (quantity is None) == (minimise is None):
-        raise InputError(
-            "plan",
-            "either --quantity or --minimise",
-            "neither" if quantity is None else "both",
-            "write e.g. --minimise z_throughput",
-        )
-    sources = read_sources(fit, events, priors, accept=accept or [])
-    wheels, rates = _start(sources, start)
-    learned = learn_from_fit(fit, sources, seed)
-    _warn(learned)
-    if quantity is None:
-        assert minimise is not None
-        text, document = _cheapest(sources, learned, minimise, (wheels, rates), to, limit, seed)
-        if as_json or not quiet:
-            typer.echo(json.dumps(document) if as_json else text)
-        return
-    found = plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
-    if out is not None:
-        from cassini_bayes.files.storage import write_text
-
-        write_text(out / "plan.csv", plan_csv(found))
-        _save_plan_figure(found, out)
+    found = plan(
+        fit,
+        quantity,
+        minimise=minimise,
+        to=to,
+        limit=limit,
+        start=start,
+        levels=levels,
+        budget=budget,
+        top=top,
+        events=events,
+        priors=priors,
+        accept=accept or [],
+        seed=seed,
+    )
+    _warn(found.warnings)
+    if out is not None and isinstance(found, PlanResult):
+        found.save(out)
     if as_json:
-        typer.echo(json.dumps(plan_dictionary(found, top)))
+        typer.echo(json.dumps(found.as_record()))
     elif not quiet:
-        typer.echo(plan_text(found, top))
+        typer.echo(repr(found))
 
 
-def _cheapest(
-    sources: Sources,
-    learned: Learned,
-    objective: str,
-    start: tuple[tuple[int, ...], list[float]],
-    to: str | None,
-    limit_s: float | None,
-    seed: int,
-) -> tuple[str, dict[str, Any]]:
-    from cassini_bayes.prediction.minimise import (
-        accumulated_throughput,
-        cheapest_bias,
-        cheapest_dictionary,
-        cheapest_text,
-    )
-    from cassini_bayes.prediction.requests import parse_rates
-
-    wanted = {} if to is None else parse_rates(to, sources.model.spacecraft, "--to")
-    found = cheapest_bias(learned, objective, *start, wanted, _stream(seed, 0))
-    throughput = accumulated_throughput(sources.events, found.prediction, limit_s)
-    return cheapest_text(found, throughput), cheapest_dictionary(found, throughput)
+def _warn(warnings: Sequence[str]) -> None:
+    for sentence in warnings:
+        typer.echo(f"warning: {sentence}", err=True)
 
 
-def _warn(learned: Learned) -> None:
-    """Say so when the weights that join physics and firing logic leave few effective draws."""
-    from cassini_bayes.prediction.learning import FEW_DRAWS
+def _closed_loop(found: PredictionResult, own: Prediction, simulations: int) -> dict[str, Any]:
+    """The same bias flown in closed loop: means and standard deviations of its flights."""
+    from cassini_bayes.studies.closed_loop import simulate_request
 
-    if learned.effective_draws < FEW_DRAWS:
-        typer.echo(
-            f"warning: physics and firing logic share only {learned.effective_draws:.0f} effective "
-            "draws: intervals are rough; check that the events are like one another",
-            err=True,
+    flown = simulate_request(found.learned, own.request, simulations, found.seed)
+    first = [unit[0] for unit in own.units]
+    means = {
+        f"{kind}_{name}": {"unit": unit, "mean": mean, "sd": sd}
+        for kind, unit, values in (
+            ("on_time", "s", flown.on_time_s[:, first]),
+            ("pulses", "count", flown.pulses[:, first]),
         )
-
-
-def _stream(seed: int, row: int) -> Any:
-    import numpy as np
-
-    return np.random.default_rng(np.random.SeedSequence((seed, 1, row)))
-
-
-def _requests(
-    sources: Sources, bias: str, epoch: str | None, branch: str | None, quaternion: str | None
-) -> tuple[BiasRequest, ...]:
-    """The planned biases, checked against the fit; options fill in what a CSV leaves open."""
-    from cassini_bayes.prediction.requests import (
-        check_request,
-        parse_bias,
-        parse_epoch,
-        parse_quaternion,
-        read_requests,
-    )
-
-    spacecraft = sources.model.spacecraft
-    if bias.endswith(".csv"):
-        found = read_requests(Path(bias), spacecraft)
-    else:
-        found = (parse_bias(bias, spacecraft),)
-    when = None if epoch is None else parse_epoch(epoch)
-    turned = None if quaternion is None else parse_quaternion(quaternion)
-    filled = tuple(
-        replace(
-            request,
-            epoch=request.epoch or when,
-            branch=request.branch or branch,
-            quaternion=request.quaternion or turned,
+        for name, mean, sd in zip(
+            own.unit_names(), values.mean(0).tolist(), values.std(0).tolist(), strict=True
         )
-        for request in found
-    )
-    first = min(event.epoch for event in sources.events)
-    for request in filled:
-        check_request(request, spacecraft, sources.model.branch, sources.priors.wheels, first)
-    return filled
-
-
-def _start(sources: Sources, text: str | None) -> tuple[tuple[int, ...], list[float]]:
-    """Prime wheels and their rates before the planned bias."""
-    from cassini_bayes.prediction.requests import parse_rates
-
-    last = max(sources.events, key=lambda event: event.epoch)
-    if text is None:
-        return last.wheels, [float(rate) for rate in last.rwa_end_rpm]
-    rates = parse_rates(text, sources.model.spacecraft, "--from")
-    wheels = tuple(sorted(rates))
-    for number in wheels:
-        if number not in sources.priors.wheels:
-            raise InputError(
-                "--from",
-                f"prime wheels {', '.join(map(str, sources.priors.wheels))}",
-                f"wheel {number}",
-                "drop it, or plan with a fit in which it is prime",
-            )
-    return wheels, [rates[number] for number in wheels]
-
-
-def _as_result(
-    learned: Learned, prediction: Prediction, simulations: int, seed: int
-) -> dict[str, Any]:
-    from cassini_bayes.prediction.summary import as_dictionary
-
-    result = as_dictionary(prediction)
-    if simulations:
-        from cassini_bayes.studies.closed_loop import simulate_request
-
-        flown = simulate_request(learned, prediction.request, simulations, seed)
-        first = [unit[0] for unit in prediction.units]
-        result["closed_loop"] = {
-            f"{kind}_{name}": {"unit": unit, "mean": mean, "sd": sd}
-            for kind, unit, values in (
-                ("on_time", "s", flown.on_time_s[:, first]),
-                ("pulses", "count", flown.pulses[:, first]),
-            )
-            for name, mean, sd in zip(
-                prediction.unit_names(),
-                values.mean(0).tolist(),
-                values.std(0).tolist(),
-                strict=True,
-            )
-        } | {"simulations": len(flown.duration_s), "duration_s": float(flown.duration_s.mean())}
-    return result
+    }
+    counted = {"simulations": len(flown.duration_s), "duration_s": float(flown.duration_s.mean())}
+    return {"closed_loop": means | counted}
 
 
 def _text(prediction: Prediction, result: dict[str, Any]) -> str:
@@ -288,22 +182,3 @@ def _text(prediction: Prediction, result: dict[str, Any]) -> str:
         head = f"closed loop, {flown['simulations']} flights: mean ± standard deviation"
         text = "\n".join([text, head, *rows])
     return text
-
-
-def _write(folder: Path, predictions: list[Prediction], document: dict[str, Any]) -> None:
-    from cassini_bayes.files.storage import write_text
-    from cassini_bayes.prediction.summary import as_csv
-    from cassini_bayes.report.plots import save_figures
-    from cassini_bayes.report.plots.prediction import prediction_figure
-
-    write_text(folder / "prediction.json", json.dumps(document, indent=1) + "\n")
-    write_text(folder / "prediction.csv", as_csv(predictions))
-    figures = {p.request.id: prediction_figure(p) for p in predictions}
-    save_figures(figures, folder / "figures")
-
-
-def _save_plan_figure(found: Plan, folder: Path) -> None:
-    from cassini_bayes.report.plots import save_figures
-    from cassini_bayes.report.plots.prediction import plan_figure
-
-    save_figures({"plan": plan_figure(found)}, folder)

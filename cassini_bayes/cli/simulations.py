@@ -23,15 +23,19 @@ def simulate_command(
 ) -> None:
     """Simulate a scenario: event folders, totals.csv and truth.json."""
     # numba takes a moment to import
-    from cassini_bayes.studies.scenario import own_effects, simulate_scenario
+    from cassini_bayes.studies.scenario import simulate
 
-    own = own_effects(effects or ())
-    simulation = simulate_scenario(scenario, out, seed, ConsoleReporter(quiet), force, own)
+    simulation = simulate(
+        scenario,
+        out,
+        seed=seed,
+        own_effects=effects or (),
+        force=force,
+        reporter=ConsoleReporter(quiet),
+    )
     if plot:
         from cassini_bayes.report.plots import save_figures
-        from cassini_bayes.report.plots.simulation import motion_figure
 
-        figures = {event.plan.event.id: motion_figure(event) for event in simulation.events}
-        save_figures(figures, out / "figures")
+        save_figures(simulation.plot_motion(), out / "figures")
     folders = [str(out / event.plan.event.id) for event in simulation.events]
     typer.echo(json.dumps({"seed": seed, "events": folders}) if as_json else "\n".join(folders))

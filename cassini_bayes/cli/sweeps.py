@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from cassini_bayes.pipeline.sweep_run import SweepOutcome
-    from cassini_bayes.sweep.specification import SweepFile
 
 
 def sweep_command(
@@ -46,38 +45,25 @@ def sweep_command(
     quiet: Quiet = False,
 ) -> None:
     """Sweep the priors of a finished run; go on with the same command after a stop."""
-    from cassini_bayes.pipeline.run_file import read_run_file
-    from cassini_bayes.pipeline.sweep_run import execute_sweep
+    from cassini_bayes.pipeline.by_file import sweep
 
-    run = read_run_file(run_file)
-    where = "command line" if spec is None else str(spec)
-    sweep = _sweep_file(spec, where, {"quantities": quantity or None, "refit": refit})
-    outcome = execute_sweep(
-        run,
-        run_file.parent,
-        fit or run_file.parent / (run.output.folder or run_file.stem),
-        sweep,
-        where,
+    outcome = sweep(
+        run_file,
+        spec=spec,
+        quantities=quantity,
+        refit=refit,
+        fit=fit,
         jobs=jobs,
         dask=dask,
         report=not no_report,
-        reporter=ConsoleReporter(quiet),
         page=page,
+        reporter=ConsoleReporter(quiet),
         command=["cassini-bayes", *sys.argv[1:]],
     )
     if as_json:
         typer.echo(json.dumps(as_record(outcome), allow_nan=False))
     elif not quiet:
         typer.echo(str(outcome.folder / "sweep.csv"))
-
-
-def _sweep_file(spec: Path | None, where: str, options: dict[str, Any]) -> SweepFile:
-    """The sweep file, or the defaults without one, with the options that were given."""
-    from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
-
-    sweep = SweepFile() if spec is None else read_sweep_file(spec)
-    given = {key: value for key, value in options.items() if value is not None}
-    return check_sweep({**sweep.model_dump(), **given}, where) if given else sweep
 
 
 def as_record(outcome: SweepOutcome) -> dict[str, Any]:

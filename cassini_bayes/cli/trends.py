@@ -23,25 +23,18 @@ def trend_command(
     quiet: Quiet = False,
 ) -> None:
     """Thrust of every thruster over a mission; goes on with the same command, with events added."""
-    from cassini_bayes.model.mission.mission_file import read_mission_file
-    from cassini_bayes.pipeline.trend_run import execute_trend
+    from cassini_bayes.pipeline.by_file import trend
 
-    mission = read_mission_file(mission_file)
-    if seed is not None:
-        trend = mission.trend.model_copy(update={"seed": seed})
-        mission = mission.model_copy(update={"trend": trend})
-    outcome = execute_trend(
-        mission,
-        str(mission_file),
-        mission_file.parent,
-        out or mission_file.parent / mission_file.stem,
-        name=mission_file.stem,
-        command=["cassini-bayes", *sys.argv[1:]],
-        reporter=ConsoleReporter(quiet),
+    outcome = trend(
+        mission_file,
+        out,
+        seed=seed,
         report=not no_report,
+        reporter=ConsoleReporter(quiet),
+        command=["cassini-bayes", *sys.argv[1:]],
     )
     if as_json:
         typer.echo(json.dumps({"folder": str(outcome.folder), **outcome.record}, allow_nan=False))
     elif not quiet:
         typer.echo(str(outcome.folder / ("trend.csv" if no_report else "report.html")))
-    raise typer.Exit(0 if outcome.fit.converged else 1)
+    raise typer.Exit(0 if outcome.converged else 1)

@@ -50,6 +50,7 @@ from cassini_bayes.diagnosis.separation import separating_measurement
 from cassini_bayes.diagnosis.sizes import effect_draws, summarised
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.registry import Kinds
 
 Candidate = Weighed[OnTimeHypothesis]
 NEAR_NATS: Final = 10.0  # behind the best, up to which importance draws decide
@@ -167,6 +168,11 @@ class OnTimeCase(Case[OnTimeHypothesis]):
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
         """With importance draws."""
         return self._sampled(pair, rng)
+
+    @property
+    def kinds(self) -> Kinds:
+        """Those of its catalogue."""
+        return self.catalogue.kinds
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From importance draws, or those of the linear form."""

@@ -1,8 +1,8 @@
-"""Events named on the command line, read for a diagnosis."""
+"""Events as a caller gives them, read for a diagnosis."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,26 +12,16 @@ from cassini_bayes.diagnosis.estimates import estimates_of, is_estimates, read_e
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility import (
-    STRICT,
-    Policy,
-    content_of_totals,
-    refuse_duplicates,
-)
-from cassini_bayes.events.telemetry import TelemetryEvent
-from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.event_reduction import (
-    ReducedEvent,
-    check_rows,
-    is_event_folder,
-    reduce_event,
-)
-from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.events.plausibility import STRICT, Policy
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.gather import EventLike, gather
+from cassini_bayes.priors.reader import Priors, read_priors
 
 
 def read_events(
-    references: Sequence[str | TelemetryEvent],
-    priors_path: Path,
+    references: Iterable[EventLike],
+    priors: Path | Priors,
     source: str = "flight",
     log: Log = silent,
     kinds: Kinds | None = None,
@@ -42,9 +32,9 @@ def read_events(
     Parameters
     ----------
     references
-        Event folders, events of telemetry, totals CSV files (all rows) or ``file.csv:ID``.
-    priors_path
-        The priors file.
+        Event folders, totals CSV files (all rows), ``file.csv:ID``, or events that were read.
+    priors
+        The priors, or their file.
     source
         Which rows of a totals CSV.
     log
@@ -59,26 +49,12 @@ def read_events(
     InputError
         Bad data or priors, as when fitting.
     """
-    priors = read_priors(priors_path)
-    telemetry: list[ReducedEvent] = []
-    rows: list[TotalsEvent] = []
-    findings: list[str] = []
-    contents: list[tuple[str, str]] = []
-    for given in references:
-        if isinstance(given, TelemetryEvent) or is_event_folder(Path(given)):
-            reduced = reduce_event(given, priors, "first_order", policy=policy)
-            telemetry.append(reduced)
-            findings += reduced.reading.findings
-            name = given.id if isinstance(given, TelemetryEvent) else str(Path(given))
-            contents.append((name, reduced.reading.content))
-        else:
-            own = read_totals(given, priors.spacecraft, source)
-            findings += check_rows(own, priors, given, policy)
-            contents += [(f"{given}: {row.id}", content_of_totals(row)) for row in own]
-            rows += own
-    findings += refuse_duplicates(contents, policy)
+    known = priors if isinstance(priors, Priors) else read_priors(priors)
+    found, findings = gather(references, known, source=source, policy=policy)
+    telemetry = [event for event in found if isinstance(event, ReducedEvent)]
+    rows = [event for event in found if isinstance(event, TotalsEvent)]
     log(f"read {len(telemetry)} telemetry events and {len(rows)} totals rows")
-    return replace(prepare(telemetry, priors, rows, kinds), findings=tuple(findings))
+    return replace(prepare(telemetry, known, rows, kinds), findings=findings)
 
 
 def read_estimate_case(

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cassini_bayes.balance.physics import Parameters
+from cassini_bayes.balance.computed_delta_v import event_channel_log_likelihood
+from cassini_bayes.balance.physics import Parameters, delta_v_variance
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.posterior import Collapsed, Model, collapse
 from cassini_bayes.model.terms import TORQUE, TermDraws
@@ -108,4 +109,40 @@ def event_log_density(model: Model, z: Array, draws: Draws) -> Array:
                 axis=1,
             )
         )
+    return np.concatenate(found)
+
+
+def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array | None) -> Array:
+    """Log density (n, E) of each event's data given what all events share.
+
+    What is an event's own (departures of thrust, torque, initial momentum) is integrated out under
+    its prior: the unit of leave-one-event-out, where the density given all of an event's own
+    unknowns would judge it by what was fitted to it.
+
+    Parameters
+    ----------
+    z, level_n
+        Walked coordinates (n, d), and levels of all thrusters (n, K) in N.
+    software
+        Constants (n, 2) of the on-board ΔV, where a model has rows with one.
+    """
+    found = []
+    for rows in model.batches(len(z)):
+        points = model.points(z[rows])
+        offset = level_n[rows] - points.common_n[:, None]
+        parts = []
+        for term in model.terms:
+            at = term.at(points)
+            if term.events[0].fires:
+                own = model.thrust_prior.own
+                parts.append(at.information.without_own(own).about(offset).constant)
+            else:
+                parts.append(at.log_likelihood[:, None])
+        for i, term in enumerate(model.totals):
+            if term.computed is not None and software is not None:
+                variance = delta_v_variance(points.parameters)
+                parts[i] = parts[i] + event_channel_log_likelihood(
+                    term.computed, software[rows], variance
+                )
+        found.append(np.concatenate(parts, axis=1))
     return np.concatenate(found)

@@ -10,7 +10,7 @@ Noise levels act on the scatter of the rows, not on their mean, and have no plac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -71,18 +71,56 @@ def observability(model: Model) -> Observability:
     return Observability(table, singular, together, _sentences(table, singular, together))
 
 
+def event_worth(model: Model) -> pd.DataFrame:
+    """What each event is worth: how much wider every shared quantity would be without it.
+
+    The same linearisation as :func:`observability`, each event's own unknowns (departures of its
+    thrusts, torque, momentum) integrated out under their priors, so that informations of events add
+    up. One row per event and quantity (thrust levels; walked parameters but the noise levels):
+    ``narrowing`` = 1 − sd with all events / sd without this one.
+    """
+    unknowns = model.unknowns
+    size = unknowns.levels.stop
+    own = np.zeros((len(model.events), size, size))
+    for place, places, part in _parts(model, unknowns):
+        shared = np.flatnonzero(places < size)
+        own[place][np.ix_(places[shared], places[shared])] += _marginal(part, shared)
+    total = own.sum(0) + np.eye(size)
+    everything = _shared_rows(model, unknowns, np.linalg.inv(total))
+    tables = []
+    for event, information in zip(model.events, own, strict=True):
+        without = _shared_rows(model, unknowns, np.linalg.inv(total - information))
+        narrowing = 1.0 - everything["expected_sd"] / without["expected_sd"]
+        named = everything[["quantity", "block", "unit"]]
+        tables.append(named.assign(event=event.id, narrowing=narrowing))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _shared_rows(model: Model, unknowns: Unknowns, covariance: Array) -> pd.DataFrame:
+    """Thrust levels and walked parameters, from the covariance of what the events share."""
+    factor = model.space.correlation_factor
+    expected = factor @ covariance[unknowns.walked, unknowns.walked] @ factor.T
+    levels = _level_rows(model, unknowns, covariance)
+    return pd.DataFrame([*levels, *_walked_rows(model, expected)])
+
+
 def _information(model: Model, unknowns: Unknowns) -> Array:
     """Expected information (size, size) of the data on all standardised unknowns."""
     information = np.zeros((unknowns.size, unknowns.size))
+    for _, places, part in _parts(model, unknowns):
+        information[np.ix_(places, places)] += part
+    return information
+
+
+def _parts(model: Model, unknowns: Unknowns) -> Iterator[tuple[int, Places, Array]]:
+    """Event, the places of the unknowns it acts on, and its expected information on them."""
     points = model.points(_steps(model))
     slopes = _level_slopes(model)
     for term, events in zip(model.terms, model.events_of_term, strict=True):
         for event, part in term.at(points).expected_information(unknowns, events.start, STEP):
-            places = unknowns.of_event(event)
             if slopes.size and model.events[event].fires:
                 part = _with_levels(part, slopes, model.thrust_prior)
-            information[np.ix_(places, places)] += part
-    return information
+            yield event, unknowns.of_event(event), part
 
 
 def _steps(model: Model) -> Array:
@@ -144,15 +182,36 @@ def _walked_rows(model: Model, expected: Array) -> list[dict[str, object]]:
 
 def _thrust_rows(model: Model, unknowns: Unknowns, covariance: Array) -> list[dict[str, object]]:
     """Thrust of every thruster in every event that fires, and of its level over all events."""
+    return _level_rows(model, unknowns, covariance) + _rows_of_cases(
+        model,
+        unknowns,
+        covariance,
+        [
+            (event.id, places.departures, model.thrust_prior.own)
+            for event, places in zip(model.events, unknowns.events, strict=True)
+            if event.fires
+        ],
+    )
+
+
+def _level_rows(model: Model, unknowns: Unknowns, covariance: Array) -> list[dict[str, object]]:
+    """Thrust of every thruster over all events, where any fires."""
+    if not model.fires:
+        return []
+    nothing = slice(unknowns.levels.stop, unknowns.levels.stop)
+    case = ("all events", nothing, model.thrust_prior.own[:, :0])
+    return _rows_of_cases(model, unknowns, covariance, [case])
+
+
+def _rows_of_cases(
+    model: Model,
+    unknowns: Unknowns,
+    covariance: Array,
+    cases: Sequence[tuple[str, slice, Array]],
+) -> list[dict[str, object]]:
+    """Thrust of every thruster in each case: its name, places and factor of its departures."""
     rows: list[dict[str, object]] = []
     prior, levels, slopes = model.thrust_prior, unknowns.levels, _level_slopes(model)
-    nothing = slice(levels.stop, levels.stop)
-    cases = [("all events", nothing, prior.own[:, :0])] if model.fires else []
-    cases += [
-        (event.id, places.departures, prior.own)
-        for event, places in zip(model.events, unknowns.events, strict=True)
-        if event.fires
-    ]
     for event, departures, factor in cases:
         index = np.r_[: slopes.shape[1], levels, departures]
         design = np.concatenate([slopes, prior.shared, factor], axis=1)

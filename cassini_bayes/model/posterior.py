@@ -58,6 +58,7 @@ class Model(Shared):
     totals: tuple[TotalsTerm, ...]
     telemetry: tuple[TelemetryTerm, ...]
     idle: Mapping[str, float]  # parameters of wheels that no event uses
+    priors: Priors
     effects: tuple[Effect, ...] = ()  # beyond the standard physics
 
     @property
@@ -205,6 +206,7 @@ def build_model(
         totals=totals,
         telemetry=telemetry,
         idle={name: 0.0 for name in priors.spacecraft.wheel_parameters() if name not in names},
+        priors=priors,
     )
     model = with_effects(model, effects)
     return model if keep_idle else without_idle(model)

@@ -85,6 +85,31 @@ def provenance_of(
     )
 
 
+def read_provenance(path: Path) -> Provenance:
+    """The record of a finished run.
+
+    Raises
+    ------
+    InputError
+        The file is missing, or is no such record.
+    """
+    found = read_json(path, "the record of a run")
+    try:
+        return Provenance(
+            identity=str(found["identity"]),
+            versions=dict(found["versions"]),
+            digests=dict(found["sha256"]),
+            seed=int(found["seed"]),
+            command=tuple(map(str, found["command"])),
+            started_utc=str(found["started_utc"]),
+            code_sha256=str(found["package"]["code_sha256"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            str(path), "the record of a run", f"none ({error})", "run the fit again"
+        ) from error
+
+
 def refuse_other_run(path: Path, identity: str) -> None:
     """Refuse to resume what began with other inputs; without a readable record, blocks decide.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
@@ -23,12 +23,14 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.model.observability import observability
-from cassini_bayes.pipeline.inputs import STATISTICS, Inputs, read_inputs
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile
-from cassini_bayes.report.sections import figures_of, sections_of, write_tables
-from cassini_bayes.results.fitting import Sampled, convergence_table, fit_model
-from cassini_bayes.results.record import save_fit
+from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
+from cassini_bayes.report.verdict import verdict
+from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
+from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import worst_convergence
 from cassini_bayes.sampling.ensembles import MAX_RHAT, ProgressReport
@@ -59,12 +61,13 @@ class Reporter(Protocol):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run produced; ``converged`` decides the exit code."""
+    """What a run produced; ``converged`` decides the exit code, ``verdict`` is the answer."""
 
     folder: Path
     review: Review
     converged: bool
     seconds: float
+    verdict: tuple[str, ...] = ()
 
 
 def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
@@ -179,7 +182,6 @@ def execute(
         threads=cores(),
     )
     save_fit(sampled.fit, folder / "fit.nc")
-    reporter.say("tables")
     review = Review(
         name=name,
         model=inputs.model,
@@ -187,40 +189,57 @@ def execute(
         fit=sampled.fit,
         z=sampled.flat_z,
         convergence=convergence_table(sampled),
-        facts=_facts(run, inputs, sampled, provenance),
+        facts=facts_of(run, inputs.model, sampled.fit, provenance),
         notes=(*inputs.findings, *sampled.warnings),
         seed=run.sampler.seed,
         what_if=run.output.report,
     )
-    converged = _converged(review, sampled)
+    review.work_out(cores())
+    converged = is_converged(review)
+    write_results(review, folder, reporter.say, report=run.output.report)
+    seconds = time.monotonic() - began
+    reporter.say(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
+    return Outcome(folder, review, converged, seconds, tuple(verdict(review)))
+
+
+def write_results(
+    review: Review, folder: Path, say: Callable[[str], None], *, report: bool
+) -> None:
+    """Write what a run makes of its fit: ``summary.csv``, ``tables/``, figures and report.
+
+    Parameters
+    ----------
+    report
+        Whether to draw ``figures/`` and write ``report.html`` too.
+    """
+    say("tables")
     sections = sections_of(review)
     write_text(folder / "summary.csv", frame_csv(review.summary))
     write_tables(sections, folder / "tables")
-    if run.output.report:
+    if report:
         from cassini_bayes.report import write_report
-        from cassini_bayes.report.plots import save_figures
+        from cassini_bayes.report.plots import save_pictures
 
-        reporter.say("figures and report")
-        figures = figures_of(sections)
-        save_figures(figures, folder / "figures")
-        write_report(review, sections, figures, folder / "report.html")
-    seconds = time.monotonic() - began
-    reporter.say(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
-    return Outcome(folder, review, converged, seconds)
+        say("figures and report")
+        pictures = pictures_of(sections, cores())
+        save_pictures(pictures, folder / "figures")
+        write_report(review, sections, pictures, folder / "report.html")
 
 
-def _converged(review: Review, sampled: Sampled) -> bool:
+def is_converged(review: Review) -> bool:
+    """Whether the stop rule held, and every scalar has its R-hat and effective sample size."""
+    attributes = review.fit.attributes
     rhat, bulk, tail = worst_convergence(review.summary)
-    target = sampled.settings.target_ess
-    done = sampled.chains.convergence.done
-    return done and rhat < MAX_RHAT and bulk >= target and tail >= target
+    target = float(attributes["target_ess"])
+    done = attributes["stop_rule"] == ALL_MET
+    return bool(done and rhat < MAX_RHAT and bulk >= target and tail >= target)
 
 
-def _facts(
-    run: RunFile, inputs: Inputs, sampled: Sampled, provenance: Provenance
+def facts_of(
+    run: RunFile, model: Model, fit: Fit, provenance: Provenance | None = None
 ) -> dict[str, str]:
-    fit, warm, chains = sampled.fit, sampled.warm, sampled.chains
-    convergence = chains.convergence
+    """What is to be said of a run as a whole, by heading, from its settings and its fit."""
+    kept = fit.attributes
     stats = fit.groups["sample_stats"]
     expansion = {}
     if "jacobian_expansion_error" in stats:
@@ -229,32 +248,50 @@ def _facts(
             f"error {error.mean():+.4f} ± {error.std():.4f} nats (mean ± sd)"
         )
     return {
-        "Stop rule": (
-            f"{'met' if convergence.done else 'NOT met'} at step {convergence.step}: steps after "
-            f"burn-in > 50 τ (largest τ {convergence.autocorrelation_time.max():.1f} steps), τ "
-            f"changed < 5 % (changed {convergence.tau_change:.1%}), R-hat between ensembles < 1.01 "
-            f"({convergence.rhat.max():.4f}), bulk and tail ESS ≥ {run.sampler.target_ess} "
-            f"({convergence.ess.min():.0f})"
-        ),
+        "Stop rule": _stop_rule(fit, run.sampler.target_ess),
         "Sampler": (
-            f"{run.sampler.ensembles} independent ensembles of {chains.z.shape[2]} walkers, "
-            f"acceptance {chains.acceptance.mean():.0%}, seed {run.sampler.seed}"
+            f"{run.sampler.ensembles} independent ensembles of {kept['walkers']} walkers, "
+            f"acceptance {kept['acceptance']:.0%}, seed {run.sampler.seed}"
         ),
         "Draws": (
             f"{fit.posterior.sizes['chain']} × {fit.posterior.sizes['draw']} stored, after "
-            f"{chains.burn_in} burn-in steps"
+            f"{kept['burn_in_steps']} burn-in steps"
         ),
         "Log evidence": (
-            f"{warm.draws.log_evidence:.3f} ± {warm.draws.log_evidence_se:.3f} (importance draws, "
-            f"Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}; Laplace "
-            f"{warm.laplace_log_evidence:.3f})"
+            f"{kept['log_evidence']:.3f} ± {kept['log_evidence_se']:.3f} (importance draws, "
+            f"Pareto k̂ {kept['pareto_k']:.2f}{_efficiency(fit)}; Laplace "
+            f"{kept['laplace_log_evidence']:.3f})"
         ),
         **expansion,
         "Pulse shape": run.model.pulse_shape,
         "ΔV": run.model.delta_v,
         **({"Effects": ", ".join(run.model.effects)} if run.model.effects else {}),
-        "Data rows": _data_rows(run, inputs),
+        "Data rows": _data_rows(run, model),
         **({"Accepted mistakes": ", ".join(run.accept)} if run.accept else {}),
+        **({} if provenance is None else _origin(provenance)),
+    }
+
+
+def _stop_rule(fit: Fit, target_ess: int) -> str:
+    """The criteria with their figures, as far as the fit has them (earlier versions kept none)."""
+    kept = fit.attributes
+    if "largest_tau_steps" not in kept:
+        return f"at step {kept['steps']}: {kept['stop_rule']}"
+    return (
+        f"{'met' if kept['stop_rule'] == ALL_MET else 'NOT met'} at step {kept['steps']}: steps "
+        f"after burn-in > 50 τ (largest τ {kept['largest_tau_steps']:.1f} steps), τ changed < 5 % "
+        f"(changed {kept['tau_change']:.1%}), R-hat between ensembles < 1.01 "
+        f"({kept['worst_rhat']:.4f}), bulk and tail ESS ≥ {target_ess} ({kept['least_ess']:.0f})"
+    )
+
+
+def _efficiency(fit: Fit) -> str:
+    share = fit.attributes.get("importance_efficiency")
+    return "" if share is None else f", efficiency {share:.0%}"
+
+
+def _origin(provenance: Provenance) -> dict[str, str]:
+    return {
         "Versions": ", ".join(f"{name} {version}" for name, version in provenance.versions.items()),
         "Package": f"cassini_bayes {__version__}",
         "SHA-256 of the inputs": "; ".join(
@@ -266,9 +303,9 @@ def _facts(
     }
 
 
-def _data_rows(run: RunFile, inputs: Inputs) -> str:
+def _data_rows(run: RunFile, model: Model) -> str:
     """Where the data came from; the source chooses rows of totals files only."""
     named, rows = ", ".join(run.events), f"source “{run.source}”"
-    if not inputs.model.telemetry:
+    if not model.telemetry:
         return f"{rows} of {named}"
-    return f"telemetry{f'; totals rows of {rows}' if inputs.model.totals else ''}: {named}"
+    return f"telemetry{f'; totals rows of {rows}' if model.totals else ''}: {named}"

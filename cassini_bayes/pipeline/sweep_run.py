@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
+import pandas as pd
 import tomli_w
 
 from cassini_bayes import __version__
@@ -24,6 +25,7 @@ from cassini_bayes.files.storage import remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
 from cassini_bayes.pipeline.run_file import RunFile
+from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.record import Fit, read_fit
 from cassini_bayes.sweep.models import Factory
 from cassini_bayes.sweep.plan import Sweep, plan, reported_quantiles
@@ -46,7 +48,7 @@ class Reporter(Protocol):
         """Cells done, and the time left."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class SweepOutcome:
     """What a sweep produced, and how long it took (cells already stored take none)."""
 
@@ -54,6 +56,20 @@ class SweepOutcome:
     tables: SweepTables
     cells: int
     seconds: float
+
+    def summary(self) -> pd.DataFrame:
+        """One row per quantity and cell: its mean and sd, shift and width against the baseline."""
+        return with_interval(self.tables.sweep, "central 90 %")
+
+    def _state(self) -> str:
+        quantities = self.tables.baseline["quantity"].nunique()
+        return f"{self.cells} cells, {quantities} quantities; in {self.folder}"
+
+    def __repr__(self) -> str:
+        return f"SweepOutcome: {self._state()}"
+
+    def _repr_html_(self) -> str:
+        return html_of("Sweep of priors", [self._state()], self.tables.baseline)
 
 
 def execute_sweep(

@@ -12,9 +12,9 @@ import json
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
@@ -27,16 +27,26 @@ from cassini_bayes.model.mission.inputs import MissionInputs, read_mission
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.pipeline.provenance import library_versions
 from cassini_bayes.pipeline.run import Reporter
+from cassini_bayes.report.shown import html_of, names_shown, with_interval
+from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.mission.fitting import MissionFit, fit_mission, loss_prior
-from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend
+from cassini_bayes.results.mission.record import (
+    earlier_draws,
+    save_state,
+    save_trend,
+    trend_draws,
+)
 from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
+
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
 
 CHECKPOINT: Final = "checkpoint"
 DRAWN_BY: Final = ("model.mission.inputs", "results.mission.fitting")
 """Modules whose code, with all that they import, the draws of a trend depend on."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrendOutcome:
     """What a trend produced; ``fit.converged`` decides the exit code."""
 
@@ -45,6 +55,49 @@ class TrendOutcome:
     trend: Trend
     record: Mapping[str, Any]
     seconds: float
+    dated: Mapping[str, str] = field(default_factory=dict)  # facts by epoch, in words
+
+    @property
+    def converged(self) -> bool:
+        """Whether the draws can be relied upon."""
+        return self.fit.converged
+
+    def summary(self) -> pd.DataFrame:
+        """One row per event and thruster: thrust (N) with its central 90 % interval."""
+        return with_interval(self.trend.thrust, "90 % central")
+
+    def health(self) -> pd.DataFrame:
+        """One row per thruster: probability that it fails, its loss, the alarm."""
+        return with_interval(self.trend.health, "90 % central")
+
+    def forecast(self) -> pd.DataFrame:
+        """Thrusts at the dates that the mission file asks for."""
+        return with_interval(self.trend.forecast, "90 % central")
+
+    def plot_trends(self) -> dict[str, Figure]:
+        """Three figures of every branch: thrust, normalised thrust, losses."""
+        from cassini_bayes.report.plots import draw
+        from cassini_bayes.report.plots.mission import mission_drawings
+
+        own = self.trend
+        return draw(mission_drawings(own.thrust, own.health, own.onsets, self.dated))
+
+    def to_arviz(self) -> Any:  # ArviZ carries no types
+        """Thrusts of all events and what was walked as the posterior of ``InferenceData``."""
+        draws = trend_draws(self.fit, self.trend)
+        return draws_as_inference_data({str(k): v for k, v in draws.data_vars.items()}, "posterior")
+
+    def _state(self) -> str:
+        state = "converged" if self.converged else "NOT CONVERGED"
+        return f"{state}; events {names_shown(tuple(self.record['events']))}; in {self.folder}"
+
+    def __repr__(self) -> str:
+        rows = self.trend.health.to_dict(orient="records")
+        failing = [f"{r['branch']} {r['thruster']}" for r in rows if r["alarm"]]
+        return f"TrendOutcome: {self._state()}; alarms: {', '.join(failing) or 'none'}"
+
+    def _repr_html_(self) -> str:
+        return html_of("Trend of a mission", [self._state()], self.health())
 
 
 def execute_trend(
@@ -91,15 +144,15 @@ def execute_trend(
     write_text(
         folder / "provenance.json", json.dumps(_provenance(inputs, laws, command), indent=2) + "\n"
     )
+    dated = {str(fact.epoch): fact.what.replace("_", " ") for fact in mission.dated}
     if report:
-        dated = {str(fact.epoch): fact.what.replace("_", " ") for fact in mission.dated}
         figures = draw(mission_drawings(trend.thrust, trend.health, trend.onsets, dated))
         save_figures(figures, folder / "figures")
         made = f"Made by {' '.join(command)} with cassini_bayes {__version__}."
         write_trend_report(folder / "report.html", name, fit, mission, trend, figures, made)
     seconds = time.monotonic() - began
     reporter.say(f"{'done' if fit.converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
-    return TrendOutcome(folder, fit, trend, record, seconds)
+    return TrendOutcome(folder, fit, trend, record, seconds, dated)
 
 
 def _fitted(

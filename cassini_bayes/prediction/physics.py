@@ -10,11 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from cassini_bayes.balance.totals_system import NOISE
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
@@ -23,13 +25,19 @@ from cassini_bayes.model.posterior import Model, log_posterior
 from cassini_bayes.model.totals import SOFTWARE, software_of
 from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
+from cassini_bayes.results.record import Fit
 from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
+
+RECORDED: Final = ("rate_rad_s", "rwa_rpm")
+"""Channels that a fit of telemetry has observed."""
+NO_CAUSE: Final = "none"
+"""What the fit of a diagnosis is called where nothing extends its model."""
 
 
 @dataclass(frozen=True)
 class Physics:
-    """Joint draws of everything a fit of totals events infers; leading axis n.
+    """Joint draws of everything a fit infers that a prediction needs; leading axis n.
 
     ``parameters`` are the walked and fixed ones by name; ``thrust_n`` (n, E, K) of the fitted
     events, ``level_n`` (n, K) of every thruster over all events, ``software`` (n, 2) factor and
@@ -89,8 +97,11 @@ def importance_physics(
     return physics, warm.draws.efficiency, warm.draws.pareto_k
 
 
-def physics_of_fit(model: Model, path: Path, rng: np.random.Generator, size: int) -> Physics:
-    """Read ``size`` random draws of a fit, checked against the events of the model.
+def physics_of_fit(model: Model, fit: Path | Fit, rng: np.random.Generator, size: int) -> Physics:
+    """``size`` random draws of a fit or of its file, checked against the events of the model.
+
+    Of a fit of telemetry the model is that of its biases' totals. What only totals rows tell
+    (how well attitude is held) comes from its prior there: the fit says nothing of it.
 
     Raises
     ------
@@ -98,8 +109,20 @@ def physics_of_fit(model: Model, path: Path, rng: np.random.Generator, size: int
         The file is missing, is no fit, or was made of other events.
     """
     needed = {"posterior": ("thrust_common_n",), "observed_data": ("event", "on_time_s")}
-    groups, _ = read_groups(path, needed, "a fit.nc of this package")
+    path = fit if isinstance(fit, Path) else Path("fit")
+    groups, attributes = (
+        read_groups(fit, needed, "a fit.nc of this package")
+        if isinstance(fit, Path)
+        else (fit.groups, fit.attributes)
+    )
     posterior = groups["posterior"]
+    if attributes.get("causes", NO_CAUSE) != NO_CAUSE:
+        raise InputError(
+            str(path),
+            "a fit of the standard physics",
+            f"one extended by {attributes['causes']}",
+            "predict from the fit without it: predictions do not have effects",
+        )
     _check_events(model, path, groups["observed_data"])
     chains, draws = posterior["thrust_common_n"].shape
     chosen = np.sort(rng.choice(chains * draws, min(size, chains * draws), False))
@@ -110,20 +133,41 @@ def physics_of_fit(model: Model, path: Path, rng: np.random.Generator, size: int
         for name, variable in posterior.data_vars.items()
         if variable.dims[:2] == ("chain", "draw")
     }
+    values["thrust_n"] = values["thrust_n"][:, _places(model, posterior), :]
+    values |= _held(model, groups["observed_data"], values, rng)
     wheels = posterior.coords["wheel"].values.tolist() if "wheel" in posterior.coords else []
     return _from_values(model, values, wheels, path)
 
 
+def _places(model: Model, posterior: xr.Dataset) -> list[int]:
+    """Where the model's events are among those of the fit."""
+    ids = [str(name) for name in posterior["event"].values]
+    return [ids.index(name) for name in model.event_ids]
+
+
+def _held(
+    model: Model, observed: xr.Dataset, values: Mapping[str, Array], rng: np.random.Generator
+) -> dict[str, Array]:
+    """Prior draws of the noise of totals rows, where the fit has no such rows."""
+    names = [name for name in NOISE if name in model.space.names and name not in values]
+    if not names or not set(observed.data_vars) & set(RECORDED):
+        return {}
+    z = model.space.sample(rng, len(values["thrust_level_n"]))
+    drawn = model.space.to_parameters(z)
+    return {name: np.asarray(drawn[name]) for name in names}
+
+
 def _check_events(model: Model, path: Path, observed: xr.Dataset) -> None:
     ids = tuple(str(name) for name in observed["event"].values)
-    on_time = observed["on_time_s"].values
     stack = model.totals_rows.stack
-    if ids != stack.event_ids or not np.allclose(on_time, stack.on_time_s, atol=1e-9):
+    known = set(stack.event_ids) <= set(ids)
+    on_time = observed["on_time_s"].sel(event=list(stack.event_ids)).values if known else None
+    if on_time is None or not np.allclose(on_time, stack.on_time_s, atol=1e-9):
         raise InputError(
             str(path),
             f"a fit of the events {', '.join(stack.event_ids)}",
-            f"one of {', '.join(ids)}" if ids != stack.event_ids else "other on-times",
-            "name the totals file that the fit was made of (--events)",
+            "other on-times" if known else f"one of {', '.join(ids)}",
+            "name the events that the fit was made of (--events)",
         )
 
 

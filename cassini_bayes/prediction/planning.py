@@ -13,6 +13,7 @@ with c = Cov(r, Q). docs/topics/prediction.md derives it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -60,6 +61,11 @@ class Candidate:
     on_time_s: Array
 
     @property
+    def cost(self) -> float:
+        """Hydrazine in g; where no event of the fit printed any, on-time of all thrusters in s."""
+        return self.hydrazine_g if math.isfinite(self.hydrazine_g) else float(self.on_time_s.sum())
+
+    @property
     def information_per_gram(self) -> float:
         """Nats per gram of hydrazine."""
         return self.information_nats / max(self.hydrazine_g, 1e-9)
@@ -76,12 +82,15 @@ class Plan:
     wheels: tuple[int, ...]
     candidates: tuple[Candidate, ...]
 
+    @property
+    def has_hydrazine(self) -> bool:
+        """Whether events of the fit printed hydrazine, from which that of a bias is learnt."""
+        return all(math.isfinite(candidate.hydrazine_g) for candidate in self.candidates)
+
     def front(self) -> tuple[Candidate, ...]:
-        """Candidates that no other beats in both information and hydrazine, cheapest first."""
+        """Candidates that no other beats in both information and cost, cheapest first."""
         found: list[Candidate] = []
-        for candidate in sorted(
-            self.candidates, key=lambda c: (c.hydrazine_g, -c.information_nats)
-        ):
+        for candidate in sorted(self.candidates, key=lambda c: (c.cost, -c.information_nats)):
             if not found or candidate.information_nats > found[-1].information_nats:
                 found.append(candidate)
         return tuple(found)
@@ -150,6 +159,10 @@ def plan(
         worst = float(start[np.abs(start).argmax()])
         raise InputError(
             "--from", f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min", f"{worst:g}", "check them"
+        )
+    if budget_g is not None and learned.hydrazine is None:
+        raise InputError(
+            "--budget", "a fit whose events print hydrazine", "one without", "leave it out"
         )
     judge = _Judge.of(learned, draws, wheels)
     one = typical(learned)
@@ -314,6 +327,8 @@ def plan_dictionary(found: Plan, top: int) -> dict[str, Any]:
 
 
 def _per_gram(found: Plan) -> list[Candidate]:
+    if not found.has_hydrazine:
+        return []
     return sorted(found.candidates, key=lambda c: -c.information_per_gram)
 
 
@@ -322,7 +337,7 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
         "to_rpm": list(candidate.end_rpm),
         "information_nats": candidate.information_nats,
         "sd_after": candidate.sd_after,
-        "hydrazine_g": candidate.hydrazine_g,
+        "hydrazine_g": candidate.hydrazine_g if math.isfinite(candidate.hydrazine_g) else None,
         "duration_s": candidate.duration_s,
     }
 
@@ -348,13 +363,19 @@ def plan_text(found: Plan, top: int) -> str:
         ("most informative", found.candidates[:top]),
         ("most per gram", _per_gram(found)[:top]),
     ):
+        if not chosen:
+            continue
         lines += [
             "",
             f"{title}: ends [rev/min], gain [nats], 1 sigma after, hydrazine [g], time [s]",
         ]
         lines += [
             f"{'  '.join(f'{rate:7.0f}' for rate in c.end_rpm)}  {c.information_nats:8.4f}"
-            f"  {c.sd_after:10.4g}  {c.hydrazine_g:7.1f}  {c.duration_s:6.0f}"
+            f"  {c.sd_after:10.4g}  {_grams_shown(c):>7}  {c.duration_s:6.0f}"
             for c in chosen
         ]
     return "\n".join(lines)
+
+
+def _grams_shown(candidate: Candidate) -> str:
+    return f"{candidate.hydrazine_g:.1f}" if math.isfinite(candidate.hydrazine_g) else "–"

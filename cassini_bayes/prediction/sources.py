@@ -11,24 +11,27 @@ import numpy as np
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
+from cassini_bayes.events.recorded_totals import is_bias, recorded_totals
+from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.model.event_reduction import check_rows
+from cassini_bayes.model.event_reduction import check_rows, is_event_folder
 from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
 from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.results.record import Fit
 
 FIT_DRAWS = 2_000
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Events, priors and model of a fit."""
+    """Wheel biases of a fit as totals, its priors, and the model of those totals."""
 
     events: tuple[TotalsEvent, ...]
     priors: Priors
@@ -68,12 +71,12 @@ def read_sources(
             f"one with effects {', '.join(model_table['effects'])}",
             "predict from a fit without [model] effects: predictions do not have them",
         )
-    priors_path = priors or _locate(fit, resolved.get("priors"), "--priors")
+    priors_path = priors or locate(fit, resolved.get("priors"), "--priors")
     read = read_priors(priors_path)
     references = (
         [events]
         if events
-        else [str(_locate(fit, name, "--events")) for name in resolved.get("events", [])]
+        else [str(locate(fit, n, "--events", read)) for n in resolved.get("events", [])]
     )
     if not references:
         raise InputError(
@@ -81,11 +84,23 @@ def read_sources(
         )
     rows = source or str(resolved.get("source", "flight"))
     policy = Policy.of([*resolved.get("accept", []), *accept])
-    tables = {name: read_totals(name, read.spacecraft, rows) for name in references}
-    found = tuple(event for table in tables.values() for event in table)
+    tables = {
+        name: read_totals(name, read.spacecraft, rows)
+        for name in references
+        if not is_event_folder(Path(name))
+    }
     for name, table in tables.items():
         check_rows(table, read, name, policy)
-    refuse_duplicates([(event.id, content_of_totals(event)) for event in found], policy)
+    printed = tuple(event for table in tables.values() for event in table)
+    refuse_duplicates([(event.id, content_of_totals(event)) for event in printed], policy)
+    found = (*printed, *_recorded(references, read))
+    if not found:
+        raise InputError(
+            str(fit),
+            "a fit with wheel biases among its events",
+            f"none of {', '.join(references)} is one",
+            "predict from a fit of wheel biases: they show how thrusters are fired",
+        )
     model = build_model(
         found,
         read,
@@ -95,8 +110,19 @@ def read_sources(
     return Sources(found, read, model)
 
 
+def _recorded(references: Sequence[str], priors: Priors) -> tuple[TotalsEvent, ...]:
+    """Totals of the wheel biases among recordings; slews and burns teach no firing logic."""
+    folders = (Path(name) for name in references if is_event_folder(Path(name)))
+    events = (read_event(folder, priors.spacecraft) for folder in folders)
+    return tuple(recorded_totals(event, priors.spacecraft) for event in events if is_bias(event))
+
+
 def learn_from_fit(
-    fit: Path, sources: Sources, seed: int, beliefs: Beliefs | None = None, size: int = FIT_DRAWS
+    fit: Path | Fit,
+    sources: Sources,
+    seed: int,
+    beliefs: Beliefs | None = None,
+    size: int = FIT_DRAWS,
 ) -> Learned:
     """Condition prediction on a fit and the events behind it."""
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0)))
@@ -109,17 +135,30 @@ def _resolved(folder: Path) -> dict[str, Any]:
     return read_toml(path, "what a run was resolved to") if path.exists() else {}
 
 
-def _locate(fit: Path, name: object, option: str) -> Path:
-    """The file that a run names, looked for from the run file's folder on, with its digest."""
+def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -> Path:
+    """The file or event folder that a run names, looked for from the run file's folder on.
+
+    It has the digest that the run wrote down. ``priors`` say of which spacecraft an event folder
+    is.
+
+    Raises
+    ------
+    InputError
+        It is nowhere, or has changed; ``option`` is how to name it.
+    """
     if not isinstance(name, str):
         raise InputError(
             str(fit), f"{option}, as no resolved.toml lies beside it", "none", f"name {option}"
         )
-    wanted = _digests(fit.parent).get(_file_of(name))
+    digests = _digests(fit.parent)
     for base in (fit.parent.parent, Path(), fit.parent):
         path = base / name
+        if priors is not None and is_event_folder(path):
+            if digests.get(name) in (None, read_event(path, priors.spacecraft).digest):
+                return path
+            continue
         file = base / _file_of(name)
-        if file.is_file() and (wanted is None or digest(file) == wanted):
+        if file.is_file() and digests.get(_file_of(name)) in (None, digest(file)):
             return path
     raise InputError(
         str(fit),

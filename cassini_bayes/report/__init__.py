@@ -3,38 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.report.page import Section
-from cassini_bayes.report.plots import encode, is_corner
+from cassini_bayes.report.plots import Picture
 from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT
 from cassini_bayes.report.plots.tables import all_events_of, events_of
-from cassini_bayes.report.sections import figures_of, sections_of, write_tables
-from cassini_bayes.report.telemetry import inertia_numbers, inertia_sentence
+from cassini_bayes.report.sections import figures_of, pictures_of, sections_of, write_tables
+from cassini_bayes.report.telemetry import inertia_numbers
 from cassini_bayes.report.templating import address_of, rendered
 from cassini_bayes.report.thrusts import key_numbers, summary_sentences
+from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.review import Review
 
-if TYPE_CHECKING:
-    from cassini_bayes.report.plots import Figure
-
-__all__ = ["figures_of", "render_report", "sections_of", "write_report", "write_tables"]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure as a data address."""
-
-    name: str
-    address: str
+__all__ = [
+    "figures_of",
+    "pictures_of",
+    "render_report",
+    "sections_of",
+    "write_report",
+    "write_tables",
+]
 
 
 def write_report(
-    review: Review, sections: Sequence[Section], figures: Mapping[str, Figure], path: Path
+    review: Review, sections: Sequence[Section], pictures: Mapping[str, Picture], path: Path
 ) -> None:
     """Write the report as one self-contained HTML file, atomically.
 
@@ -45,11 +40,11 @@ def write_report(
     InputError
         The place cannot be written.
     """
-    write_text(path, render_report(review, sections, figures))
+    write_text(path, render_report(review, sections, pictures))
 
 
 def render_report(
-    review: Review, sections: Sequence[Section], figures: Mapping[str, Figure]
+    review: Review, sections: Sequence[Section], pictures: Mapping[str, Picture]
 ) -> str:
     """The report as HTML; every text of the review is escaped."""
     return rendered(
@@ -62,15 +57,16 @@ def render_report(
         n_events=len(all_events_of(review)),
         has_thrusts=bool(events_of(review)),
         has_telemetry=bool(review.model.telemetry),
-        summary=[*inertia_sentence(review), *summary_sentences(review)],
+        verdict=verdict(review),
+        summary=summary_sentences(review),
         key_numbers=[*inertia_numbers(review), *key_numbers(review)],
-        pictures={name: Picture(name, _address(name, figure)) for name, figure in figures.items()},
+        pictures={name: _address(own) for name, own in pictures.items()},
         chapters=[
             (chapter, list(own)) for chapter, own in groupby(sections, lambda own: own.chapter)
         ],
     )
 
 
-def _address(name: str, figure: Figure) -> str:
-    kind, media = ("png", "image/png") if is_corner(name) else ("svg", "image/svg+xml")
-    return address_of(encode(figure, "png" if kind == "png" else "svg"), media)
+def _address(picture: Picture) -> str:
+    kind, content = picture.shown
+    return address_of(content, {"svg": "image/svg+xml", "png": "image/png"}[kind])

@@ -89,6 +89,7 @@ def nuisances(review: Review) -> Iterator[Section]:
             f"Nuisances, part {i}: contours and prior as in the corner plot of the thrust levels.",
             partial(nuisance_corner, review, names, title),
             portrait=True,
+            fold=f"Corner plot: {title[0].lower()}{title[1:]}",
         )
         for i, (names, title) in enumerate(nuisance_pages(review), start=1)
     )
@@ -104,7 +105,7 @@ def nuisances(review: Review) -> Iterator[Section]:
                 "Numbers at the right: posterior and prior, mean ± standard deviation.",
                 partial(nuisance_figure, review),
             ),
-            Shown(nuisance_table(review)),
+            Shown(nuisance_table(review), fold="Every nuisance in numbers"),
             Shown(
                 prior_table(review),
                 style="words",
@@ -125,6 +126,7 @@ def torques(review: Review) -> Iterator[Section]:
         f"External torque of each event (integrated out analytically, drawn back): {INTERVAL} in "
         "units of the prior's standard deviation. Grey: 90 % equal-tailed interval of the prior.",
         partial(torque_figure, review),
+        fold="External torque of every event",
     )
     yield Section(NUISANCES, (drawing,))
 
@@ -152,7 +154,7 @@ def budget(review: Review) -> Iterator[Section]:
                 "events. Right: the three standard deviations, mean and range over events.",
                 partial(budget_figure, review),
             ),
-            Shown(budget_table(review)),
+            Shown(budget_table(review), fold="Error budget of every thruster, mean over events"),
             Shown(
                 budget_event_table(review),
                 fold="Error budget of every thruster in every event",
@@ -208,6 +210,7 @@ def balance(review: Review) -> Iterator[Section]:
                 "90 % interval (mean ± 1.645 standard deviations). Grey: 90 % interval of the "
                 "noise that the model allows for (dead-band rates and attitudes, rounding).",
                 partial(balance_figure, review),
+                fold="Momentum left over, drawn",
             ),
             Shown(balance_table(review), fold="Momentum balance of every event and axis"),
         ),
@@ -241,8 +244,9 @@ def delta_v(review: Review) -> Iterator[Section]:
         "bars: the computed value; thin bars: with the channel's own noise, as fitted; both 90 % "
         "intervals (mean ± 1.645 standard deviations).",
         partial(delta_v_figure, review),
+        fold="Printed ΔV against the on-board computation, drawn",
     )
-    blocks = (text, drawing, Shown(delta_v_table(review)))
+    blocks = (text, drawing, Shown(delta_v_table(review), fold="ΔV of every event"))
     yield Section(DELTA_V, blocks, name="delta_v", frame=review.delta_v)
 
 
@@ -256,10 +260,11 @@ def variants(review: Review) -> Iterator[Section]:
         f"Posterior mean and {INTERVAL} of every thrust with ΔV left out, as declared, and as if "
         "it had been measured.",
         partial(delta_v_thrust_figure, review),
+        fold="Every thrust under the three uses of ΔV, drawn",
     )
     yield Section(
         DELTA_V,
-        (Shown(variant_table(review)), drawing),
+        (Shown(variant_table(review), style="dense"), drawing),
         title="Thrust under the three uses of ΔV",
         name="variants",
         frame=review.variants,
@@ -280,8 +285,9 @@ def convergence(review: Review) -> Iterator[Section]:
                 "Every scalar of the posterior is one symbol: R-hat between independent ensembles, "
                 "bulk and tail effective sample size.",
                 partial(convergence_figure, review),
+                fold="R-hat and effective sample sizes of every scalar, drawn",
             ),
-            Shown(convergence_table(review), fold="Walked parameters", open=True),
+            Shown(convergence_table(review), fold="Walked parameters"),
             Shown(scalar_table(review), fold=f"Every scalar of the posterior ({INTERVAL})"),
         ),
     )

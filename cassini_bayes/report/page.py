@@ -25,8 +25,9 @@ class Chapter:
 SEEN: Final = Chapter("seen", "What these events can see")
 INERTIA: Final = Chapter("inertia", "Inertia")
 THRUSTS: Final = Chapter("thrusts", "Thrust of every thruster in every bias")
-NUMBERS: Final = Chapter("numbers", "Thrusts in numbers")
-JOINT: Final = Chapter("joint", "Thrust levels and tail-off together")
+NUMBERS: Final = Chapter("numbers", "Bias by bias")
+JOINT: Final = Chapter("joint", "What trades against what")
+PRIORS: Final = Chapter("priors", "Had the priors been wider or narrower")
 NUISANCES: Final = Chapter("nuisances", "Nuisances: prior against posterior")
 BUDGET: Final = Chapter("budget", "Error budget")
 CHECKS: Final = Chapter("checks", "Model against measurement")
@@ -63,7 +64,10 @@ class Shown:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure, drawn when asked for; nothing where there is nothing to draw."""
+    """A figure, drawn when asked for; nothing where there is nothing to draw.
+
+    With ``fold`` it is behind that line until asked for.
+    """
 
     kind: ClassVar[str] = "drawing"
     name: str
@@ -71,9 +75,78 @@ class Drawing:
     caption: str
     draw: Callable[[], Figure | None]
     portrait: bool = False
+    fold: str = ""
 
 
-Block = Paragraph | Bullets | Shown | Drawing
+@dataclass(frozen=True)
+class Card:
+    """What is known of one item: its table, what is said of it, and the same in a line."""
+
+    title: str
+    line: str
+    table: Table
+    said: str = ""
+
+
+@dataclass(frozen=True)
+class Cards:
+    """Cards beside one another, folded."""
+
+    kind: ClassVar[str] = "cards"
+    items: tuple[Card, ...]
+
+
+@dataclass(frozen=True)
+class SliderRow:
+    """A quantity under one prior: its texts, and its bar in percent of the axis."""
+
+    value: str
+    interval: str
+    left: float
+    width: float
+
+
+@dataclass(frozen=True)
+class SliderPrior:
+    """A prior at every width: what is said of it, and its rows (none where not trusted)."""
+
+    name: str
+    notes: tuple[str, ...]
+    trusted: tuple[bool, ...]
+    rows: tuple[tuple[SliderRow | None, ...], ...]
+
+
+@dataclass(frozen=True)
+class Slider:
+    """Quantities that move with the width of a prior; ``start`` is the width as fitted."""
+
+    kind: ClassVar[str] = "slider"
+    quantities: tuple[str, ...]
+    units: tuple[str, ...]
+    widths: tuple[str, ...]
+    start: int
+    priors: tuple[SliderPrior, ...]
+
+    @property
+    def data(self) -> dict[str, object]:
+        """What the page's script needs, as plain lists."""
+        return {
+            "widths": self.widths,
+            "start": self.start,
+            "priors": [
+                {
+                    "notes": prior.notes,
+                    "rows": [
+                        [(row.value, row.interval, row.left, row.width) for row in rows if row]
+                        for rows in prior.rows
+                    ],
+                }
+                for prior in self.priors
+            ],
+        }
+
+
+Block = Paragraph | Bullets | Shown | Drawing | Cards | Slider
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.tables import frame_csv
-from cassini_bayes.report import checks, telemetry, thrusts
+from cassini_bayes.report import checks, priors, telemetry, thrusts
 from cassini_bayes.report.page import Section
-from cassini_bayes.report.plots import draw
+from cassini_bayes.report.plots import Picture, draw, draw_encoded
 from cassini_bayes.results.review import Review
 
 if TYPE_CHECKING:
@@ -27,7 +27,8 @@ SECTIONS: Final[tuple[Callable[[Review], Iterator[Section]], ...]] = (
     thrusts.thrusts,
     thrusts.thrust_numbers,
     telemetry.thrust_methods,
-    thrusts.thrust_levels,
+    thrusts.joint,
+    priors.prior_slider,
     checks.nuisances,
     checks.torques,
     telemetry.torque_methods,
@@ -63,4 +64,13 @@ def write_tables(sections: Sequence[Section], folder: Path) -> None:
 
 def figures_of(sections: Sequence[Section]) -> dict[str, Figure]:
     """Every figure by name, in the order of the page; one with nothing to show is absent."""
-    return draw({drawing.name: drawing.draw for own in sections for drawing in own.drawings})
+    return draw(_drawings(sections))
+
+
+def pictures_of(sections: Sequence[Section], processes: int = 1) -> dict[str, Picture]:
+    """The same as files, drawn in several processes."""
+    return draw_encoded(_drawings(sections), processes)
+
+
+def _drawings(sections: Sequence[Section]) -> dict[str, Callable[[], Figure | None]]:
+    return {drawing.name: drawing.draw for own in sections for drawing in own.drawings}

@@ -42,10 +42,10 @@ from cassini_bayes.report.plots.quantities import (
     plus_minus,
 )
 from cassini_bayes.report.plots.time_series import series_figure
+from cassini_bayes.report.verdict import MOMENTS
 from cassini_bayes.results.review import Review
 
 MICRO: Final = 1e6
-MOMENTS: Final = ("xx", "yy", "zz")
 
 
 def observability(review: Review) -> Iterator[Section]:
@@ -207,18 +207,6 @@ def series(review: Review) -> Iterator[Section]:
             partial(series_figure, own),
         )
         yield Section(CHECKS, (drawing,), name=f"series_{i}", frame=own.table())
-
-
-def inertia_sentence(review: Review) -> list[str]:
-    """The three moments of inertia in a sentence; nothing without telemetry."""
-    if not review.model.telemetry:
-        return []
-    table = review.inertia.set_index("element")
-    values = ", ".join(_moment(table, element) for element in MOMENTS)
-    return [
-        f"The moments of inertia about X, Y, Z are {values} kg m² (mean ± standard deviation; "
-        "about the centre of mass, wheels included as if not spinning)."
-    ]
 
 
 def _moment(table: pd.DataFrame, element: str) -> str:

@@ -21,14 +21,25 @@ from cassini_bayes.report.cells import (
     percent,
     tabulate,
 )
-from cassini_bayes.report.page import JOINT, NUMBERS, THRUSTS, Drawing, Paragraph, Section, Shown
-from cassini_bayes.report.plots.corners import thrust_corner
+from cassini_bayes.report.page import (
+    JOINT,
+    NUMBERS,
+    THRUSTS,
+    Card,
+    Cards,
+    Drawing,
+    Paragraph,
+    Section,
+    Shown,
+)
+from cassini_bayes.report.plots.corners import joint_corner, thrust_corner
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
     INTERVAL_SHORT,
     MISSING,
     interval,
     number,
+    observed_name,
     plus_minus,
 )
 from cassini_bayes.report.plots.tables import (
@@ -42,11 +53,14 @@ from cassini_bayes.report.plots.tables import (
     thrusters_of,
 )
 from cassini_bayes.report.plots.thrusts import thrust_figure
+from cassini_bayes.report.verdict import impulse_rows
 from cassini_bayes.results.review import Review
 
 PSEUDO_INVERSE: Final = "pseudo-inverse, per event"
 POOLED: Final = "pseudo-inverse, pooled"
 MEAN_OF_ALL: Final = "mean of all thrusters, per event"
+MOST_HELPED: Final = 3
+LEAST_WORTH: Final = 0.001
 
 
 def thrusts(review: Review) -> Iterator[Section]:
@@ -79,56 +93,70 @@ def thrust_numbers(review: Review) -> Iterator[Section]:
     if not events_of(review):
         return
     bars = (
-        " Their bars are the root sum square of the shifts from hand-picked perturbations; in "
-        "brackets the sum of their absolute values. † on-time below 5 s: not valid by the papers' "
-        "own rule."
+        " Bars of the replaced methods: root sum square of the shifts from hand-picked "
+        "perturbations; in brackets the sum of their absolute values. † on-time below 5 s: not "
+        "valid by the papers' own rule."
     )
     if review.baseline.empty:
         bars = " No estimates by the replaced methods are part of this run."
-    tables = thrust_tables(review)
     yield Section(
         NUMBERS,
         (
             Paragraph(
-                "Mean ± standard deviation of the posterior, in newton; last row: the thruster's "
-                "level over all events."
+                "Each card: thrust of every thruster, and its impulse per second of commanded "
+                "on-time. “Prior” is the share of the posterior's precision that the prior brought "
+                "along, (posterior sd / prior sd)²: at 100 % the data said nothing. What an event "
+                "is worth is how much wider an interval would be without it, linearised at the "
+                f"prior means.{bars}"
             ),
-            Shown(thrust_matrix(review), style="total dense"),
-            Paragraph(
-                f"Event by event, with the {INTERVAL} and the methods it replaces beside it.{bars}"
-            ),
-            *(
-                Shown(table, fold=table.title, open=i in (0, len(tables) - 1))
-                for i, table in enumerate(tables)
+            Cards(thrust_cards(review)),
+            Shown(
+                thrust_matrix(review),
+                style="total dense",
+                fold="All thrusts in one table (mean ± sd in newton; last row the thruster's level "
+                "over all events)",
             ),
         ),
+        name="worth",
+        frame=review.worth,
     )
 
 
-def thrust_levels(review: Review) -> Iterator[Section]:
-    """Levels and tail-off in a corner plot."""
-    if not events_of(review):
-        return
-    yield Section(
-        JOINT,
-        (
-            Paragraph(
-                "Thrust and tail-off time enter the momentum balance almost as one product: a "
-                "longer tail-off with less thrust explains the same data. The tilted ellipses in "
-                "the lowest row show how much of the uncertainty is that trade."
-            ),
+def joint(review: Review) -> Iterator[Section]:
+    """The quantities most tied to one another, and all thrust levels, in corner plots."""
+    corners = (
+        "Filled: posterior, contours hold 39 % and 86 % of the draws (1 and 2 standard "
+        "deviations of a two-dimensional normal). Dashed: prior, same contours; where the prior "
+        "is far wider than the posterior they run outside the view. Above each column: mean ± "
+        "standard deviation; r: correlation where it is 0.2 or more."
+    )
+    drawings = [
+        Drawing(
+            "corner_joint",
+            "Corner plot of the quantities that are most correlated, with priors",
+            corners,
+            partial(joint_corner, review),
+            portrait=True,
+        )
+    ]
+    text = "The quantities that the data tie to one another most."
+    if events_of(review):
+        text += (
+            " Thrust and tail-off time enter the momentum balance almost as one product: a longer "
+            "tail-off with less thrust explains the same data. A tilted ellipse shows how much of "
+            "an uncertainty is such a trade."
+        )
+        drawings.append(
             Drawing(
                 "corner_thrusts",
                 "Corner plot of the thrust levels and the tail-off time with priors",
-                "Filled: posterior, contours hold 39 % and 86 % of the draws (1 and 2 standard "
-                "deviations of a two-dimensional normal). Dashed: prior, same contours; where the "
-                "prior is far wider than the posterior they run outside the view. Above each "
-                "column: mean ± standard deviation; r: correlation where it is 0.2 or more.",
+                "As above, for all thrust levels.",
                 partial(thrust_corner, review),
                 portrait=True,
-            ),
-        ),
-    )
+                fold="Corner plot of all thrust levels",
+            )
+        )
+    yield Section(JOINT, (Paragraph(text), *drawings))
 
 
 def _common(review: Review) -> pd.Series:
@@ -137,7 +165,7 @@ def _common(review: Review) -> pd.Series:
 
 
 def summary_sentences(review: Review) -> list[str]:
-    """The main result in plain words: level, spread, what limits it, and the printed thrust.
+    """Beside the verdict: interval, spread, what limits it, and the printed thrust.
 
     Nothing without thrusts.
     """
@@ -147,11 +175,9 @@ def summary_sentences(review: Review) -> list[str]:
     level, sd = level_row(review, "mean"), thrust_grid(review, "sd") * MN
     lowest, highest = int(np.nanargmin(level)), int(np.nanargmax(level))
     sentences = [
-        f"The thrusters share a common level of {plus_minus(common['mean'], common['sd'])} N "
-        f"(mean ± standard deviation; {INTERVAL} "
-        f"{interval(common['hdi_90_low'], common['hdi_90_high'])} N), from "
-        f"{_count(len(events_of(review)), *_what(review))} and "
-        f"{_count(len(thrusters), 'thruster', 'thrusters')}."
+        f"The {INTERVAL} of the thrusters' common level is "
+        f"{interval(common['hdi_90_low'], common['hdi_90_high'])} N (± in this page is a standard "
+        "deviation)."
     ]
     if len(thrusters) > 1:
         sentences.append(
@@ -166,21 +192,10 @@ def summary_sentences(review: Review) -> list[str]:
     return [*sentences, *_limit_sentence(review), *_printed_sentence(review, common)]
 
 
-def _what(review: Review) -> tuple[str, str]:
-    """One event with thrusts, and several: totals rows are biases, telemetry may be a burn."""
-    if not review.model.telemetry:
-        return "wheel bias", "wheel biases"
-    return "event with firings", "events with firings"
-
-
-def _count(n: int, one: str, many: str) -> str:
-    return f"{n} {one if n == 1 else many}"
-
-
-def _span(values: np.ndarray, unit: str) -> str:
+def _span(values: np.ndarray, unit: str, to: str = " to ") -> str:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     first, last = number(low, low), number(high, high)
-    return f"{first}{unit}" if first == last else f"{first} to {last}{unit}"
+    return f"{first}{unit}" if first == last else f"{first}{to}{last}{unit}"
 
 
 def _limit_sentence(review: Review) -> list[str]:
@@ -251,8 +266,8 @@ def thrust_matrix(review: Review) -> Table:
     return Table(("event", *(f"{t} [N]" for t in thrusters_of(review))), rows)
 
 
-def thrust_tables(review: Review) -> list[Table]:
-    """One table per event, posterior beside baseline; last the level over all events."""
+def thrust_cards(review: Review) -> tuple[Card, ...]:
+    """A card of every event, posterior beside baseline; last the level over all events."""
     table, baseline = (
         review.summary,
         {
@@ -264,42 +279,90 @@ def thrust_tables(review: Review) -> list[Table]:
     def beside(method: str, event: str) -> Column:
         return lambda row: _baseline_cell(baseline.get((method, event, row["item"])))
 
-    known = {f"{INTERVAL_SHORT} [N]": between()}
+    known: dict[str, Column] = {f"{INTERVAL_SHORT} [N]": between(), "prior": _prior_share()}
     bars = "± rss (worst case) [N]"
     observed = review.fit.groups["observed_data"]
     thrusts = table[table["quantity"] == "thrust_n"]
     levels = table[table["quantity"] == "thrust_level_n"]
-    return [
-        *(
-            tabulate(
-                thrusts[thrusts["event"] == event].assign(
-                    on_time=observed["on_time_s"].sel(event=event).values,
-                    pulses=observed["pulses"].sel(event=event).values,
-                ),
-                {
-                    "thruster": "item",
-                    "on-time [s]": formatted("on_time", ".2f"),
-                    "pulses": formatted("pulses", ".0f"),
-                    "posterior mean ± sd [N]": mean_sd(),
-                    **known,
-                    f"pseudo-inverse {bars}": beside(PSEUDO_INVERSE, event),
-                    f"mean of all thrusters {bars}": beside(MEAN_OF_ALL, event),
-                },
-                title=event,
-            )
-            for event in events_of(review)
-        ),
-        tabulate(
-            levels,
-            {
-                "thruster": "item",
-                "level, mean ± sd [N]": mean_sd(),
-                **known,
-                f"pseudo-inverse of all events {bars}": beside(POOLED, ""),
-            },
-            title="all events",
-        ),
-    ]
+    impulses = impulse_rows(review)
+    delivered: dict[str, Column] = {}
+    if len(impulses):
+        delivered = {
+            "impulse per commanded second, mean ± sd [N]": mean_sd("mean_impulse", "sd_impulse"),
+            f"its {INTERVAL_SHORT} [N]": between("hdi_90_low_impulse", "hdi_90_high_impulse"),
+            "its prior": _prior_share("sd_impulse", "prior_sd_impulse"),
+        }
+    cards = []
+    for event in events_of(review):
+        impulse = impulses[impulses["event"] == event]
+        own = thrusts[thrusts["event"] == event]
+        rows = own.assign(
+            on_time=observed["on_time_s"].sel(event=event).values,
+            pulses=observed["pulses"].sel(event=event).values,
+        )
+        if len(impulses):
+            rows = rows.merge(impulse, on="item", how="left", suffixes=("", "_impulse"))
+        columns: dict[str, Column] = {
+            "thruster": "item",
+            "on-time [s]": formatted("on_time", ".2f"),
+            "pulses": formatted("pulses", ".0f"),
+            "thrust, mean ± sd [N]": mean_sd(),
+            **known,
+            **delivered,
+            f"pseudo-inverse {bars}": beside(PSEUDO_INVERSE, event),
+            f"mean of all thrusters {bars}": beside(MEAN_OF_ALL, event),
+        }
+        shown = tabulate(rows, columns, title=event)
+        cards.append(Card(event, _card_line(own, impulse), shown, _worth_sentence(review, event)))
+    columns = {
+        "thruster": "item",
+        "level, mean ± sd [N]": mean_sd(),
+        **known,
+        f"pseudo-inverse of all events {bars}": beside(POOLED, ""),
+    }
+    over_all = tabulate(levels, columns, title="all events")
+    return (*cards, Card("all events", _card_line(levels, impulses.iloc[:0]), over_all))
+
+
+def _prior_share(sd: str = "sd", prior_sd: str = "prior_sd") -> Column:
+    """Share of the posterior's precision that the prior brought along, exact for normal ones."""
+
+    def share(row: pd.Series) -> str:
+        before = float(row[prior_sd])
+        return percent(min(1.0, (float(row[sd]) / before) ** 2)) if before > 0 else MISSING
+
+    return share
+
+
+def _card_line(thrusts: pd.DataFrame, impulses: pd.DataFrame) -> str:
+    """A card in a line: how narrow thrust and impulse are."""
+    line = f"thrust ± {_span(thrusts['sd'].to_numpy(dtype=float) * MN, ' mN', '–')}"
+    if impulses.empty:
+        return line
+    relative = 100.0 * impulses["relative"].to_numpy(dtype=float)
+    return f"{line}, impulse ± {_span(relative, ' %', '–')}"
+
+
+def _worth_sentence(review: Review, event: str) -> str:
+    """What intervals of shared quantities would lose without the event."""
+    own = review.worth[review.worth["event"] == event]
+    levels = own[own["quantity"].str.startswith("thrust[")]
+    best = own.sort_values("narrowing", ascending=False).head(MOST_HELPED)
+    best = best[best["narrowing"] >= LEAST_WORTH]
+    if best.empty:
+        return "Without it no interval of a shared quantity would be 0.1 % wider."
+    said = ", ".join(
+        f"{observed_name(str(row['quantity']))} {_wider(float(row['narrowing']))}"
+        for _, row in best.iterrows()
+    )
+    mean = ""
+    if len(levels):
+        mean = f" Thrust levels, on average: {_wider(float(levels['narrowing'].mean()))}."
+    return f"Without it these would be wider by: {said}.{mean}"
+
+
+def _wider(narrowing: float) -> str:
+    return f"{100.0 * narrowing / (1.0 - narrowing):.1f} %"
 
 
 def _baseline_cell(row: pd.Series | None) -> Cell:

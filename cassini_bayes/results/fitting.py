@@ -11,16 +11,17 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.computing.processes import in_parts
+from cassini_bayes.computing.processes import in_parts, in_processes
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model, log_posterior
 from cassini_bayes.model.telemetry import TAILS
 from cassini_bayes.results.groups import build_fit
-from cassini_bayes.results.record import Fit
+from cassini_bayes.results.record import Fit, labelled
 from cassini_bayes.sampling.ensembles import (
     Chains,
+    Convergence,
     ProgressReport,
     SamplerSettings,
     sample,
@@ -36,6 +37,9 @@ from cassini_bayes.sampling.warmstart import (
 
 _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
 SERIOUS_EXPANSION_ERROR: Final = 0.1
+WALKED: Final = "walked"
+"""Dimension of the statistics of walked parameters."""
+ALL_MET: Final = "all criteria met"
 WORST_PARETO_K: Final = 0.7
 FALLBACK_INDEPENDENCE: Final = 0.2
 
@@ -62,29 +66,33 @@ class Sampled:
     @property
     def warnings(self) -> list[str]:
         """Sentences about anything that makes the draws or the evidence doubtful."""
-        found = []
-        convergence, draws = self.chains.convergence, self.warm.draws
-        if not convergence.done:
-            found.append(
-                "Sampling stopped at its limit before the stop rule held: "
-                + "; ".join(convergence.failed)
-            )
-        if draws.pareto_k > WORST_PARETO_K:
-            found.append(
-                "The importance draws behind the evidence are not reliable (Pareto k̂ = "
-                f"{draws.pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
-                "sampling instead of the independence move."
-            )
-        stats = self.fit.groups["sample_stats"]
-        if "jacobian_expansion_error" not in stats:
-            return found
-        error = stats["jacobian_expansion_error"].values.std()
-        if error > SERIOUS_EXPANSION_ERROR:
-            found.append(
-                f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
-                f"deviation over the posterior; {SERIOUS_EXPANSION_ERROR} is tolerable)."
-            )
+        return fit_warnings(self.fit)
+
+
+def fit_warnings(fit: Fit) -> list[str]:
+    """Sentences about anything that makes the draws or the evidence of a fit doubtful."""
+    found, kept = [], fit.attributes
+    if kept["stop_rule"] != ALL_MET:
+        found.append(
+            f"Sampling stopped at its limit before the stop rule held: {kept['stop_rule']}"
+        )
+    pareto_k = float(kept.get("pareto_k", 0.0))
+    if pareto_k > WORST_PARETO_K:
+        found.append(
+            "The importance draws behind the evidence are not reliable (Pareto k̂ = "
+            f"{pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
+            "sampling instead of the independence move."
+        )
+    stats = fit.groups["sample_stats"]
+    if "jacobian_expansion_error" not in stats:
         return found
+    error = stats["jacobian_expansion_error"].values.std()
+    if error > SERIOUS_EXPANSION_ERROR:
+        found.append(
+            f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
+            f"deviation over the posterior; {SERIOUS_EXPANSION_ERROR} is tolerable)."
+        )
+    return found
 
 
 def fit_model(
@@ -136,10 +144,11 @@ def fit_model(
         f"{collapsed_size(model)} collapsed parameters"
     )
     with in_parts(partial(log_posterior, model), threads) as density_of:
-        warm, chains = _sampled(
-            model, density_of, settings, draws_per_ensemble, store, tell, progress
+        warm, chains, last = _sampled(
+            model, density_of, settings, draws_per_ensemble, store, tell, progress, threads
         )
     z, density = chains.thinned(draws_per_ensemble)
+    convergence = chains.convergence
     tell(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
     attributes: dict[str, str | float | int] = {
         "seed": settings.seed,
@@ -148,15 +157,37 @@ def fit_model(
         "log_evidence": warm.draws.log_evidence,
         "log_evidence_se": warm.draws.log_evidence_se,
         "pareto_k": warm.draws.pareto_k,
+        "importance_efficiency": warm.draws.efficiency,
         "laplace_log_evidence": warm.laplace_log_evidence,
-        "steps": chains.convergence.step,
+        "steps": convergence.step,
         "burn_in_steps": chains.burn_in,
         "acceptance": float(chains.acceptance.mean()),
-        "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
+        "stop_rule": "; ".join(convergence.failed) or ALL_MET,
+        "largest_tau_steps": float(convergence.autocorrelation_time.max()),
+        "tau_change": float(convergence.tau_change),
+        "worst_rhat": float(convergence.rhat.max()),
+        "least_ess": float(convergence.ess.min()),
     }
-    rng = _stream(settings.seed, _LINEAR)
-    fit = build_fit(model, z, density, rng, attributes, prior_draws)
+    if last is None or not np.array_equal(last.z, z):  # stopped at the limit of steps
+        last = _drawn_back(model, z, settings.seed)
+    fit = build_fit(model, z, density, last.rng, attributes, prior_draws, drawn=last.draws)
+    fit = _with_convergence(fit, model.space.names, convergence)
     return Sampled(model, settings, fit, z, warm, chains)
+
+
+def _with_convergence(fit: Fit, names: Sequence[str], convergence: Convergence) -> Fit:
+    """The fit with the stop rule's figures of every walked parameter among its statistics."""
+    columns = {
+        "tau_steps": (convergence.autocorrelation_time, "autocorrelation time, steps"),
+        "walked_rhat": (convergence.rhat, "R-hat between independent ensembles"),
+        "walked_ess": (convergence.ess, "effective sample size, the smaller of two estimates"),
+    }
+    variables = {
+        name: labelled((WALKED,), values, "1", meaning)
+        for name, (values, meaning) in columns.items()
+    }
+    stats = fit.groups["sample_stats"].assign(variables).assign_coords({WALKED: list(names)})
+    return Fit({**fit.groups, "sample_stats": stats}, fit.attributes)
 
 
 def _sampled(
@@ -167,8 +198,12 @@ def _sampled(
     store: CheckpointStore | None,
     tell: Callable[[str], None],
     progress: Callable[[ProgressReport], None] | None,
-) -> tuple[WarmStart, Chains]:
-    """Warm start and ensembles, the moves chosen by what the warm start is worth."""
+    processes: int,
+) -> tuple[WarmStart, Chains, _DrawnBack | None]:
+    """Warm start and ensembles, the moves chosen by what the warm start is worth.
+
+    Also what the stop rule drew back last.
+    """
     warm = _warm_start(density_of, len(model.space.names), settings.seed, store)
     tell(
         f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
@@ -182,10 +217,13 @@ def _sampled(
             f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
         )
 
+    last: _DrawnBack | None = None
+
     def wants_more(chains: Chains) -> bool:
+        nonlocal last
         z, _ = chains.thinned(draws_per_ensemble)
-        walkers = chains.z.shape[2]
-        return _derived_ess(model, z, walkers, settings.seed) < settings.target_ess
+        last = _drawn_back(model, z, settings.seed)
+        return _derived_ess(last, chains.z.shape[2], processes) < settings.target_ess
 
     chains = sample(
         density_of,
@@ -195,22 +233,27 @@ def _sampled(
         progress=progress,
         more=wants_more,
     )
-    return warm, chains
+    return warm, chains, last
 
 
 def _count(events: Sequence[str]) -> str:
     return f"{len(events)} event{'s' if len(events) != 1 else ''}"
 
 
-def convergence_table(sampled: Sampled) -> pd.DataFrame:
-    """Autocorrelation time, R-hat and effective sample size of every walked parameter."""
-    convergence = sampled.chains.convergence
+def convergence_table(fit: Sampled | Fit) -> pd.DataFrame:
+    """Autocorrelation time, R-hat and effective sample size of every walked parameter.
+
+    Empty for a fit that an earlier version stored without them.
+    """
+    stats = (fit.fit if isinstance(fit, Sampled) else fit).groups["sample_stats"]
+    if WALKED not in stats.coords:
+        return pd.DataFrame({"name": [], "tau_steps": [], "rhat": [], "ess": []})
     return pd.DataFrame(
         {
-            "name": sampled.model.space.names,
-            "tau_steps": convergence.autocorrelation_time,
-            "rhat": convergence.rhat,
-            "ess": convergence.ess,
+            "name": stats[WALKED].values.astype(object),
+            "tau_steps": stats["tau_steps"].values,
+            "rhat": stats["walked_rhat"].values,
+            "ess": stats["walked_ess"].values,
         }
     )
 
@@ -273,14 +316,31 @@ def _warm_start(
     return warm
 
 
-def _derived_ess(model: Model, z: Array, walkers: int, seed: int) -> float:
+@dataclass(frozen=True)
+class _DrawnBack:
+    """Stored draws z (M, n, d) with all that is integrated out, and the stream they came from."""
+
+    z: Array
+    draws: Draws
+    rng: np.random.Generator
+
+
+def _drawn_back(model: Model, z: Array, seed: int) -> _DrawnBack:
+    rng = _stream(seed, _LINEAR)
+    return _DrawnBack(z, draw(model, z.reshape(-1, z.shape[-1]), rng), rng)
+
+
+def _derived_ess(drawn: _DrawnBack, walkers: int, processes: int) -> float:
     """Smallest bulk or tail effective sample size over what is drawn back for these points."""
-    m, n, d = z.shape
-    draws = draw(model, z.reshape(-1, d), _stream(seed, _LINEAR))
-    drawn = watched(draws).reshape(m, n, -1)
-    varying = drawn[..., drawn.std((0, 1)) > 0]
-    sizes = [min(stored_ess(varying[:, :, j], walkers)) for j in range(varying.shape[-1])]
-    return min(sizes, default=np.inf)
+    m, n, _ = drawn.z.shape
+    values = watched(drawn.draws).reshape(m, n, -1)
+    varying = np.flatnonzero(values.std((0, 1)) > 0)
+    sizes = in_processes(
+        lambda places: [min(stored_ess(values[:, :, j], walkers)) for j in places],
+        [part for part in np.array_split(varying, processes) if len(part)],
+        processes,
+    )
+    return min((size for part in sizes for size in part), default=np.inf)
 
 
 def watched(draws: Draws) -> Array:

@@ -33,16 +33,19 @@ def build_fit(
     attributes: Mapping[str, str | float | int],
     prior_size: int = 4_000,
     *,
+    drawn: Draws | None = None,
     replicate_rows: bool = True,
 ) -> Fit:
     """Assemble every group from walked draws z (M, n, d) with log_density (M, n).
 
-    What is integrated out is drawn from its exact conditional, replicates and prior draws are
-    added; ``replicate_rows`` of telemetry looks at its rows again.
+    What is integrated out is drawn from its exact conditional (unless ``drawn`` already is, from
+    the stream that goes on as ``rng``), replicates and prior draws are added; ``replicate_rows`` of
+    telemetry looks at its rows again.
     """
     m, n, d = z.shape
     flat, shape, before = z.reshape(-1, d), (m, n), (1, prior_size)
-    draws, prior = draw(model, flat, rng), draw_prior(model, prior_size, rng)
+    draws = draw(model, flat, rng) if drawn is None else drawn
+    prior = draw_prior(model, prior_size, rng)
     coordinates = coordinates_of(model)
     density = event_log_density(model, flat, draws)
     meaning = "log density of the event's data, everything else given"

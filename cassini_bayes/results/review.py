@@ -12,7 +12,9 @@ import pandas as pd
 
 from cassini_bayes.balance.inertia import Physicality, physicality
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.model.observability import Observability, observability
+from cassini_bayes.computing.arviz_import import arviz
+from cassini_bayes.computing.processes import in_processes
+from cassini_bayes.model.observability import Observability, event_worth, observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.delta_v_uses import thrusts_by_delta_v_use
@@ -36,6 +38,7 @@ from cassini_bayes.results.time_series import EventSeries, event_series
 
 VARIANT_STREAM: Final = 3
 SERIES_STREAM: Final = 4
+LONGEST: Final = ("summary", "budget", "variants", "series", "baseline")
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,12 @@ class Review:
 
     def _stream(self, which: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence((self.seed, which)))
+
+    def work_out(self, processes: int) -> None:
+        """Work out the tables that take longest side by side; they are kept like any other."""
+        arviz()  # before the processes part, which then need not
+        tables = in_processes(lambda name: getattr(self, name), LONGEST, processes)
+        vars(self).update(zip(LONGEST, tables, strict=True))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -135,6 +144,11 @@ class Review:
     def observability(self) -> Observability:
         """What the events can see, before anything is sampled."""
         return observability(self.model)
+
+    @cached_property
+    def worth(self) -> pd.DataFrame:
+        """How much narrower shared quantities are for each event."""
+        return event_worth(self.model)
 
     @cached_property
     def physicality(self) -> Physicality:

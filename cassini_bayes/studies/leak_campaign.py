@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -226,7 +226,7 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
     )
 
 
-def _apart(priors: Priors) -> dict[str, object]:
+def _apart(priors: Priors) -> dict[str, Any]:
     """What the text says of a leak and a torque."""
     noise = momentum_noise(priors)
     head = f"| turn | until {CLEAR_SIGMA:g} σ, s after it | σ {STAY_S:.0f} s after it |"

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from cassini_bayes.balance.physics import physics_of
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.reduction import ChannelSteps
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
@@ -193,19 +194,31 @@ def reduced_simulation(
     priors: Priors,
     rng: np.random.Generator | None = None,
     guard_s: float | None = None,
+    steps: ChannelSteps | None = None,
 ) -> ReducedEvent:
     """A simulated event as a model takes it.
 
-    With ``rng`` the telemetry gets its torque noise first; ``guard_s`` replaces the guard time.
+    With ``rng`` the telemetry gets its torque noise first, and then it is rounded to ``steps``;
+    ``guard_s`` replaces the guard time.
     """
     samples, thrusters = simulated_samples(event)
     if rng is not None:
         samples = with_torque_noise(samples, event, rng)
+    if steps is not None:
+        samples = replace(
+            samples,
+            rate_rad_s=_rounded(samples.rate_rad_s, steps.rate_rad_s),
+            wheel_rad_s=_rounded(samples.wheel_rad_s, steps.wheel_rad_s),
+        )
     sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
     if guard_s is not None:
         sampling = replace(sampling, guard_s=guard_s)
     declared, wheels = event.plan.event, event.plan.wheel_numbers
     return reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
+
+
+def _rounded(values: Array, step: float) -> Array:
+    return np.asarray(step * np.round(values / step)) if step > 0.0 else values
 
 
 def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Generator) -> Samples:

@@ -13,7 +13,7 @@ few dimensions, not of a hundred.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.quantiles import standard_normal_log_density
+from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import LogDensity, WarmStart, warm_start
 from cassini_bayes.sweep.models import ModelFactory, SweepModel, values_of
@@ -136,17 +137,10 @@ def reweighted(
     factory, draws = baseline.factory, baseline.parameters
     walked = factory.build(factory.priors).space.names
     before, after = factory.priors, variation.applied(factory.priors)
-    log_ratio = np.zeros(len(baseline.values))
-    hidden = variation.kind == "without"
-    surfaced = False
-    for name in variation.parameters:
-        if name not in model.space.names:
-            hidden = True
-            continue
-        surfaced = surfaced or name not in walked
-        old, new = before.parameters[name].distribution, after.parameters[name].distribution
-        if old is not None and new is not None:
-            log_ratio = log_ratio + new.log_density(draws[name]) - old.log_density(draws[name])
+    kept = [name for name in variation.parameters if name in model.space.names]
+    hidden = variation.kind == "without" or len(kept) < len(variation.parameters)
+    surfaced = any(name not in walked for name in kept)
+    log_ratio = log_prior_ratio(before, after, kept, draws, len(baseline.values))
     if not hidden:
         return smoothed_weights(log_ratio), baseline.values
     if surfaced:  # walked here, integrated out there: the two densities cannot be compared
@@ -158,6 +152,18 @@ def reweighted(
     rng = baseline.stream(f"{variation.key}: drawn back")
     values = values_of(model.quantities(z, rng), baseline.names)
     return smoothed_weights(np.where(inside, log_ratio, -np.inf)), values
+
+
+def log_prior_ratio(
+    before: Priors, after: Priors, names: Iterable[str], draws: Mapping[str, Array], n: int
+) -> Array:
+    """log p'(θ) − log p(θ) of draws (n,) of named parameters whose priors were changed."""
+    log_ratio = np.zeros(n)
+    for name in names:
+        old, new = before.parameters[name].distribution, after.parameters[name].distribution
+        if old is not None and new is not None:
+            log_ratio = log_ratio + new.log_density(draws[name]) - old.log_density(draws[name])
+    return log_ratio
 
 
 def fitted_anew(

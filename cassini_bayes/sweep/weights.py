@@ -82,11 +82,14 @@ def smoothed_weights(log_ratio: Array) -> Weights:
     return Weights(values, k, float(1.0 / (values**2).sum()))
 
 
-def moments(values: Array, weights: Array) -> Moments:
-    """Weighted moments of values (n, q) with normalised weights (n,)."""
+def moments(values: Array, weights: Array, order: NDArray[np.int64] | None = None) -> Moments:
+    """Weighted moments of values (n, q) with normalised weights (n,).
+
+    ``order`` (n, q) sorts the values, where they are looked at under many weights.
+    """
     mean = weights @ values
     sd = np.sqrt(weights @ (values - mean) ** 2)
-    order = np.argsort(values, axis=0)
+    order = np.argsort(values, axis=0) if order is None else order
     cumulative = np.cumsum(weights[order], axis=0) - 0.5 * weights[order]
     quantiles = np.stack(
         [

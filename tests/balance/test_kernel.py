@@ -67,7 +67,9 @@ def equations(
         np.array(grams).reshape(-1, 2, 3, 3, 2), np.array([float(len(rows)) for rows, _ in turns])
     )
     by_turns = np.array([variance * np.eye(3) for _, variance in turns]).reshape(1, -1, 3, 3)
-    noise = Noise(np.ones((1, 3, 1)), beside[None, None], np.full(1, 1e-12), np.zeros(1), by_turns)
+    noise = Noise(
+        np.ones((1, 3, 1)), beside[None, None], np.full((1, 1), 1e-12), np.zeros(1), by_turns
+    )
     placed = Placed(np.zeros(1), 1.0, np.full((1, 1), own_sd))
     weights = np.ones((1, 2, 3))
     return kernel.normal_equations(weights, 2.0 * weights, noise, entries, slow, fast, band, placed)

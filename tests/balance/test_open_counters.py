@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,9 @@ STEP = (TIME[:, None] >= ENDS).astype(float)
 def counters(pairs: list[float]) -> CounterStatistics:
     """One couple that fired in four intervals, with so many pairs in them."""
     weight = np.array(pairs)[:, None]
-    return CounterStatistics(TIME, 1, ENDS, np.ones((4, 1), dtype=bool), weight, np.array([4e-6]))
+    fired = np.ones((4, 1), dtype=bool)
+    open_s2, ratio, coarse = np.array([4e-6]), np.array([np.inf]), np.array([False])
+    return CounterStatistics(TIME, 1, ENDS, fired, weight, open_s2, ratio, coarse)
 
 
 def test_pairs_of_a_quarter_add_up_to_what_the_likelihood_has() -> None:
@@ -42,3 +46,15 @@ def test_a_rounding_lasts_until_the_next_firing() -> None:
     found = level_patterns(counters([0.0] * 4), 0, STEP, np.ones((len(TIME), 1)))
     assert found.sum(axis=1) == pytest.approx(np.full(len(TIME), 2e-3))
     assert found[:, 1] == pytest.approx(2e-3 * ((TIME >= 3.0) & (TIME < 7.0)))
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+def test_levels_bound_by_alike_widths_have_the_stated_covariance(coarse: bool) -> None:
+    """Patterns squared are σ² (1 + D'D/q)⁻¹ seen in the rows, coarse ones with ends alone."""
+    bound = replace(counters([0.0] * 4), open_ratio=np.array([0.3]), coarse=np.array([coarse]))
+    free = level_patterns(counters([0.0] * 4), 0, STEP, np.ones((len(TIME), 1)))
+    found = level_patterns(bound, 0, STEP, np.ones((len(TIME), 1)))
+    apart = np.diff(np.eye(5), axis=0)
+    seen = np.diag([1.0, 0.0, 0.0, 0.0, 1.0]) if coarse else np.eye(5)
+    covariance = np.linalg.inv(seen + apart.T @ apart / 0.3)
+    np.testing.assert_allclose(found @ found.T, free @ covariance @ free.T, atol=1e-18)

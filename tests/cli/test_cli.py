@@ -326,7 +326,11 @@ def test_output_of_a_fit(capsys: Captured, tmp_path: Path) -> None:
     assert provenance["seed"] == 7
     assert run_cases.command(["run", run_file, "--seed", "7", "--resume"]) == 1
     output = capsys.readouterr()
-    assert output.out == f"{tmp_path / 'small' / 'summary.csv'}\n"
+    *verdict, place = output.out.splitlines()
+    assert verdict == result["verdict"]
+    assert verdict[0].startswith("Thrust ")
+    assert " than the prior, " in verdict[0]
+    assert place == str(tmp_path / "small" / "summary.csv")
     assert "warm start" in output.err
     assert "step 100" in output.err
 

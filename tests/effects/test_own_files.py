@@ -16,7 +16,7 @@ from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.priors.reader import read_priors
-from cassini_bayes.studies.scenario import own_effects, simulate_scenario
+from cassini_bayes.studies.scenario import simulate_scenario, simulated_sides
 
 EXAMPLE = ROOT / "docs" / "examples" / "plume.py"
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_2010.toml")
@@ -50,7 +50,7 @@ def test_the_worked_example_is_flown_and_named(
     from cassini_bayes.cli import app
 
     flown = tmp_path / "flown"
-    simulate_scenario(scenario(tmp_path), flown, 3, own=own_effects([EXAMPLE]))
+    simulate_scenario(scenario(tmp_path), flown, 3, own=simulated_sides([EXAMPLE]))
     truth = json.loads((flown / "truth.json").read_text(encoding="utf-8"))
     assert truth["effects"][0]["name"] == "plume:z3"
     priors = ROOT / "priors" / "cassini_b_branch_telemetry.toml"

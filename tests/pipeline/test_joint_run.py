@@ -22,7 +22,7 @@ from cassini_bayes.model.thrusts import normal_log_density
 from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run import Outcome, execute
 from cassini_bayes.pipeline.run_file import check_run
-from cassini_bayes.report import figures_of, render_report, sections_of
+from cassini_bayes.report import pictures_of, render_report, sections_of
 from cassini_bayes.report.page import CHECKS, INERTIA, SEEN, THRUSTS
 from cassini_bayes.results import fitting
 from cassini_bayes.results.record import GROUPS, read_fit
@@ -100,7 +100,9 @@ def test_the_page_shows_what_telemetry_adds(mixed: tuple[Outcome, Silent]) -> No
     """Sections, tables and pictures of telemetry are on the page, and those of totals rows stay."""
     review = mixed[0].review
     sections = sections_of(review)
-    drawn = figures_of([own for own in sections if own.chapter in (SEEN, INERTIA, THRUSTS, CHECKS)])
+    drawn = pictures_of(
+        [own for own in sections if own.chapter in (SEEN, INERTIA, THRUSTS, CHECKS)]
+    )
     assert {"observability", "inertia", "thrusts", "balance", "series_1", "series_2"} <= set(drawn)
     page = render_report(review, sections, drawn)
     for words in (

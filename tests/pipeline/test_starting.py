@@ -61,7 +61,7 @@ def test_matches_are_proposed_and_not_in_force(tmp_path: Path) -> None:
 def test_nothing_is_replaced(tmp_path: Path) -> None:
     """One file in the way, and none is written."""
     (tmp_path / "run.toml").write_text("mine")
-    with pytest.raises(InputError, match="run.toml"):
+    with pytest.raises(InputError, match=r"run\.toml"):
         write_starting_files(tmp_path, "cassini")
     assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]
 

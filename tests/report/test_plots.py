@@ -58,9 +58,9 @@ def figures() -> dict[str, Figure]:
 def test_all_figures_of_a_full_review_are_there_in_the_report_s_order(figures) -> None:
     """Nuisances are spread over corner plots of at most nine parameters."""
     assert list(figures) == [
-        "thrusts", "corner_thrusts", "nuisances", "corner_nuisances_1", "corner_nuisances_2",
-        "corner_nuisances_3", "torques", "budget", "predictive", "balance", "delta_v",
-        "delta_v_thrusts", "convergence",
+        "thrusts", "corner_joint", "corner_thrusts", "nuisances", "corner_nuisances_1",
+        "corner_nuisances_2", "corner_nuisances_3", "torques", "budget", "predictive", "balance",
+        "delta_v", "delta_v_thrusts", "convergence",
     ]  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from made_up_review import full_figures, full_review, made_up_review, page_of
 
@@ -87,7 +88,7 @@ def test_the_page_is_well_formed(html: str) -> None:
     assert page.faults == []
     assert len(page.ids) == len(set(page.ids))
     inner = [a[1:] for a in page.addresses if a.startswith("#")]
-    assert len(inner) == 10
+    assert len(inner) == 11
     assert set(inner) <= set(page.ids)
     assert html.lstrip().startswith("<!DOCTYPE html>")
     assert Page("<p><b></p>").faults != []
@@ -108,7 +109,7 @@ def test_the_page_needs_nothing_else(html: str) -> None:
 def test_pictures_are_whole_and_ask_for_nothing(html: str) -> None:
     """Every figure is there; SVG pictures carry no script and no outside reference."""
     found = re.findall(r'src="data:image/(png|svg\+xml);base64,([^"]+)"', html)
-    assert len(found) == 13
+    assert len(found) == 14
     for kind, content in found:
         picture = base64.b64decode(content)
         if kind == "png":
@@ -121,7 +122,7 @@ def test_pictures_are_whole_and_ask_for_nothing(html: str) -> None:
 def test_every_thruster_in_every_event_is_listed(html: str, review: Review) -> None:
     """Both names in one table of the event, its numbers as tabulated."""
     for event in review.fit.posterior.coords["event"].values:
-        part = html.split(f"<summary>{event}</summary>")[1].split("</details>")[0]
+        part = html.split(f"<summary>{event} <")[1].split("</details>")[0]
         names = re.findall(r'<th scope="row">(\w+)</th>', part)
         assert names == [str(t) for t in review.fit.posterior.coords["thruster"].values]
     row = review.summary[review.summary["name"] == f"thrust_n[{event},z1]"].iloc[0]
@@ -133,7 +134,8 @@ def test_order_summary_then_warnings_then_the_headline(html: str) -> None:
     places = [
         html.index(mark)
         for mark in (
-            "<h1>", 'class="summary"', "Read this first", 'id="thrusts"', 'id="numbers"',
+            "<h1>", 'class="verdict"', "Read this first", 'class="numbers"', 'class="summary"',
+            'id="contents"', 'id="thrusts"', 'id="numbers"',
             'id="nuisances"', 'id="budget"', 'id="checks"', 'id="delta-v"', 'id="convergence"',
             'id="provenance"', 'id="glossary"',
         )
@@ -141,11 +143,43 @@ def test_order_summary_then_warnings_then_the_headline(html: str) -> None:
     assert places == sorted(places)
 
 
-def test_summary_says_level_spread_and_what_limits(html: str, review: Review) -> None:
-    """The numbers in the first paragraph are the tables' own."""
-    first = Page(html.split('<p class="summary">')[1].split("</p>")[0]).text
+def test_the_verdict_names_the_prior_and_what_is_known_well(html: str, review: Review) -> None:
+    """Level, prior and narrowing by hand; the impulse's relative width over all thrusters."""
+    first = Page(html.split('<div class="verdict">')[1].split("</div>")[0]).text
     common = review.summary[review.summary["quantity"] == "thrust_common_n"].iloc[0]
-    assert f"{common['mean']:.3f} ± {common['sd']:.3f} N" in first
+    assert f"Thrust {common['mean']:.3f} ± {common['sd']:.3f} N" in first
+    narrower = 100 * (1 - common["sd"] / common["prior_sd"])
+    before = f"{common['prior_mean']:.3f} ± {common['prior_sd']:.3f} N"
+    assert f"{narrower:.0f} % narrower than the prior, {before}" in first
+    draws = review.fit.posterior["impulse_per_on_time_n"]
+    relative = (draws.std(("chain", "draw"), ddof=1) / draws.mean(("chain", "draw"))).values
+    kept = relative[relative <= 2 * np.median(relative)]
+    assert f"to {100 * kept.min():.2g}–{100 * kept.max():.2g}" in first
+    assert html.index('class="verdict"') < html.index("<figure")
+
+
+def test_a_card_says_how_much_of_the_posterior_is_prior(html: str, review: Review) -> None:
+    """The share is the ratio of variances; what an event is worth is said; the table is its own."""
+    event = str(review.fit.posterior.coords["event"].values[0])
+    part = html.split(f"<summary>{event} <")[1].split("</details>")[0]
+    row = review.summary[review.summary["name"] == f"thrust_n[{event},z1]"].iloc[0]
+    share = 100 * (row["sd"] / row["prior_sd"]) ** 2
+    assert f"<td>{share:.0f} %</td>" in part
+    assert "Thrust levels, on average: 2.0 %" in part  # 0.02 / 0.98
+
+
+def test_the_page_is_for_light_dark_and_print(html: str) -> None:
+    """Colours for both, folds that open in print, folded long tables, one skip link."""
+    assert "prefers-color-scheme: dark" in html
+    assert "details::details-content" in html
+    assert html.count("<details open") == 0
+    assert html.count("<details") >= 20
+    assert html.index('href="#contents"') < html.index("<main>")
+
+
+def test_summary_says_spread_and_what_limits(html: str, review: Review) -> None:
+    """The numbers in the paragraph under the verdict are the tables' own."""
+    first = Page(html.split('<p class="summary">')[1].split("</p>")[0]).text
     shares = review.budget.filter(like="|share").drop(
         columns=["noise-only|share", "nonlinear|share"]
     )

@@ -12,8 +12,11 @@ is known exactly. Otherwise widths are taken as N(w, v), so that with σ² = ste
 
     Δu_m = n_m w + e_m + δ_m − δ_{m−1},   Var(Δu) = v diag(n) + σ² tridiag(−1, 2, −1),
 
-w and v by maximum likelihood; E[Δc | u] = n w + v n Var⁻¹ (Δu − n w). Of the cumulative on-time a
-variance σ² (q/(q + 4))^½ stays open, q = v n̄/σ² (a random walk seen with white noise, smoothed).
+w and v by maximum likelihood; E[Δc | u] = n w + v n Var⁻¹ (Δu − n w). What stays open of the levels
+C_m is a random walk of steps v n̄ seen with white noise σ²: precision (1 + D'D/q)/σ², D the
+differences and q = v n̄/σ². Where q is small, a few hundred firings do not tell v well enough, and
+with it how much of what distinguishes two firings is rounding. Then only the first and the last
+reading are used, E[Δc] = n w, and the precision has ones for these two alone.
 Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 """
 
@@ -32,6 +35,8 @@ LEAST_STEP_S: Final = 5e-4
 # Widths' variances tried, in units of the rounding's: from none to no rounding at all.
 SPREADS: Final = np.concatenate([[0.0], np.logspace(-3.0, 5.0, 33)])
 LEAST_RUNS: Final = 3
+# Of q: with less, a width's variance that is 20 % off moves what neighbours tell of thrust by 3 %.
+LEAST_RATIO: Final = 20.0
 _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step
 
 
@@ -39,12 +44,35 @@ _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a ste
 class OnTimes:
     """On-times expected of rounded counters.
 
-    ``on_time_s`` (m, K) takes the place of the readings; ``open_s2`` (K,) is the variance of the
-    cumulative on-time that the readings leave open.
+    ``on_time_s`` (m, K) takes the place of the readings; ``rounding`` (K,) says what they leave
+    open of every thruster.
     """
 
     on_time_s: Array
-    open_s2: Array
+    rounding: tuple[Rounding, ...]
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """What a rounded counter leaves open of its levels: precision (1 + D'D/q)/σ².
+
+    ``variance_s2`` is σ², none of a counter that is known; ``ratio`` is q, infinite where nothing
+    is known of the widths. With ``coarse`` the 1 is there for the first and last level only.
+    ``width_s`` is the mean width of a pulse.
+    """
+
+    variance_s2: float = 0.0
+    ratio: float = np.inf
+    coarse: bool = False
+    width_s: float = np.inf
+
+    @property
+    def step_s(self) -> float:
+        """Step of the counter, 0 where it is known."""
+        return float(np.sqrt(12.0 * self.variance_s2))
+
+
+KNOWN: Final = Rounding()
 
 
 def counter_step(on_time_s: Array) -> float:
@@ -74,20 +102,25 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
         What commands may be multiples of (a control cycle), s; 0 for any width.
     """
     result = np.array(on_time_s, dtype=np.float64)
-    left = np.zeros(on_time_s.shape[1])
+    thrusters = range(on_time_s.shape[1])
     if step_s < LEAST_STEP_S:
-        return OnTimes(result, left)
-    for k in range(on_time_s.shape[1]):
-        if is_quantised(on_time_s[:, k], pulses[:, k], step_s, quantum_s):
-            start = on_time_s[0, k]
-            result[:, k] = start + quantum_s * np.round((on_time_s[:, k] - start) / quantum_s)
-        else:
-            result[:, k], left[k] = _smoothed(on_time_s[:, k], pulses[:, k], step_s)
-    return OnTimes(result, left)
+        return OnTimes(result, (KNOWN,) * len(thrusters))
+    said = {is_quantised(on_time_s[:, k], pulses[:, k], step_s, quantum_s) for k in thrusters}
+    if True in said and False not in said:
+        gained = quantum_s * np.round((on_time_s - on_time_s[0]) / quantum_s)
+        return OnTimes(on_time_s[0] + gained, (KNOWN,) * len(thrusters))
+    rounding = []
+    for k in thrusters:
+        result[:, k], own = _smoothed(on_time_s[:, k], pulses[:, k], step_s)
+        rounding.append(own)
+    return OnTimes(result, tuple(rounding))
 
 
-def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool:
+def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool | None:
     """Whether every reading (m,) is within its rounding of a multiple of the quantum.
+
+    None where a thruster fired too rarely to tell: what commands are made of is the controller's
+    business, so that one thruster tells it of all.
 
     By chance a reading is so with probability 2 step/quantum; with five different ones, of a step
     of a quarter of the quantum or less, that is nobody's chance. With a step that is the quantum
@@ -95,8 +128,10 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     for the last, which may have been counted and not yet fired).
     """
     gained = on_time_s - on_time_s[0]
-    if quantum_s <= 0.0 or len(np.unique(gained)) < LEAST_RUNS:
+    if quantum_s <= 0.0:
         return False
+    if len(np.unique(gained)) < LEAST_RUNS:
+        return None
     if abs(step_s - quantum_s) < _SLACK:
         return bool(np.all(gained >= quantum_s * (pulses - pulses[0] - 1.0) - _SLACK))
     off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
@@ -104,30 +139,35 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
 
 
-def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, float]:
-    """Expected cumulative on-time (m,) and the variance that stays open, s²."""
+def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Rounding]:
+    """Expected cumulative on-time (m,), and what stays open."""
     change = np.diff(on_time_s)
     firing = (change > 0.0) | (np.diff(pulses) > 0.0)
     active = np.flatnonzero(firing)
     if len(active) == 0:
-        return on_time_s, 0.0
+        return on_time_s, KNOWN
     # a pulse may run over a reading: what follows without a pause belongs together
     run = np.concatenate([[0], np.cumsum(np.diff(active) > 1)])
     seconds = np.asarray(np.bincount(run, change[active]), dtype=np.float64)
     count = np.maximum(np.bincount(run, np.diff(pulses)[active]), 1.0)
-    if len(seconds) < LEAST_RUNS:
-        return on_time_s, step_s**2 / 12.0
     rounding = step_s**2 / 12.0
+    if len(seconds) < LEAST_RUNS:
+        return on_time_s, Rounding(rounding)
     spread = max(SPREADS, key=lambda s: _log_likelihood(seconds, count, s, rounding))
     width = _mean_width(seconds, count, spread, rounding)
-    missed = _solve(seconds - count * width, count, spread, rounding)
-    expected = count * width + spread * rounding * count * missed
-    share = np.divide(expected, seconds, out=np.ones_like(expected), where=seconds > 0.0)
-    gained = np.zeros_like(change)
-    gained[active] = change[active] * share[run]
     ratio = float(spread * count.mean())
-    left = rounding * np.sqrt(ratio / (ratio + 4.0))
-    return on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)]), float(left)
+    if coarse := ratio < LEAST_RATIO:
+        expected = count * (seconds.sum() / count.sum())
+    else:
+        missed = _solve(seconds - count * width, count, spread, rounding)
+        expected = count * width + spread * rounding * count * missed
+    # Within a run by what the readings show; a run too short to show anything, by its pulses.
+    shown = np.where(seconds[run] > 0.0, change[active], np.diff(pulses)[active])
+    share = shown / np.bincount(run, shown)[run]
+    gained = np.zeros_like(change)
+    gained[active] = expected[run] * share
+    on_time = on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)])
+    return on_time, Rounding(rounding, ratio, coarse, float(seconds.sum() / count.sum()))
 
 
 def _banded(count: Array, spread: float, rounding: float) -> Array:

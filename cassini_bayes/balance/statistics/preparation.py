@@ -73,7 +73,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float) -> Prepared:
     if len(time) == 0:
         return Prepared(Preparation(steps), time, on_time)
     expected = expected_on_times(on_time, pulses, counter_step(on_time), control_cycle_s)
-    return Prepared(Preparation(steps, tuple(expected.open_s2.tolist())), time, expected.on_time_s)
+    return Prepared(Preparation(steps, expected.rounding), time, expected.on_time_s)
 
 
 def channel_step(values: Array) -> float:

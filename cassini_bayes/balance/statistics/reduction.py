@@ -24,6 +24,7 @@ from cassini_bayes.balance.statistics.columns import (
     Sampling,
     settle,
 )
+from cassini_bayes.balance.statistics.counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.balance.statistics.turns import (
     SLOPE_WAVES,
@@ -37,7 +38,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512
-_FORMAT: Final = 4
+_FORMAT: Final = 6
 BLOCK_ROWS: Final = 4_096
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -66,6 +67,7 @@ class EventStatistics:
     turns: TurnStatistics
     counters: CounterStatistics
     steps: ChannelSteps
+    shown: ShownWheels
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +102,9 @@ class CounterStatistics:
 
     ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
     ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
-    (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2`` (G,) is the variance of
-    a couple's cumulative on-time that rounded counters leave open.
+    (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2``, ``open_ratio``
+    and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
+    (:class:`cassini_bayes.balance.statistics.counters.Rounding`).
     """
 
     row_time_s: Array
@@ -110,6 +113,18 @@ class CounterStatistics:
     fired: NDArray[np.bool_]
     weight: Array
     open_s2: Array
+    open_ratio: Array
+    coarse: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ShownWheels:
+    """Measured wheel rates ``rate_rad_s`` (r, W) at the thinned rows of :class:`CounterStatistics`.
+
+    Their rounding is the same in all rows in which a wheel rests.
+    """
+
+    rate_rad_s: Array
 
 
 @dataclass(frozen=True)
@@ -125,7 +140,7 @@ class Preparation:
     """What a first look at an event's telemetry found, for the pass that reduces it."""
 
     steps: ChannelSteps = ChannelSteps()
-    open_s2: tuple[float, ...] = ()  # (K,) of cumulative on-times, that rounded counters leave open
+    rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters
 
 
 @dataclass(frozen=True)
@@ -242,18 +257,20 @@ def reduce_chunks(
     Raises
     ------
     InputError
-        Fewer than ten rows can be used.
+        Fewer than ten rows can be used, or a counter's steps are longer than the pulses.
     """
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
-    turns, times = _Turns(layout, sampling), Thinned()
+    turns, times, wheels = _Turns(layout, sampling), Thinned(), Thinned()
+    wheel = slice(layout.wheel.start - len(layout.vector), layout.wheel.stop - len(layout.vector))
     for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
             inner.gather(_inner_products(rows, layout, sampling.duration_s))
             turns.add(rows)
             times.add(rows.time_s)
+            wheels.add(rows.scalar[:, wheel])
             used += len(rows.time_s)
         interval = interval or counter_interval(chunk)
     if used < LEAST_ROWS:
@@ -266,6 +283,7 @@ def reduce_chunks(
         )
     gram, places = _by_axes(inner.columns, layout)
     prepared = prepared or Preparation()
+    _require_readable(event_id, layout, prepared.rounding)
     return EventStatistics(
         event_id=event_id,
         kind=kind,
@@ -278,9 +296,27 @@ def reduce_chunks(
         cuts=carry.cuts,
         counter_interval_s=interval,
         turns=turns.statistics(),
-        counters=_counter_statistics(carry.pairs, times, layout, prepared.open_s2),
+        counters=_counter_statistics(carry.pairs, times, layout, prepared.rounding),
         steps=prepared.steps,
+        shown=ShownWheels(np.concatenate(wheels.kept)),
     )
+
+
+def _require_readable(event_id: str, layout: Layout, rounding: Sequence[Rounding]) -> None:
+    """Refuse counters whose steps hide the pulses: what was fired cannot be read from them.
+
+    The widths' scatter, which would then be noise, is not known well enough from such readings:
+    overstated noise makes the inertia several standard deviations too large.
+    """
+    for name, own in zip(layout.thrusters, rounding, strict=False):
+        if own.step_s > own.width_s:
+            raise InputError(
+                f"event {event_id}: on_time_{name}_s",
+                f"a counter in finer steps than its pulses, {own.width_s:.3f} s on average",
+                f"steps of {own.step_s:g} s",
+                "give the counter in finer steps; if pulses are whole numbers of control cycles, "
+                "say so by control_cycle_s in the spacecraft file",
+            )
 
 
 class Thinned:
@@ -305,7 +341,7 @@ class Thinned:
 
 
 def _counter_statistics(
-    pairs: Pairs, times: Thinned, layout: Layout, open_s2: Sequence[float]
+    pairs: Pairs, times: Thinned, layout: Layout, rounding: Sequence[Rounding]
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
     every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
@@ -314,15 +350,20 @@ def _counter_statistics(
     if every > 1:
         weight = np.add.reduceat(weight, first, axis=0)
         fired = np.logical_or.reduceat(fired, first, axis=0)
-    by_thruster = open_s2 or np.zeros(len(layout.thrusters))
-    by_couple = [max(by_thruster[k] for k in own) for own in layout.couples]
+    by_thruster = rounding or (KNOWN,) * len(layout.thrusters)
+    by_couple = [
+        max((by_thruster[k] for k in own), key=lambda one: one.variance_s2)
+        for own in layout.couples
+    ]
     return CounterStatistics(
         np.concatenate(times.kept),
         times.stride,
         pairs.end_s[first],
         fired,
         weight,
-        np.array(by_couple),
+        np.array([one.variance_s2 for one in by_couple]),
+        np.array([one.ratio for one in by_couple]),
+        np.array([one.coarse for one in by_couple], dtype=np.bool_),
     )
 
 
@@ -430,6 +471,7 @@ _PARTS: Final[Mapping[str, Any]] = {
     "turns": TurnStatistics,
     "counters": CounterStatistics,
     "steps": ChannelSteps,
+    "shown": ShownWheels,
 }
 
 

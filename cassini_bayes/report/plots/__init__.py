@@ -7,16 +7,29 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.files.storage import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Figure", "draw", "encode", "is_corner", "save_figures", "settle"]
+__all__ = [
+    "Figure",
+    "Picture",
+    "draw",
+    "draw_encoded",
+    "encode",
+    "encoded",
+    "is_corner",
+    "save_figures",
+    "save_pictures",
+    "settle",
+]
 
 DOTS_PER_INCH: Final = 150
 CORNER: Final = "corner"
@@ -31,6 +44,19 @@ _NO_LAYOUT: Final[Mapping[Any, object]] = {
 }
 
 
+@dataclass(frozen=True)
+class Picture:
+    """A figure as it is written: its files by kind, of which a page shows the last."""
+
+    files: Mapping[Kind, bytes]
+
+    @property
+    def shown(self) -> tuple[Kind, bytes]:
+        """What a page shows: SVG where there is one."""
+        kind: Kind = "svg" if "svg" in self.files else "png"
+        return kind, self.files[kind]
+
+
 def draw(drawings: Mapping[str, Callable[[], Figure | None]]) -> dict[str, Figure]:
     """Figures by name, in order, in the house style; one that has nothing to show is absent."""
     import matplotlib
@@ -43,6 +69,30 @@ def draw(drawings: Mapping[str, Callable[[], Figure | None]]) -> dict[str, Figur
         for figure in figures.values():
             settle(figure)
     return figures
+
+
+def draw_encoded(
+    drawings: Mapping[str, Callable[[], Figure | None]], processes: int = 1
+) -> dict[str, Picture]:
+    """Figures by name, in order, drawn and encoded in several processes; see :func:`draw`.
+
+    A figure takes up to some seconds, and no two share anything. Corner plots, the longest, begin.
+    """
+    import matplotlib.figure  # noqa: F401  before the processes part, which then need not
+
+    def made(name: str) -> Picture | None:
+        figures = draw({name: drawings[name]})
+        return encoded(name, figures[name]) if figures else None
+
+    order = sorted(drawings, key=is_corner, reverse=True)
+    found = dict(zip(order, in_processes(made, order, processes), strict=True))
+    return {name: own for name in drawings if (own := found[name]) is not None}
+
+
+def encoded(name: str, figure: Figure) -> Picture:
+    """The figure as PNG and, corner plots excepted, as SVG."""
+    kinds = _KINDS[:1] if is_corner(name) else _KINDS
+    return Picture({kind: encode(figure, kind) for kind in kinds})
 
 
 def settle(figure: Figure, solutions: int = 2) -> None:
@@ -94,11 +144,16 @@ def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
     InputError
         The folder cannot be written.
     """
+    return save_pictures({name: encoded(name, own) for name, own in figures.items()}, folder)
+
+
+def save_pictures(pictures: Mapping[str, Picture], folder: Path) -> list[Path]:
+    """Write every file of every picture as ``<name>.<kind>``; as :func:`save_figures`."""
     written = []
-    for name, figure in figures.items():
-        for kind in _KINDS[:1] if is_corner(name) else _KINDS:
+    for name, picture in pictures.items():
+        for kind, content in picture.files.items():
             path = folder / f"{name}.{kind}"
-            write_bytes(path, encode(figure, kind))
+            write_bytes(path, content)
             written.append(path)
     return written
 

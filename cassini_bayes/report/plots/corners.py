@@ -20,7 +20,12 @@ from cassini_bayes.report.plots.style import (
     line,
     new_figure,
 )
-from cassini_bayes.report.plots.tables import Column, level_columns, nuisance_column
+from cassini_bayes.report.plots.tables import (
+    Column,
+    common_column,
+    level_columns,
+    nuisance_column,
+)
 from cassini_bayes.results.review import Review
 
 if TYPE_CHECKING:
@@ -29,6 +34,8 @@ if TYPE_CHECKING:
 
 
 MOST_DRAWS: Final = 8_000
+FEW_COLUMNS: Final = 5
+"""Of a corner plot that can be read at the width of the page."""
 CONTOUR_LEVELS: Final = (0.393, 0.865)  # 1 and 2 standard deviations of a two-dimensional normal
 PANEL_IN: Final = 1.32
 SMALLEST_IN: Final = 6.0
@@ -50,6 +57,34 @@ def thrust_corner(review: Review) -> Figure | None:
         columns.append(tail)
         title += " and the tail-off time"
     return corner_figure(columns, title)
+
+
+def joint_corner(review: Review) -> Figure | None:
+    """The few quantities that are most correlated: the common thrust, and what is walked."""
+    columns = [c for name in review.nuisances["name"] if (c := nuisance_column(review, str(name)))]
+    common = common_column(review)
+    chosen = most_correlated([common, *columns] if common else columns, first=common is not None)
+    return corner_figure(chosen, "What trades against what")
+
+
+def most_correlated(
+    columns: Sequence[Column], *, first: bool, count: int = FEW_COLUMNS
+) -> list[Column]:
+    """The columns most tied to one another, in their order; with ``first``, the first in any case.
+
+    Greedy: the strongest pair (of the first, if it is asked for), then whatever correlates most
+    with one that is already in.
+    """
+    usable = [c for c in columns if _varies(c.posterior)]
+    if len(usable) <= count:
+        return usable
+    tied = np.abs(np.corrcoef(np.stack([_thin(c.posterior) for c in usable])))
+    np.fill_diagonal(tied, 0.0)
+    kept = [0] if first and usable[0] is columns[0] else [int(np.argmax(tied.max(0)))]
+    while len(kept) < count:
+        left = [j for j in range(len(usable)) if j not in kept]
+        kept.append(max(left, key=lambda j: float(tied[kept, j].max())))
+    return [usable[j] for j in sorted(kept)]
 
 
 def nuisance_corner(review: Review, names: Sequence[str], title: str) -> Figure | None:

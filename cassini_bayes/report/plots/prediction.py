@@ -225,20 +225,21 @@ def plan_figure(found: Plan) -> Figure:
     with matplotlib.rc_context(dict(STYLE)):
         figure = new_figure(6.4, 4.2)
         axes = figure.subplots()
-        grams = [c.hydrazine_g for c in found.candidates]
+        grams = [c.cost for c in found.candidates]
         nats = [c.information_nats for c in found.candidates]
         axes.scatter(grams, nats, s=7, color="#9fb8d4", lw=0, label="candidate bias")
         front = found.front()
         axes.plot(
-            [c.hydrazine_g for c in front],
+            [c.cost for c in front],
             [c.information_nats for c in front],
             "-o",
             color=POSTERIOR,
             ms=3.5,
             lw=1.0,
-            label="best for its hydrazine",
+            label="best for its cost",
         )
-        axes.set_xlabel("expected hydrazine [g]")
+        cost = "hydrazine [g]" if found.has_hydrazine else "on-time of all thrusters [s]"
+        axes.set_xlabel(f"expected {cost}")
         axes.set_ylabel(f"expected information on {found.quantity} [nats]")
         axes.set_ylim(bottom=0.0)
         axes.legend(loc="upper left")

@@ -97,6 +97,15 @@ def level_columns(review: Review) -> list[Column]:
     ]
 
 
+def common_column(review: Review) -> Column | None:
+    """The thrust that all thrusters share; None where there are none."""
+    name = "thrust_common_n"
+    if name not in review.fit.posterior:
+        return None
+    posterior, prior = (flat_draws(d, name) for d in (review.fit.posterior, review.fit.prior))
+    return Column("common thrust", "N", posterior, prior)
+
+
 def nuisance_column(review: Review, name: str) -> Column | None:
     """Draws of a walked parameter; None when the fit keeps it under no name known here.
 

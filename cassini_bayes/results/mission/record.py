@@ -21,7 +21,19 @@ STATE: Final = "draws"
 
 
 def save_trend(fit: MissionFit, trend: Trend, path: Path) -> None:
-    """Write ``trend.nc``: thrusts of all events with their branch, and what was walked.
+    """Write ``trend.nc``: the draws of :func:`trend_draws`."""
+    posterior = trend_draws(fit, trend)
+    attributes = {
+        "log_evidence": fit.log_evidence_total,
+        "log_evidence_se": fit.log_evidence_se,
+        "pareto_k": fit.pareto_k,
+    }
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs=attributes), "/posterior": posterior})
+    write_bytes(path, bytes(tree.to_netcdf(engine="h5netcdf")))
+
+
+def trend_draws(fit: MissionFit, trend: Trend) -> xr.Dataset:
+    """Thrusts of all events with their branch, and what was walked: dims (chain, draw, ...).
 
     ``thrust_n[event, thruster]`` has the coordinate ``branch`` on its events, and NaN where a
     thruster is not of the event's branch.
@@ -45,7 +57,7 @@ def save_trend(fit: MissionFit, trend: Trend, path: Path) -> None:
         if np.ndim(value):
             unit = fit.model.units[name]
             data[name] = labelled(("chain", "draw"), np.asarray(value)[None], unit, name)
-    posterior = xr.Dataset(
+    return xr.Dataset(
         data,
         coords={
             "chain": [0],
@@ -56,13 +68,6 @@ def save_trend(fit: MissionFit, trend: Trend, path: Path) -> None:
             "epoch": ("event", [event.epoch.isoformat() for event in events]),
         },
     )
-    attributes = {
-        "log_evidence": fit.log_evidence_total,
-        "log_evidence_se": fit.log_evidence_se,
-        "pareto_k": fit.pareto_k,
-    }
-    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs=attributes), "/posterior": posterior})
-    write_bytes(path, bytes(tree.to_netcdf(engine="h5netcdf")))
 
 
 def save_state(fit: MissionFit, digests: Mapping[str, str], store: CheckpointStore) -> None:

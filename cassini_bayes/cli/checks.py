@@ -1,0 +1,63 @@
+"""`check`: all that is known before sampling, on one page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cassini_bayes.cli.options import (
+    Accept,
+    ConsoleReporter,
+    Effects,
+    Json,
+    LeaveOut,
+    Quiet,
+    Strict,
+)
+
+
+def check_command(
+    events: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="EVENT...", help="Event folder, totals CSV, or CSV:ID for one of its rows."
+        ),
+    ],
+    priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
+    source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", help="Effect to fit by name, thruster_leak:z3; may be repeated."),
+    ] = None,
+    effects: Effects = None,
+    accept: Accept = None,
+    leave_out: LeaveOut = False,
+    strict: Strict = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Before sampling: plausibility, rows used, what these events can see, conflicts, time."""
+    from cassini_bayes.pipeline.checks import check
+
+    reporter = ConsoleReporter(quiet)
+    found = check(
+        events,
+        priors,
+        effects=effect or (),
+        own_effects=effects or (),
+        source=source,
+        accept=accept or [],
+        leave_out=leave_out,
+        say=reporter.say,
+    )
+    if as_json:
+        typer.echo(json.dumps(found.as_record()))
+    elif not quiet:
+        typer.echo(repr(found))
+    if quiet or as_json:
+        for sentence in found.warnings:
+            typer.echo(f"warning: {sentence}", err=True)
+    raise typer.Exit(1 if strict and found.warnings else 0)

@@ -1,0 +1,305 @@
+"""A diagnosis as its user holds it: what the simulation gets wrong, named, sized and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from cassini_bayes.computing.workers import cores
+from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.case import Case, Log, silent
+from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawing, undrawn
+from cassini_bayes.diagnosis.diagnosis import diagnose as diagnose_case
+from cassini_bayes.diagnosis.estimates import is_estimates
+from cassini_bayes.diagnosis.read import read_estimate_case, read_events
+from cassini_bayes.diagnosis.refit import fit_extended
+from cassini_bayes.diagnosis.sizes import size_draws
+from cassini_bayes.effects.registry import Kinds, read_kinds
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility import Policy
+from cassini_bayes.files.storage import digest
+from cassini_bayes.model.event_reduction import is_event_folder
+from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
+from cassini_bayes.pipeline.inputs import file_of
+from cassini_bayes.pipeline.models import PriorsLike, priors_of
+from cassini_bayes.pipeline.provenance import library_versions
+from cassini_bayes.priors.reader import Priors
+from cassini_bayes.report.shown import html_of, names_shown, with_interval
+from cassini_bayes.results.exchange import draws_as_inference_data
+
+if TYPE_CHECKING:
+    from cassini_bayes.report.diagnosis_pictures import Picture
+    from cassini_bayes.report.plots import Figure
+
+INTERVAL: Final = "shortest 90 %"
+DEFAULT_SEED: Final = 1
+_MOST_SHOWN: Final = 5
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult:
+    """A verdict with its record.
+
+    ``record`` is what ``diagnosis.json`` says; :meth:`summary` is one row per cause and size.
+    """
+
+    diagnosis: Diagnosis[Any]
+    seed: int
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """All that was found, as plain numbers and strings."""
+        return self.diagnosis.record
+
+    @property
+    def cause(self) -> str:
+        """The most probable hypothesis: a cause, ``none`` or ``unknown``."""
+        return str(self.record["causes"][0]["name"])
+
+    @property
+    def probability(self) -> float:
+        """Posterior probability of :attr:`cause`."""
+        return float(self.record["causes"][0]["probability"])
+
+    @cached_property
+    def sentences(self) -> tuple[str, ...]:
+        """The verdict and the gain in words."""
+        from cassini_bayes.report.diagnosis_verdict import verdict_sentences
+
+        return tuple(verdict_sentences(self.record))
+
+    def summary(self) -> pd.DataFrame:
+        """One row per hypothesis and size: probability, log Bayes factor (nats), size, interval.
+
+        Returns
+        -------
+        DataFrame, most probable first, with ``attrs["interval"]``: shortest 90 %. Columns
+        ``name``, ``probability``, ``log_bayes_factor_nats``, ``parameter``, ``unit``, ``mean``,
+        ``sd``, ``low_90``, ``high_90``, ``confounded_with``.
+        """
+        rows = []
+        for cause in self.record["causes"]:
+            shared = {
+                "name": cause["name"],
+                "probability": cause["probability"],
+                "log_bayes_factor_nats": cause["log_bayes_factor"],
+                "confounded_with": ", ".join(cause["confounded_with"]),
+            }
+            units = self._units(cause["name"])
+            for key, size in cause["parameters"].items() or [("", None)]:
+                low, high = (np.nan, np.nan) if size is None else size["hdi_90"]
+                own = {
+                    "parameter": key,
+                    "unit": units.get(key, ""),
+                    "mean": np.nan if size is None else size["mean"],
+                    "sd": np.nan if size is None else size["sd"],
+                    "low_90": low,
+                    "high_90": high,
+                }
+                rows.append({**shared, **own})
+        columns = ["name", "probability", "log_bayes_factor_nats", "parameter", "unit", "mean"]
+        table = pd.DataFrame(rows)[[*columns, "sd", "low_90", "high_90", "confounded_with"]]
+        return with_interval(table, INTERVAL)
+
+    def _units(self, name: str) -> Mapping[str, str]:
+        """Units of a cause's sizes, as far as it has parameters of those names."""
+        hypotheses = (w.hypothesis for w in self.diagnosis.verdict.weighed if w.name == name)
+        effects = (e for h in hypotheses for e in getattr(h, "effects", ()))
+        return {p.key: p.unit for effect in effects for p in effect.parameters}
+
+    def plot_causes(self) -> Figure:
+        """Probability and log Bayes factor of the most probable hypotheses."""
+        from cassini_bayes.report.plots import draw
+        from cassini_bayes.report.plots.criticism import cause_figure
+
+        return draw({"causes": partial(cause_figure, self.record["causes"])})["causes"]
+
+    def plot_discrepancy(self) -> Figure | None:
+        """Torque that the baseline lacks, integrated, about body axes; None without telemetry."""
+        from cassini_bayes.report.diagnosis_pictures import pictures_of
+
+        return _drawn(pictures_of(self.diagnosis.curves), "discrepancy")
+
+    def plot_innovations(self) -> Figure | None:
+        """Measured less predicted momentum, before and after; None without telemetry."""
+        from cassini_bayes.report.diagnosis_pictures import pictures_of
+
+        return _drawn(pictures_of(self.diagnosis.shown), "innovations")
+
+    def to_arviz(self, draws: int = 1_000) -> Any:  # ArviZ carries no types
+        """Sizes of the extended model's causes as the posterior of ``arviz.InferenceData``.
+
+        Raises
+        ------
+        InputError
+            The verdict names no cause: there is no size.
+        """
+        case, weighed = self.diagnosis.case, self.diagnosis.extended
+        if not isinstance(case, BalanceCase) or not weighed.is_cause:
+            raise InputError(
+                "to_arviz", "a verdict that names a cause", repr(weighed.name), "see summary()"
+            )
+        rng = np.random.default_rng(self.seed)
+        values, weights = size_draws(weighed, rng)
+        chosen = rng.choice(len(weights), draws, p=weights / weights.sum())
+        units = self._units(weighed.name)
+        variables = {
+            key: xr.DataArray(
+                own[chosen][None], dims=("chain", "draw"), attrs={"units": units.get(key, "")}
+            )
+            for key, own in values.items()
+        }
+        return draws_as_inference_data(variables, "posterior")
+
+    def fit(self, folder: PathLike, seed: int | None = None, log: Log = silent) -> pd.DataFrame:
+        """Sample the extended model with emcee; writes ``fit.nc`` and ``summary.csv``.
+
+        Raises
+        ------
+        InputError
+            A diagnosis of printed estimates; the folder cannot be written.
+        """
+        if not isinstance(self.diagnosis.case, BalanceCase):
+            raise InputError("--then-fit", "telemetry or totals", "printed estimates", "drop it")
+        number = self.seed if seed is None else seed
+        return fit_extended(self.diagnosis, Path(folder), number, log)
+
+    def report(self, folder: PathLike) -> Path:
+        """Write ``diagnosis.json``, tables, figures and ``report.html``; returns its path."""
+        from cassini_bayes.report.diagnosis import write_diagnosis
+
+        place = Path(folder)
+        write_diagnosis(self.diagnosis, place, place.name, cores())
+        return place / "report.html"
+
+    def __repr__(self) -> str:
+        events = names_shown(tuple(self.record["events"]))
+        return "\n  ".join([f"DiagnosisResult of {events}:", *self.sentences])
+
+    def _repr_html_(self) -> str:
+        title = f"Diagnosis: {self.cause} (probability {self.probability:.2f})"
+        return html_of(title, self.sentences, self.summary().head(_MOST_SHOWN))
+
+
+def _drawn(pictures: Sequence[Picture], name: str) -> Figure | None:
+    """The picture of that name as a figure in the house style; None where nothing is shown."""
+    from cassini_bayes.report.plots import draw
+
+    return draw({p.name: p.make for p in pictures if p.name == name}).get(name)
+
+
+def diagnose(
+    events: EventLike | Iterable[EventLike],
+    priors: PriorsLike,
+    *,
+    own_effects: Sequence[PathLike] = (),
+    source: str = "flight",
+    gain: bool = True,
+    accept: Sequence[str] = (),
+    leave_out: bool = False,
+    seed: int = DEFAULT_SEED,
+    log: Log = silent,
+    workers: int | None = None,
+    draw: bool = False,
+) -> DiagnosisResult:
+    """Show what the simulation gets wrong, name the cause, measure what it gains.
+
+    Every catalogued cause gets its evidence; ``none`` is the baseline, ``unknown`` the baseline
+    with a discrepancy of its own. P(cause | data) is proportional to its evidence times its prior
+    probability (:func:`causes` has it).
+
+    Parameters
+    ----------
+    events
+        Event folders, totals files, ``file.csv:ID``, events that were read; or files of printed
+        estimates, on their own.
+    priors
+        A priors file, or what :func:`read_priors` made of it.
+    own_effects
+        Files of causes beyond those of the package.
+    source, accept, leave_out
+        As for :func:`build_model`.
+    gain
+        Whether to hold events out; that takes as many more fits as there are events, twice.
+    seed
+        Same seed and inputs, same verdict.
+    log
+        Told how far it got.
+    workers
+        Processes; one for each core by default. The result does not depend on it.
+    draw
+        Whether to draw the report's figures beside the searches, for a report that follows.
+
+    Raises
+    ------
+    InputError
+        Bad data or priors.
+    """
+    kinds = read_kinds([Path(path) for path in own_effects])
+    policy = Policy.of(accept, leave_out=leave_out)
+    case = _case(events, priors, kinds, source, policy, log)
+    processes = cores() if workers is None else workers
+    found: Diagnosis[Any] = diagnose_case(
+        case,
+        np.random.default_rng(seed),
+        measure_gain=gain,
+        log=log,
+        workers=processes,
+        drawing=_drawing() if draw else undrawn,
+    )
+    found.record.update(
+        {
+            "seed": seed,
+            "command": ["cassini_bayes.diagnose"],
+            "effects": dict(kinds.files),
+            "sha256": _digests(events, priors, case),
+            "versions": library_versions(),
+        }
+    )
+    return DiagnosisResult(found, seed)
+
+
+def _drawing() -> Drawing:
+    from cassini_bayes.report.diagnosis_pictures import drawings
+
+    return drawings
+
+
+def _digests(
+    events: EventLike | Iterable[EventLike], priors: PriorsLike, case: Case[Any]
+) -> dict[str, str]:
+    """SHA-256 of the files that were read, and of every telemetry event."""
+    given = [event for event in each_event(events) if not isinstance(event, READ)]
+    tables = [file_of(Path(), str(name)) for name in given if not is_event_folder(Path(name))]
+    files = [str(path) for path in (priors, *tables) if not isinstance(path, Priors)]
+    found = {path: digest(Path(path)) for path in files}
+    if isinstance(case, BalanceCase):
+        telemetry = case.events.telemetry
+        found |= {f"event {event.id}": event.digest for event in telemetry if event.digest}
+    return found
+
+
+def _case(
+    events: EventLike | Iterable[EventLike],
+    priors: PriorsLike,
+    kinds: Kinds,
+    source: str,
+    policy: Policy,
+    log: Log,
+) -> Case[Any]:
+    given = each_event(events)
+    paths = [Path(event) for event in given if not isinstance(event, READ)]
+    if any(map(is_estimates, paths)):
+        if len(paths) < len(given) or isinstance(priors, Priors):
+            raise InputError(
+                "events", "estimates alone, and a priors file", "others", "diagnose them by path"
+            )
+        return read_estimate_case([str(path) for path in paths], Path(priors), kinds)
+    return BalanceCase(read_events(given, priors_of(priors), source, log, kinds, policy))

@@ -1,0 +1,599 @@
+"""A fit as its user holds it: sampled or read back; its tables, figures, and ArviZ data."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+
+from cassini_bayes.computing.workers import cores
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.registry import read_kinds
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility import Policy
+from cassini_bayes.files.reading import exists
+from cassini_bayes.files.toml_file import read_toml
+from cassini_bayes.model.draws import event_log_marginal
+from cassini_bayes.model.gather import EventLike, PathLike, gather
+from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.totals import SOFTWARE, DeltaVUse
+from cassini_bayes.pipeline.inputs import read_inputs
+from cassini_bayes.pipeline.models import PriorsLike, model_of, priors_of
+from cassini_bayes.pipeline.provenance import read_provenance
+from cassini_bayes.pipeline.run import Reporter, execute, facts_of, write_results
+from cassini_bayes.pipeline.run_file import RunFile, SamplerTable, check_run, read_run_file
+from cassini_bayes.prediction.sources import locate
+from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.report.shown import html_of, names_shown, value_with_unit, with_interval
+from cassini_bayes.results import record
+from cassini_bayes.results.exchange import inference_data
+from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model, fit_warnings
+from cassini_bayes.results.record import Fit, save_fit
+from cassini_bayes.results.review import Review
+from cassini_bayes.results.tables import hdi, summarise
+from cassini_bayes.sampling.ensembles import ProgressReport, SamplerSettings
+from cassini_bayes.sweep.models import chosen_names, units_of, values_of, walked_values
+
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
+
+INTERVAL: Final = "90 % highest density"
+FIT_FILE: Final = "fit.nc"
+RESOLVED: Final = "resolved.toml"
+_MOST_HEADLINES: Final = 6
+_HEADLINES: Final = (
+    *("thrust_common_n", "tau_fall_s"),
+    *(f"inertia_{axis}{axis}_kg_m2" for axis in "xyz"),
+    "cm_x_m",
+)
+
+
+class Quiet:
+    """A reporter that says nothing: a library does not print."""
+
+    def say(self, text: str) -> None:
+        """Nothing."""
+
+    def progress(self, report: ProgressReport) -> None:
+        """Nothing."""
+
+    def count(self, what: str, done: int, total: int) -> None:
+        """Nothing."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FitResult(Fit):
+    """Draws of a fit, and what is asked of them.
+
+    ``posterior``, ``prior`` and ``groups`` are xarray datasets with units; :meth:`summary` is one
+    row per scalar, ``plot_…`` are figures of matplotlib, :meth:`to_arviz` is ArviZ's view. What
+    needs the model (thrust figure, report, leave-one-out) asks :attr:`review`, which reads the
+    run's events and priors when first used.
+    """
+
+    name: str
+    make_review: Callable[[], Review]
+    path: Path | None = None  # of fit.nc, where it is in a run's folder
+
+    @cached_property
+    def review(self) -> Review:
+        """The fit with its model and priors, and every table of the report.
+
+        Raises
+        ------
+        InputError
+            The events or priors of a fit read back are not where its run found them.
+        """
+        return self.make_review()
+
+    @property
+    def model(self) -> Model:
+        """The model that was fitted."""
+        return self.review.model
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """Ids of its events."""
+        return tuple(map(str, self.posterior["event"].values))
+
+    @property
+    def converged(self) -> bool:
+        """Whether the stop rule held while sampling."""
+        return self.attributes["stop_rule"] == ALL_MET
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about anything that makes the draws doubtful."""
+        return tuple(fit_warnings(self))
+
+    def summary(self, quantities: str | Sequence[str] | None = None) -> pd.DataFrame:
+        """One row per scalar: unit, mean, sd, median, 90 % HDI, prior, ESS, R-hat.
+
+        Parameters
+        ----------
+        quantities
+            Names or patterns with ``*``, as in the column ``name`` (``thrust_level_n``,
+            ``inertia_*``); all by default.
+
+        Returns
+        -------
+        DataFrame with ``attrs["interval"]``: 90 % highest density.
+
+        Raises
+        ------
+        InputError
+            A pattern that names nothing, with the nearest name.
+        """
+        table = self._summary
+        if quantities is not None:
+            names = self._named(quantities)
+            table = table[table["name"].isin(names)].reset_index(drop=True)
+        return with_interval(table, INTERVAL)
+
+    @cached_property
+    def _summary(self) -> pd.DataFrame:
+        return summarise(self)
+
+    def _named(self, quantities: str | Sequence[str] | None) -> tuple[str, ...]:
+        if quantities is None:
+            from cassini_bayes.report.plots.scalars import default_names
+
+            return default_names(self.posterior)
+        patterns = [quantities] if isinstance(quantities, str) else list(quantities)
+        return chosen_names(self.posterior, patterns, "quantities")
+
+    def plot_corner(self, quantities: str | Sequence[str] | None = None) -> Figure | None:
+        """Corner plot with the priors drawn in; None with fewer than two scalars that vary."""
+        from cassini_bayes.report.plots.scalars import scalar_corner
+
+        return self._drawn("corner", partial(scalar_corner, self, self._named(quantities)))
+
+    def plot_trace(self, quantities: str | Sequence[str] | None = None) -> Figure | None:
+        """Draws in their order, one colour an ensemble."""
+        from cassini_bayes.report.plots.scalars import trace_figure
+
+        return self._drawn("trace", partial(trace_figure, self, self._named(quantities)))
+
+    def plot_thrusts(self) -> Figure | None:
+        """Thrust of every thruster in every event, beside prior and the methods replaced."""
+        return self.plot("thrusts")
+
+    def plot_priors(self) -> Figure | None:
+        """Prior against posterior of every walked parameter."""
+        return self.plot("nuisances")
+
+    def plot(self, name: str) -> Figure:
+        """Any figure of the report by its name, as :attr:`figures` lists them.
+
+        Raises
+        ------
+        InputError
+            No such figure of this fit.
+        """
+        figure = None if name not in self._drawings else self._drawn(name, self._drawings[name])
+        if figure is None:
+            raise InputError("figure", f"one of {', '.join(self.figures)}", name, "choose one")
+        return figure
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """Names of the report's figures."""
+        return tuple(self._drawings)
+
+    @cached_property
+    def _drawings(self) -> Mapping[str, Callable[[], Figure | None]]:
+        from cassini_bayes.report.sections import sections_of
+
+        sections = sections_of(self.review)
+        return {drawing.name: drawing.draw for own in sections for drawing in own.drawings}
+
+    def _drawn(self, name: str, make: Callable[[], Figure | None]) -> Figure | None:
+        from cassini_bayes.report.plots import draw
+
+        return draw({name: make}).get(name)
+
+    def to_arviz(self, *, marginal: bool = True) -> Any:  # ArviZ carries no types
+        """The fit as ``arviz.InferenceData``.
+
+        ``az.summary``, ``az.plot_trace``, ``az.plot_ppc``, ``az.loo`` and ``az.psens`` take it.
+
+        Parameters
+        ----------
+        marginal
+            ``log_likelihood`` is log p(data of an event | what all events share), its own
+            departures of thrust, torque and momentum integrated out under their priors: the event
+            is then the unit of ``az.loo``. That needs the model; without it (``False``) the density
+            given everything, the event's own unknowns too, as ``fit.nc`` has it.
+        """
+        return inference_data(self, self._event_density() if marginal else None)
+
+    def _event_density(self) -> Any:
+        review, posterior = self.review, self.posterior
+        size = posterior.sizes["chain"] * posterior.sizes["draw"]
+
+        def flat(name: str) -> Any:
+            values = np.asarray(posterior[name].values, dtype=np.float64)
+            return values.reshape(size, *values.shape[2:])
+
+        levels = flat("thrust_level_n") if "thrust_level_n" in posterior else np.zeros((size, 0))
+        has_software = all(name in posterior for name in SOFTWARE)
+        software = np.stack([flat(name) for name in SOFTWARE], axis=-1) if has_software else None
+        return event_log_marginal(review.model, review.z, levels, software)
+
+    def save(self, path: PathLike) -> None:
+        """Write the draws as NetCDF 4, atomically; :func:`read_fit` and ArviZ read them."""
+        save_fit(Fit(self.groups, self.attributes), Path(path))
+
+    def _headlines(self) -> pd.DataFrame:
+        """A few scalars with their intervals beside their priors, without sampling diagnostics."""
+        names = [name for name in _HEADLINES if name in self.posterior][:_MOST_HEADLINES]
+        names = [name for name in names if self.posterior[name].ndim == 2]
+        after, before = values_of(self.posterior, names), values_of(self.prior, names)
+        low, high = hdi(after)
+        table = pd.DataFrame(
+            {
+                "name": names,
+                "unit": units_of(self.posterior, names),
+                "mean": after.mean(0),
+                "sd": after.std(0, ddof=1),
+                "hdi_90_low": low,
+                "hdi_90_high": high,
+                "prior_mean": before.mean(0),
+                "prior_sd": before.std(0, ddof=1),
+            }
+        )
+        return with_interval(table, INTERVAL)
+
+    def _state(self) -> str:
+        sizes = self.posterior.sizes
+        state = "converged" if self.converged else f"NOT CONVERGED ({self.attributes['stop_rule']})"
+        return (
+            f"{state}; {sizes['chain']} × {sizes['draw']} draws; events {names_shown(self.events)}"
+        )
+
+    def __repr__(self) -> str:
+        lines = [f"FitResult {self.name}: {self._state()}"]
+        for row in self._headlines().to_dict(orient="records"):
+            own = value_with_unit(row["mean"], row["sd"], row["unit"])
+            prior = value_with_unit(row["prior_mean"], row["prior_sd"], row["unit"])
+            lines.append(f"  {row['name']}: {own} (prior {prior})")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return html_of(f"Fit {self.name}", [self._state(), *self.warnings], self._headlines())
+
+
+def fit(
+    events: PathLike | EventLike | Iterable[EventLike] | Model,
+    priors: PriorsLike | None = None,
+    *,
+    effects: Sequence[str | Effect] = (),
+    own_effects: Sequence[PathLike] = (),
+    pulse_shape: str = "first_order",
+    delta_v: DeltaVUse = "as-declared",
+    source: str = "flight",
+    accept: Sequence[str] = (),
+    leave_out: bool = False,
+    sampler: SamplerSettings | Mapping[str, Any] | None = None,
+    seed: int | None = None,
+    draws_per_ensemble: int = 4_000,
+    prior_draws: int = 4_000,
+    folder: PathLike | None = None,
+    report: bool = True,
+    force: bool = False,
+    resume: bool = False,
+    reporter: Reporter | None = None,
+) -> FitResult:
+    """Posterior of thrusts, inertia and all that is not known besides, sampled with emcee.
+
+    Parameters
+    ----------
+    events
+        Event folders, totals files, ``file.csv:ID`` or events that were read, one or several; or a
+        model (:func:`build_model`); or a run file (``.toml``), which says all the rest.
+    priors
+        A priors file, or what :func:`read_priors` made of it; a model or run file has its own.
+    effects, own_effects, pulse_shape, delta_v, source, accept, leave_out
+        As for :func:`build_model`.
+    sampler
+        :class:`SamplerSettings`, or some of its fields as a mapping.
+    seed
+        Same seed and inputs, same draws; overrides that of ``sampler``.
+    draws_per_ensemble, prior_draws
+        How many draws are kept.
+    folder
+        Where to write a run (settings, ``fit.nc``, tables, figures, ``report.html``), as the
+        command line does; then events and priors are named by path. Nothing is written without it.
+    report, force, resume
+        With ``folder``: whether to draw figures and write the page; replace an earlier run; go on
+        with one.
+    reporter
+        Told of stages and progress; nobody by default.
+
+    Returns
+    -------
+    FitResult
+        Draws with units, tables, figures.
+
+    Raises
+    ------
+    InputError
+        Bad data, priors or settings, before anything is sampled.
+    """
+    settings = _sampler_of(sampler, seed)
+    told = reporter or Quiet()
+    if isinstance(events, str | os.PathLike) and Path(events).suffix == ".toml":
+        path = Path(events)
+        run = read_run_file(path)
+        if sampler is not None or seed is not None:
+            run = run.model_copy(update={"sampler": _merged(run.sampler, settings, seed)})
+        target = folder or path.parent / (run.output.folder or path.stem)
+        return _written(run, path.parent, target, own_effects, force, resume, told)
+    if folder is not None:
+        table = {
+            "events": _paths(events),
+            "priors": _paths([] if priors is None else [priors])[0],
+            "source": source,
+            "accept": list(accept),
+            "leave_out": leave_out,
+            "model": {
+                "pulse_shape": pulse_shape,
+                "delta_v": delta_v,
+                "effects": [str(effect) for effect in effects],
+            },
+            "sampler": vars(settings),
+            "output": {
+                "draws_per_ensemble": draws_per_ensemble,
+                "prior_draws": prior_draws,
+                "report": report,
+            },
+        }
+        run = check_run(table, "fit")
+        return _written(run, Path(), folder, own_effects, force, resume, told)
+    model, findings = _model(
+        *(events, priors, effects, own_effects, pulse_shape, delta_v, source),
+        Policy.of(accept, leave_out=leave_out),
+        told.say,
+    )
+    sampled = fit_model(
+        model,
+        settings,
+        draws_per_ensemble=draws_per_ensemble,
+        prior_draws=prior_draws,
+        say=told.say,
+        progress=told.progress,
+        threads=cores(),
+    )
+    review = Review(
+        name="fit",
+        model=model,
+        priors=model.priors,
+        fit=sampled.fit,
+        z=sampled.flat_z,
+        convergence=convergence_table(sampled),
+        facts={},
+        notes=(*findings, *sampled.warnings),
+        seed=settings.seed,
+    )
+    return result_of(review)
+
+
+def _model(
+    events: PathLike | EventLike | Iterable[EventLike] | Model,
+    priors: PriorsLike | None,
+    effects: Sequence[str | Effect],
+    own_effects: Sequence[PathLike],
+    pulse_shape: str,
+    delta_v: DeltaVUse,
+    source: str,
+    policy: Policy,
+    say: Callable[[str], None],
+) -> tuple[Model, tuple[str, ...]]:
+    """The model to fit, and what was found in its data."""
+    if isinstance(events, Model):
+        if priors is not None or effects:
+            raise InputError(
+                "fit", "a model alone", "priors or effects beside it", "give them to build_model"
+            )
+        return events, ()
+    if priors is None:
+        raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
+    known = priors_of(priors)
+    found, findings = gather(
+        events, known, pulse_shape=pulse_shape, source=source, policy=policy, say=say
+    )
+    kinds = read_kinds([Path(path) for path in own_effects])
+    return model_of(found, known, pulse_shape, delta_v, effects, kinds), findings
+
+
+def _sampler_of(
+    sampler: SamplerSettings | Mapping[str, Any] | None, seed: int | None
+) -> SamplerSettings:
+    if sampler is None or not isinstance(sampler, SamplerSettings):
+        try:
+            settings = SamplerSettings(**(sampler or {}))
+        except TypeError as error:
+            fields = ", ".join(vars(SamplerSettings()))
+            raise InputError("sampler", f"some of {fields}", str(error), "rename it") from error
+    else:
+        settings = sampler
+    return settings if seed is None else replace(settings, seed=seed)
+
+
+def _merged(table: SamplerTable, settings: SamplerSettings, seed: int | None) -> SamplerTable:
+    """The run file's sampler with what the caller changed of the defaults."""
+    defaults = vars(SamplerSettings())
+    changed = {key: value for key, value in vars(settings).items() if value != defaults[key]}
+    if seed is not None:
+        changed["seed"] = seed
+    return table.model_copy(update=changed)
+
+
+def _paths(given: Any) -> list[str]:
+    """Paths as a run file names them.
+
+    Raises
+    ------
+    InputError
+        Something that is no path: the folder could not say what it was made of.
+    """
+    several = [given] if isinstance(given, str | os.PathLike) else list(given)
+    for one in several:
+        if not isinstance(one, str | os.PathLike):
+            raise InputError(
+                "folder",
+                "events and priors named by their paths, so that the run says what it is of",
+                type(one).__name__,
+                "give paths, or fit without folder and save the result",
+            )
+    if not several:
+        raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
+    return [os.fspath(one) for one in several]
+
+
+def _written(
+    run: RunFile,
+    base: Path,
+    folder: PathLike,
+    own_effects: Sequence[PathLike],
+    force: bool,
+    resume: bool,
+    reporter: Reporter,
+) -> FitResult:
+    """A run written to its folder."""
+    target = Path(folder)
+    outcome = execute(
+        run,
+        base,
+        target,
+        name=target.name,
+        command=["cassini_bayes.fit"],
+        reporter=reporter,
+        force=force,
+        resume=resume,
+        kinds=read_kinds([Path(path) for path in own_effects]),
+    )
+    return result_of(outcome.review, target / FIT_FILE)
+
+
+def result_of(review: Review, path: Path | None = None) -> FitResult:
+    """The fit of a review as its user holds it."""
+    own = review.fit
+    return FitResult(own.groups, own.attributes, review.name, lambda: review, path)
+
+
+def read_fit(
+    path: PathLike, *, base: PathLike | None = None, own_effects: Sequence[PathLike] = ()
+) -> FitResult:
+    """Read a fit back: a run's folder, or its ``fit.nc``.
+
+    Parameters
+    ----------
+    path
+        Folder of a run, or a ``fit.nc``.
+    base
+        Folder that the run's paths of events and priors are relative to, where they have moved.
+    own_effects
+        Files of effects that the run was given.
+
+    Raises
+    ------
+    InputError
+        Missing, truncated or changed file; no fit of this package.
+    """
+    place = Path(path)
+    file = place / FIT_FILE if place.is_dir() else place
+    stored = record.read_fit(file)
+    name = file.parent.name or file.stem
+    make = partial(_review_of, file, stored, name, base, tuple(own_effects))
+    return FitResult(stored.groups, stored.attributes, name, make, file)
+
+
+def _review_of(
+    file: Path, stored: Fit, name: str, base: PathLike | None, own_effects: Sequence[PathLike]
+) -> Review:
+    """The review of a fit that was stored, its model built again."""
+    folder = file.parent
+    resolved = folder / RESOLVED
+    if not exists(resolved):
+        raise InputError(
+            str(file),
+            "the run that it is of, with resolved.toml beside it",
+            "a fit that stands alone",
+            "name the run's folder; summary, corner and trace need the fit alone",
+        )
+    run = check_run(read_toml(resolved, "what a run was resolved to"), str(resolved))
+    if base is None:
+        priors_path = locate(file, run.priors, "base")
+        priors = read_priors(priors_path)
+        events = [str(locate(file, event, "base", priors)) for event in run.events]
+        run = run.model_copy(update={"events": events, "priors": str(priors_path)})
+    kinds = read_kinds([Path(path) for path in own_effects])
+    inputs = read_inputs(run, Path() if base is None else Path(base), folder, kinds=kinds)
+    model = inputs.model
+    z = model.space.to_standard(
+        walked_values(stored.posterior, model.space.names, model.spacecraft)
+    )
+    kept = folder / "provenance.json"
+    provenance = read_provenance(kept) if exists(kept) else None
+    return Review(
+        name=name,
+        model=model,
+        priors=inputs.priors,
+        fit=stored,
+        z=z,
+        convergence=convergence_table(stored),
+        facts=facts_of(run, model, stored, provenance),
+        notes=(*inputs.findings, *fit_warnings(stored)),
+        seed=run.sampler.seed,
+        what_if=True,
+    )
+
+
+def report(
+    fit: FitResult | PathLike,
+    folder: PathLike | None = None,
+    *,
+    base: PathLike | None = None,
+    own_effects: Sequence[PathLike] = (),
+    reporter: Reporter | None = None,
+) -> Path:
+    """Write tables, figures and the page of a fit: what a run writes of it.
+
+    Parameters
+    ----------
+    fit
+        A fit, or the folder of a finished run.
+    folder
+        Where to write; by default the run's own folder.
+    base, own_effects
+        As for :func:`read_fit`.
+    reporter
+        Told of stages.
+
+    Returns
+    -------
+    Path of ``report.html``.
+
+    Raises
+    ------
+    InputError
+        No fit there; its events or priors are not where the run found them.
+    """
+    if isinstance(fit, FitResult):
+        if folder is None:
+            raise InputError("folder", "where to write", "nothing", 'add folder="…"')
+        result, target = fit, Path(folder)
+    else:
+        result = read_fit(fit, base=base, own_effects=own_effects)
+        place = Path(fit)
+        target = Path(folder) if folder else (place if place.is_dir() else place.parent)
+    review = replace(result.review, what_if=True)
+    write_results(review, target, (reporter or Quiet()).say, report=True)
+    return target / "report.html"

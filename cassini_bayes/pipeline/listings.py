@@ -1,0 +1,158 @@
+"""What can be named: causes, parameters of a priors file, quantities of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from cassini_bayes.effects.catalogue import read_catalogue
+from cassini_bayes.effects.registry import read_kinds
+from cassini_bayes.effects.tables import INPUTS
+from cassini_bayes.model.gather import PathLike
+from cassini_bayes.pipeline.fits import FitResult, read_fit
+from cassini_bayes.pipeline.models import PriorsLike, priors_of
+from cassini_bayes.prediction.planning import LEVEL
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.reader import known_parameters
+from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
+from cassini_bayes.sweep.models import scalar_names
+
+
+def causes(priors: PriorsLike, *, own_effects: Sequence[PathLike] = ()) -> pd.DataFrame:
+    """Causes that a diagnosis weighs, and effects that a fit takes by name.
+
+    Parameters
+    ----------
+    priors
+        Their spacecraft and branch give the targets, their widths the scale of departures.
+    own_effects
+        Files of effects beyond those of the package.
+
+    Returns
+    -------
+    DataFrame, one row per cause and parameter: ``name`` (``thruster_leak:z3``), ``inputs`` that
+    show it, ``prior_probability`` of the cause among all, ``parameter``, ``unit``, ``prior`` and
+    ``fitted_by_name``: whether ``fit`` takes it, or a search comes first (``diagnose``).
+
+    Raises
+    ------
+    InputError
+        Bad priors or effects.
+    """
+    known = priors_of(priors)
+    kinds = read_kinds([Path(path) for path in own_effects])
+    tables = {kind.name: table for kind, table in kinds.kinds}
+    catalogue = read_catalogue(known, known.wheels, INPUTS, kinds)
+    rows = [
+        {
+            "name": effect.name,
+            "inputs": ", ".join(tables[effect.kind.name].inputs),
+            "prior_probability": effect.prior_probability,
+            "parameter": parameter.key,
+            "unit": parameter.unit,
+            "prior": in_words(parameter.distribution),
+            "fitted_by_name": not effect.needs_search,
+        }
+        for effect in catalogue.effects
+        for parameter in effect.parameters
+    ]
+    return pd.DataFrame(rows)
+
+
+def parameters(of: PriorsLike | Spacecraft = "cassini") -> pd.DataFrame:
+    """Parameters that a priors file may give, with their priors where one is named.
+
+    Parameters
+    ----------
+    of
+        A priors file, what :func:`read_priors` made of it, or a spacecraft or its name.
+
+    Returns
+    -------
+    DataFrame, one row per parameter: ``name``, ``unit``, ``block``, ``meaning``, and of priors
+    ``prior``, ``mean``, ``sd``, ``source``.
+
+    Raises
+    ------
+    InputError
+        Bad priors; an unknown spacecraft.
+    """
+    if isinstance(of, Spacecraft) or (isinstance(of, str) and not of.endswith(".toml")):
+        spacecraft = of if isinstance(of, Spacecraft) else load_spacecraft(of)
+        specs = known_parameters(spacecraft).values()
+        return pd.DataFrame(
+            [
+                {"name": s.name, "unit": s.unit, "block": s.block, "meaning": s.meaning}
+                for s in specs
+            ]
+        )
+    rows = []
+    for prior in priors_of(of).parameters.values():
+        spec = prior.spec
+        fixed = f"fixed at {prior.fixed:g}" if prior.fixed is not None else ""
+        rows.append(
+            {
+                "name": spec.name,
+                "unit": spec.unit,
+                "block": spec.block,
+                "meaning": spec.meaning,
+                "prior": in_words(prior.distribution) if prior.distribution else fixed,
+                "mean": prior.mean,
+                "sd": prior.sd,
+                "source": prior.source,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def quantities(fit: FitResult | PathLike) -> pd.DataFrame:
+    """Scalars of a fit by the names that summaries, sweeps, plots and plans take.
+
+    Parameters
+    ----------
+    fit
+        A fit, a run's folder or its ``fit.nc``.
+
+    Returns
+    -------
+    DataFrame: ``name``, ``unit``, ``meaning``, ``used_by`` (``summary, sweep``, ``plan`` or both).
+
+    Raises
+    ------
+    InputError
+        No fit there.
+    """
+    own = fit if isinstance(fit, FitResult) else read_fit(fit)
+    rows = []
+    for name in scalar_names(own.posterior):
+        attributes = own.posterior[name.split("[")[0]].attrs
+        whole = "[" not in name and not name.startswith("thrust_common")
+        rows.append(
+            {
+                "name": name,
+                "unit": attributes["units"],
+                "meaning": attributes["long_name"],
+                "used_by": "summary, sweep, plan" if whole else "summary, sweep",
+            }
+        )
+    if "thruster" in own.posterior.dims:
+        names = [str(name) for name in own.posterior["thruster"].values]
+        of_plans = [
+            *((f"{LEVEL}{name}_n", f"level of {name} over all events") for name in names),
+            ("thrust_mean_n", "mean level of all thrusters"),
+            *((f"impulse_per_on_time_{n}_n", f"{n}, tail-off in it") for n in names),
+        ]
+        rows += [
+            {"name": name, "unit": "N", "meaning": meaning, "used_by": "plan"}
+            for name, meaning in of_plans
+        ]
+    return pd.DataFrame(rows)
+
+
+def in_words(prior: Distribution) -> str:
+    """A distribution as a priors file writes it: ``norm(loc=0.05, scale=0.02), low 0``."""
+    inside = ", ".join(f"{key}={value:g}" for key, value in prior.keywords.items())
+    bounds = [f"{k} {v:g}" for k, v in (("low", prior.low), ("high", prior.high)) if v is not None]
+    return ", ".join([f"{prior.name}({inside})", *bounds])

@@ -1,0 +1,95 @@
+"""The model of events and priors as a caller gives them, paths or objects alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from cassini_bayes.effects.catalogue import named_effects
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.registry import Kinds, read_kinds
+from cassini_bayes.events.plausibility import Policy
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model import posterior
+from cassini_bayes.model.gather import EventLike, PathLike, gather
+from cassini_bayes.model.posterior import Event, Model
+from cassini_bayes.model.totals import DeltaVUse
+from cassini_bayes.priors.reader import Priors, read_priors
+
+PriorsLike = PathLike | Priors
+
+
+def priors_of(priors: PriorsLike) -> Priors:
+    """Priors, read where a file is named."""
+    return priors if isinstance(priors, Priors) else read_priors(Path(priors))
+
+
+def build_model(
+    events: EventLike | Iterable[EventLike],
+    priors: PriorsLike,
+    *,
+    pulse_shape: str = "first_order",
+    delta_v: DeltaVUse = "as-declared",
+    effects: Sequence[str | Effect] = (),
+    own_effects: Sequence[PathLike] = (),
+    source: str = "flight",
+    accept: Sequence[str] = (),
+    leave_out: bool = False,
+) -> Model:
+    """Assemble the model of any mix of totals rows and telemetry events of one thruster branch.
+
+    Parameters
+    ----------
+    events
+        Event folders, totals files, ``file.csv:ID``, or events that were read; one or several.
+    priors
+        A priors file, or what :func:`read_priors` made of it.
+    pulse_shape
+        ``first_order``, ``rectangular``, ``published_2005`` or ``published_2012``.
+    delta_v
+        Of totals rows. ``as-declared``: each row's ``delta_v_source`` decides; ``ignore``; or
+        ``as-measured``, every ΔV taken as a measurement of thrust (a what-if).
+    effects
+        Names of effects to fit beyond the standard physics, e.g. ``"thruster_leak:z3"``
+        (:func:`causes` lists them).
+    own_effects
+        Files of effects that are not of this package.
+    source
+        Which rows of totals files.
+    accept, leave_out
+        Mistakes in the data that are none; whether single bad cells are left out.
+
+    Returns
+    -------
+    Model
+        Log density, walked parameters (``model.space``) and what is integrated out.
+
+    Raises
+    ------
+    InputError
+        Bad data or priors, with file, place, and how to mend it.
+    """
+    known = priors_of(priors)
+    policy = Policy.of(accept, leave_out=leave_out)
+    found, _ = gather(events, known, pulse_shape=pulse_shape, source=source, policy=policy)
+    kinds = read_kinds([Path(path) for path in own_effects])
+    return model_of(found, known, pulse_shape, delta_v, effects, kinds)
+
+
+def model_of(
+    events: Sequence[Event],
+    priors: Priors,
+    pulse_shape: str,
+    delta_v: DeltaVUse,
+    effects: Sequence[str | Effect],
+    kinds: Kinds | None = None,
+) -> Model:
+    """The model of events that are ready, its effects by name or as they are."""
+    names = [effect for effect in effects if isinstance(effect, str)]
+    given = [effect for effect in effects if not isinstance(effect, str)]
+    wheels = sorted({number for event in events for number in event.wheels})
+    inputs = ["totals" if isinstance(event, TotalsEvent) else "telemetry" for event in events]
+    named = named_effects(names, priors, wheels, tuple(dict.fromkeys(inputs)), kinds)
+    return posterior.build_model(
+        events, priors, pulse_shape=pulse_shape, delta_v=delta_v, effects=(*given, *named)
+    )

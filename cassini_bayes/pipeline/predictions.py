@@ -1,0 +1,423 @@
+"""Predictions and plans as their user holds them: the next wheel bias, from a fit."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.storage import write_text
+from cassini_bayes.model.gather import PathLike
+from cassini_bayes.pipeline.fits import FIT_FILE, FitResult
+from cassini_bayes.prediction import planning
+from cassini_bayes.prediction.learning import FEW_DRAWS, Learned
+from cassini_bayes.prediction.minimise import (
+    CheapestBias,
+    Throughput,
+    accumulated_throughput,
+    cheapest_bias,
+    cheapest_dictionary,
+    cheapest_text,
+)
+from cassini_bayes.prediction.planning import Plan, plan_csv, plan_dictionary, plan_text
+from cassini_bayes.prediction.predict import Prediction
+from cassini_bayes.prediction.predict import predict as predict_one
+from cassini_bayes.prediction.requests import (
+    BiasRequest,
+    check_request,
+    parse_bias,
+    parse_epoch,
+    parse_quaternion,
+    parse_rates,
+    read_requests,
+)
+from cassini_bayes.prediction.sources import Sources, learn_from_fit, read_sources
+from cassini_bayes.prediction.summary import INTERVAL, as_csv, as_dictionary, as_text, lines
+from cassini_bayes.report.shown import html_of, with_interval
+from cassini_bayes.results.exchange import draws_as_inference_data
+
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
+
+_SHOWN: Final = 12
+
+
+def stream(seed: int, row: int) -> np.random.Generator:
+    """Random stream of one bias: the same whatever other biases are asked for."""
+    return np.random.default_rng(np.random.SeedSequence((seed, 1, row)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PredictionResult:
+    """Draws of planned wheel biases: on-times, pulses, ΔV, hydrazine, duration."""
+
+    predictions: tuple[Prediction, ...]
+    learned: Learned
+    seed: int
+    seconds: float
+
+    def __iter__(self) -> Iterator[Prediction]:
+        return iter(self.predictions)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about anything that makes the draws doubtful."""
+        return few_draws(self.learned)
+
+    def summary(self) -> pd.DataFrame:
+        """One row per bias and scalar: unit, mean, sd, median, central 90 % interval.
+
+        Returns
+        -------
+        DataFrame with ``attrs["interval"]``: 90 % central.
+        """
+        rows = [
+            {"bias": own.request.id, **asdict(line)}
+            for own in self.predictions
+            for line in lines(own)
+        ]
+        return with_interval(pd.DataFrame(rows), INTERVAL)
+
+    def plot_predictions(self) -> dict[str, Figure]:
+        """A figure per bias: on-times, pulses, ΔV, with their intervals."""
+        from cassini_bayes.report.plots import draw
+        from cassini_bayes.report.plots.prediction import prediction_figure
+
+        return draw({own.request.id: partial(prediction_figure, own) for own in self.predictions})
+
+    def to_arviz(self) -> Any:  # ArviZ carries no types
+        """Draws of every bias as the ``predictions`` group of ``arviz.InferenceData``."""
+
+        def stacked(name: str, dims: tuple[str, ...], unit: str) -> xr.DataArray:
+            values = np.stack([getattr(own, name) for own in self.predictions], axis=1)
+            return xr.DataArray(values[None], dims=dims, attrs={"units": unit})
+
+        first = self.predictions[0]
+        each = ("chain", "draw", "bias")
+        variables = {
+            "on_time_s": stacked("on_time_s", (*each, "thruster"), "s"),
+            "pulses": stacked("pulses", (*each, "thruster"), "1"),
+            "duration_s": stacked("duration_s", each, "s"),
+        }
+        for name, unit in (("delta_v_computed_m_s", "m s-1"), ("delta_v_delivered_m_s", "m s-1")):
+            if getattr(first, name) is not None:
+                variables[name] = stacked(name, (*each, "axis"), unit)
+        if first.hydrazine_g is not None:
+            variables["hydrazine_g"] = stacked("hydrazine_g", each, "g")
+        known: dict[str, list[str]] = {
+            "bias": [own.request.id for own in self.predictions],
+            "thruster": list(first.thrusters),
+            "axis": list("xyz"),
+        }
+        labelled = {
+            name: own.assign_coords({dim: known[str(dim)] for dim in own.dims if dim in known})
+            for name, own in variables.items()
+        }
+        return draws_as_inference_data(labelled, "predictions")
+
+    def as_record(self, extra: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
+        """Everything as plain JSON types; ``extra`` has more to say of each bias."""
+        biases = [as_dictionary(own) for own in self.predictions]
+        for own, more in zip(biases, extra, strict=False):
+            own |= more
+        return {"seconds": round(self.seconds, 3), "seed": self.seed, "biases": biases}
+
+    def save(self, folder: PathLike, record: Mapping[str, Any] | None = None) -> None:
+        """Write ``prediction.json``, ``prediction.csv`` and ``figures/``."""
+        from cassini_bayes.report.plots import save_figures
+
+        place = Path(folder)
+        document = self.as_record() if record is None else record
+        write_text(place / "prediction.json", json.dumps(document, indent=1) + "\n")
+        write_text(place / "prediction.csv", as_csv(self.predictions))
+        save_figures(self.plot_predictions(), place / "figures")
+
+    def __repr__(self) -> str:
+        return "\n\n".join(map(as_text, self.predictions))
+
+    def _repr_html_(self) -> str:
+        title = f"Prediction of {len(self.predictions)} wheel bias(es)"
+        return html_of(title, self.warnings, self.summary().head(_SHOWN))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanResult:
+    """Wheel biases ranked by what they teach of a quantity."""
+
+    plan: Plan
+    learned: Learned
+    top: int = 10
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about anything that makes the draws doubtful."""
+        return few_draws(self.learned)
+
+    def summary(self) -> pd.DataFrame:
+        """One row per candidate, most informative first: end rates, nats, sd after, cost."""
+        names = [f"rwa{number}_end_rpm" for number in self.plan.wheels]
+        rows = [
+            {
+                **dict(zip(names, own.end_rpm, strict=True)),
+                "information_nats": own.information_nats,
+                "sd_before": self.plan.sd_before,
+                "sd_after": own.sd_after,
+                "hydrazine_g": own.hydrazine_g,
+                "duration_s": own.duration_s,
+            }
+            for own in self.plan.candidates
+        ]
+        return with_interval(pd.DataFrame(rows), "standard deviations, in the quantity's unit")
+
+    def plot_plan(self) -> Figure:
+        """Information against hydrazine, with the candidates that no other beats in both."""
+        from cassini_bayes.report.plots import draw
+        from cassini_bayes.report.plots.prediction import plan_figure
+
+        return draw({"plan": partial(plan_figure, self.plan)})["plan"]
+
+    def as_record(self) -> dict[str, Any]:
+        """Everything as plain JSON types."""
+        return plan_dictionary(self.plan, self.top)
+
+    def save(self, folder: PathLike) -> None:
+        """Write ``plan.csv`` and its figure."""
+        from cassini_bayes.report.plots import save_figures
+
+        write_text(Path(folder) / "plan.csv", plan_csv(self.plan))
+        save_figures({"plan": self.plot_plan()}, Path(folder))
+
+    def __repr__(self) -> str:
+        return plan_text(self.plan, self.top)
+
+    def _repr_html_(self) -> str:
+        plan = self.plan
+        title = f"Plan for {plan.quantity}: {plan.mean:.4g} ± {plan.sd_before:.2g} before"
+        return html_of(title, self.warnings, self.summary().head(self.top))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CheapestResult:
+    """The end rates that cost least."""
+
+    found: CheapestBias
+    throughput: tuple[Throughput, ...]
+    learned: Learned
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about anything that makes the draws doubtful."""
+        return few_draws(self.learned)
+
+    def as_record(self) -> dict[str, Any]:
+        """Everything as plain JSON types."""
+        return cheapest_dictionary(self.found, self.throughput)
+
+    def __repr__(self) -> str:
+        return cheapest_text(self.found, self.throughput)
+
+
+def few_draws(learned: Learned) -> tuple[str, ...]:
+    """Say so when the weights that join physics and firing logic leave few effective draws."""
+    if learned.effective_draws >= FEW_DRAWS:
+        return ()
+    return (
+        f"physics and firing logic share only {learned.effective_draws:.0f} effective draws: "
+        "intervals are rough; check that the events are like one another",
+    )
+
+
+def predict(
+    fit: FitResult | PathLike,
+    bias: str | BiasRequest | Iterable[BiasRequest],
+    *,
+    epoch: str | None = None,
+    branch: str | None = None,
+    quaternion: str | None = None,
+    events: PathLike | None = None,
+    priors: PathLike | None = None,
+    accept: Sequence[str] = (),
+    seed: int = 1,
+) -> PredictionResult:
+    """Predict planned wheel biases: on-times, pulses, ΔV, hydrazine, duration.
+
+    Of a fit of telemetry, the recorded wheel biases teach the firing logic as totals rows do.
+
+    Parameters
+    ----------
+    fit
+        A fit, a run's folder or its ``fit.nc``.
+    bias
+        ``"rwa1: -1118 -> 626, rwa2: 1290 -> 1300, …"`` in rev/min, the path of a CSV of biases, or
+        requests.
+    epoch, branch, quaternion
+        ISO 8601, UTC (the last event by default); thruster branch; ``q1 q2 q3 q4`` inertial to
+        body, for inertial ΔV too.
+    events, priors
+        Where the fit's files have moved.
+    accept
+        Mistakes in the data that are none.
+    seed
+        Same seed, same draws.
+
+    Raises
+    ------
+    InputError
+        A fit without wheel biases or with effects; files that have moved; an impossible bias.
+    """
+    began = time.perf_counter()
+    sources, draws = _sources(fit, events, priors, accept)
+    requests = _requests(sources, bias, epoch, branch, quaternion)
+    learned = learn_from_fit(draws, sources, seed)
+    found = tuple(
+        predict_one(learned, request, stream(seed, i)) for i, request in enumerate(requests)
+    )
+    return PredictionResult(found, learned, seed, time.perf_counter() - began)
+
+
+def plan(
+    fit: FitResult | PathLike,
+    quantity: str | None = None,
+    *,
+    minimise: str | None = None,
+    to: str | None = None,
+    limit: float | None = None,
+    start: str | None = None,
+    levels: int = 5,
+    budget: float | None = None,
+    top: int = 10,
+    events: PathLike | None = None,
+    priors: PathLike | None = None,
+    accept: Sequence[str] = (),
+    seed: int = 1,
+) -> PlanResult | CheapestResult:
+    """Rank wheel biases by what they teach of a quantity, or find the one that costs least.
+
+    The expected gain on a quantity Q is −½ log(1 − ρ²) nats, ρ the correlation of Q with what the
+    bias would show.
+
+    Parameters
+    ----------
+    fit, events, priors, accept, seed
+        As for :func:`predict`.
+    quantity
+        ``thrust_level_z1_n``, ``tau_fall_s``, ``cm_x_m`` … (:func:`quantities` lists them).
+    minimise, to, limit
+        Instead of a quantity: ``z_throughput`` or ``hydrazine``; end rates that are given,
+        ``"rwa4: -729"``; most on-time a thruster, s.
+    start
+        Rates before the bias, ``"rwa1: -526, …"`` (the last end by default).
+    levels, budget, top
+        End rates per wheel and sign; most hydrazine, g; how many to show.
+
+    Raises
+    ------
+    InputError
+        As for :func:`predict`; an unknown quantity; neither or both of quantity and minimise.
+    """
+    if (quantity is None) == (minimise is None):
+        raise InputError(
+            "plan",
+            "either --quantity or --minimise",
+            "neither" if quantity is None else "both",
+            "write e.g. --minimise z_throughput",
+        )
+    sources, draws = _sources(fit, events, priors, accept)
+    wheels, rates = _start(sources, start)
+    learned = learn_from_fit(draws, sources, seed)
+    if quantity is not None:
+        found = planning.plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
+        return PlanResult(found, learned, top)
+    assert minimise is not None
+    wanted = {} if to is None else parse_rates(to, sources.model.spacecraft, "--to")
+    cheapest = cheapest_bias(learned, minimise, wheels, rates, wanted, stream(seed, 0))
+    throughput = accumulated_throughput(sources.events, cheapest.prediction, limit)
+    return CheapestResult(cheapest, tuple(throughput), learned)
+
+
+def _sources(
+    fit: FitResult | PathLike,
+    events: PathLike | None,
+    priors: PathLike | None,
+    accept: Sequence[str],
+) -> tuple[Sources, Path | FitResult]:
+    """What a fit was made of, and where its draws are."""
+    if isinstance(fit, FitResult) and fit.path is None:
+        model = fit.model
+        if model.telemetry or not model.totals or model.effects:
+            raise InputError(
+                "fit",
+                "a fit with a folder, or one of totals rows in the standard physics",
+                "a fit of telemetry or with effects, in memory",
+                'fit with folder="…", then predict from that',
+            )
+        return Sources(model.totals_rows.rows, model.priors, model), fit
+    path = fit.path if isinstance(fit, FitResult) else Path(fit)
+    assert path is not None
+    file = path / FIT_FILE if path.is_dir() else path
+    named = None if events is None else str(events)
+    return read_sources(file, named, None if priors is None else Path(priors), accept=accept), file
+
+
+def _requests(
+    sources: Sources,
+    bias: str | BiasRequest | Iterable[BiasRequest],
+    epoch: str | None,
+    branch: str | None,
+    quaternion: str | None,
+) -> tuple[BiasRequest, ...]:
+    """The planned biases, checked against the fit; options fill in what a request leaves open."""
+    spacecraft = sources.model.spacecraft
+    if isinstance(bias, BiasRequest):
+        found: tuple[BiasRequest, ...] = (bias,)
+    elif isinstance(bias, str | Path):
+        is_table = str(bias).endswith(".csv")
+        found = (
+            read_requests(Path(bias), spacecraft)
+            if is_table
+            else (parse_bias(str(bias), spacecraft),)
+        )
+    else:
+        found = tuple(bias)
+    when = None if epoch is None else parse_epoch(epoch)
+    turned = None if quaternion is None else parse_quaternion(quaternion)
+    filled = tuple(
+        replace(
+            request,
+            epoch=request.epoch or when,
+            branch=request.branch or branch,
+            quaternion=request.quaternion or turned,
+        )
+        for request in found
+    )
+    first = min(event.epoch for event in sources.events)
+    for request in filled:
+        check_request(request, spacecraft, sources.model.branch, sources.priors.wheels, first)
+    return filled
+
+
+def _start(sources: Sources, text: str | None) -> tuple[tuple[int, ...], list[float]]:
+    """Prime wheels and their rates before the planned bias."""
+    last = max(sources.events, key=lambda event: event.epoch)
+    if text is None:
+        return last.wheels, [float(rate) for rate in last.rwa_end_rpm]
+    rates = parse_rates(text, sources.model.spacecraft, "--from")
+    wheels = tuple(sorted(rates))
+    for number in wheels:
+        if number not in sources.priors.wheels:
+            raise InputError(
+                "--from",
+                f"prime wheels {', '.join(map(str, sources.priors.wheels))}",
+                f"wheel {number}",
+                "drop it, or plan with a fit in which it is prime",
+            )
+    return wheels, [rates[number] for number in wheels]
