@@ -1,7 +1,7 @@
 """The verdict of a diagnosis in sentences, made of its record alone; the answer comes first.
 
 Probability, p-value, symptoms and held-out gain each look at something else. Where they seem to
-disagree a sentence says why (docs/criticism.md, "What each number means").
+disagree a sentence says why (docs/how-to/read-a-diagnosis.md, "What each number means").
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ A platform's angle (`wheel_articulation`) or a leak (`thruster_leak`, any thrust
 hidden in an event of `{scenario}`, or nothing is; the diagnosis gets the telemetry and
 `{priors}` without a hint and weighs all causes. Everything is drawn anew in every trial: parameters
 from the priors, noise, start in the dead-band, wheel rates before the mosaic. σ is that of the
-[blind campaign](../criticism.md#6-the-blind-campaign): √(δᵀV⁻¹δ), δ the change of the data, V what
+[blind campaign](../topics/criticism.md#6-blind-trials): √(δᵀV⁻¹δ), δ the change of the data, V what
 noise and priors make of them. Each event is diagnosed alone.
 
 {rates}
@@ -55,7 +55,7 @@ part them: `external_torque` is in its group, and often first. What tells them a
 
 Spin-ups (`--events spin-up`) are left out here: two wheels hold X and Y so still that the data say
 next to nothing of I_xx and I_yy, and the diagnosis blames these where nothing is hidden
-([why](../telemetry-likelihood.md#10-two-wheels)).
+([why](../topics/telemetry-likelihood.md#10-two-wheels)).
 
 ## Trials in which another cause was first
 
