@@ -83,8 +83,8 @@ def diagnose_command(
     result.record["seed"] = number
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
     result.record["effects"] = dict(kinds.files)
-    tables = [file_of(Path(), event) for event in events if not is_event_folder(Path(event))]
-    result.record["sha256"] = {str(path): digest(Path(path)) for path in (priors, *tables)}
+    tables = [Path(file_of(Path(), e)) for e in events if not is_event_folder(Path(e))]
+    result.record["sha256"] = {str(path): digest(path) for path in (priors, *tables)}
     if isinstance(case, BalanceCase):
         telemetry = case.events.telemetry
         result.record["sha256"] |= {f"event {event.id}": event.digest for event in telemetry}
