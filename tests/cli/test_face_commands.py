@@ -39,7 +39,7 @@ def test_check_says_all_that_is_known(capsys: Captured) -> None:
 
 
 def test_a_conflict_is_found_before_sampling(capsys: Captured) -> None:
-    """A prior that slews contradict is named; the shipped one is not, and `--strict` ends with 0."""
+    """A prior that slews contradict is named, the shipped one is not: `--strict` ends with 0."""
     shifted = priors().scaled(["inertia_xy_kg_m2"], shift=6.0)
     found = cb.check(events("slews"), shifted)
     assert any("inertia_xy_kg_m2: the data pull it" in line for line in found.warnings)
