@@ -79,7 +79,6 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         for block in examples():
             exec(block, space)  # noqa: S102
     plt.close("all")
-    assert (tmp_path / "work" / "page" / "report.html").is_file()
     fit, again = space["fit"], space["again"]
     assert fit.events == again.events
     assert (fit.posterior["tau_fall_s"].values == again.posterior["tau_fall_s"].values).all()

@@ -318,6 +318,11 @@ def fit(
     told = reporter or Quiet()
     if isinstance(events, str | os.PathLike) and Path(events).suffix == ".toml":
         path = Path(events)
+        said = (priors, *effects, pulse_shape, delta_v, source, *accept, leave_out)
+        if said != (None, "first_order", "as-declared", "flight", False):
+            raise InputError(
+                "fit", "a run file alone", "priors or settings beside it", "write them into it"
+            )
         run = read_run_file(path)
         if sampler is not None or seed is not None:
             run = run.model_copy(update={"sampler": _merged(run.sampler, settings, seed)})
@@ -390,8 +395,6 @@ def _model(
                 "fit", "a model alone", "priors or effects beside it", "give them to build_model"
             )
         return events, ()
-    if priors is None:
-        raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
     known = priors_of(priors)
     found, findings = gather(
         events, known, pulse_shape=pulse_shape, source=source, policy=policy, say=say

@@ -175,6 +175,10 @@ def test_bad_calls_are_one_line(tmp_path: Path) -> None:
         cb.fit([simulated() / "bias"], priors(), folder=tmp_path / "x")
     with pytest.raises(InputError, match="some of ensembles"):
         cb.fit(simulated() / "bias", PRIORS, sampler={"chains": 4})
+    with pytest.raises(InputError, match="a run file alone"):
+        cb.fit("runs/flight_2009_2010.toml", PRIORS)
+    with pytest.raises(InputError, match="expected a priors file, got none"):
+        cb.check(simulated() / "bias")
     with pytest.raises(InputError, match="a model alone"):
         cb.fit(cb.build_model(simulated() / "bias", PRIORS), PRIORS)
 
