@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cassini_bayes.errors import CassiniBayesError, InputError
+    from cassini_bayes.events.telemetry import TelemetryEvent, event_from_frame, read_event
     from cassini_bayes.events.totals import TotalsEvent, read_totals, write_totals
     from cassini_bayes.model import Model, ReducedEvent, reduce_event
     from cassini_bayes.pipeline.by_file import sweep, trend
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _VERBS = {
+    "events.telemetry": ("event_from_frame", "read_event"),
     "events.totals": ("read_totals",),
     "pipeline.by_file": ("sweep", "trend"),
     "pipeline.checks": ("check",),
@@ -61,6 +63,7 @@ _VERBS = {
 }
 _PARTS = {
     "errors": ("CassiniBayesError", "InputError"),
+    "events.telemetry": ("TelemetryEvent",),
     "events.totals": ("TotalsEvent", "write_totals"),
     "model": ("Model", "ReducedEvent", "reduce_event"),
     "priors.reader": ("Priors",),
@@ -89,6 +92,7 @@ __all__ = [
     "Sampled",
     "SamplerSettings",
     "Spacecraft",
+    "TelemetryEvent",
     "TotalsEvent",
     "build_model",
     "causes",
@@ -96,6 +100,7 @@ __all__ = [
     "convergence_table",
     "diagnose",
     "error_budget",
+    "event_from_frame",
     "figures_of",
     "fit",
     "fit_model",
@@ -106,6 +111,7 @@ __all__ = [
     "plan",
     "predict",
     "quantities",
+    "read_event",
     "read_fit",
     "read_priors",
     "read_totals",

@@ -57,7 +57,14 @@ def _documented_elsewhere(app, what, name, obj, skip, options):
     return True if home is not None and what == "module" and home != here else None
 
 
+def _blocks_take_focus(app, page, template, context, doctree):
+    """A block of code that is wider than a phone is scrolled by keyboard, too."""
+    if "body" in context:
+        context["body"] = context["body"].replace("<pre>", '<pre tabindex="0">')
+
+
 def setup(app):
-    """Hook the docstrings after napoleon has read them."""
+    """Hook the docstrings after napoleon has read them, and pages before they are written."""
+    app.connect("html-page-context", _blocks_take_focus)
     app.connect("autodoc-skip-member", _documented_elsewhere)
     app.connect("autodoc-process-docstring", _bars_are_magnitudes, priority=900)

@@ -1,4 +1,4 @@
-"""Draw the packages and their imports for ``docs/architecture.md``, from the sources alone.
+"""Draw the packages and their imports for ``docs/topics/architecture.md``, from the sources alone.
 
 ``python docs/draw_architecture.py`` writes ``docs/figures/architecture.png``. Rows are layers, from
 the longest chain of imports: a package is one row above the highest that it imports. An import that

@@ -6,19 +6,24 @@ import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import h5py
+import numpy as np
 import pytest
+import scipy.io
 from event_folder_cases import CASSINI, bias_rows, write_event
 
 from cassini_bayes.diagnosis.estimates import read_estimates
 from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry import load_event, read_event
+from cassini_bayes.events.telemetry import load_event, read_channel_map, read_event
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files import cells, json_file, toml_file
+from cassini_bayes.files.foreign import read_foreign
 from cassini_bayes.pipeline.run_file import read_run_file
 from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.prediction.requests import read_requests
@@ -81,6 +86,9 @@ DOORS: Final = {
         PACKAGE / "effects" / "causes.toml",
         lambda path: read_kinds([path]),
     ),
+    "channels": Door(
+        "my.toml", ROOT / "docs" / "examples" / "own_csv" / "channels.toml", read_channel_map
+    ),
     "beliefs": Door("my.toml", PACKAGE / "prediction" / "prediction.toml", read_beliefs),
     "event": Door("event.toml", None, _event),
     "resolved": Door("resolved.toml", None, _sources),
@@ -98,6 +106,8 @@ DOORS: Final = {
     ),
     "telemetry": Door("telemetry.csv", None, _event),
     "fit": Door("my.nc", None, read_fit),
+    "HDF5": Door("my.h5", None, read_foreign),
+    "MATLAB": Door("my.mat", None, read_foreign),
 }
 # These say themselves that nothing is there: no run needs a record beside its fit.
 MAY_BE_ABSENT: Final = ("resolved", "provenance")
@@ -213,13 +223,18 @@ def test_a_file_without_permission_is_refused(
     assert "Permission denied" in refused(DOORS[door], path)
 
 
-@pytest.mark.parametrize("door", [name for name in DOORS if name not in ("telemetry", "fit")])
+SIZED: Final = {".toml": toml_file, ".csv": cells, ".json": json_file}
+
+
+@pytest.mark.parametrize(
+    "door", [d for d in DOORS if DOORS[d].suffix in SIZED and d != "telemetry"]
+)
 def test_a_file_beyond_all_size_is_not_read(tmp_path: Path, door: str) -> None:
     """A terabyte of nothing, as a sparse file: refused by its size, not by the end of memory."""
     path = tmp_path / DOORS[door].name
     path.touch()
     os.truncate(path, 1 << 40)
-    most = {".toml": toml_file, ".csv": cells, ".json": json_file}[DOORS[door].suffix].MOST_BYTES
+    most = SIZED[DOORS[door].suffix].MOST_BYTES
     assert f"at most {most:,} bytes" in refused(DOORS[door], path)
 
 
@@ -363,6 +378,64 @@ def test_a_bad_fit_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "my.nc"
     path.write_bytes(content)
     refused(DOORS["fit"], path)
+
+
+@pytest.mark.parametrize("door", ["HDF5", "MATLAB"])
+@pytest.mark.parametrize("content", [b"", b"text", b"\x89HDF\r\n\x1a\n" + bytes(99), b"MATLAB 5.0"])
+def test_bytes_of_another_kind_are_refused(tmp_path: Path, door: str, content: bytes) -> None:
+    """Nothing, text, and the first bytes of a foreign file."""
+    path = tmp_path / DOORS[door].name
+    path.write_bytes(content)
+    refused(DOORS[door], path)
+
+
+@pytest.mark.parametrize("door", ["HDF5", "MATLAB"])
+def test_a_damaged_foreign_file_is_read_or_refused(tmp_path: Path, door: str) -> None:
+    """Bytes changed anywhere: columns or one line, never a crash or a wait (seeded)."""
+    path = tmp_path / DOORS[door].name
+    values = np.arange(500.0)
+    if door == "HDF5":
+        with h5py.File(path, "w") as file:
+            file.create_dataset("group/x", data=values, compression="gzip")
+    else:
+        scipy.io.savemat(path, {"group": {"x": values}}, do_compression=True)
+    good = path.read_bytes()
+    name = "group/x" if door == "HDF5" else "group.x"
+    assert read_foreign(path, [name]).columns[name].tolist() == values.tolist()
+    rng = np.random.default_rng(1)
+    for count in (3, 30):
+        signal.alarm(MOST_SECONDS)
+        content = bytearray(good)
+        for place in rng.integers(0, len(good), count).tolist():
+            content[place] = int(rng.integers(256))
+        path.write_bytes(content)
+        with suppress(InputError):  # any other error fails
+            DOORS[door].read(path)
+
+
+def test_objects_of_foreign_files_are_not_unpacked(tmp_path: Path) -> None:
+    """Cells, references and pickles are named as what they are, and stay shut."""
+    path = tmp_path / "my.mat"
+    scipy.io.savemat(path, {"t": [1.0, 2.0], "c": np.array([1, "x"], dtype=object)})
+    found = read_foreign(path)
+    assert (found.names, list(found.refused)) == (("t",), ["c"])
+    with h5py.File(tmp_path / "my.h5", "w") as file:
+        file["t"] = [1.0, 2.0]
+        file["r"] = np.array([file["t"].ref], dtype=h5py.ref_dtype)
+        file["elsewhere"] = h5py.ExternalLink("other.h5", "/t")
+        file["o"] = np.void(b"\x80\x04N.")
+    found = read_foreign(tmp_path / "my.h5")
+    assert (found.names, sorted(found.refused)) == (("t",), ["o", "r"])
+
+
+def test_a_small_file_of_a_large_array_is_refused(tmp_path: Path) -> None:
+    """A terabyte that is declared and compressed to nothing is not made."""
+    path = tmp_path / "my.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset(
+            "x", shape=(1 << 37,), dtype="f8", chunks=(1 << 16,), compression="gzip"
+        )
+    assert "at most" in read_foreign(path).refused["x"]
 
 
 def test_a_newline_in_a_path_does_not_break_the_line(tmp_path: Path) -> None:

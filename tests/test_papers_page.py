@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "papers.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "topics" / "papers.md").read_text(encoding="utf-8")
 ROWS = [
     [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
     for line in PAGE.splitlines()
@@ -50,7 +50,55 @@ def test_a_row_that_names_nothing_is_seen() -> None:
     ]
 
 
-@pytest.mark.parametrize("paper", ["000", "001", "002", "003", "004"])
-def test_every_paper_has_its_table(paper: str) -> None:
-    """Five sources, five tables."""
-    assert f"## Paper {paper}" in PAGE
+# What the papers print, counted in their text: numbered equations, tables, appendices. Appendix C
+# of 004 is its equations.
+PRINTED = {
+    "000": ("1-24", "1, 2, A1", "A, B, C, D"),
+    "001": ("1-23", "1, 2, 3", ""),
+    "002": ("1-4", "", ""),
+    "003": ("1-8", "1, 2", ""),
+    "004": ("1-19, C1-C9, D1-D5", "1, 2, 3", "A, B, D"),
+}
+NUMBERS = r"[A-D]?\d+(?:-[A-D]?\d+)?"
+
+
+def spelt_out(text: str) -> set[str]:
+    """Numbers of a list with ranges: 1, 8, C1-C3."""
+    found = set()
+    for each in re.findall(NUMBERS, text):
+        first, _, last = each.partition("-")
+        letter = first.rstrip("0123456789")
+        ends = [int(end.lstrip("ABCD")) for end in (first, last or first)]
+        found |= {f"{letter}{number}" for number in range(ends[0], ends[1] + 1)}
+    return found
+
+
+def covered(rows: str) -> tuple[set[str], set[str], set[str]]:
+    """Equations, tables and appendices that the items of some rows name."""
+    items = re.findall(r"(?m)^\| (.+?) \|", rows)
+    equations = [m for item in items for m in re.findall(rf"eqs?\. ((?:{NUMBERS}(?:, )?)+)", item)]
+    tables = [m for item in items for m in re.findall(r"Tables? ((?:[A-D]?\d(?:, )?)+)", item)]
+    appendices = [m for item in items for m in re.findall(r"App\. ((?:[A-D](?:, )?\b)+)", item)]
+    return (
+        spelt_out(" ".join(equations)),
+        set(re.findall(r"[A-D]?\d", " ".join(tables))),
+        set(re.findall("[A-D]", " ".join(appendices))),
+    )
+
+
+@pytest.mark.parametrize("paper", PRINTED)
+def test_every_number_of_a_paper_has_a_row(paper: str) -> None:
+    """No equation, table or appendix that a paper prints is left out, and none is made up."""
+    rows = PAGE.split(f"## Paper {paper}")[1].split("\n## ")[0]
+    equations, tables, appendices = PRINTED[paper]
+    assert covered(rows) == (
+        spelt_out(equations),
+        set(re.findall(r"\w+", tables)),
+        set(re.findall(r"\w", appendices)),
+    )
+
+
+def test_a_number_without_a_row_is_seen() -> None:
+    """Negative control: a page whose row of eq. 2 is gone does not have it."""
+    rows = "| eqs. 1, 3-5, C2: sums | a |\n| App. A, Table A1: more | b |\n"
+    assert covered(rows) == ({"1", "3", "4", "5", "C2"}, {"A1"}, {"A"})

@@ -65,6 +65,12 @@ def test_every_verb_has_an_example() -> None:
     assert [name for name in VERBS if f"cb.{name}(" not in text] == []
 
 
+def run_all(blocks: list[str], space: dict[str, object]) -> None:
+    """Every block, in one namespace."""
+    for block in blocks:
+        exec(block, space)  # noqa: S102
+
+
 def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All blocks of the page, from top to bottom, in a folder that has the shipped files."""
     import matplotlib.pyplot as plt
@@ -76,8 +82,7 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     space: dict[str, object] = {}
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Estimated shape parameter of Pareto")  # of two events
-        for block in examples():
-            exec(block, space)  # noqa: S102
+        run_all(examples(), space)
     plt.close("all")
     fit, again = space["fit"], space["again"]
     assert fit.events == again.events

@@ -1,6 +1,6 @@
 """True wheel rates of every band, written again for numpy and for JAX: ``xp`` is the module.
 
-Ours is :mod:`cassini_bayes.balance.bands`; docs/telemetry-likelihood.md §3 has the formulas.
+Ours is :mod:`cassini_bayes.balance.bands`; docs/topics/telemetry-likelihood.md §3 has the formulas.
 """
 
 from __future__ import annotations

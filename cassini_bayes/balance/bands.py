@@ -3,7 +3,7 @@
 The rows of an event are turned into modes (a constant and cosines, orthonormal over the rows that
 are used, diagonal for a random walk) and a remainder that is faster than all of them. White channel
 noise is the same in every band, the motion of the wheels is not: slow bands hold all of it. So what
-a measured wheel rate says of the true one differs by band: docs/telemetry-likelihood.md §3.
+a measured wheel rate says of the true one differs by band: docs/topics/telemetry-likelihood.md §3.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def normal_equations(
     Inner products (n, P, P); the log of all determinants and of the density of measured wheel rates
     (n,), constants left out, −∞ where a covariance is not positive; the matrices (n, 1 + F, W, W)
     that take measured wheel rates to the estimate of the true ones, the slow band first
-    (docs/telemetry-likelihood.md §3).
+    (docs/topics/telemetry-likelihood.md §3).
     """
     n, width, wheels = len(weights), entries.start.size - 1, noise.wheels.shape[2]
     size, modes, bands = slow.projection.shape[1], slow.walk.size, fast.rows.size
@@ -344,7 +344,7 @@ def estimated_wheels(
 
     The wheels are seen twice: measured, and through the momentum that everything else lacks,
     u = H ρ + e. The mean squares of both together say how much of it is motion
-    (docs/telemetry-likelihood.md §3).
+    (docs/topics/telemetry-likelihood.md §3).
 
     Parameters
     ----------

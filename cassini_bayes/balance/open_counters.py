@@ -3,7 +3,7 @@
 Pairs of pulses that may be close are steps s_i H_i(t) of variance s (1 − s) m_i, s the share of
 close pairs and m_i how many an interval has. The columns of cut tails take up the mean of a part of
 the event, c_j = Σ m_i H_i / Σ m_i; s_i (H_i − c_j) stays. The rounding of a counter is one
-independent level between two firings (docs/telemetry-likelihood.md §7).
+independent level between two firings (docs/topics/telemetry-likelihood.md §7).
 """
 
 from __future__ import annotations

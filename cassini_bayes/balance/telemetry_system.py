@@ -1,7 +1,7 @@
 """Normal equations of one telemetry event: its Gram matrices with the noise whitened away.
 
 The likelihood is that of the measured channels with the true wheel rates as latent variables:
-docs/telemetry-likelihood.md §2 and §3. Columns and weights are those of
+docs/topics/telemetry-likelihood.md §2 and §3. Columns and weights are those of
 :mod:`cassini_bayes.balance.telemetry_terms`.
 """
 

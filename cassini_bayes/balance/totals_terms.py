@@ -10,8 +10,8 @@ with q_k the lever arm (torque per newton, m), F_k the thrust (N), s_k the effec
 body rate and attitude error left in the dead-band. The left-hand side is a sum of known columns
 times parameters; the right-hand side is noise whose covariance depends on parameters. Every
 function here is one such piece, vectorised over a batch of parameter points (leading axis ``n``,
-absent where a parameter is fixed) and over events (axis ``E``). ``docs/totals-likelihood.md`` has
-the derivation.
+absent where a parameter is fixed) and over events (axis ``E``).
+``docs/topics/totals-likelihood.md`` has the derivation.
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ def response_jacobian(
     P = diag(stretch) R M⁻¹ Q: ∂logJ/∂F_k = P_kk and ∂²logJ/∂F_k∂F_l = −P_kl P_lk.
 
     lever_arms (..., 3, K), stretch (..., E, K), response (E, K, 3), thrust_n (..., E, K) or
-    broadcastable. Derivation: docs/totals-likelihood.md.
+    broadcastable. Derivation: docs/topics/totals-likelihood.md.
     """
     rows = stretch[..., :, None] * response
     columns = lever_arms[..., None, :, :]

@@ -18,6 +18,7 @@ from cassini_bayes.cli import (
     predictions,
     reports,
     simulations,
+    starts,
     sweeps,
     trends,
 )
@@ -35,6 +36,7 @@ app = typer.Typer(
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it; typer turns the interrupt into it."""
 
+app.command("init")(starts.init_command)
 app.command("check")(checks.check_command)
 app.command("run")(fits.run_command)
 app.command("fit")(fits.fit_command)

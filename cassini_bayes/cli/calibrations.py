@@ -45,6 +45,7 @@ TELEMETRY_PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 SCENARIO = Path("runs/scenarios/calibration.toml")
 PRIORS = Path("priors")
 HYBRID_SCENARIO = Path("runs/scenarios/hybrid_2012.toml")
+HYBRID_PRIORS = Path("priors/cassini_hybrid_2012.toml")
 
 
 @contextmanager
@@ -210,6 +211,32 @@ def calibrate_blind_command(
         if not results_only:
             run_campaign(study, campaign, numbers["trials"])
         typer.echo(json.dumps(write_results(study)))
+
+
+@app.command("two-wheels")
+def calibrate_two_wheels_command(
+    scenario: ScenarioFile = HYBRID_SCENARIO,
+    priors: PriorsFile = HYBRID_PRIORS,
+    events: Annotated[str, typer.Option("--events", help="Ids of the scenario's events.")] = (
+        "mosaic"
+    ),
+    trials: Trials = None,
+    quick: Quick = False,
+    seed: Seed = 20_120_223,
+    jobs: Jobs = None,
+    dask: Dask = None,
+    work: Work = WORK,
+    out: Out = OUT,
+    quiet: Quiet = False,
+) -> None:
+    """Hide a platform's angle or a leak in events of two wheels, and count what is named."""
+    from cassini_bayes.studies.blind.two_wheels import FULL, QUICK, run_two_wheels
+
+    numbers = _numbers(FULL, QUICK, trials, quick)
+    page = out / "two-wheels.md"
+    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
+        run_two_wheels(study, scenario, priors, events.split(","), numbers["trials"])
+    _end(page)
 
 
 @app.command("mistakes")

@@ -65,6 +65,7 @@ def diagnose_command(
         leave_out=leave_out,
         seed=DEFAULT_SEED if seed is None else seed,
         log=reporter.say,
+        draw=True,
     )
     result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
     reporter.say("figures and report")

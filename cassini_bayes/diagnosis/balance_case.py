@@ -9,11 +9,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import Case, Log, Ranking, Shown, Size, Weighed, Work, silent
-from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests
+from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests, strongest
+from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
+from cassini_bayes.diagnosis.drafts import Draft, drafted
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.evidence import (
     FEW_DRAWS,
@@ -33,15 +36,19 @@ from cassini_bayes.diagnosis.hypotheses import (
 )
 from cassini_bayes.diagnosis.innovations import innovations
 from cassini_bayes.diagnosis.modes import Mode, find_mode
+from cassini_bayes.diagnosis.nuisances import Trade, bent, traded
+from cassini_bayes.diagnosis.overlay import Overlay, overlays
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
 from cassini_bayes.diagnosis.separation import separating_measurement
 from cassini_bayes.diagnosis.sizes import size_draws, summarised
+from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
 from cassini_bayes.diagnosis.widths import change_of_evidence
 from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
+from cassini_bayes.effects.registry import Kinds
 
 Candidate = Weighed[Hypothesis]
 NEAR_NATS: Final = 10.0
@@ -51,8 +58,9 @@ MOST_DRAWN: Final = 3  # of the best: what a reader compares
 DRAWS: Final = 2_000  # of these: 0.015 nats at an efficiency of 0.7, and sizes by their draws
 BENT: Final = 5.0
 """Prior standard deviations of the baseline's parameters: with an inertia of half its value (ten of
-them) no search from the baseline's mode found the cause, 28,000 nats better (docs/criticism.md §1).
-Five is judgement: a search from the centre takes as long as all others."""
+them) no search from the baseline's mode found the cause, 28,000 nats better
+(docs/topics/criticism.md §1). Five is judgement: a search from the centre takes as long as all
+others."""
 TOGETHER: Final = 4  # causes searched from the centre at once: two for each of two processes
 GAINED_ALIKE: Final = 0.1
 """Of what the best has gained: causes nearer than that may be the same one seen from another side
@@ -63,6 +71,22 @@ linear model about one point, and the fit moves on."""
 UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
 """Standard normals tried for the noise of ``unknown``: its prior covers a factor of 37 either
 way."""
+
+
+@dataclass(frozen=True)
+class BalanceDetail:
+    """What the figures of a balance need: innovations and tests of both models, channels, a trade.
+
+    ``extended_rows`` is empty without a cause.
+    """
+
+    rows: tuple[EventRows, ...]
+    extended_rows: tuple[EventRows, ...]
+    before: InnovationTests
+    after: InnovationTests
+    overlays: tuple[Overlay, ...]
+    trade: Trade | None
+    spectra: tuple[Spectrum, ...]
 
 
 @dataclass(frozen=True)
@@ -174,6 +198,11 @@ class BalanceCase(Case[Hypothesis]):
         """With as many draws as the best causes have."""
         return importance_sampled(pair, rng, DRAWS)
 
+    @property
+    def kinds(self) -> Kinds:
+        """Those of its catalogue."""
+        return self.events.catalogue.kinds
+
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From draws with what counters leave open (:mod:`cassini_bayes.diagnosis.sizes`)."""
         return summarised(*size_draws(weighed, rng))
@@ -206,16 +235,49 @@ class BalanceCase(Case[Hypothesis]):
         return p_value(left.linear, [event.time_s for event in left.rows], rng)
 
     def show(self, baseline: Candidate, extended: Candidate, rng: np.random.Generator) -> Shown:
-        """Symptoms, closure at the end and tests of the innovations; nothing for totals alone."""
+        """Symptoms, closure, tests, what bends and trades, overlays; nothing for totals alone."""
         before = baseline.remainder
         if before is None:
             return Shown()
+        of_tests, of_trade = rng, rng.spawn(1)[0]
         after = extended.remainder or before
-        tests = extended_tests = innovation_tests(before.linear, before.rows, rng)
+        tests = extended_tests = innovation_tests(before.linear, before.rows, of_tests)
         if after is not before:
-            extended_tests = innovation_tests(after.linear, after.rows, rng)
-        symptoms = [asdict(symptom) for symptom in find_symptoms(before.rows, tests)]
-        return Shown(symptoms, _closure(tests, extended_tests), (tests, extended_tests))
+            extended_tests = innovation_tests(after.linear, after.rows, of_tests)
+        cause = extended if extended.is_cause else None
+        laid_over = overlays(self.events, baseline, cause)
+        trade = None if cause is None else traded(cause, of_trade)
+        lines = spectra(before.rows)
+        return Shown(
+            [asdict(symptom) for symptom in find_symptoms(before.rows, tests)],
+            _closure(tests, extended_tests),
+            {
+                "taken_up": [] if cause is None else bent(baseline, cause),
+                "trade": None if trade is None else trade.record,
+                "fit_percent": [row for overlay in laid_over for row in overlay.record],
+                "spectrum": [spectrum.record for spectrum in lines],
+                "drivers": strongest(tests),
+            },
+            BalanceDetail(
+                before.rows,
+                after.rows if cause is not None else (),
+                tests,
+                extended_tests,
+                laid_over,
+                trade,
+                lines,
+            ),
+        )
+
+    def curves(self, unknown: Candidate, rng: np.random.Generator) -> Sequence[Curve]:
+        """Of the momentum that nothing explains (:mod:`.discrepancy`)."""
+        return curves_of(self.events, unknown, rng)
+
+    def drafts(self, unknown: Candidate) -> Sequence[Draft]:
+        """Forms of discrepancy in what the baseline leaves (:mod:`.drafts`)."""
+        if not self.events.telemetry:
+            return ()
+        return drafted(self.events, unknown)
 
     def separation(self, one: str, other: str) -> str:
         """What the kinds say, or events that fire other thrusters."""

@@ -18,6 +18,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.effects.effect import Remainder
+from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.sampling.warmstart import Proposal
 
 Log = Callable[[str], None]
@@ -108,11 +109,12 @@ class Weighed(Generic[H]):
 class Shown:
     """What tests say of the baseline and of the extended model, for the record.
 
-    ``detail`` is what the case's own figures need.
+    ``more`` are further fields of the record, ``detail`` is what the case's own figures need.
     """
 
     symptoms: Sequence[Mapping[str, Any]] = ()
     closure: Sequence[Mapping[str, Any]] = ()
+    more: Mapping[str, Any] = field(default_factory=dict)
     detail: Any = field(default=None, repr=False)
 
 
@@ -173,6 +175,11 @@ class Case(ABC, Generic[H]):
     ) -> Mapping[str, float]:
         """Log of evidence times prior probability with all priors of effects wider by a factor."""
 
+    @property
+    @abstractmethod
+    def kinds(self) -> Kinds:
+        """The effects that there are, which put their sizes in words."""
+
     @abstractmethod
     def sizes(self, weighed: Weighed[H], rng: np.random.Generator) -> Mapping[str, Size]:
         """Sizes of a cause by key."""
@@ -186,6 +193,16 @@ class Case(ABC, Generic[H]):
     @abstractmethod
     def rmse(self, weighed: Weighed[H]) -> float | None:
         """Root mean square of what a hypothesis leaves, where it was :meth:`examined`."""
+
+    def curves(self, unknown: Weighed[H], rng: np.random.Generator) -> Sequence[Any]:
+        """What ``unknown`` makes of the data against time, for figures and tables."""
+        del unknown, rng
+        return ()
+
+    def drafts(self, unknown: Weighed[H]) -> Sequence[Any]:
+        """Effects proposed from what no cause mends, the best first; each has a ``record``."""
+        del unknown
+        return ()
 
     @abstractmethod
     def separation(self, one: str, other: str) -> str:

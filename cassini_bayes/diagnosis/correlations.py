@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -30,6 +30,7 @@ PROBABILITY: Final = 0.95  # of the bands
 POINTWISE: Final = float(norm.ppf(0.5 + 0.5 * PROBABILITY))
 LEAST_SHARE: Final = 1e-4
 """Of a driver that the model cannot take up: a difference of large numbers below it (judgement)."""
+MOST_DRIVERS: Final = 6  # in a record
 LEAST_SD: Final = 1e-9  # of a column over its largest value: what does not change but by rounding
 _DRAWS: Final = 4_000  # for a 95 % quantile good to a percent
 
@@ -114,6 +115,17 @@ def innovation_tests(
     )
 
 
+def strongest(tests: InnovationTests) -> list[dict[str, Any]]:
+    """What the innovations of every event go with most, one driver each, largest |z| first."""
+    found: dict[str, Tested] = {}
+    for tested in sorted((t for t in tests.drivers if np.isfinite(t.z)), key=lambda t: -abs(t.z)):
+        found.setdefault(tested.driver, tested)
+    return [
+        {"driver": t.driver, "event": t.event, "axis": t.axis, "z": t.z, "band_z": tests.family_z}
+        for t in list(found.values())[:MOST_DRIVERS]
+    ]
+
+
 def running_mean(values: Array, width: int) -> Array:
     """Mean over up to ``width`` rows about each row."""
     ones = np.ones(min(width, len(values)))
@@ -149,6 +161,8 @@ def drivers(event: EventRows) -> dict[str, Array]:
     for c, name in enumerate("XYZ"):
         other = (c + 1) % 3
         columns[f"product of {name} and {'XYZ'[other]} rates"] = smooth[:, c] * smooth[:, other]
+    if event.on_time_s.shape[1]:
+        columns["time since a firing"] = _since_firing(event)
     columns["time"] = event.time_s
     changing = {name: column - column.mean() for name, column in columns.items()}
     return {
@@ -156,6 +170,14 @@ def drivers(event: EventRows) -> dict[str, Array]:
         for name, column in changing.items()
         if column.std() > LEAST_SD * np.abs(columns[name]).max()
     }
+
+
+def _since_firing(event: EventRows) -> Array:
+    """Time since any thruster's on-time last rose, s; since the first row before that."""
+    total = np.sum([filled(event.on_time_s[:, k]) for k in range(event.on_time_s.shape[1])], axis=0)
+    fired = np.concatenate([[True], np.diff(total) > 0.0])
+    last = np.maximum.accumulate(np.where(fired, np.arange(len(total)), 0))
+    return np.asarray(event.time_s - event.time_s[last])
 
 
 def _slope(event: EventRows, values: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
@@ -14,12 +14,14 @@ from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Log, Shown, Size, Weighed, Work, silent
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
+from cassini_bayes.effects.wording import Stated
 
 WIDTHS: Final = (0.5, 2.0)  # of the effects' priors, which are good to a factor of two
 LEAST_PROBABILITY: Final = 1e-6
 """Of a cause, below which its size and its probability at other widths are not written: nobody
 reads them, and sizes of fifty causes take as long as their searches."""
 SIGNIFICANT: Final = 0.05  # p-value below which a model is called discrepant still
+Drawing = Callable[[Any], Sequence[Any]]
 PARTS: Final = 4  # in which the records of causes are made: work for up to four processes
 
 
@@ -28,7 +30,8 @@ class Diagnosis(Generic[H]):
     """A verdict, what tests show, and the record that is written.
 
     ``extended`` is the model to go on with, ``widths`` has the probabilities of all hypotheses with
-    the effects' priors that much wider.
+    the effects' priors that much wider. ``curves`` are those of what nothing explains, ``drafts``
+    the effects proposed where ``unknown`` is best, ``drawn`` what was drawn on the way.
     """
 
     case: Case[H]
@@ -37,6 +40,15 @@ class Diagnosis(Generic[H]):
     widths: Mapping[float, Mapping[str, float]]
     shown: Shown
     record: dict[str, Any]
+    curves: tuple[Any, ...] = ()
+    drafts: tuple[Any, ...] = ()
+    drawn: tuple[Any, ...] = ()
+
+
+def undrawn(shown: object) -> Sequence[Any]:
+    """Draw nothing."""
+    del shown
+    return ()
 
 
 def diagnose(
@@ -47,6 +59,7 @@ def diagnose(
     pairs: bool = True,
     log: Log = silent,
     workers: int = 1,
+    drawing: Drawing = undrawn,
 ) -> Diagnosis[H]:
     """Show, name, extend and measure; returns everything for JSON and report.
 
@@ -64,6 +77,9 @@ def diagnose(
         Told how far it got.
     workers
         Processes among which causes and measures are shared out; the result does not depend on it.
+    drawing
+        Draws what is shown (:class:`.Shown`) and the curves as soon as they are there, in the
+        process that has made them.
     """
     at_start = deepcopy(rng)
     verdict = weigh(case, rng, pairs=pairs, log=log, workers=workers)
@@ -72,7 +88,7 @@ def diagnose(
     # a generator for each: what is drawn does not depend on how the work is shared out
     of_baseline, of_extended, of_p, of_extended_p, of_shown = rng.spawn(5)
     of_causes = rng.spawn(len(verdict.weighed))
-    (of_runner_up,) = rng.spawn(1)
+    of_runner_up, of_curves = rng.spawn(2)
     work: dict[str, Work] = {
         f"causes {part}": partial(_cause_records, case, verdict, of_causes, part)
         for part in range(PARTS)
@@ -86,14 +102,37 @@ def diagnose(
     if extended.is_cause:
         work["extended p"] = partial(case.p_value, extended, of_extended_p)
     work["p"] = partial(case.p_value, none, of_p)
-    work["shown"] = partial(case.show, none, extended, of_shown)
+    work["shown"] = partial(_then, drawing, partial(case.show, none, extended, of_shown))
+    work["curves"] = partial(_then, drawing, partial(case.curves, verdict.unknown, of_curves))
+    if verdict.best.name == UNKNOWN:
+        work["drafts"] = partial(case.drafts, verdict.unknown)
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
     results = in_processes(lambda part: part(), work.values(), workers)
     measured = dict(zip(work, results, strict=True))
+    drawn = []
+    for name in ("shown", "curves"):
+        measured[name], images = measured[name]
+        drawn += images
     widths = {width: normalised(measured[f"width {width:g}"]) for width in WIDTHS}
     record = _record(case, verdict, extended, widths, measured)
-    return Diagnosis(case, verdict, extended, widths, measured["shown"], record)
+    return Diagnosis(
+        case,
+        verdict,
+        extended,
+        widths,
+        measured["shown"],
+        record,
+        tuple(measured["curves"]),
+        tuple(measured.get("drafts", ())),
+        tuple(drawn),
+    )
+
+
+def _then(drawing: Drawing, work: Work) -> tuple[Any, Sequence[Any]]:
+    """A piece of work and what is drawn of it."""
+    shown = work()
+    return shown, drawing(shown)
 
 
 def _record(
@@ -120,6 +159,7 @@ def _record(
         "closure": list(shown.closure),
         "causes": [cause for part in range(PARTS) for cause in measured[f"causes {part}"]],
         "runner_up": measured.get("runner-up"),
+        "drafts": [draft.record for draft in measured.get("drafts", ())],
         "extended": {
             "causes": list(extended.hypothesis.causes or [extended.name] * (extended is not none)),
             **_fit_record(case.unit, extended, own_score, case.rmse(left_by)),
@@ -137,6 +177,7 @@ def _record(
             {"cause": other, "measurement": case.separation(best.name, other)}
             for other in verdict.confounded_with(best.name)
         ],
+        **shown.more,
     }
 
 
@@ -182,7 +223,10 @@ def _cause_records(
             "name": w.name,
             "probability": float(np.exp(log_probability)),
             "log_bayes_factor": verdict.log_bayes_factor(w),
-            "parameters": {key: _size_record(size) for key, size in sizes.items()},
+            "parameters": {
+                key: _size_record(size, case.kinds.unit(w.name, key)) for key, size in sizes.items()
+            },
+            "says": _said(case, w.name, sizes),
             "confounded_with": list(verdict.confounded_with(w.name)) if is_shown else [],
             "log_evidence_se": w.log_evidence_se,
             "effective_draws": w.effective_draws,
@@ -194,8 +238,19 @@ def _cause_records(
     return [record(*cause) for cause in each[edges[part] : edges[part + 1]]]
 
 
-def _size_record(size: Size) -> dict[str, Any]:
-    return {"mean": size.mean, "sd": size.sd, "hdi_90": list(size.interval)}
+def _size_record(size: Size, unit: str) -> dict[str, Any]:
+    return {"mean": size.mean, "sd": size.sd, "hdi_90": list(size.interval), "unit": unit}
+
+
+def _said(case: Case[H], name: str, sizes: Mapping[str, Size]) -> str | None:
+    """What the sizes of a cause mean, in words; None without sizes."""
+    if not sizes:
+        return None
+    stated = {
+        key: Stated(size.mean, size.sd, *size.interval, case.kinds.unit(name, key))
+        for key, size in sizes.items()
+    }
+    return case.kinds.says(name, stated)
 
 
 def _runner_up(

@@ -28,10 +28,10 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array, Places
-from cassini_bayes.diagnosis.balance_case import BalanceCase
+from cassini_bayes.diagnosis.case import Weighed
+from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
 from cassini_bayes.diagnosis.innovations import innovations
-from cassini_bayes.diagnosis.verdict import Verdict
 from cassini_bayes.priors.distributions import Distribution
 
 MODES: Final = 32
@@ -60,22 +60,25 @@ class Curve:
 
 
 def curves_of(
-    case: BalanceCase, verdict: Verdict[Hypothesis], rng: np.random.Generator
+    events: Events, unknown: Weighed[Hypothesis], rng: np.random.Generator
 ) -> tuple[Curve, ...]:
-    """The curves of a verdict's events, about the mode of ``unknown``.
-
-    There nuisances are not bent to explain what is missing, as they are at the baseline's mode.
-    """
-    events = case.events
+    """The curves of some events, about the mode of ``unknown``; none without telemetry."""
     if not events.telemetry:
         return ()
-    full, unknown = none_hypothesis(events), verdict.unknown
-    names = unknown.hypothesis.model.space.names
-    at = dict(zip(names, unknown.mode.point, strict=True))
-    point = np.array([at[name] for name in full.model.space.names])
+    full, point = baseline_at(events, unknown)
     left = innovations(full, point)
     prior = events.catalogue.unknown.torque_noise
     return discrepancy_curves(left.linear, left.rows, point, prior, rng)
+
+
+def baseline_at(events: Events, unknown: Weighed[Hypothesis]) -> tuple[Hypothesis, Array]:
+    """The baseline, and its point (d,) at the mode of ``unknown``.
+
+    There nuisances are not bent to explain what is missing, as they are at the baseline's mode.
+    """
+    full = none_hypothesis(events)
+    at = dict(zip(unknown.hypothesis.model.space.names, unknown.mode.point, strict=True))
+    return full, np.array([at[name] for name in full.model.space.names])
 
 
 def discrepancy_curves(

@@ -54,6 +54,7 @@ class EstimateCase(Case[EstimateHypothesis]):
     hypotheses: Callable[[float], list[EstimateHypothesis]] = field(repr=False)
     beside: Callable[[str], list[EstimateHypothesis]] = field(repr=False, default=lambda _: [])
     advice: Callable[[str, str], str] = field(repr=False, default=lambda _, __: "")
+    known: Kinds = field(repr=False, default_factory=standard)
 
     unit = "n"
 
@@ -140,6 +141,11 @@ class EstimateCase(Case[EstimateHypothesis]):
         """Weighed as all others are."""
         return self.weighed(self.beside(first.name), rng)
 
+    @property
+    def kinds(self) -> Kinds:
+        """Those that the hypotheses were made of."""
+        return self.known
+
     def sizes(self, weighed: Candidate, _: np.random.Generator) -> Mapping[str, Size]:
         """Of all parameters that are not fixed."""
         assert weighed.z is not None
@@ -209,6 +215,7 @@ def estimate_case(
         partial(estimates.hypotheses, known),
         partial(estimates.pairs, known),
         advice,
+        known,
     )
 
 

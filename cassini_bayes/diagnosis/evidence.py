@@ -37,8 +37,9 @@ MARGIN_NATS: Final = 30.0
 """Behind the best, what is not searched further: its probability is below 1e-13, and with what
 searches may still lack (``search.LACKING_NATS``) no rank within ten nats changes."""
 MOVED_NATS: Final = 10.0
-"""By which Laplace's evidence is held to be unsure where nuisances went far (docs/criticism.md §1):
-judgement, so that importance draws decide whatever is within ten nats of the best."""
+"""By which Laplace's evidence is held to be unsure where nuisances went far
+(docs/topics/criticism.md §1): judgement, so that importance draws decide whatever is within ten
+nats of the best."""
 
 
 def by_laplace(hypothesis: Hypothesis, mode: Mode) -> Candidate:

@@ -34,7 +34,7 @@ quantiles lose their digits (judgement)."""
 UNKNOWN_FARTHEST: Final = 6.0
 """With a discrepancy nothing needs a nuisance that far out, and where inertias and a torque noise
 of many standard deviations trade with each other the likelihood is not one of anything that flies:
-it won by 1,900 nats in a blind trial (docs/criticism.md §6, "what campaigns found")."""
+it won by 1,900 nats in a blind trial (docs/results/diagnosis-campaigns.md)."""
 WALL: Final = 1e3  # nats per squared standard deviation: steeper than any likelihood bends back
 LEAST: Final = -1e12  # log density where the likelihood has no value: below all that have one
 

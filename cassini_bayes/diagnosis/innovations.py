@@ -52,6 +52,15 @@ def _columns(terms: TelemetryBalance, rows: Rows, weights: Array) -> Array:
     return result
 
 
+def thrust_columns(hypothesis: Hypothesis, z: Array, place: int) -> Array:
+    """Momentum per newton (n, 3, K), N m s/N, of every thruster in an event's rows at z (d,)."""
+    model, term = hypothesis.model, hypothesis.model.telemetry[place]
+    physics = term.physics(model.points(z[None]))
+    weights = balance_weights(term.balance, physics, model.thrust_prior.common_mean_n)[0]
+    columns = _columns(term.balance, term.event.usable_rows, weights)
+    return columns[:, :, : term.balance.pattern.thrusters]
+
+
 def smoothed(rows: Rows, layout: Layout) -> Rows:
     """Rows whose rates and wheel rates are running means.
 

@@ -34,15 +34,15 @@ well (a thousandth) and what it does not."""
 FIRST_STEPS: Final = 15
 """Of L-BFGS before the first curvature: judgement, a rough point is enough for that."""
 MOST_CURVATURES: Final = 6
-"""Curvatures taken until axes are white (docs/criticism.md §1). Judgement: each takes d² points;
-what has not ended by then goes on by importance draws."""
+"""Curvatures taken until axes are white (docs/topics/criticism.md §1). Judgement: each takes d²
+points; what has not ended by then goes on by importance draws."""
 WHITE: Final = (0.8, 1.25)
 """Curvature along axes that follow a ridge: Laplace's evidence is then good to 0.1 nats."""
 NEARLY_WHITE: Final = (0.4, 2.5)
-"""Curvature along axes whose differences tell it right (docs/criticism.md §1): the step is then
-0.13 to 0.32 of the standard deviation there."""
+"""Curvature along axes whose differences tell it right (docs/topics/criticism.md §1): the step is
+then 0.13 to 0.32 of the standard deviation there."""
 SLOPE_LEFT: Final = 0.01
-"""Nats that a last Newton step may still predict (docs/criticism.md §1)."""
+"""Nats that a last Newton step may still predict (docs/topics/criticism.md §1)."""
 NEWTON_STEPS: Final = 8  # before L-BFGS: in white axes three or four are enough (judgement)
 GAIN_LEFT: Final = 1e-3  # nats: a tenth of SLOPE_LEFT
 LEAST_SHARE: Final = 0.2

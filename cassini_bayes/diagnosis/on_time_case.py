@@ -50,6 +50,7 @@ from cassini_bayes.diagnosis.separation import separating_measurement
 from cassini_bayes.diagnosis.sizes import effect_draws, summarised
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.registry import Kinds
 
 Candidate = Weighed[OnTimeHypothesis]
 NEAR_NATS: Final = 10.0  # behind the best, up to which importance draws decide
@@ -57,7 +58,7 @@ MOST_NEAR: Final = 6  # of these: judgement, every one takes some seconds
 FAR_NATS: Final = 50.0
 """Behind the best, where causes keep their evidence at other widths: a prior half or twice as wide
 changes it by a few nats (docs/results/diagnosis-published.md)."""
-DRAWS: Final = 500  # of one: the linearised evidence is off by 0.2 nats (docs/criticism.md §7)
+DRAWS: Final = 500  # the linearised evidence is off by 0.2 nats (docs/results/published-cases.md)
 SIZE_DRAWS: Final = 4_000  # ends of an interval scatter by a thirtieth of a standard deviation
 NOISE_GRID: Final = np.linspace(-6.0, 6.0, 801)  # standard normals of the noise of unknown
 NOISE_FITS: Final = 3  # mode and noise in turn: the noise settles to a node of the grid (judgement)
@@ -167,6 +168,11 @@ class OnTimeCase(Case[OnTimeHypothesis]):
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
         """With importance draws."""
         return self._sampled(pair, rng)
+
+    @property
+    def kinds(self) -> Kinds:
+        """Those of its catalogue."""
+        return self.catalogue.kinds
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From importance draws, or those of the linear form."""

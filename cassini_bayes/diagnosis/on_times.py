@@ -1,11 +1,11 @@
 """The ideal on-time calculation of paper 001 as a simulation that a diagnosis can doubt.
 
 Wheel changes and rectangular pulses give ideal on-times: about the couple axis the pair that pushes
-the right way, about the other two the two single thrusters that need least (docs/prediction.md §7).
-With p the parameters (geometry, wheels, thrust of every thruster) an event's on-times are
-y_e = f_e(p) + ε_e. ε_e holds the event's own thrusts, body rates left in the dead-band and one
-control cycle per printed on-time. Effects change the physics as everywhere, or what the controller
-makes of it (``fire`` of their kind).
+the right way, about the other two the two single thrusters that need least
+(docs/topics/prediction.md §7). With p the parameters (geometry, wheels, thrust of every thruster)
+an event's on-times are y_e = f_e(p) + ε_e. ε_e holds the event's own thrusts, body rates left in
+the dead-band and one control cycle per printed on-time. Effects change the physics as everywhere,
+or what the controller makes of it (``fire`` of their kind).
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ class IdealController:
         return self._demand.common_s
 
     def expected_opposing(self, values: Mapping[str, Array]) -> Array:
-        """Mean opposing firings (n, E, 2) of the firing model (docs/prediction.md §2)."""
+        """Mean opposing firings (n, E, 2) of the firing model (docs/topics/prediction.md §2)."""
         at = {key: value[:, None] for key, value in values.items()}
         return np.stack(expected_minor(at, self._demand), axis=-1)
 
@@ -373,7 +373,7 @@ def _chance(data: OnTimes, flown: Callable[[Array, Nudge], Flown], z: Array) -> 
 
     Opposing firings M come in quanta q and vary from event to event by their own size, variance
     q M + (g M)²; the common thruster's are negative binomial in control cycles N, variance
-    N + N²/k (docs/prediction.md §2).
+    N + N²/k (docs/topics/prediction.md §2).
     """
     events = len(data.event_ids)
     nudge = np.zeros((3, events, 2))

@@ -18,12 +18,12 @@ from scipy.stats import rankdata
 
 from cassini_bayes.balance.linearised import Linear, fitted_away
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.spectrum import LEAST_CYCLES, line_powers
 
 MODES: Final = 16
 """Slowest cosines of an event: judgement, drifts down to a sixteenth of it; more would hide them
 among noise."""
 REPLICATES: Final = 400  # 200 gave 0.005 where 600 gave 0.03 on a flight with nothing hidden
-LEAST_CYCLES: Final = 4  # of an oscillation in an event: what is slower is a drift (judgement)
 
 
 def slow_statistic(linear: Linear, left: Array, times: Sequence[Array]) -> Array:
@@ -44,22 +44,18 @@ def slow_statistic(linear: Linear, left: Array, times: Sequence[Array]) -> Array
 def line_statistic(linear: Linear, left: Array, times: Sequence[Array]) -> Array:
     """Largest power of any line |Σ r exp(−2πi f t)|²/n over events, axes and frequencies, (r,).
 
-    Rows are put on the grid of their median step, absent ones as zeros: one Fourier transform.
-    Frequencies go from four cycles in the event to half the sampling rate.
+    Frequencies go from four cycles in the event to half the sampling rate
+    (:func:`.spectrum.line_powers`).
     """
     largest = np.zeros(left.shape[1])
     place = 0
     for n, time in zip(linear.rows, times, strict=True):
         residual = left[place : place + 3 * n].reshape(n, -1)
         place += 3 * n
-        step = float(np.median(np.diff(time))) if n > 1 else 1.0
-        at = np.round((time - time[0]) / step).astype(np.int64)
-        grid = np.zeros((int(at[-1]) + 1, residual.shape[1]))
-        np.add.at(grid, at, residual)
-        if len(grid) <= 2 * LEAST_CYCLES:
+        _, power = line_powers(time, residual)
+        if len(power) < LEAST_CYCLES:
             continue
-        power = np.abs(np.fft.rfft(grid, axis=0)[LEAST_CYCLES:]) ** 2 / n
-        peaks = power.max(0).reshape(3, left.shape[1])
+        peaks = power[LEAST_CYCLES - 1 :].max(0).reshape(3, left.shape[1])
         largest = np.maximum(largest, peaks.max(0))
     return largest
 

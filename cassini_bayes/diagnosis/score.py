@@ -14,7 +14,7 @@ LEAST_PIECES: Final = 3
 """Held out: the standard error of a sum over two of them has one degree of freedom (judgement)."""
 STANDARD_ERRORS: Final = 2.0
 """By which a gain has to be above zero: 2.5 % false gains if differences were normal. Severe with
-three unlike events, by choice: docs/criticism.md §5 has a true leak that stays "no gain"."""
+three unlike events, by choice: docs/topics/criticism.md §5 has a true leak that stays "no gain"."""
 WORSE: Final = 1.02
 """Ratio of held-out RMSEs beyond which residuals are worse: two standard errors of the RMSE of some
 5,000 white values, which a few biases of 1,200 rows about three axes have."""

@@ -34,7 +34,7 @@ own, sums over a batch more. A Newton step of no gain is then no failure."""
 
 # How long the first search goes on. Judgement, kept where verdicts on two flights were the same
 # with and without the bounds: with a leak of 0.1 mN 4 of 49 causes go on to the second, where it
-# had been 44 (docs/criticism.md §1).
+# had been 44 (docs/results/diagnosis-campaigns.md).
 NEAR_ROUNDS: Final = 9  # Newton steps: most causes need one or two
 NEAR_TURNS: Final = 3  # rounds in a row that only turn the axes along a ridge
 NEAR_LEFT: Final = 0.02  # nats that a last step predicts: below what Laplace's evidence is good to
@@ -45,8 +45,8 @@ RIDGE_ROUNDS: Final = 2  # of axes turned along a ridge: the difference h − c�
 FEW_STEPS: Final = 6  # of L-BFGS in the second search: the third looks at the whole curvature
 SLOPE_LEFT: Final = 0.1  # nats that its last slope predicts, a tenth of what matters to a rank
 
-# What a search that has not ended may still lack (docs/criticism.md §1). Judgement: a bound too low
-# loses a cause, one too high costs a second for each.
+# What a search that has not ended may still lack (docs/topics/criticism.md §1). Judgement: a bound
+# too low loses a cause, one too high costs a second for each.
 LACKING_NATS: Final = 30.0  # of one that gained more than NEAR_GAIN
 NEAR_LACKING: Final = 3.0  # of the gain after the first search, and of what its steps predict
 LACKING_SHARE: Final = 1.0  # of the gain after the second

@@ -19,7 +19,8 @@ CONFOUNDED_NATS: Final = 3.0
 (Kass and Raftery 1995)."""
 ALIKE_NATS: Final = 5.0
 """And those nearer than this whose best fits are within three nats: a steady torque of three sizes
-fits what a leak does to 0.5 nats and loses some 3.5 by its prior alone (docs/criticism.md §4)."""
+fits what a leak does to 0.5 nats and loses some 3.5 by its prior alone
+(docs/topics/criticism.md §4)."""
 
 
 @dataclass(frozen=True)

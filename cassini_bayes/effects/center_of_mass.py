@@ -10,6 +10,7 @@ import numpy as np
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.changes import unit_vector
 from cassini_bayes.effects.effect import Kind, Setting, Values
+from cassini_bayes.effects.wording import Sizes
 from cassini_bayes.spacecraft import thruster_directions
 
 
@@ -23,4 +24,10 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     return replace(physics, arms_m=physics.arms_m - shift[..., None, None] * turned)
 
 
-KIND: Final = Kind("center_of_mass", change)
+def says(sizes: Sizes, target: str) -> str:
+    """In millimetres."""
+    (place,) = sizes.values()
+    return f"the centre of mass lies at {target} = {place.said('mm', 1e3)}"
+
+
+KIND: Final = Kind("center_of_mass", change, says=says)

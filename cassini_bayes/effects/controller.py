@@ -13,7 +13,7 @@ class Controller(Protocol):
     """The ideal calculation at n points for E events of K thrusters, and what it could be.
 
     All on-times are in s, (n, E, K). Opposing firings are those of both sides of an axis against
-    each other, (n, E, 2) of the ring and of the couple axis (docs/prediction.md §2).
+    each other, (n, E, 2) of the ring and of the couple axis (docs/topics/prediction.md §2).
     """
 
     def expected_opposing(self, values: Mapping[str, Array]) -> Array:

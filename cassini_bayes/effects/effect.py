@@ -3,7 +3,7 @@
 Every kind is one file of this package with its table beside it, ``<name>.py`` and ``<name>.toml``.
 The file ends with ``KIND = Kind(...)``, which holds all that other modules know of it. The table
 says which targets the kind has, which inputs show it, and what is believed of its size
-(:mod:`cassini_bayes.effects.catalogue`). docs/own-effect.md writes one.
+(:mod:`cassini_bayes.effects.catalogue`). docs/how-to/own-effect.md writes one.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.controller import Controller, Fired
 from cassini_bayes.effects.firings import Firings
 from cassini_bayes.effects.printed import Printed
+from cassini_bayes.effects.wording import Sizes
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.spacecraft import Spacecraft
@@ -126,6 +127,9 @@ class Kind:
         What it makes of a controller's firings, where on-times are predicted.
     doubt
         Printed thrusts with this doubted: beliefs by name of the cause, at a width of its priors.
+    says
+        What its sizes (reported keys, those of the table) on a target mean, as a clause with no
+        full stop: "Z3 delivers 74 ± 4 % of its thrust". Keys and units by default.
     separation
         Which measurement tells it from another kind, by the other's name.
     """
@@ -141,6 +145,7 @@ class Kind:
     left_open: Callable[[Firings, FittedRows, Values, Setting], tuple[Array, Array]] | None = None
     fire: Callable[[Controller, Values], Fired] | None = None
     doubt: Callable[[Printed, float], Mapping[str, Printed]] | None = None
+    says: Callable[[Sizes, str], str] | None = None
     separation: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.changes import AXES
 from cassini_bayes.effects.effect import Kind, Setting, Values
+from cassini_bayes.effects.wording import Sizes
 
 
 def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
@@ -21,4 +22,10 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     return replace(physics, inertia_kg_m2=physics.inertia_kg_m2 + departure[..., None, None] * unit)
 
 
-KIND: Final = Kind("inertia", change)
+def says(sizes: Sizes, target: str) -> str:
+    """In kg m², an element of the matrix."""
+    (element,) = sizes.values()
+    return f"the inertia element {target} is {element.said('kg m²')}"
+
+
+KIND: Final = Kind("inertia", change, says=says)

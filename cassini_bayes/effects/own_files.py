@@ -40,6 +40,7 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
     "left_open": ("fired", "rows", "values", "setting"),
     "fire": ("controller", "values"),
     "doubt": ("printed", "width"),
+    "says": ("sizes", "target"),
     "simulate": ("plan", "target", "values"),
 }
 
@@ -81,7 +82,7 @@ def load_kind(path: Path) -> Kind:
     kind = getattr(load_module(path), "KIND", None)
     if not isinstance(kind, Kind):
         raise InputError(
-            str(path), "KIND = Kind(...)", repr(kind), "make it as docs/own-effect.md does"
+            str(path), "KIND = Kind(...)", repr(kind), "make it as docs/how-to/own-effect.md does"
         )
     if kind.name != path.stem:
         raise InputError(
@@ -214,6 +215,8 @@ def _checked(path: Path, where: str, name: str, result: Any, given: tuple[Any, .
         _check_type(where, result, type(given[0]))
     elif name == "fire":
         _check_type(where, result, Fired)
+    elif name == "says":
+        _check_type(where, result, str)
     elif name in ("report", "doubt"):
         _check_type(where, result, dict)
         for key, value in result.items():

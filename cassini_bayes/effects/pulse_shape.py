@@ -11,6 +11,7 @@ import numpy as np
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.effect import Kind, Setting, Values
 from cassini_bayes.effects.printed import Printed
+from cassini_bayes.effects.wording import Sizes
 
 OFFSET_SD_S: Final = 0.04
 """Of an on-time per pulse, as the catalogue's table has it (ten times what closed forms differ)."""
@@ -43,4 +44,12 @@ def doubt(printed: Printed, width: float) -> Mapping[str, Printed]:
     return {KIND.name: replace(printed, offset_sd_s=OFFSET_SD_S * width)}
 
 
-KIND: Final = Kind("pulse_shape", change, change_in_rows=change_in_rows, doubt=doubt)
+def says(sizes: Sizes, _: str) -> str:
+    """In milliseconds of full thrust."""
+    return (
+        f"every pulse gives {sizes['impulse_time_offset_s'].said('ms', 1e3)} of full thrust more "
+        "than its closed form"
+    )
+
+
+KIND: Final = Kind("pulse_shape", change, change_in_rows=change_in_rows, doubt=doubt, says=says)

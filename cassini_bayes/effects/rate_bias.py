@@ -9,6 +9,7 @@ import numpy as np
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.changes import unit_vector, with_rate_errors
 from cassini_bayes.effects.effect import Kind, Setting, Values
+from cassini_bayes.effects.wording import Sizes
 
 
 def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
@@ -18,4 +19,10 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     return with_rate_errors(physics, about, np.zeros_like(about))
 
 
-KIND: Final = Kind("rate_bias", change)
+def says(sizes: Sizes, target: str) -> str:
+    """In µrad/s."""
+    (bias,) = sizes.values()
+    return f"the gyro reads {bias.said('µrad/s', 1e6)} too much about {target.upper()}"
+
+
+KIND: Final = Kind("rate_bias", change, says=says)

@@ -33,6 +33,7 @@ from cassini_bayes.effects import (
 from cassini_bayes.effects.effect import Kind, columns_of
 from cassini_bayes.effects.own_files import load_kind
 from cassini_bayes.effects.tables import CHANGEABLE, Place, Table, check_keys, read_table
+from cassini_bayes.effects.wording import Sizes, by_keys
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number
 from cassini_bayes.files.storage import digest
@@ -110,6 +111,31 @@ class Kinds:
         """The measurement that tells two kinds apart, in words; None where neither names one."""
         said = {kind.name: kind.separation for kind, _ in self.kinds}
         return said.get(one, {}).get(other) or said.get(other, {}).get(one)
+
+    def unit(self, name: str, key: str) -> str:
+        """Unit of a size of a cause; empty where no table has it, as of sizes that are reported."""
+        return self._units(name).get(key, "")
+
+    def says(self, name: str, sizes: Sizes) -> str:
+        """What the sizes of a cause mean, as a clause; its own sizes alone are said."""
+        kind_name, _, target = name.partition(":")
+        kind = next((kind for kind, _ in self.kinds if kind.name == kind_name), None)
+        if kind is None:
+            return by_keys(name, sizes)
+        keys = kind.reported or tuple(self._units(name))
+        if kind.says is None or not set(keys) <= set(sizes):
+            return by_keys(name, sizes)
+        return kind.says({key: sizes[key] for key in keys}, target)
+
+    def _units(self, name: str) -> dict[str, str]:
+        """Units by key of a cause's parameters."""
+        kind_name, _, target = name.partition(":")
+        return {
+            parameter.key.replace("{target}", target): parameter.unit
+            for kind, table in self.kinds
+            if kind.name == kind_name
+            for parameter in table.parameters
+        }
 
 
 @cache

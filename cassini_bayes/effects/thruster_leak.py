@@ -7,6 +7,7 @@ from typing import Final
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.changes import with_steady_torque
 from cassini_bayes.effects.effect import Kind, Setting, Values
+from cassini_bayes.effects.wording import Sizes
 
 
 def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
@@ -17,4 +18,9 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     return with_steady_torque(physics, values["leak_n"][..., None] * arm)
 
 
-KIND: Final = Kind("thruster_leak", change)
+def says(sizes: Sizes, target: str) -> str:
+    """In µN."""
+    return f"{target.upper()} leaks {sizes['leak_n'].said('µN', 1e6)} of thrust without command"
+
+
+KIND: Final = Kind("thruster_leak", change, says=says)

@@ -6,5 +6,16 @@ from typing import Final
 
 from cassini_bayes.effects.effect import Kind
 from cassini_bayes.effects.wheel_axes import with_moved_axes
+from cassini_bayes.effects.wording import Sizes
 
-KIND: Final = Kind("wheel_alignment", with_moved_axes)
+
+def says(sizes: Sizes, target: str) -> str:
+    """In milliradians about both axes across."""
+    tilts = " and ".join(
+        f"{name} = {size.said('mrad', 1e3)}"
+        for name, size in zip("uv", sizes.values(), strict=True)
+    )
+    return f"the spin axis of wheel {target} is tilted by {tilts}"
+
+
+KIND: Final = Kind("wheel_alignment", with_moved_axes, says=says)

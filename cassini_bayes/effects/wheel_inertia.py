@@ -9,6 +9,7 @@ import numpy as np
 
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.effect import Kind, Setting, Values
+from cassini_bayes.effects.wording import Sizes
 
 
 def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
@@ -21,9 +22,16 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     )
 
 
+def says(sizes: Sizes, target: str) -> str:
+    """In kg m²."""
+    (inertia,) = sizes.values()
+    return f"wheel {target} has a spin inertia of {inertia.said('kg m²')}"
+
+
 KIND: Final = Kind(
     "wheel_inertia",
     change,
+    says=says,
     separation={
         "inertia": "slews about several axes and a measured velocity change during a bias",
     },

@@ -1,4 +1,6 @@
-"""Totals-only bias events: one row per event and source in a CSV (docs/priors.md has the format).
+"""Totals-only bias events: one row per event and source in a CSV.
+
+``docs/reference/telemetry-format.md`` has the format.
 
 A row is what a flight table gives of one wheel bias: the wheel rates at both ends, the commanded
 on-time and the number of pulses of every thruster, and optionally velocity change, hydrazine and

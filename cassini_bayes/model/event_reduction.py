@@ -45,7 +45,14 @@ from cassini_bayes.events.plausibility import (
     check_totals,
     without_cells,
 )
-from cassini_bayes.events.telemetry import Chunk, Mends, TelemetryEvent, read_chunks, read_event
+from cassini_bayes.events.telemetry import (
+    ChannelMap,
+    Chunk,
+    Mends,
+    TelemetryEvent,
+    read_chunks,
+    read_event,
+)
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.cells import cells_of
 from cassini_bayes.files.code import code_digest
@@ -59,7 +66,6 @@ from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 Say = Callable[[str], None]
-DESCRIPTION: Final = "event.toml"
 _TAIL_BYTES: Final = 65_536
 WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
 FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
@@ -102,6 +108,7 @@ class ReducedEvent:
     key: str = ""  # of the reduction in the cache
     delta_v: DeltaVStatistics | None = None  # of a measured velocity change
     accelerometer: AccelerometerStatistics | None = None
+    channels: ChannelMap | None = None  # of telemetry whose columns are not ours
 
     @property
     def id(self) -> str:
@@ -293,19 +300,20 @@ def reduce_samples(
 
 
 def reduce_event(
-    folder: Path,
+    given: str | Path | TelemetryEvent,
     priors: Priors,
     pulse_shape: str,
     cache: Path | None = None,
     say: Say | None = None,
     policy: Policy = STRICT,
 ) -> ReducedEvent:
-    """Read an event folder and reduce its telemetry, or take the reduction from the cache.
+    """Read an event's telemetry and reduce it, or take the reduction from the cache.
 
     Parameters
     ----------
-    folder
-        An event folder (``event.toml`` and telemetry).
+    given
+        An event folder (``event.toml`` and telemetry), or an event from :func:`read_event` or
+        :func:`event_from_frame`.
     priors
         Their spacecraft, branch and pulse parameters decide how rows become columns.
     pulse_shape
@@ -324,8 +332,8 @@ def reduce_event(
         spacecraft does (it is named), another thruster
         branch than the priors', or too few rows that can be used.
     """
-    event = read_event(folder, priors.spacecraft)
-    require_branch(str(event.folder / DESCRIPTION), event.branch, priors.branch)
+    event = given if isinstance(given, TelemetryEvent) else read_event(given, priors.spacecraft)
+    require_branch(event.where, event.branch, priors.branch)
     nominal = Nominal.of(
         priors.spacecraft,
         event.branch,
@@ -336,7 +344,7 @@ def reduce_event(
     search = CellSearch(nominal, event.wheels) if policy.leave_out else None
     rows = EventRows(event, priors.spacecraft, search)
     looked = PreparedRows(rows, priors.spacecraft.control_cycle_s)
-    guess = last_time(event.telemetry)
+    guess = last_time(event)
     sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
     key = reduction_key(event, sampling, policy)
     cached = _cached(cache, key)
@@ -370,6 +378,7 @@ def reduce_event(
         key,
         _delta_v(event, rows, sampling),
         _accelerometer(event, rows, sampling),
+        event.channels,
     )
 
 
@@ -561,11 +570,15 @@ def nominal_values(priors: Priors) -> dict[str, float]:
     return {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **priors.means()}
 
 
-def last_time(telemetry: Path) -> float:
-    """Time of the last row of a telemetry file as its tail has it, s; 1 where it does not tell.
+def last_time(event: TelemetryEvent) -> float:
+    """Time of the last row of an event as its file's tail has it, s; 1 where it does not tell.
 
-    Only a guess that spares a pass over the file: a wrong one is noticed and put right.
+    Only a guess that spares a pass over the file: a wrong one is noticed and put right. Of columns
+    that are not ours, or in memory, none is made.
     """
+    telemetry = event.telemetry
+    if event.channels is not None or not isinstance(telemetry, Path):
+        return 1.0
     try:
         if telemetry.suffix == ".parquet":
             return _last_time_of_parquet(telemetry)

@@ -79,24 +79,26 @@ def gather(
     findings: list[str] = []
     contents: list[tuple[str, str]] = []
     for given in each_event(events):
-        place = given.folder if isinstance(given, TelemetryEvent) else given
-        if isinstance(place, TotalsEvent):
-            found.append(place)
-            contents.append((place.id, content_of_totals(place)))
-        elif isinstance(place, ReducedEvent) or is_event_folder(Path(place)):
-            reduced = (
-                place
-                if isinstance(place, ReducedEvent)
-                else reduce_event(Path(place), priors, pulse_shape, say=say, policy=policy)
-            )
-            found.append(reduced)
-            findings += reduced.reading.findings
-            name = reduced.id if isinstance(place, ReducedEvent) else str(place)
-            contents.append((name, reduced.reading.content))
+        if isinstance(given, TotalsEvent):
+            found.append(given)
+            contents.append((given.id, content_of_totals(given)))
+            continue
+        if isinstance(given, ReducedEvent):
+            own: ReducedEvent | None = given
+        elif isinstance(given, TelemetryEvent) or is_event_folder(Path(given)):
+            read = given if isinstance(given, TelemetryEvent) else Path(given)
+            own = reduce_event(read, priors, pulse_shape, say=say, policy=policy)
         else:
-            rows = read_totals(str(place), priors.spacecraft, source)
-            findings += check_rows(rows, priors, str(place), policy)
-            contents += [(f"{place}: {row.id}", content_of_totals(row)) for row in rows]
+            own = None
+        if own is not None:
+            found.append(own)
+            findings += own.reading.findings
+            name = own.id if isinstance(given, READ) else str(given)
+            contents.append((name, own.reading.content))
+        else:
+            rows = read_totals(str(given), priors.spacecraft, source)
+            findings += check_rows(rows, priors, str(given), policy)
+            contents += [(f"{given}: {row.id}", content_of_totals(row)) for row in rows]
             found += rows
     findings += refuse_duplicates([pair for pair in contents if pair[1]], policy)
     return tuple(found), tuple(findings)

@@ -2,7 +2,7 @@
 
 Everything about rows is in the event's Gram matrices, so a call costs the same for any number of
 rows. Initial momentum, steady torque and cut tails are integrated out given the thrusts
-(docs/telemetry-likelihood.md §6).
+(docs/topics/telemetry-likelihood.md §6).
 """
 
 from __future__ import annotations

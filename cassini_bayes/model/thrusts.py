@@ -2,8 +2,8 @@
 
 Thrust of thruster k in event e is F = common + individual_k + event_e + jitter_ek, all normal. Each
 event's information on its thrusts is normal too, so its own coordinates are eliminated first, then
-the shared ones, and the cost grows linearly with events. ``docs/totals-likelihood.md`` derives the
-formulae.
+the shared ones, and the cost grows linearly with events. ``docs/topics/totals-likelihood.md``
+derives the formulae.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class ThrustPrior:
     nothing fires there are no thrusters, K = 0.
 
     Either factor may have a leading axis of events, ``shared`` also one of points before it: every
-    event then has a design row of its own for the shared coefficients (docs/mission.md).
+    event then has a design row of its own for the shared coefficients (docs/topics/mission.md).
     """
 
     common_mean_n: float

@@ -3,7 +3,7 @@
 Given the walked parameters the balance is linear-Gaussian in the thrusts and torques, apart from
 the response Jacobian, whose logarithm is expanded to second order about the reference thrust
 (``jacobian_expansion_error`` of the record measures what that leaves out).
-``docs/totals-likelihood.md`` derives the formulae.
+``docs/topics/totals-likelihood.md`` derives the formulae.
 """
 
 from __future__ import annotations
@@ -290,8 +290,8 @@ class TotalsAt:
 
         New hold rates and attitude errors give a new residual; the pair that does the work about
         each axis makes up the difference, all other on-times stay as they were
-        (docs/totals-likelihood.md §3). A slightly negative value means that the opposite pair would
-        have fired.
+        (docs/topics/totals-likelihood.md §3). A slightly negative value means that the opposite
+        pair would have fired.
         """
         residual = self.residual(thrust_n, draws)[..., :3]
         factor = np.linalg.cholesky(self.system.covariance[..., :3, :3])

@@ -15,7 +15,7 @@ import xarray as xr
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Case, Log, silent
-from cassini_bayes.diagnosis.diagnosis import Diagnosis
+from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawing, undrawn
 from cassini_bayes.diagnosis.diagnosis import diagnose as diagnose_case
 from cassini_bayes.diagnosis.estimates import is_estimates
 from cassini_bayes.diagnosis.read import read_estimate_case, read_events
@@ -24,13 +24,18 @@ from cassini_bayes.diagnosis.sizes import size_draws
 from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
+from cassini_bayes.files.storage import digest
+from cassini_bayes.model.event_reduction import is_event_folder
 from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
+from cassini_bayes.pipeline.inputs import file_of
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
+from cassini_bayes.pipeline.provenance import library_versions
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 
 if TYPE_CHECKING:
+    from cassini_bayes.report.diagnosis_pictures import Picture
     from cassini_bayes.report.plots import Figure
 
 INTERVAL: Final = "shortest 90 %"
@@ -66,9 +71,9 @@ class DiagnosisResult:
     @cached_property
     def sentences(self) -> tuple[str, ...]:
         """The verdict and the gain in words."""
-        from cassini_bayes.report.diagnosis import gain_sentence, sentences
+        from cassini_bayes.report.diagnosis_verdict import verdict_sentences
 
-        return (*sentences(self.record), gain_sentence(self.record))
+        return tuple(verdict_sentences(self.record))
 
     def summary(self) -> pd.DataFrame:
         """One row per hypothesis and size: probability, log Bayes factor (nats), size, interval.
@@ -118,25 +123,15 @@ class DiagnosisResult:
 
     def plot_discrepancy(self) -> Figure | None:
         """Torque that the baseline lacks, integrated, about body axes; None without telemetry."""
-        from cassini_bayes.diagnosis.discrepancy import curves_of
-        from cassini_bayes.report.plots import draw
-        from cassini_bayes.report.plots.criticism import discrepancy_figure
+        from cassini_bayes.report.diagnosis_pictures import pictures_of
 
-        case = self.diagnosis.case
-        if not isinstance(case, BalanceCase) or self.diagnosis.shown.detail is None:
-            return None
-        curves = curves_of(case, self.diagnosis.verdict, np.random.default_rng(self.seed))
-        return draw({"discrepancy": partial(discrepancy_figure, curves)}).get("discrepancy")
+        return _drawn(pictures_of(self.diagnosis.curves), "discrepancy")
 
     def plot_innovations(self) -> Figure | None:
         """Measured less predicted momentum, before and after; None without telemetry."""
-        from cassini_bayes.report.diagnosis import innovation_pictures
-        from cassini_bayes.report.plots import draw
+        from cassini_bayes.report.diagnosis_pictures import pictures_of
 
-        pictures = innovation_pictures(self.diagnosis, ())
-        return draw({p.name: p.make for p in pictures if p.name == "innovations"}).get(
-            "innovations"
-        )
+        return _drawn(pictures_of(self.diagnosis.shown), "innovations")
 
     def to_arviz(self, draws: int = 1_000) -> Any:  # ArviZ carries no types
         """Sizes of the extended model's causes as the posterior of ``arviz.InferenceData``.
@@ -193,6 +188,13 @@ class DiagnosisResult:
         return html_of(title, self.sentences, self.summary().head(_MOST_SHOWN))
 
 
+def _drawn(pictures: Sequence[Picture], name: str) -> Figure | None:
+    """The picture of that name as a figure in the house style; None where nothing is shown."""
+    from cassini_bayes.report.plots import draw
+
+    return draw({p.name: p.make for p in pictures if p.name == name}).get(name)
+
+
 def diagnose(
     events: EventLike | Iterable[EventLike],
     priors: PriorsLike,
@@ -205,6 +207,7 @@ def diagnose(
     seed: int = DEFAULT_SEED,
     log: Log = silent,
     workers: int | None = None,
+    draw: bool = False,
 ) -> DiagnosisResult:
     """Show what the simulation gets wrong, name the cause, measure what it gains.
 
@@ -231,6 +234,8 @@ def diagnose(
         Told how far it got.
     workers
         Processes; one for each core by default. The result does not depend on it.
+    draw
+        Whether to draw the report's figures beside the searches, for a report that follows.
 
     Raises
     ------
@@ -242,12 +247,43 @@ def diagnose(
     case = _case(events, priors, kinds, source, policy, log)
     processes = cores() if workers is None else workers
     found: Diagnosis[Any] = diagnose_case(
-        case, np.random.default_rng(seed), measure_gain=gain, log=log, workers=processes
+        case,
+        np.random.default_rng(seed),
+        measure_gain=gain,
+        log=log,
+        workers=processes,
+        drawing=_drawing() if draw else undrawn,
     )
-    found.record["seed"] = seed
-    found.record["command"] = ["cassini_bayes.diagnose"]
-    found.record["effects"] = dict(kinds.files)
+    found.record.update(
+        {
+            "seed": seed,
+            "command": ["cassini_bayes.diagnose"],
+            "effects": dict(kinds.files),
+            "sha256": _digests(events, priors, case),
+            "versions": library_versions(),
+        }
+    )
     return DiagnosisResult(found, seed)
+
+
+def _drawing() -> Drawing:
+    from cassini_bayes.report.diagnosis_pictures import drawings
+
+    return drawings
+
+
+def _digests(
+    events: EventLike | Iterable[EventLike], priors: PriorsLike, case: Case[Any]
+) -> dict[str, str]:
+    """SHA-256 of the files that were read, and of every telemetry event."""
+    given = [event for event in each_event(events) if not isinstance(event, READ)]
+    tables = [file_of(Path(), str(name)) for name in given if not is_event_folder(Path(name))]
+    files = [str(path) for path in (priors, *tables) if not isinstance(path, Priors)]
+    found = {path: digest(Path(path)) for path in files}
+    if isinstance(case, BalanceCase):
+        telemetry = case.events.telemetry
+        found |= {f"event {event.id}": event.digest for event in telemetry if event.digest}
+    return found
 
 
 def _case(

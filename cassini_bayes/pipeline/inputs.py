@@ -84,12 +84,14 @@ def read_inputs(
             )
             found: tuple[Event, ...] = (reduced,)
             digests[reference] = reduced.digest
+            if reduced.channels is not None:
+                digests[f"channels of {reference}"] = reduced.channels.digest
             findings += reduced.reading.findings
             contents.append((str(base / reference), reduced.reading.content))
         else:
             rows = read_totals(str(base / reference), priors.spacecraft, run.source)
             found = rows
-            file = _file_of(base, reference)
+            file = file_of(base, reference)
             digests[file] = digest(base / file)
             findings += check_rows(rows, priors, str(base / reference), policy)
             contents += [(f"{base / file}: {row.id}", content_of_totals(row)) for row in rows]
@@ -127,7 +129,7 @@ def effects_of(
     return named_effects(run.model.effects, priors, wheels, given, kinds, "model.effects")
 
 
-def _file_of(base: Path, reference: str) -> str:
+def file_of(base: Path, reference: str) -> str:
     """The file that ``file.csv`` or ``file.csv:ID`` names; names and ids may hold colons."""
     file = reference
     while not (base / file).is_file() and ":" in file:

@@ -81,7 +81,7 @@ def pair_layout(spacecraft: Spacecraft, branch: str) -> PairLayout:
         f"spacecraft {spacecraft.name}: axis_pairs (branch {branch})",
         "two axes that share four thrusters and one with thrusters of its own",
         "another layout",
-        "prediction knows this layout only (docs/prediction.md)",
+        "prediction knows this layout only (docs/topics/prediction.md)",
     )
 
 

@@ -10,7 +10,7 @@ tell). With a the part of it that reversals of the demand explain, U the demand 
 g log-normal with mean 1 and spread ``event_spread``, one per event; M is gamma distributed with
 variance q (E[M] − a) + q min(a, q), q a quantum near one control cycle. The thruster that two
 demands have in common fires alone in N cycles, negative binomial with mean c min(U_a, U_b) and
-shape k. docs/prediction.md derives it.
+shape k. docs/topics/prediction.md derives it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """What past events teach a prediction: physics and firing logic jointly, and small regressions.
 
 The likelihood of a fit leaves a constant factor for the on-times that do not answer momentum
-(docs/totals-likelihood.md §3). The firing model gives that factor a form, p(M, N | physics, β), so
-the joint posterior is the fit's times it. Draws: every draw of the physics is paired with a draw of
-β from a Student-t about the mode, weighted by p(M, N | physics, β) p(β) / t(β), and resampled.
+(docs/topics/totals-likelihood.md §3). The firing model gives that factor a form, p(M, N | physics,
+β), so the joint posterior is the fit's times it. Draws: every draw of the physics is paired with a
+draw of β from a Student-t about the mode, weighted by p(M, N | physics, β) p(β) / t(β), and
+resampled.
 """
 
 from __future__ import annotations

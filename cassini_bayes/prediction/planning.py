@@ -8,7 +8,7 @@ dead-band's noise added, and all taken as jointly normal, the expected informati
 
     EIG = −½ log(1 − ρ²),   ρ² = cᵀ (C_rr + Σ)⁻¹ c / Var Q,
 
-with c = Cov(r, Q). docs/prediction.md derives it.
+with c = Cov(r, Q). docs/topics/prediction.md derives it.
 """
 
 from __future__ import annotations

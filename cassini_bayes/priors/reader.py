@@ -1,10 +1,10 @@
 """A priors file as one frozen object, and the parameter space a model walks in.
 
-The file (TOML, docs/priors.md) states everything believed before the data: one table per
-parameter, with distribution or fixed value, unit and source. :func:`read_priors` checks all of it
-at the door. A model names the parameters it needs (:meth:`Priors.require`) and gets an ordered
-:class:`ParameterSpace`, in which every parameter occurs once, so a prior shared by many events
-counts once.
+The file (TOML, docs/reference/priors-format.md) states everything believed before the data: one
+table per parameter, with distribution or fixed value, unit and source. :func:`read_priors` checks
+all of it at the door. A model names the parameters it needs (:meth:`Priors.require`) and gets an
+ordered :class:`ParameterSpace`, in which every parameter occurs once, so a prior shared by many
+events counts once.
 """
 
 from __future__ import annotations
@@ -251,7 +251,7 @@ def read_priors(path: str | Path) -> Priors:
     ------
     InputError
         Names the file, the dotted key, what was expected, what was found and the nearest valid
-        name: see docs/priors.md for everything that is refused.
+        name: see docs/reference/priors-format.md for everything that is refused.
     """
     content = toml_bytes(Path(path), "a priors file")
     document = toml_of(content, str(path))

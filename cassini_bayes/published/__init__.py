@@ -1,6 +1,6 @@
 """Published figures of the Cassini papers, transcribed and checked by their own arithmetic.
 
-``docs/published-data.md`` says what is here, from which table, and which cells contradict
+``docs/reference/published-data.md`` says what is here, from which table, and which cells contradict
 themselves. ``flight_2009_2010.csv`` holds the eight flight events of paper 001 in the totals format
 of the package; everything else is read through the functions below. Papers: 000 inertia and
 thruster estimation (2005), 001 flight-calibrated on-times (2010), 002 inertia extended abstract,

@@ -52,7 +52,7 @@ class BiasThrust:
     """One row of paper 000 Table 2: thrust (N) from one wheel bias, wheel rates in rpm.
 
     The printed header says RWA-1, 2 and 3 and days of 2004; both contradict the text (see
-    ``docs/published-data.md``).
+    ``docs/reference/published-data.md``).
     """
 
     day_of_year: int

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,14 +22,6 @@ if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 __all__ = ["figures_of", "render_report", "sections_of", "write_report", "write_tables"]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure as a data address."""
-
-    name: str
-    address: str
 
 
 def write_report(
@@ -64,7 +55,7 @@ def render_report(
         has_telemetry=bool(review.model.telemetry),
         summary=[*inertia_sentence(review), *summary_sentences(review)],
         key_numbers=[*inertia_numbers(review), *key_numbers(review)],
-        pictures={name: Picture(name, _address(name, figure)) for name, figure in figures.items()},
+        pictures={name: _address(name, figure) for name, figure in figures.items()},
         chapters=[
             (chapter, list(own)) for chapter, own in groupby(sections, lambda own: own.chapter)
         ],

@@ -44,7 +44,7 @@ def _body(
 
 Shifts are in posterior standard deviations of the run, ± is one Monte Carlo standard error;
 {_counts(tables.sweep)}. How it is done: [prior
-sensitivity](../prior-sensitivity.md). Every cell and quantity: [{stem}.csv]({stem}.csv).
+sensitivity](../topics/prior-sensitivity.md). Every cell and quantity: [{stem}.csv]({stem}.csv).
 
 {_markdown(changes_table(tables.sweep))}
 

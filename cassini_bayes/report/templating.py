@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from typing import TYPE_CHECKING
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from cassini_bayes.report.plots import encode
 
@@ -14,13 +14,17 @@ if TYPE_CHECKING:
 
 
 def rendered(template: str, **values: object) -> str:
-    """A template of ``report/templates`` as text; a name it lacks is an error, not a gap."""
+    """A template of ``report/templates`` as text; a name it lacks is an error, not a gap.
+
+    What goes into a page is escaped, what goes into a file of code is not.
+    """
     environment = Environment(
         loader=PackageLoader("cassini_bayes", "report/templates"),
-        autoescape=True,
+        autoescape=select_autoescape(("html.jinja",), ("py.jinja", "toml.jinja"), default=True),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
     return environment.get_template(template).render(values)
 

@@ -2,8 +2,8 @@
 
 All compiled functions are in this one file on purpose: numba's cache on disk notices a change in
 the file of a function, but not in another file that the function calls into. Arrays are float64,
-body axes, SI units; every name in the structures says the unit. ``docs/simulation.md`` derives the
-equations.
+body axes, SI units; every name in the structures says the unit. ``docs/topics/simulation.md``
+derives the equations.
 """
 
 from __future__ import annotations

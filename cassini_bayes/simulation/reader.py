@@ -73,7 +73,7 @@ class ScenarioFile:
 def read_scenario(
     path: str | Path, own: Mapping[str, Effect] = MappingProxyType({})
 ) -> ScenarioFile:
-    """Read and check a scenario file (``docs/simulation.md`` has the format).
+    """Read and check a scenario file (``docs/reference/scenario-format.md`` has the format).
 
     ``own`` are effects by name beyond those that there are.
 

@@ -44,8 +44,8 @@ class SpacecraftSettings(Table):
 class RcsSettings(Table):
     """Thruster controller. Paper 001 section III gives cycle, pulse widths and dead-band.
 
-    The gain, the hysteresis and the knowledge errors are printed nowhere; ``docs/simulation.md``
-    says where the defaults come from.
+    The gain, the hysteresis and the knowledge errors are printed nowhere;
+    ``docs/topics/simulation.md`` says where the defaults come from.
     """
 
     dead_band_rad: Vector = (2e-3, 2e-3, 2e-3)

@@ -3,9 +3,9 @@
 A pulse is commanded on at t = 0 and off at t = Δ. Valve and propellant delay it by τ_d, the thrust
 rises with time constant τ_r and tails off with τ_f. The *effective time* of a pulse is its impulse
 over the steady thrust, in s. The papers read the same sentence in different ways, so each reading
-is a shape of its own, with the thrust curve that it integrates; docs/geometry-and-pulses.md has
-the comparison. All functions broadcast. Widths and time constants are not negative; a time constant
-of 0 is an edge without rise or tail.
+is a shape of its own, with the thrust curve that it integrates; docs/topics/geometry-and-pulses.md
+has the comparison. All functions broadcast. Widths and time constants are not negative; a time
+constant of 0 is an edge without rise or tail.
 """
 
 from __future__ import annotations

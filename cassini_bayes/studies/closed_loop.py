@@ -13,7 +13,7 @@ from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.requests import BiasRequest
 
 RCS: Final = {"rate_gain_s": 10.0, "hysteresis": 0.15, "rate_knowledge_rad_s": 5e-5}
-"""Settings of the controller that come nearest to flight (docs/simulation.md §7)."""
+"""Settings of the controller that come nearest to flight (docs/results/simulation-findings.md)."""
 START_RATE_RAD_S: Final = 2e-5
 
 

@@ -169,7 +169,8 @@ BODY: Final = """\
 the thruster controller's knowledge of rate); the controllers have their default settings, nothing
 is tuned. *Published* is paper 004's closed-loop simulation. The second column of ours has the
 products of inertia that paper 000 estimated after the Probe had left; paper 004 prints none. The
-closed forms (optimum, couplings, spin, peaks, hydrazine) are tests: [the papers](../papers.md).
+closed forms (optimum, couplings, spin, peaks, hydrazine) are tests: [the
+papers](../topics/papers.md).
 
 {table}
 

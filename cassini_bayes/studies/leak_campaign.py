@@ -9,14 +9,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.leaks import leak_figure
-from cassini_bayes.studies.leak_monitors import Track, alarm_row, separating_momentum
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.report.plots.leaks import leak_figure, torque_figure
+from cassini_bayes.studies.leak_attitudes import (
+    CLEAR_SIGMA,
+    LEAK_N,
+    LEVER_M,
+    STAY_S,
+    after_turns,
+    least_leaks,
+    momentum_noise,
+    turn_cells,
+)
+from cassini_bayes.studies.leak_monitors import Track, alarm_row
 from cassini_bayes.studies.leak_trials import MODULE, WINDOWS_S, LeakTrials, Trial, trials_of
 from cassini_bayes.studies.study import Study
 
@@ -125,8 +136,10 @@ to 5 mN, and begins anywhere in the first four fifths. Noise levels are taken as
 means a replay of the file, row by row; nothing here runs on board.
 
 Both monitors see the same residual momentum, at rows where no thruster delivers, ten seconds
-apart. *Threshold*: paper 000 section IV, an alarm when the residual gained within a window passes a
-threshold for one or three rows in a row, the thruster named by the signs of its components.
+apart, with rates from the body's turn over seven rows at rest: at Cassini's noise of 1.3e-5 rad and
+1.7e-5 rad/s a measured rate says a tenth of that. *Threshold*: paper 000 section IV, an alarm when
+the residual gained within a window passes a threshold for one or three rows in a row, the thruster
+named by the signs of its components.
 *Sequential odds*: log Bayes factor of a leak (sizes log-uniform, starts even) with thrusts, centre
 of mass, inertias, geometry and pulse shape uncertain. The paper prints neither threshold nor
 window: each monitor's threshold is the one that {rate:.0%} of half of the events without a leak
@@ -151,15 +164,20 @@ between biases, where little fires, a threshold can stand far lower; that is not
 ## A leak and a steady torque
 
 At one attitude a leak and a steady torque are the same: both add momentum in one fixed direction.
-So they are after any turn, if the torque turns with the body. A torque fixed in inertial axes parts
-from the leak after a turn by ψ across it, by 2 τ t sin(ψ/2) over a time t. A leak of 0.1 mN (lever
-1.6 m) makes 0.16 mN m; after 1,000 s the two have parted by
+So they are after any turn, if the torque turns with the body, as the model's own `external_torque`
+does: only its prior width and the leak's sign and direction are left to tell. A torque fixed in
+inertial axes, as of the Sun or of gravity, parts from the leak once the body turns by ψ across it:
+what no inertial torque and no start explain is τ (t − t₁) 2 sin(ψ/2) less its likest line in t. For
+a leak of {leak:g} mN (lever {lever:g} m), {stay:.0f} s at the first attitude, rows ten seconds
+apart with {row:.2g} N m s of noise (as above) and torque noise of {walk:.2g} N m s^½:
 
-| turn | 0° | 5° | 30° | 90° | 180° |
-| --- | --- | --- | --- | --- | --- |
-| N m s | {parted} |
+{parted}
 
-against some 0.01 N m s of noise in a row of telemetry.
+![A leak and a torque fixed in inertial axes, told apart by a turn]({name}-torque.png)
+
+Left: that leak, against time at the second attitude. Right: the least leak that is {clear:g} σ from
+every such torque, against the turn, for stays of equal length before and after it. Without a turn
+none is, however long the stay.
 """
 
 TITLE: Final = {
@@ -194,7 +212,6 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
             f"| {row['monitor']} | {max(low, 0.01):.2g} to {high:.2g} | {row['leaks']}"
             f" | {row['found']:.0%} | {delay} | {named} |"
         )
-    parted = [separating_momentum(1.6e-4, 1000.0, np.radians(a)) for a in (0, 5, 30, 90, 180)]
     return BODY.format(
         leaks=len(table) // len(MONITORS),
         quiet=quiet,
@@ -205,8 +222,27 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
         known=KNOWN[calibrated],
         overall="\n".join(overall),
         sizes="\n".join(sizes),
-        parted=" | ".join(f"{value:.3f}" for value in parted),
+        **_apart(read_priors(priors)),
     )
+
+
+def _apart(priors: Priors) -> dict[str, Any]:
+    """What the text says of a leak and a torque."""
+    noise = momentum_noise(priors)
+    head = f"| turn | until {CLEAR_SIGMA:g} σ, s after it | σ {STAY_S:.0f} s after it |"
+    rows = [
+        f"| {turn:.0f}° | {'never' if np.isnan(after) else f'{after:.0f}'} | {sigma:.1f} |"
+        for turn, after, sigma in turn_cells(after_turns(noise))
+    ]
+    return {
+        "leak": 1e3 * LEAK_N,
+        "lever": LEVER_M,
+        "stay": STAY_S,
+        "row": noise.row_n_m_s,
+        "walk": noise.walk_n_m_s05,
+        "clear": CLEAR_SIGMA,
+        "parted": "\n".join([head, "| --- | --- | --- |", *rows]),
+    }
 
 
 def compare_leak_monitors(
@@ -221,11 +257,11 @@ def compare_leak_monitors(
     flown = trials_of(study.repeat(name, "biases", campaign, numbers["trials"]))
     quiet = sum(trial.thruster < 0 for trial in flown)
     table = judged(flown)
-    sizes = by_size(table)
+    sizes, noise = by_size(table), momentum_noise(read_priors(priors))
     study.publish(
         TITLE[calibrated],
         body(table, quiet, priors, name, calibrated),
         MODULE,
         {"": sizes},
-        {"": leak_figure(sizes)},
+        {"": leak_figure(sizes), "-torque": torque_figure(after_turns(noise), least_leaks(noise))},
     )

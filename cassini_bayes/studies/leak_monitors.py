@@ -16,11 +16,13 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cassini_bayes.balance.measured_delta_v import on_time_columns, rows_at_rest
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.balance.telemetry_terms import pulse_weights
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
@@ -34,6 +36,8 @@ SIZES_N: Final = np.geomspace(1e-5, 5e-3, 28)
 """Sizes of a leak, even odds each: log-uniform over what the campaign simulates."""
 POLARITY_SHARE: Final = 0.25
 """Of the greatest component: a smaller one counts as zero where signs are compared."""
+HALF_ROWS: Final = 3
+"""Rows to either side of a row at rest over whose turn its rate is taken."""
 _LEAST_ROWS: Final = 5
 _STEP: Final = 1e-3  # of a prior standard deviation, for derivatives: the residual is nearly linear
 
@@ -53,10 +57,71 @@ class Residual:
     thrusters: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Stretches:
+    """Rows at rest amid stretches in which nothing delivers, with their mean rates there.
+
+    The turn over a stretch tells the body's rate far better than a measured rate does
+    (docs/telemetry-likelihood.md §5). ``rate_per_rad`` (N,) is the noise of these rates per noise
+    of an attitude, 1/s; ``wheel_share`` (N,) that of the wheels' mean rates per noise of a row.
+    """
+
+    rows: NDArray[np.intp]  # (N,) among the samples
+    time_s: Array  # (N,)
+    rate_rad_s: Array  # (N, 3)
+    wheel_rad_s: Array  # (N, W)
+    rate_per_rad: Array
+    wheel_share: Array
+
+
+def stretches(samples: Samples, guard_s: float) -> Stretches:
+    """Stretches of :data:`HALF_ROWS` rows to either side, not closer than :data:`ROWS_EVERY_S`.
+
+    Raises
+    ------
+    InputError
+        There are fewer than a handful.
+    """
+    known = np.isfinite(np.column_stack([samples.attitude, samples.wheel_rad_s])).all(axis=1)
+    measured = np.flatnonzero(known)
+    rest = np.searchsorted(measured, rows_at_rest(samples, np.asarray(known), guard_s))
+    inside = rest[2 * HALF_ROWS :] - rest[: -2 * HALF_ROWS] == 2 * HALF_ROWS
+    middle = rest[HALF_ROWS:-HALF_ROWS][inside]
+    cell = samples.time_s[measured[middle]] // ROWS_EVERY_S
+    middle = middle[np.diff(cell, prepend=-1.0) > 0.0]
+    if len(middle) < _LEAST_ROWS:
+        raise InputError(
+            "telemetry",
+            f"at least {_LEAST_ROWS} stretches of {2 * HALF_ROWS + 1} rows at rest,"
+            f" {ROWS_EVERY_S:g} s apart",
+            str(len(middle)),
+            "use a longer event",
+        )
+    around = measured[middle[:, None] + np.arange(-HALF_ROWS, HALF_ROWS + 1)]
+    time = samples.time_s[around]
+    span = time[:, -1] - time[:, 0]
+    turns = turns_between(direction_cosines(samples.attitude[measured]))
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
+    turned = turned[middle + HALF_ROWS] - turned[middle - HALF_ROWS]
+    half_steps = 0.5 * np.diff(time, axis=1)
+    weights = np.pad(half_steps, ((0, 0), (1, 0))) + np.pad(half_steps, ((0, 0), (0, 1)))
+    weights = weights / span[:, None]
+    return Stretches(
+        measured[middle],
+        samples.time_s[measured[middle]],
+        turned / span[:, None],
+        np.einsum("nr,nrw->nw", weights, samples.wheel_rad_s[around]),
+        np.sqrt(2.0) / span,
+        np.sqrt((weights**2).sum(axis=1)),
+    )
+
+
 def residual_of(
     samples: Samples, thrusters: tuple[str, ...], wheels: tuple[int, ...], priors: Priors
 ) -> Residual:
     """The residual momentum I ω + T I_w ρ − Σ q F s since the first row, and its covariance.
+
+    Rates are those of :func:`stretches`, of turns.
 
     Parameters
     ----------
@@ -68,19 +133,8 @@ def residual_of(
         Nominal values and widths. Noise of the channels enters at its prior mean.
     """
     sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
-    known = np.isfinite(
-        np.column_stack([samples.attitude, samples.rate_rad_s, samples.wheel_rad_s])
-    ).all(axis=1)
-    rows = rows_at_rest(samples, np.asarray(known), sampling.guard_s)
-    kept = np.flatnonzero(np.diff(samples.time_s[rows] // ROWS_EVERY_S, prepend=-1.0) > 0.0)
-    rows = rows[kept]
-    if len(rows) < _LEAST_ROWS:
-        raise InputError(
-            "telemetry",
-            f"at least {_LEAST_ROWS} rows at rest, {ROWS_EVERY_S:g} s apart",
-            str(len(rows)),
-            "use a longer event",
-        )
+    still = stretches(samples, sampling.guard_s)
+    rows = still.rows
     columns = on_time_columns(samples, rows, sampling).reshape(len(rows), len(thrusters), 4)[
         ..., :3
     ]
@@ -98,8 +152,8 @@ def residual_of(
 
     def momentum(values: Mapping[str, float], thrust_n: Array) -> Array:
         own = physics(values)
-        body = samples.rate_rad_s[rows] @ own.inertia_kg_m2.T
-        body = body + samples.wheel_rad_s[rows] @ own.wheel_weights[:, places].T
+        body = still.rate_rad_s @ own.inertia_kg_m2.T
+        body = body + still.wheel_rad_s @ own.wheel_weights[:, places].T
         seconds = columns @ pulse_weights(sampling, own)
         total = np.einsum("nac,nc->na", back, body) - seconds @ (own.arms_m * thrust_n).T
         return np.asarray(total - total[0])
@@ -132,7 +186,7 @@ def residual_of(
     return Residual(
         time,
         at_means - mean,
-        jacobian @ jacobian.T + _noise(nominal, places, means, time),
+        jacobian @ jacobian.T + _noise(nominal, places, means, still),
         np.asarray(nominal.arms_m),
         thrusters,
     )
@@ -154,17 +208,31 @@ def _walked(priors: Priors, wheels: tuple[int, ...]) -> list[str]:
     return [name for name in names if priors.parameters[name].sd > 0.0]
 
 
-def _noise(physics: Physics, places: list[int], means: Mapping[str, float], time: Array) -> Array:
+def _noise(
+    physics: Physics, places: list[int], means: Mapping[str, float], still: Stretches
+) -> Array:
     """Covariance (3N, 3N) of channel noise, the first row's in every row, and of torque noise."""
     weights = physics.wheel_weights[:, places]
-    white = means["rate_noise_rad_s"] ** 2 * physics.inertia_kg_m2 @ physics.inertia_kg_m2.T
-    white = white + (means["wheel_noise_rpm"] * RAD_S_PER_RPM) ** 2 * weights @ weights.T
-    # the first row is taken off: its own residual is zero, and its noise is in all the others
-    shared = np.eye(len(time)) + 1.0
-    shared[0], shared[:, 0] = 0.0, 0.0
-    shared[0, 0] = 1e-6
+    time = still.time_s - still.time_s[0]
+    turn_square = (means["attitude_noise_rad"] * still.rate_per_rad) ** 2
+    wheel_square = (means["wheel_noise_rpm"] * RAD_S_PER_RPM * still.wheel_share) ** 2
     walk = means["torque_noise_n_m_s05"] ** 2 * np.minimum(time[:, None], time)
-    return np.asarray(np.kron(shared, white) + np.kron(walk, np.eye(3)))
+    return np.asarray(
+        np.kron(_shared(turn_square), physics.inertia_kg_m2 @ physics.inertia_kg_m2.T)
+        + np.kron(_shared(wheel_square), weights @ weights.T)
+        + np.kron(walk, np.eye(3))
+    )
+
+
+def _shared(square: Array) -> Array:
+    """Covariance (N, N) of white noise of variances (N,) less that of the first row.
+
+    The first row's own residual is zero (its variance is only there to be inverted).
+    """
+    covariance = np.diag(square) + square[0]
+    covariance[0], covariance[:, 0] = 0.0, 0.0
+    covariance[0, 0] = 1e-6 * square[0]
+    return np.asarray(covariance)
 
 
 @dataclass(frozen=True)
@@ -245,13 +313,3 @@ def alarm_row(statistic: Array, threshold: float, persistence: int) -> int | Non
     above = np.convolve(statistic > threshold, np.ones(persistence), mode="full")[: len(statistic)]
     found = np.flatnonzero(above >= persistence)
     return int(found[0]) if len(found) else None
-
-
-def separating_momentum(torque_n_m: float, leak_s: float, turn_rad: float) -> float:
-    """Momentum that tells a leak from a torque fixed in inertial axes after a turn, N m s.
-
-    A leak turns with the body. After a turn by ψ about an axis across it, the direction that either
-    adds momentum in differs by ψ, so that over a time t they part by 2 τ t sin(ψ/2). At one
-    attitude (ψ = 0), or for a torque that turns with the body, they stay alike.
-    """
-    return 2.0 * torque_n_m * leak_s * float(np.sin(0.5 * abs(turn_rad)))

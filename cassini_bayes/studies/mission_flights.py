@@ -3,7 +3,7 @@
 Everything is drawn from the priors file: levels, ageing, pressure law, tail-offs, and for every
 thruster whether, when and by how much it fails. Biases are those of the flight, scaled, run
 backwards and flown by either branch; their on-times are solved for by the mechanism of
-``docs/totals-likelihood.md`` §3, not through the likelihood.
+``docs/topics/totals-likelihood.md`` §3, not through the likelihood.
 """
 
 from __future__ import annotations

@@ -367,7 +367,7 @@ def _body(honest: Arrays, mistaken: Arrays) -> str:
             "What the checks of `cassini_bayes.events.plausibility` say of simulated events:",
             "honest ones under varied conditions, every second set with a clear effect of the",
             "catalogue, and events with one mistake each. Derivation:",
-            "[Mistakes in data](../plausibility.md).",
+            "[Mistakes in data](../topics/plausibility.md).",
             "",
             *_honest_lines(honest),
             "",

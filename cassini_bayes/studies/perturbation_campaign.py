@@ -198,9 +198,9 @@ Paper 003 puts error bars on thrusts by perturbing assumed parameters, each by a
 hand as about its largest error: centre of mass 10 %, moments of inertia 5 % and products 50 %,
 wheel inertia 1 %, the column of wheel 4 in the wheels' matrix 1 %, thruster location 1 %, tail-off
 10 %. Here the truth is known: the eight wheel biases of 2009-10 are flown again by the mechanism of
-[the likelihood's derivation](../totals-likelihood.md) §3, {sets} sets or {events} events for each
-reading of those sizes, once as one standard deviation (normal), once as largest error (uniform).
-Thrusts, dead-band rates, torques and the tail's rise come from the shipped priors.
+[the likelihood's derivation](../topics/totals-likelihood.md) §3, {sets} sets or {events} events for
+each reading of those sizes, once as one standard deviation (normal), once as largest error
+(uniform). Thrusts, dead-band rates, torques and the tail's rise come from the shipped priors.
 
 Estimates: the *mean thrust of an event* (paper 000 eq. 23, weighted by on-time), every *thruster
 over all events together* (pseudo-inverse of eight events, mean weighted by on-time), and a

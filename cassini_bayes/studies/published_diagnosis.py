@@ -205,8 +205,8 @@ def _body(sections: Sequence[Section]) -> str:
     return f"""\
 Posterior probability of every cause, `none` and `unknown` included, with the prior of each effect's
 size half, once and twice as wide as the default. What the cases assume, and what their outcome
-means, is in [What the simulation gets wrong](../criticism.md). Units stand in the names of the
-parameters; `thrust_factor`, `scale` and `ratio` are fractions. All numbers:
+means, is in [Published cases](published-cases.md). Units stand in the names of
+the parameters; `thrust_factor`, `scale` and `ratio` are fractions. All numbers:
 [{NAME}.csv]({NAME}.csv).
 
 {text}"""

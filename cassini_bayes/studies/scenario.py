@@ -123,11 +123,16 @@ class Simulation:
 
 
 def draw_wheel_rates(events: Iterable[dict[str, Any]], rng: np.random.Generator) -> None:
-    """Give the events of a scenario's document other wheel rates, uniform within ±1,000 rpm."""
+    """Give the events of a scenario's document other wheel rates, uniform within ±1,000 rpm.
+
+    Not where two wheels hold a spinning body: what its spin does follows from their rates.
+    """
     for event in events:
+        if event.get("hybrid", {}).get("controller") == "dfpw":
+            continue
         for key in ("from_rpm", "to_rpm"):
             if key in event:
-                event[key] = [float(x) for x in rng.uniform(-MOST_RPM, MOST_RPM, 3)]
+                event[key] = [float(x) for x in rng.uniform(-MOST_RPM, MOST_RPM, len(event[key]))]
 
 
 def simulated_samples(event: SimulatedEvent) -> tuple[Samples, tuple[str, ...]]:

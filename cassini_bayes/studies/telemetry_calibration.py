@@ -269,7 +269,7 @@ def log_density_of(model: Model, variant: Variant) -> LogDensity:
 def without_jacobian(model: Model, z: Array) -> Array:
     """The naive likelihood: a density of the balance residual, which shrinks with everything.
 
-    Takes N log det I off again (docs/telemetry-likelihood.md §2).
+    Takes N log det I off again (docs/topics/telemetry-likelihood.md §2).
     """
     rows = sum(term.event.statistics.rows for term in model.telemetry)
     inertia = model.points(z).physics(()).inertia_kg_m2

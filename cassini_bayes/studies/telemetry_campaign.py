@@ -129,10 +129,10 @@ def _body(
         verdict = f"is not rejected (with {least} repetitions only gross faults would be)"
     return f"""\
 Parameters drawn from the priors, wheel rates drawn anew, two wheel biases and a set of slews flown
-in closed loop by the [simulation](../simulation.md), telemetry reduced and fitted with the
-[joint model](../telemetry-likelihood.md), the rank of each true value among 999 posterior draws
-kept. All ranks together have to stay inside the simultaneous {1 - LEVEL:.0%} ECDF envelope, and
-90 % central intervals have to cover, both after Holm's adjustment over all parameters of all
+in closed loop by the [simulation](../topics/simulation.md), telemetry reduced and fitted with the
+[joint model](../topics/telemetry-likelihood.md), the rank of each true value among 999 posterior
+draws kept. All ranks together have to stay inside the simultaneous {1 - LEVEL:.0%} ECDF envelope,
+and 90 % central intervals have to cover, both after Holm's adjustment over all parameters of all
 variants. Each control is judged alone and has to fail.
 
 **The model {verdict}; {len(failed)} of {len(CONTROLS)} controls fail as they must.**

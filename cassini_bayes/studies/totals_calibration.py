@@ -1,10 +1,10 @@
 """Simulation-based calibration of the totals model: do 90 % intervals hold 90 % of the truths?
 
 Parameters are drawn from the priors, events are simulated by the mechanism of
-``docs/totals-likelihood.md`` §3 (the on-times that respond are solved for, exactly, not through the
-likelihood), every simulated set is fitted, and the rank of each true value among its posterior
-draws is kept. If likelihood, priors and sampler are right the ranks are uniform (Talts et al. 2018,
-Modrák et al. 2023).
+``docs/topics/totals-likelihood.md`` §3 (the on-times that respond are solved for, exactly, not
+through the likelihood), every simulated set is fitted, and the rank of each true value among its
+posterior draws is kept. If likelihood, priors and sampler are right the ranks are uniform (Talts et
+al. 2018, Modrák et al. 2023).
 """
 
 from __future__ import annotations

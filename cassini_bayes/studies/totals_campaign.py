@@ -80,10 +80,10 @@ def _body(
     chains = int(main.by_chain.sum())
     return f"""\
 Parameters drawn from the priors, the eight wheel biases of 2009-10 flown again by the mechanism of
-[the likelihood's derivation](../totals-likelihood.md) §3, every set fitted, and the rank of each
-true value kept. A 90 % interval (central) has to hold the truth in 90 ± 3 % of the repetitions, for
-every parameter (wider where few repetitions scatter more than that), and no rank distribution may
-be skewed; the negative controls have to fail.
+[the likelihood's derivation](../topics/totals-likelihood.md) §3, every set fitted, and the rank of
+each true value kept. A 90 % interval (central) has to hold the truth in 90 ± 3 % of the
+repetitions, for every parameter (wider where few repetitions scatter more than that), and no rank
+distribution may be skewed; the negative controls have to fail.
 
 {HEADER}
 | --- | --- | --- | --- | --- | --- | --- |

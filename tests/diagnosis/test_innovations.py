@@ -23,6 +23,8 @@ from cassini_bayes.diagnosis.correlations import (
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.nuisances import traded
+from cassini_bayes.diagnosis.overlay import cause_part, fit_percent, overlays
 from cassini_bayes.diagnosis.refit import fit_extended
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
@@ -78,7 +80,7 @@ def shown(own: Verdict[Hypothesis]) -> InnovationTests:
 
 def curves(leak: bool) -> dict[str, Curve]:
     """Discrepancy curves by event."""
-    found = curves_of(case_of(leak), verdict(leak), np.random.default_rng(3))
+    found = curves_of(case_of(leak).events, verdict(leak).unknown, np.random.default_rng(3))
     return {curve.event: curve for curve in found}
 
 
@@ -161,3 +163,56 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     assert np.isfinite(channels.values).all(axis=(0, 2)).sum() > 100
     assert "thruster_leak_z3_leak_n" in fit.groups["prior"]
     assert {"thrust_n", "inertia_xx_kg_m2"} <= set(fit.groups["posterior"])
+
+
+def test_the_part_of_a_cause_is_what_its_torque_adds_up_to() -> None:
+    """A leak at a lever arm turns the body by leak × arm × time: by hand, from the geometry."""
+    extended = case_of(True).examined(verdict(True).best)
+    bias = extended.remainder.rows[0]  # type: ignore[union-attr]
+    part = cause_part(case_of(True).events, extended)[0]
+    (leak,) = case_of(True).sizes(extended, np.random.default_rng(1)).values()
+    value = PRIORS.means()
+    place = np.array([-value["thruster_lx_m"], -value["thruster_ly_m"], value["thruster_lzz_m"]])
+    centre = np.array([value[f"cm_{axis}_m"] for axis in "xyz"])
+    torque = leak.mean * np.cross(place - centre, [0.0, 0.0, -1.0])
+    slope = np.polyfit(bias.time_s, part, 1)[0]
+    assert slope == pytest.approx(torque, rel=0.03, abs=0.02 * np.abs(torque).max())
+
+
+def test_rates_and_wheels_laid_over_differ_by_the_same_momentum() -> None:
+    """J Δω is A I Δρ in every row: both channels are the one balance, seen from either side."""
+    none = verdict(True).none
+    (bias, _) = overlays(case_of(True).events, none, None)
+    change = {c.name: c.measured - c.baseline for c in bias.channels}
+    assert all(c.extended is None and c.fit[1] is None for c in bias.channels)
+    residual = none.remainder.rows[0].residual_n_m_s  # type: ignore[union-attr]
+    value = PRIORS.means()
+    moments = np.array([value[f"inertia_{axis * 2}_kg_m2"] for axis in "xyz"])
+    turned = np.stack([change[f"rate {axis}"] for axis in "XYZ"], axis=1) / 1e3 * moments
+    # products of inertia are a few per cent of the moments, which are known to some per cent
+    assert (turned - residual).std() < 0.2 * residual.std()
+    spun = np.stack([change[f"wheel {n}"] for n in (1, 2, 4)], axis=1) * 2.0 * np.pi / 60.0
+    assert spun.std() * value["rwa1_inertia_kg_m2"] == pytest.approx(residual.std(), rel=0.3)
+
+
+def test_the_fit_is_100_for_the_data_and_0_for_their_mean() -> None:
+    """The ends of the scale, and a known case between: half the amplitude is 50 per cent."""
+    wave = np.sin(np.linspace(0.0, 20.0 * np.pi, 1000))
+    assert fit_percent(wave, wave) == 100.0
+    assert fit_percent(wave, np.full(1000, wave.mean())) == pytest.approx(0.0)
+    assert fit_percent(wave, 0.5 * (wave - wave.mean()) + wave.mean()) == pytest.approx(50.0)
+    assert np.isnan(fit_percent(np.ones(5), np.zeros(5)))
+
+
+def test_a_size_is_traded_against_something_that_is_free() -> None:
+    """Draws of the normal approximation have the size's mean and width, priors are as stated."""
+    extended = case_of(True).examined(verdict(True).best)
+    trade = traded(extended, np.random.default_rng(2))
+    assert trade is not None
+    (leak,) = case_of(True).sizes(extended, np.random.default_rng(1)).values()
+    assert trade.posterior[:, 0].mean() == pytest.approx(leak.mean, abs=leak.sd)
+    assert trade.posterior[:, 0].std() == pytest.approx(leak.sd, rel=0.3)
+    found = float(np.corrcoef(trade.posterior.T)[0, 1])
+    assert trade.correlation == pytest.approx(found)
+    # half a normal of 30 µN about zero has a mean of 24 µN
+    assert trade.prior[:, 0].mean() == pytest.approx(3e-5 * np.sqrt(2.0 / np.pi), rel=0.06)

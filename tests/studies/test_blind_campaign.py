@@ -96,7 +96,7 @@ def test_page_lists_failures_and_claims_no_goal_on_few_trials(tmp_path: Path) ->
     assert "| 4 | clear | time_offset | 6.00 | rate_scale:z | 0.900 |" in page
     assert "| 3 | clear" not in page
     assert "reached" not in page
-    assert "not excluded" in page
+    assert "too few trials" in page
     assert {p.name for p in (tmp_path / "page").iterdir()} >= {
         "blind.png",
         "confusion.png",

@@ -13,12 +13,21 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 from study_cases import study_in
 
+from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.spacecraft import lever_arms
 from cassini_bayes.studies import leak_trials
+from cassini_bayes.studies.leak_attitudes import (
+    LEVER_M,
+    MomentumNoise,
+    least_leak_n,
+    told_apart_sigma,
+)
 from cassini_bayes.studies.leak_campaign import MONITORS, by_size, compare_leak_monitors, judged
 from cassini_bayes.studies.leak_monitors import (
+    HALF_ROWS,
+    ROWS_EVERY_S,
     SIZES_N,
     STARTS_EVERY_S,
     Odds,
@@ -26,7 +35,7 @@ from cassini_bayes.studies.leak_monitors import (
     Track,
     alarm_row,
     residual_of,
-    separating_momentum,
+    stretches,
     threshold_track,
 )
 from cassini_bayes.studies.leak_trials import (
@@ -130,13 +139,49 @@ def test_the_residual_is_as_wide_as_it_says() -> None:
     assert 0.75 < np.concatenate(squares).mean() < 1.25
 
 
-def test_a_leak_and_an_inertial_torque_part_by_the_turn() -> None:
-    """2 τ t sin(ψ/2) is the difference of two momenta, one turned with the body."""
-    for turn in (0.0, 0.3, 2.0):
-        fixed = np.array([1.6e-4, 0.0, 0.0]) * 500.0
-        turned = Rotation.from_rotvec([0.0, 0.0, turn]).apply(fixed)
-        expected = np.linalg.norm(turned - fixed)
-        assert separating_momentum(1.6e-4, 500.0, turn) == pytest.approx(expected, abs=1e-15)
+def test_a_turn_tells_a_leak_from_every_inertial_torque() -> None:
+    """σ is what the likest constant torque and start in three axes leave of a leak that turns."""
+    noise, turn = MomentumNoise(0.02, 2e-4), np.radians(40.0)
+    time = np.arange(0.0, 1500.1, ROWS_EVERY_S)
+    before = np.array([3e-4, 1e-4, 0.0])
+    after = Rotation.from_rotvec([0.0, 0.0, turn]).apply(before)
+    momentum = np.minimum(time, 900.0)[:, None] * before
+    momentum = momentum + np.maximum(time - 900.0, 0.0)[:, None] * after
+    covariance = 0.02**2 * np.eye(len(time)) + 2e-4**2 * np.minimum(time[:, None], time)
+    precision = np.linalg.inv(np.kron(covariance, np.eye(3)))
+    free = np.kron(np.stack([np.ones_like(time), time], axis=1), np.eye(3))
+    fitted = np.linalg.solve(free.T @ precision @ free, free.T @ precision @ momentum.ravel())
+    left = momentum.ravel() - free @ fitted
+    expected = np.sqrt(left @ precision @ left)
+    found = told_apart_sigma(float(np.linalg.norm(before)), turn, 900.0, 600.0, noise)
+    assert found == pytest.approx(expected, rel=1e-6)
+    assert told_apart_sigma(1.0, 0.0, 900.0, 600.0, noise) == 0.0  # one attitude: alike
+    least = least_leak_n(turn, 900.0, noise)
+    assert told_apart_sigma(LEVER_M * least, turn, 900.0, 900.0, noise) == pytest.approx(5.0)
+
+
+def test_rates_of_stretches_are_mean_rates_over_rows_at_rest() -> None:
+    """A steady turn comes out exactly, a wheel's ramp at its middle; no stretch holds a pulse."""
+    time = np.arange(200.0)
+    spin = np.array([2e-4, -1e-4, 3e-4])
+    attitude = Rotation.from_rotvec(time[:, None] * spin).as_quat()
+    fired = np.floor(time / 25.0) * 0.125
+    samples = Samples(
+        time,
+        attitude,
+        np.full((200, 3), np.nan),
+        np.stack([50.0 + 0.2 * time], axis=1),
+        fired[:, None],
+        (fired / 0.125)[:, None],
+    )
+    still = stretches(samples, 0.5)
+    np.testing.assert_allclose(still.rate_rad_s, np.tile(spin, (len(still.rows), 1)), atol=1e-12)
+    np.testing.assert_allclose(still.wheel_rad_s[:, 0], 50.0 + 0.2 * still.time_s, atol=1e-9)
+    assert still.rate_per_rad == pytest.approx(np.sqrt(2.0) / (2 * HALF_ROWS))
+    assert np.diff(still.time_s).min() > 1.0
+    assert np.all(fired[still.rows - HALF_ROWS] == fired[still.rows + HALF_ROWS])
+    with pytest.raises(InputError, match="stretches of 7 rows at rest"):
+        stretches(samples, 30.0)
 
 
 def synthetic(index: int) -> Trial:
@@ -190,6 +235,7 @@ def test_a_study_of_leaks_writes_its_page(tmp_path: Path, monkeypatch: pytest.Mo
         "leaks.csv",
         "leaks.png",
     }
+    assert (tmp_path / "leaks-torque.png").exists()
 
 
 def test_false_alarms_set_the_thresholds() -> None:

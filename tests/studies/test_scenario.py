@@ -134,8 +134,8 @@ def test_a_scenario_in_memory_is_the_one_of_the_file(tmp_path: Path) -> None:
 
 
 def test_the_example_of_the_documentation_runs() -> None:
-    """The first Python block of docs/simulation.md, as it stands there."""
-    text = (ROOT / "docs" / "simulation.md").read_text("utf-8")
+    """The first Python block of docs/topics/simulation.md, as it stands there."""
+    text = (ROOT / "docs" / "topics" / "simulation.md").read_text("utf-8")
     example = text.split("```python\n")[1].split("```")[0]
     check = "\nassert event.telemetry.columns['rwa4_rpm'].shape == event.telemetry.time_s.shape\n"
     done = subprocess.run(

@@ -31,7 +31,7 @@ CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
 CUT_COLUMNS = 1 + CUT_PARTS  # per couple: pairs that may be close, of all and of every part
 # How often pulses are a control cycle apart is the controller's business (0.45 to 0 of the pairs
 # within a second): a share that is inferred, and how it falls with the time between two counter
-# readings (docs/telemetry-likelihood.md §7).
+# readings (docs/topics/telemetry-likelihood.md §7).
 ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
@@ -441,7 +441,7 @@ def close_pairs(
     """Pairs within each of some counter intervals, and across the reading before it.
 
     Counters tell neither which pairs were a control cycle apart nor what share: that is as the
-    controller has it, and inferred (docs/telemetry-likelihood.md §7).
+    controller has it, and inferred (docs/topics/telemetry-likelihood.md §7).
 
     Parameters
     ----------

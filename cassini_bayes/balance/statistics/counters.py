@@ -14,7 +14,7 @@ is known exactly. Otherwise widths are taken as N(w, v), so that with σ² = ste
 
 w and v by maximum likelihood; E[Δc | u] = n w + v n Var⁻¹ (Δu − n w). Of the cumulative on-time a
 variance σ² (q/(q + 4))^½ stays open, q = v n̄/σ² (a random walk seen with white noise, smoothed).
-Derivation: ``docs/telemetry-likelihood.md`` §7.
+Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 For white channel noise the telemetry enters the likelihood only through inner products of its
 columns. They add over chunks, files and machines; after the pass the cost of a likelihood call does
-not depend on the number of samples (``docs/telemetry-likelihood.md`` §6).
+not depend on the number of samples (``docs/topics/telemetry-likelihood.md`` §6).
 """
 
 from __future__ import annotations

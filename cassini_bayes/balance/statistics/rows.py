@@ -3,7 +3,7 @@
 A row enters when attitude, body rates and wheel rates were sampled together and no thrust was being
 delivered: counters show a pulse when it starts, its momentum arrives over the next tenths of a
 second. The row is kept if the last counters read at least ``guard_s`` before it and the first ones
-read at or after it are the same (``docs/telemetry-likelihood.md`` §4).
+read at or after it are the same (``docs/topics/telemetry-likelihood.md`` §4).
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ piece's own and free, so that columns are centred: what is left of a piece of m 
 and m − 2 other contrasts of white noise. Pieces end at firings (when in a counter interval a pulse
 came is not known, and that shifts the angle, not the rate), at gaps, where wheels change their
 acceleration between rows, and after :data:`LONGEST_S`, beyond which the integrated noise of wheel
-rates would be more than that of the attitude. Derivation: ``docs/telemetry-likelihood.md`` §5.
+rates would be more than that of the attitude. Derivation: ``docs/topics/telemetry-likelihood.md``
+§5.
 """
 
 from __future__ import annotations

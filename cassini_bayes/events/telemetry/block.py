@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
+
+TextReader = Callable[[str, str], float]
+"""A number from a cell's text, and where the cell stands for the refusal of one that is none."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What to make of a file's columns, by their places: numbers, but for these.
+
+    ``texts`` are columns of text and their readers; of ``unread`` columns nothing is looked at, and
+    their cells are NaN.
+    """
+
+    texts: Mapping[int, TextReader] = field(default_factory=dict)
+    unread: frozenset[int] = frozenset()
+
+
+EVERYTHING: Final = Selection()
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from types import MappingProxyType
 from typing import Final, Literal
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
 from cassini_bayes.spacecraft import Spacecraft
 
 Kind = Literal["slew", "bias", "quiescent", "delta_v"]
 KINDS: Final[tuple[Kind, ...]] = ("slew", "bias", "quiescent", "delta_v")
 TIME: Final = "time_s"
+_ALIKE: Final = 0.8  # of 1, a name and what it may have been
+_CLEARLY: Final = 0.05
+_UNITS: Final = frozenset(
+    {"deg", "mrad", "urad", "arcsec", "ms", "us", "min", "h", "hz", "rps"}
+    | {"psi", "bar", "pa", "mpa", "mm", "cm", "km", "g"}
+)
+"""Words of a name that are units, but none of this format's."""
 _MOTION: Final = ("attitude", "rate", "wheel")
 NEEDED: Final[Mapping[Kind, tuple[str, ...]]] = MappingProxyType(
     {
@@ -61,6 +69,15 @@ def channel_columns(
     }
 
 
+def all_columns(spacecraft: Spacecraft) -> dict[str, tuple[str, ...]]:
+    """Columns of every channel, of all wheels and of the thrusters of all branches."""
+    return channel_columns(
+        spacecraft,
+        [wheel.number for wheel in spacecraft.wheels],
+        list(dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)),
+    )
+
+
 def make_layout(
     where: str,
     header: Sequence[str],
@@ -77,13 +94,9 @@ def make_layout(
         An unknown, repeated or missing column, part of a channel, or a channel the kind needs.
     """
     own = channel_columns(spacecraft, wheels, spacecraft.thruster_names(branch))
-    every = channel_columns(
-        spacecraft,
-        [wheel.number for wheel in spacecraft.wheels],
-        list(dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)),
-    )
+    every = all_columns(spacecraft)
     known = [name for names in every.values() for name in names]
-    _check_names(where, header, known)
+    _check_names(where, header, known, every)
     places = {name: i for i, name in enumerate(header)}
     channels = {}
     for channel, names in own.items():
@@ -111,14 +124,54 @@ def make_layout(
     return Layout(tuple(header), MappingProxyType(channels), foreign)
 
 
-def _check_names(where: str, header: Sequence[str], known: Sequence[str]) -> None:
+def suggestion(
+    name: str, known: Sequence[str], channels: Mapping[str, Sequence[str]] | None = None
+) -> str:
+    """A hint for an unknown column: the one name that it can only have been.
+
+    A guess that has rivals, or that would change the unit, is worse than none: ``on_time_0_s``
+    could be any thruster's, ``rate_x_deg_s`` is not in rad/s. Then the names are listed, of the
+    channel that the first word tells if there is one.
+    """
+    bare = {_bare(other): other for other in known}
+    if _bare(name) in bare:
+        return f"did you mean {bare[_bare(name)]!r}?"
+    alike = {
+        other: difflib.SequenceMatcher(None, name.lower(), other.lower()).ratio() for other in known
+    }
+    best = sorted(alike, key=lambda other: -alike[other])[:2]
+    clear = len(best) == 1 or (len(best) == 2 and alike[best[0]] > alike[best[1]] + _CLEARLY)
+    words = set(name.lower().split("_")) - set(best[0].split("_")) if best else set()
+    if clear and alike[best[0]] > _ALIKE and not words & _UNITS:
+        return f"did you mean {best[0]!r}?"
+    own = (of for of in (channels or {}).values() if (stem := _stem(of)) and name.startswith(stem))
+    return f"known: {', '.join(next(own, known)) or 'none'}"
+
+
+def _bare(name: str) -> str:
+    return "".join(character for character in name.lower() if character.isalnum())
+
+
+def _stem(names: Sequence[str]) -> str:
+    """The words that all columns of a channel begin with: ``on_time_`` of on-times."""
+    words = zip(*(name.split("_") for name in names), strict=False)
+    return "".join(f"{own[0]}_" for own in takewhile(lambda own: len(set(own)) == 1, words))
+
+
+def _check_names(
+    where: str,
+    header: Sequence[str],
+    known: Sequence[str],
+    channels: Mapping[str, Sequence[str]],
+) -> None:
     for i, name in enumerate(header):
         if name not in known:
+            hint = suggestion(name, [o for o in known if o not in header] or known, channels)
             raise InputError(
                 where,
                 "a known column",
                 f"the unknown column {name!r}" if name else f"no name for column {i + 1}",
-                nearest(name, [other for other in known if other not in header] or known),
+                f"{hint}; columns of your own need a channel map (channels.toml)",
             )
         if name in header[:i]:
             raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")

@@ -13,8 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry.block import Block
-from cassini_bayes.events.telemetry.digits import BAD_LENGTH, powers_of_ten, read_cells
+from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection
+from cassini_bayes.events.telemetry.digits import (
+    BAD_LENGTH,
+    TEXT,
+    UNREAD,
+    powers_of_ten,
+    read_cells,
+)
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.files.checks import parse_number
 
@@ -22,6 +28,8 @@ LONGEST_LINE: Final = 1 << 20
 BUFFER: Final = 4 << 20
 _AHEAD: Final = 8  # bytes that the compiled reader may look beyond the last newline
 _ODD: Final = 4096
+COMMA: Final = ","
+_DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 class CsvTable:
@@ -29,27 +37,32 @@ class CsvTable:
 
     unit: Final = "line"
 
-    def __init__(self, path: Path, stream: BufferedReader) -> None:
+    def __init__(self, path: Path, stream: BufferedReader, delimiter: str = COMMA) -> None:
         self._path = path
         self._stream = stream
+        self._delimiter = delimiter
+        self.refused: dict[str, str] = {}
         self._line, self.header = self._read_header()
         self.header_place = f"{path}: line {self._line - 1}"
 
     def _read_header(self) -> tuple[int, tuple[str, ...]]:
         """Number of the line behind the header, and the names."""
         line, content = 0, b"\n"
-        while content and not content.strip(b"\xef\xbb\xbf\r\n ,"):
+        blank = b"\xef\xbb\xbf\r\n " + self._delimiter.encode()
+        while content and not content.strip(blank):
             content = self._stream.readline(LONGEST_LINE)
             line += 1
         if not content:
             raise InputError(
                 str(self._path), "a header row and rows below it", "an empty file", "fill it in"
             )
-        return line + 1, header_of(f"{self._path}: line {line}", content)
+        return line + 1, header_of(f"{self._path}: line {line}", content, self._delimiter)
 
-    def blocks(self, rows: int, mends: Mends) -> Iterator[Block]:
+    def blocks(self, rows: int, mends: Mends, selection: Selection = EVERYTHING) -> Iterator[Block]:
         """Yield the rows in file order, ``rows`` at a time."""
-        filling = _Filling(self._path, self.header, rows, self._line, mends)
+        filling = _Filling(
+            *(self._path, self.header, rows, self._line, mends, selection, self._delimiter)
+        )
         store = bytearray(BUFFER + LONGEST_LINE + _AHEAD)
         buffer = np.frombuffer(store, dtype=np.uint8)
         kept, last = 0, False
@@ -72,10 +85,22 @@ class _Filling:
     """The block that is being filled, and the line that comes next."""
 
     def __init__(
-        self, path: Path, header: tuple[str, ...], rows: int, line: int, mends: Mends
+        self,
+        path: Path,
+        header: tuple[str, ...],
+        rows: int,
+        line: int,
+        mends: Mends,
+        selection: Selection,
+        delimiter: str,
     ) -> None:
         self._file = str(path)
         self._header = header
+        self._selection = selection
+        self._delimiter = delimiter
+        self._kinds = np.zeros(len(header), dtype=np.int64)
+        self._kinds[list(selection.texts)] = TEXT
+        self._kinds[list(selection.unread)] = UNREAD
         self._rows = rows
         self._line = line
         self._mends = mends
@@ -96,6 +121,7 @@ class _Filling:
             place, self._line, self._row, found = read_cells(
                 *(text, place, stop, self._line, self._row),
                 *(self._cells, self._lines, nans, self._odd, self._powers),
+                *(self._kinds, ord(self._delimiter)),
             )
             entries = self._odd[:found]
             if found and entries[-1, 1] == BAD_LENGTH:  # says more than the cells of that line
@@ -144,6 +170,8 @@ class _Filling:
         where = f"{self._file}: line {line}, column {self._header[column]}"
         if not cell:
             self._cells[column, row] = math.nan
+        elif column in self._selection.texts:
+            self._cells[column, row] = self._selection.texts[column](cell, where)
         elif (number := parse_number(cell)) is not None:
             self._cells[column, row] = number
         else:
@@ -160,20 +188,22 @@ class _Filling:
         fix = "check the commas; an empty cell still needs its comma"
         if last and count < columns:
             fix = f"{fix}; if the file was cut short, delete its last line"
-        elif b";" in content:
+        elif b";" in content and self._delimiter == COMMA:
             fix = "separate cells by commas, not semicolons"
+        elif self._delimiter != COMMA:
+            fix = f"check the cells between {self._delimiter!r}, the delimiter of the channel map"
         raise InputError(
             f"{self._file}: line {line}", f"{columns} cells as in the header", f"{count}", fix
         )
 
 
-def header_of(where: str, content: bytes) -> tuple[str, ...]:
+def header_of(where: str, content: bytes, delimiter: str = COMMA) -> tuple[str, ...]:
     """Names of the columns from the bytes of a header row.
 
     Raises
     ------
     InputError
-        Not text, not commas, or numbers instead of names.
+        Not text, another delimiter, or numbers instead of names.
     """
     refusal = InputError(
         where,
@@ -187,15 +217,19 @@ def header_of(where: str, content: bytes) -> tuple[str, ...]:
         raise refusal from None
     if "\0" in text or any(ord(c) < 32 and c not in "\t\r\n" for c in text):
         raise refusal
-    for mark, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
-        if mark in text and "," not in text:
+    for mark, name in _DELIMITERS.items():
+        if mark in text and delimiter not in text:
             raise InputError(
-                where, "names separated by commas", name, "save it with ',' between the cells"
+                where,
+                f"names separated by {_DELIMITERS.get(delimiter, repr(delimiter))}",
+                name,
+                f"save it with {delimiter!r} between the cells, or write delimiter = {mark!r} in"
+                " a channel map",
             )
     try:
-        names = next(csv.reader([text.strip()], strict=True))
+        names = next(csv.reader([text.strip("\r\n ")], strict=True, delimiter=delimiter))
     except csv.Error as error:
-        raise InputError(where, "comma-separated names", str(error), "mend the line") from None
+        raise InputError(where, "names of columns", str(error), "mend the line") from None
     names = [name.strip() for name in names]
     if parse_number(names[0]) is not None:
         raise InputError(

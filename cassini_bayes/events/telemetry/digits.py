@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled
 
-COMMA: Final = 44
 NEWLINE: Final = 10
 RETURN: Final = 13
 BLANK: Final = 32
 MOST_DIGITS: Final = 18  # so that they fit into 63 bits
 MOST_TENS: Final = 40
+NUMBERS: Final = 0
+TEXT: Final = 1
+UNREAD: Final = 2
+"""What a column holds: numbers, text that another reader takes, or what nobody asked for."""
 BAD_LENGTH: Final = -1
 """In place of a column of an odd cell: the line has another number of cells than the header."""
 
@@ -134,6 +137,8 @@ def read_cells(
     nans: Places,
     odd: Places,
     powers: Array,
+    kinds: Places,
+    comma: int,
 ) -> tuple[int, int, int, int]:
     """Read whole lines of ``text[start:stop]``; ``text`` must go on at least four bytes beyond.
 
@@ -150,6 +155,11 @@ def read_cells(
     odd
         (many, 5) to fill with cells that are no plain number: row, column, first byte, byte behind,
         line. Column −1 stands for a line of another length, with its number of cells as row.
+    kinds
+        (columns,) of :data:`NUMBERS`, :data:`TEXT` (every cell that is not empty counts as odd) or
+        :data:`UNREAD` (NaN whatever it holds).
+    comma
+        The byte between cells.
 
     Returns
     -------
@@ -170,7 +180,10 @@ def read_cells(
             while text[place] == BLANK:
                 place += 1
             behind, value = place, np.nan
-            if text[place] != COMMA and text[place] != NEWLINE:
+            kind = kinds[column] if column < columns else NUMBERS
+            if text[place] != comma and text[place] != NEWLINE and kind != NUMBERS:
+                behind = -1
+            elif text[place] != comma and text[place] != NEWLINE:
                 behind, value = _number(text, place, powers)
                 if behind < 0 and _is_nan(text, place):
                     behind, value = place + 3, np.nan
@@ -181,13 +194,13 @@ def read_cells(
             end = behind if behind >= 0 else place
             while text[end] == BLANK or (text[end] == RETURN and text[end + 1] == NEWLINE):
                 end += 1
-            if text[end] != COMMA and text[end] != NEWLINE:
+            if text[end] != comma and text[end] != NEWLINE:
                 behind = -1
-                while text[end] != COMMA and text[end] != NEWLINE:
+                while text[end] != comma and text[end] != NEWLINE:
                     end += 1
             if column < columns:
                 cells[column, row] = value
-                if behind < 0:
+                if behind < 0 and kind != UNREAD:
                     odd[found, 0], odd[found, 1], odd[found, 2] = row, column, place
                     odd[found, 3], odd[found, 4] = end, line
                     found += 1

@@ -3,27 +3,40 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, time
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+
+import numpy as np
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry.columns import KINDS, Kind, Layout, make_layout
+from cassini_bayes.events.telemetry.channel_map import (
+    ChannelMap,
+    channel_map_of,
+    read_channel_map,
+)
+from cassini_bayes.events.telemetry.columns import KINDS, Kind, make_layout
 from cassini_bayes.events.telemetry.files import open_table
+from cassini_bayes.events.telemetry.memory import MemoryTable
 from cassini_bayes.files.checks import in_utc, nearest
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Text = TypeVar("Text", bound=str)
 DESCRIPTION: Final = "event.toml"
 FILES: Final = ("telemetry.csv", "telemetry.parquet")
 SOURCES_OF_DELTA_V: Final[tuple[Literal["measured", "computed"], ...]] = ("measured", "computed")
 _NEEDED: Final = ("id", "kind", "epoch", "branch", "wheels", "source")
-_KEYS: Final = (*_NEEDED, "delta_v_source")
+_KEYS: Final = (*_NEEDED, "delta_v_source", "channels", "telemetry")
+CHANNELS: Final = "channels.toml"
 
 
 @dataclass(frozen=True)
@@ -32,7 +45,8 @@ class TelemetryEvent:
 
     ``wheels`` are the prime wheels in the order of the columns of T and of ``Chunk.wheel_rpm``;
     ``thrusters`` the branch's thrusters in file order, () if the telemetry has no on-times.
-    ``digest`` is the SHA-256 of event.toml and telemetry together, in hexadecimal;
+    ``telemetry`` is its file or table, ``channels`` the map of its columns if they are not ours.
+    ``digest`` is the SHA-256 of event.toml, telemetry and map together, in hexadecimal;
     ``has_accelerometer`` whether the telemetry has an accelerometer's counts.
     """
 
@@ -45,50 +59,132 @@ class TelemetryEvent:
     delta_v_source: Literal["measured", "computed"] | None
     source: str
     folder: Path
-    telemetry: Path
+    telemetry: Path | MemoryTable
     digest: str
     has_accelerometer: bool = False
+    channels: ChannelMap | None = None
+
+    @property
+    def where(self) -> str:
+        """What describes the event, for messages."""
+        return str(self.folder / DESCRIPTION)
 
 
-def read_event(folder: str | Path, spacecraft: Spacecraft) -> TelemetryEvent:
+def read_event(folder: str | Path, spacecraft: Spacecraft | str | Path) -> TelemetryEvent:
     """Read an event folder's ``event.toml`` and the header of its telemetry.
+
+    Parameters
+    ----------
+    folder
+        The folder, or its ``event.toml``.
+    spacecraft
+        A spacecraft, the name of a built-in one, or the path of its file.
 
     Raises
     ------
     InputError
         No such folder or file, bad TOML, unknown key (with the nearest one), wrong type or value,
-        an unknown or missing column, a ΔV without its source or the other way round.
+        an unknown or missing column, a ΔV without its source or the other way round; anything
+        wrong with the channel map.
     """
     place = Path(folder)
-    path = place / DESCRIPTION
-    table = _parse(path)
-    keys = _Keys(str(path), table)
+    path = place if place.name == DESCRIPTION and not place.is_dir() else place / DESCRIPTION
+    keys = _Keys(str(path), _parse(path))
+    telemetry = _telemetry_of(path.parent, keys)
+    channels = _channels_of(path.parent, keys)
+    digests = [digest(path), digest(telemetry), *([channels.digest] if channels else [])]
+    return _described(keys, spacecraft, path.parent, telemetry, channels, digests)
+
+
+def event_from_frame(
+    frame: pd.DataFrame,
+    event: Mapping[str, Any] | str | Path,
+    spacecraft: Spacecraft | str | Path,
+    channels: Mapping[str, Any] | str | Path | None = None,
+) -> TelemetryEvent:
+    """An event whose telemetry is a data frame, for everything that takes an event folder.
+
+    Parameters
+    ----------
+    frame
+        One row per sample time; NaN means "not sampled". The columns are copied.
+    event
+        What ``event.toml`` would say, or the path of one, or of a folder that holds one.
+    spacecraft
+        A spacecraft, the name of a built-in one, or the path of its file.
+    channels
+        What ``channels.toml`` would say, or its path; None for a frame with the columns of this
+        package.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_event`, or columns of a frame without names.
+    """
+    if isinstance(event, Mapping):
+        keys, folder = _Keys("event", event), Path()
+    else:
+        place = Path(event)
+        path = place / DESCRIPTION if place.is_dir() else place
+        keys, folder = _Keys(str(path), _parse(path)), path.parent
+    for key in ("telemetry", "channels"):
+        keys.refuse_given(key, "the data frame and the argument channels take its place")
+    channel_map = None
+    if isinstance(channels, Mapping):
+        channel_map = channel_map_of(channels)
+    elif channels is not None:
+        channel_map = read_channel_map(Path(channels))
+    table = _table_of(frame, f"data frame of event {keys.text('id')}")
+    said = json.dumps(keys.table, sort_keys=True, default=str)
+    digests = [said, table.digest, *([channel_map.digest] if channel_map else [])]
+    return _described(keys, spacecraft, folder, table, channel_map, digests)
+
+
+def _table_of(frame: pd.DataFrame, name: str) -> MemoryTable:
+    header = [str(label) for label in frame.columns]
+    for i, label in enumerate(header):
+        if label in header[:i]:
+            raise InputError(name, "each column once", f"{label!r} twice", "drop one of the two")
+    columns = {}
+    for i, label in enumerate(header):
+        series = frame.iloc[:, i]
+        if getattr(series.dtype, "tz", None) is not None:
+            series = series.dt.tz_convert("UTC").dt.tz_localize(None)
+        values = np.array(series.to_numpy())
+        values.setflags(write=False)
+        columns[label] = values
+    return MemoryTable(name, columns)
+
+
+def _described(
+    keys: _Keys,
+    given: Spacecraft | str | Path,
+    folder: Path,
+    telemetry: Path | MemoryTable,
+    channels: ChannelMap | None,
+    digests: Sequence[str],
+) -> TelemetryEvent:
+    """The event of a description, checked against the columns of its telemetry."""
+    spacecraft = given if isinstance(given, Spacecraft) else load_spacecraft(given)
     kind, branch = keys.choice("kind", KINDS), keys.choice("branch", spacecraft.branches)
-    wheels = keys.wheels(spacecraft)
-    telemetry = _find_telemetry(place)
-    layout = layout_of(telemetry, spacecraft, kind, wheels, branch)
+    wheels, epoch = keys.wheels(spacecraft), keys.epoch()
+    with open_table(telemetry, channels, spacecraft, wheels, branch, epoch) as table:
+        layout = make_layout(table.header_place, table.header, spacecraft, kind, wheels, branch)
     return TelemetryEvent(
         id=keys.text("id"),
         kind=kind,
-        epoch=keys.epoch(),
+        epoch=epoch,
         branch=branch,
         wheels=wheels,
         thrusters=spacecraft.thruster_names(branch) if layout.channels["on_time"] else (),
         delta_v_source=keys.delta_v_source(bool(layout.channels["delta_v"])),
         source=keys.text("source"),
-        folder=place,
+        folder=folder,
         telemetry=telemetry,
-        digest=hashlib.sha256(f"{digest(path)} {digest(telemetry)}".encode()).hexdigest(),
+        digest=hashlib.sha256(" ".join(digests).encode()).hexdigest(),
         has_accelerometer=bool(layout.channels["accelerometer"]),
+        channels=channels,
     )
-
-
-def layout_of(
-    telemetry: Path, spacecraft: Spacecraft, kind: Kind, wheels: tuple[int, ...], branch: str
-) -> Layout:
-    """Where every channel stands in a telemetry file, from its header."""
-    with open_table(telemetry) as table:
-        return make_layout(table.header_place, table.header, spacecraft, kind, wheels, branch)
 
 
 def _parse(path: Path) -> dict[str, Any]:
@@ -110,6 +206,21 @@ def _parse(path: Path) -> dict[str, Any]:
     return read_toml(path, "a description of the event")
 
 
+def _telemetry_of(folder: Path, keys: _Keys) -> Path:
+    """The file of rows: the one that the description names, or the one beside it."""
+    if "telemetry" not in keys.table:
+        return _find_telemetry(folder)
+    return folder / keys.text("telemetry")
+
+
+def _channels_of(folder: Path, keys: _Keys) -> ChannelMap | None:
+    """The channel map that the description names, or the one beside it, if there is one."""
+    if "channels" in keys.table:
+        return read_channel_map(folder / keys.text("channels"))
+    beside = folder / CHANNELS
+    return read_channel_map(beside) if exists(beside) else None
+
+
 def _find_telemetry(folder: Path) -> Path:
     there = [folder / name for name in FILES if (folder / name).exists()]
     if not there:
@@ -118,7 +229,7 @@ def _find_telemetry(folder: Path) -> Path:
             str(folder),
             " or ".join(FILES),
             f"only {', '.join(names[:5])}" if names else "no telemetry",
-            f"put the telemetry beside {DESCRIPTION}",
+            f'put the telemetry beside {DESCRIPTION}, or name it there: telemetry = "…"',
         )
     if len(there) > 1:
         raise InputError(
@@ -134,7 +245,7 @@ class _Keys:
 
     def __init__(self, file: str, table: Mapping[str, Any]) -> None:
         self._file = file
-        self._table = table
+        self.table = table
         for key in table:
             if key not in _KEYS:
                 left = [name for name in _KEYS if name not in table] or _KEYS
@@ -146,18 +257,23 @@ class _Keys:
                 raise InputError(f"{file}: {key}", "a value", "nothing", f"add {key} = …")
 
     def _refuse(self, key: str, expected: str, fix: str) -> InputError:
-        return InputError(f"{self._file}: {key}", expected, repr(self._table[key]), fix)
+        return InputError(f"{self._file}: {key}", expected, repr(self.table[key]), fix)
+
+    def refuse_given(self, key: str, why: str) -> None:
+        """Refuse a key that means nothing here."""
+        if key in self.table:
+            raise self._refuse(key, f"no such key: {why}", "drop the key")
 
     def text(self, key: str) -> str:
         """A text that is not blank."""
-        value = self._table[key]
+        value = self.table[key]
         if not isinstance(value, str) or not value.strip():
             raise self._refuse(key, "a text", f'write {key} = "…"')
         return value
 
     def choice(self, key: str, known: tuple[Text, ...]) -> Text:
         """One of several texts."""
-        value = self._table[key]
+        value = self.table[key]
         for entry in known:
             if value == entry:
                 return entry
@@ -165,7 +281,7 @@ class _Keys:
 
     def wheels(self, spacecraft: Spacecraft) -> tuple[int, ...]:
         """Different wheels of the spacecraft."""
-        value = self._table["wheels"]
+        value = self.table["wheels"]
         known = [wheel.number for wheel in spacecraft.wheels]
         expected, fix = f"a list of wheels out of {known}", f"write e.g. wheels = {known[:3]}"
         if not isinstance(value, list) or not value:
@@ -179,7 +295,7 @@ class _Keys:
 
     def epoch(self) -> datetime:
         """A time in UTC; without a zone it is taken as UTC."""
-        value = self._table["epoch"]
+        value = self.table["epoch"]
         if isinstance(value, date) and not isinstance(value, datetime):
             value = datetime.combine(value, time())
         epoch = in_utc(value) if isinstance(value, str | datetime) else None
@@ -190,7 +306,7 @@ class _Keys:
 
     def delta_v_source(self, has_delta_v: bool) -> Literal["measured", "computed"] | None:
         """Where ΔV comes from; given if and only if there is one."""
-        if "delta_v_source" not in self._table:
+        if "delta_v_source" not in self.table:
             if has_delta_v:
                 raise InputError(
                     f"{self._file}: delta_v_source",

@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry.block import Block
+from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection
+from cassini_bayes.events.telemetry.clocks import seconds_of
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.files.reading import open_file
 
@@ -25,16 +26,24 @@ class ParquetTable:
     def __init__(self, path: Path, file: Any) -> None:
         self._path = path
         self._file = file
+        self.refused: dict[str, str] = {}
         self.header = tuple(str(name) for name in file.schema_arrow.names)
         self.header_place = f"{path}: columns"
 
-    def blocks(self, rows: int, mends: Mends) -> Iterator[Block]:
+    def blocks(self, rows: int, mends: Mends, selection: Selection = EVERYTHING) -> Iterator[Block]:
         """Yield the rows in file order, at most ``rows`` at a time."""
-        self._check_types()
+        self._check_types(selection)
         first = 1
-        for batch in self._batches(rows):
-            cells = np.empty((len(self.header), batch.num_rows))
-            for i, column in enumerate(batch.columns):
+        read = [i for i in range(len(self.header)) if i not in selection.unread]
+        for batch in self._batches(rows, read):
+            cells = np.full((len(self.header), batch.num_rows), np.nan)
+            for name, column in zip(batch.schema.names, batch.columns, strict=True):
+                i = self.header.index(name)
+                if i in selection.texts:
+                    where = f"{self._path}: column {name}, rows from {first}"
+                    dates = column.to_numpy(zero_copy_only=False)
+                    cells[i] = seconds_of(dates, selection.texts[i], where)
+                    continue
                 cells[i] = column.cast("float64", safe=False).to_numpy(zero_copy_only=False)
                 self._note_nans(i, cells[i], column.null_count, first, mends)
             lines = np.arange(first, first + batch.num_rows, dtype=np.int64)
@@ -44,14 +53,19 @@ class ParquetTable:
             if batch.num_rows:
                 yield block
 
-    def _batches(self, rows: int) -> Iterator[Any]:
+    def _batches(self, rows: int, columns: list[int]) -> Iterator[Any]:
+        names = [self.header[i] for i in columns]
         try:
-            yield from self._file.iter_batches(batch_size=rows)
+            yield from self._file.iter_batches(batch_size=rows, columns=names)
         except _DAMAGE as error:
             raise _refusal(self._path, error) from None
 
-    def _check_types(self) -> None:
-        for name, kind in zip(self.header, self._file.schema_arrow.types, strict=True):
+    def _check_types(self, selection: Selection) -> None:
+        for i, (name, kind) in enumerate(
+            zip(self.header, self._file.schema_arrow.types, strict=True)
+        ):
+            if i in selection.unread or i in selection.texts:
+                continue
             if not str(kind).startswith(("double", "float", "halffloat", "int", "uint", "null")):
                 raise InputError(
                     f"{self._path}: column {name}",

@@ -54,7 +54,9 @@ def read_chunks(
     if rows < 1:
         raise InputError("rows", "at least one row per chunk", str(rows), "ask for more")
     collected = Mends() if mends is None else mends
-    with open_table(event.telemetry) as table:
+    with open_table(
+        event.telemetry, event.channels, spacecraft, event.wheels, event.branch, event.epoch
+    ) as table:
         layout = make_layout(
             table.header_place, table.header, spacecraft, event.kind, event.wheels, event.branch
         )

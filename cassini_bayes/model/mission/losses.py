@@ -3,7 +3,7 @@
 A failing thruster k loses a share s of its branch's common level from event o on, s half normal.
 Given the walked parameters everything else is linear-Gaussian, so with V the pattern of a loss,
 log L(s) = log L(0) + bᵀs − ½ sᵀCs, where b and C follow from what the events leave for the levels.
-``docs/mission.md`` §4 has the formulae.
+``docs/topics/mission.md`` §4 has the formulae.
 """
 
 from __future__ import annotations

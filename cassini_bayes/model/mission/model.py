@@ -7,7 +7,7 @@ Thrust of thruster k of a branch in event e is ::
     u(p) = λ + (1 − λ) p / p_ref,
 
 linear in everything but the share λ of the thrust that pressure leaves, which is walked; λ = 0 is
-the proportional law. ``docs/mission.md`` derives what follows.
+the proportional law. ``docs/topics/mission.md`` derives what follows.
 """
 
 from __future__ import annotations

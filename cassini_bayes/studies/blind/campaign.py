@@ -29,11 +29,12 @@ from cassini_bayes.studies.blind.rates import (
     timing_table,
     trial_table,
 )
-from cassini_bayes.studies.blind.trials import STRATA, run_trial, trial_code, trial_name
+from cassini_bayes.studies.blind.strata import STRATA, planned
+from cassini_bayes.studies.blind.trials import run_trial, trial_code, trial_name
 from cassini_bayes.studies.study import Study
 
 ENOUGH_TRIALS: Final = 40
-FULL: Final[Mapping[str, int]] = {"trials": sum(count for _, count in STRATA)}
+FULL: Final[Mapping[str, int]] = {"trials": planned(STRATA)}
 QUICK: Final[Mapping[str, int]] = {"trials": 47}
 
 
@@ -85,17 +86,17 @@ def write_results(study: Study) -> dict[str, Any]:
 
 
 def _against_goal(row: Mapping[str, Any]) -> str:
-    """The goal and whether the 95 % interval reaches it; null trials shall stay below theirs.
+    """The goal and whether the figure reaches it; null trials shall stay below theirs.
 
-    With too few trials every interval reaches its goal: then it is only called not excluded.
+    Few trials show nothing either way: then no goal is called reached or missed.
     """
     if not row["reached"] or not row["trials"]:
         return ""
     sign = "≤" if str(row["rate"]).startswith("null") else "≥"
     sign = "=" if "intervals" in str(row["rate"]) else sign
-    enough = row["trials"] >= ENOUGH_TRIALS
-    reached = "reached" if enough else "not excluded (few trials)"
-    return f"{sign} {row['goal']:.2f}: {reached if row['reached'] == 'True' else 'missed'}"
+    if row["trials"] < ENOUGH_TRIALS:
+        return f"{sign} {row['goal']:.2f}: too few trials"
+    return f"{sign} {row['goal']:.2f}: {'reached' if row['reached'] == 'True' else 'missed'}"
 
 
 def _failures(table: pd.DataFrame) -> str:
@@ -145,14 +146,15 @@ def _body(
     counts = Counter(r["stratum"] for r in records)
     times = timing_table(records)
     broken = _errors(records) if any(map(failed, records)) else ""
-    strata = ", ".join(f"{name} {counts.get(name, 0)} of {planned}" for name, planned in STRATA)
+    strata = ", ".join(f"{s.name} {counts.get(s.name, 0)} of {s.trials}" for s in STRATA)
     digests = ", ".join(sorted({r["code"] for r in records}))
     return f"""\
 An effect is hidden in simulated telemetry (one wheel bias and a slew set at 1 Hz, everything drawn
 from the priors, wheel rates anew in every trial) and the diagnosis, which knows nothing of it, says
 what is wrong. {len(records)} trials, by part, of those planned:
 {strata}.
-[The method](../../criticism.md) says what the parts are and analyses the failures.
+[The method](../../topics/criticism.md) says what the parts are, [what campaigns
+found](../diagnosis-campaigns.md) why trials failed.
 
 | rate | count | value | 95 % interval (binomial) | goal |
 | --- | --- | --- | --- | --- |

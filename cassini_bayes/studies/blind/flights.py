@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +13,7 @@ from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.simulation import ScenarioFile, Truth, scenario_of
+from cassini_bayes.studies.blind.strata import STRATA, Stratum
 from cassini_bayes.studies.scenario import (
     Simulation,
     draw_truth,
@@ -35,12 +36,17 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Blind:
-    """A campaign: scenario, priors, seed, and which of its events are flown."""
+    """A campaign: scenario, priors, seed, which of its events are flown, and its parts.
+
+    ``all_drawn``: what the scenario gives of parameters that the priors know is drawn as well.
+    """
 
     scenario: Path
     priors: Path
     seed: int
     events: tuple[str, ...]
+    strata: tuple[Stratum, ...] = STRATA
+    all_drawn: bool = False
 
     def document(self, rng: np.random.Generator) -> dict[str, Any]:
         """The scenario with wheel rates of this trial."""
@@ -48,6 +54,23 @@ class Blind:
         document["event"] = [e for e in document["event"] if e["id"] in self.events]
         draw_wheel_rates(document["event"], rng)
         return document
+
+    def scene(self, rng: np.random.Generator, priors: Priors) -> Scene:
+        """A trial's truth, before anything is hidden in it."""
+        document = self.document(rng)
+        if self.all_drawn:
+            document = without_given(document, priors)
+        return Scene(self, document, int(rng.integers(2**62)), priors)
+
+
+def without_given(document: Mapping[str, Any], priors: Priors) -> dict[str, Any]:
+    """A scenario's document that gives no parameter of the priors and no noise of a channel.
+
+    Steps of telemetry stay: those in a priors file are of printed totals.
+    """
+    truth = {k: v for k, v in document["truth"].items() if k not in priors.parameters}
+    telemetry = {k: v for k, v in document["telemetry"].items() if k not in CHANNEL_NOISE}
+    return {**document, "truth": truth, "telemetry": telemetry}
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ of all causes is b = Mᵀ V⁻¹ y, and b ~ N(G s, G) with the Gram matrix G = M
     log Z_j = ½ b_jᵀ (1 + G_jj)⁻¹ b_j − ½ log det(1 + G_jj)    for s ~ N(0, 1),
 
 and for one s between bounds that times the posterior's share of the bounds over the prior's. The
-attitude channel's information on rate bias and scale adds to G and b. docs/criticism.md §6.
+attitude channel's information on rate bias and scale adds to G and b. docs/topics/criticism.md §6.
 """
 
 from __future__ import annotations

@@ -129,8 +129,9 @@ def _counts(records: Sequence[Record]) -> dict[str, list[bool]]:
 def rates(records: Sequence[Record]) -> pd.DataFrame:
     """Every headline rate with its count, binomial 95 % interval, goal, and whether it is reached.
 
-    A goal is reached where the interval reaches it: from below, for false alarms from above, for
-    coverage from either side. The goal of faint trials is the oracle's rate less ten points.
+    A goal is reached where the figure itself is at or beyond it; coverage, whose goal is a value
+    and no bound, where its interval holds it. The goal of faint trials is the oracle's rate less
+    ten points.
     """
     counts = _counts(records)
     values = {name: float(np.mean(hits)) if hits else float("nan") for name, hits in counts.items()}
@@ -148,17 +149,18 @@ def rates(records: Sequence[Record]) -> pd.DataFrame:
                 "low_95": low,
                 "high_95": high,
                 "goal": goal,
-                "reached": "" if np.isnan(goal) else str(_reached(name, low, high, goal)),
+                "reached": ""
+                if np.isnan(goal)
+                else str(_reached(name, values[name], (low, high), goal)),
             }
         )
     return pd.DataFrame(rows)
 
 
-def _reached(name: str, low: float, high: float, goal: float) -> bool:
-    below, above = name.startswith("null"), name == COVERAGE
-    if above:
-        return low <= goal <= high
-    return low <= goal if below else high >= goal
+def _reached(name: str, value: float, interval_95: tuple[float, float], goal: float) -> bool:
+    if name == COVERAGE:
+        return interval_95[0] <= goal <= interval_95[1]
+    return value <= goal if name.startswith("null") else value >= goal
 
 
 def expected_by_oracle(records: Sequence[Record]) -> float:

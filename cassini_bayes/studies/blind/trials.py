@@ -19,14 +19,14 @@ from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
 from cassini_bayes.diagnosis.modes import find_mode
 from cassini_bayes.diagnosis.p_value import p_value
-from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
+from cassini_bayes.diagnosis.sizes import size_draws, summarised
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
+from cassini_bayes.studies.blind.flights import Blind, Hidden
 from cassini_bayes.studies.blind.oracle import classifier, sizes_of
 from cassini_bayes.studies.blind.sizes import (
     MOST_DRAWS,
@@ -36,22 +36,9 @@ from cassini_bayes.studies.blind.sizes import (
     sized_from_prior,
     stage,
 )
+from cassini_bayes.studies.blind.strata import Stratum, stratum_of
 from cassini_bayes.studies.blind.uncatalogued import draw_uncatalogued
 
-# name, number of trials in a full campaign
-STRATA: Final = (
-    ("prior", 150),
-    ("null", 100),
-    ("clear", 80),
-    ("faint", 60),
-    ("uncatalogued", 40),
-    ("two", 40),
-)
-SIGMAS: Final[Mapping[str, tuple[float, float]]] = {
-    "clear": (5.0, 10.0),
-    "faint": (2.0, 3.0),
-    "two": (5.0, 10.0),
-}
 KEPT_CAUSES: Final = 8
 
 
@@ -59,20 +46,14 @@ class NothingToHideError(Exception):
     """No effect of the wanted size could be flown."""
 
 
-def stratum_of(index: int) -> str:
-    """Stratum of a trial: any first part of the campaign holds all strata in proportion."""
-    total = sum(count for _, count in STRATA)
-    slots = [((i + 0.5) / count, name) for name, count in STRATA for i in range(count)]
-    return sorted(slots)[index % total][1]
+def draw_effect(catalogue: Catalogue, rng: np.random.Generator, kind: str | None = None) -> Effect:
+    """A cause drawn by its prior probability among the catalogue's, or among those of a kind."""
+    effects = [e for e in catalogue.effects if kind in (None, e.kind.name)]
+    weights = np.array([effect.prior_probability for effect in effects])
+    return effects[int(rng.choice(len(weights), p=weights / weights.sum()))]
 
 
-def draw_effect(catalogue: Catalogue, rng: np.random.Generator) -> Effect:
-    """A cause drawn by its prior probability among the catalogue's."""
-    weights = np.array([effect.prior_probability for effect in catalogue.effects])
-    return catalogue.effects[int(rng.choice(len(weights), p=weights / weights.sum()))]
-
-
-def choose_hidden(stratum: str, set_up: Stage, rng: np.random.Generator) -> tuple[Hidden, ...]:
+def choose_hidden(stratum: Stratum, set_up: Stage, rng: np.random.Generator) -> tuple[Hidden, ...]:
     """What a trial of this stratum hides.
 
     Raises
@@ -81,11 +62,11 @@ def choose_hidden(stratum: str, set_up: Stage, rng: np.random.Generator) -> tupl
         After many draws none could be flown at such a size.
     """
     catalogue = set_up.events.catalogue
-    if stratum == "prior":
+    if stratum.name == "prior":
         total = catalogue.odds.none + sum(e.prior_probability for e in catalogue.effects)
         if rng.uniform() < catalogue.odds.none / total:
             return ()
-    wanted = 2 if stratum == "two" else 1
+    wanted = 2 if stratum.name == "two" else 1
     hidden_effects: list[Hidden] = []
     for _ in range(MOST_DRAWS):
         made = _drawn(stratum, set_up, [h.name.partition(":")[0] for h in hidden_effects], rng)
@@ -93,39 +74,39 @@ def choose_hidden(stratum: str, set_up: Stage, rng: np.random.Generator) -> tupl
             hidden_effects.append(made)
         if len(hidden_effects) == wanted:
             return tuple(hidden_effects)
-    raise NothingToHideError(f"nothing to hide in {MOST_DRAWS} draws for {stratum}")
+    raise NothingToHideError(f"nothing to hide in {MOST_DRAWS} draws for {stratum.name}")
 
 
 def _drawn(
-    stratum: str, set_up: Stage, taken: Sequence[str], rng: np.random.Generator
+    stratum: Stratum, set_up: Stage, taken: Sequence[str], rng: np.random.Generator
 ) -> Hidden | None:
-    if stratum == "uncatalogued":
+    if stratum.name == "uncatalogued":
         return draw_uncatalogued(set_up, rng)
-    effect = draw_effect(set_up.events.catalogue, rng)
+    effect = draw_effect(set_up.events.catalogue, rng, stratum.kind)
     if effect.kind.name in taken:
         return None
-    if stratum == "prior":
+    if stratum.sigmas is None:
         return sized_from_prior(set_up, effect, rng)
-    return sized_between(set_up, effect, *SIGMAS[stratum], rng)
+    return sized_between(set_up, effect, *stratum.sigmas, rng)
 
 
 def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str, Any]:
     """One trial, as the record that is kept."""
     prior_table = read_priors(campaign.priors) if priors is None else priors
     rng = np.random.default_rng(np.random.SeedSequence((campaign.seed, index)))
-    stratum = stratum_of(index)
-    scene = Scene(campaign, campaign.document(rng), int(rng.integers(2**62)), prior_table)
+    stratum = stratum_of(campaign.strata, index)
+    scene = campaign.scene(rng, prior_table)
     began, worked = time.monotonic(), time.process_time()
     events = scene.fly(())
     hidden: tuple[Hidden, ...] = ()
-    if stratum != "null":
+    if stratum.name != "null":
         none = compact(none_hypothesis(events))
         base = find_mode(none.log_density, none.dimension)
         hidden = choose_hidden(stratum, stage(scene, events, base), rng)
     if hidden:
         events = scene.fly(hidden)
     prepared = time.process_time()
-    verdict = weigh(BalanceCase(events), rng, pairs=stratum == "two")
+    verdict = weigh(BalanceCase(events), rng, pairs=stratum.name == "two")
     diagnosed = time.process_time()
     truth = scene.truth().parameters
     return {
@@ -133,7 +114,7 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
         "seed": campaign.seed,
         "events": list(campaign.events),
         "code": trial_code(),
-        "stratum": stratum,
+        "stratum": stratum.name,
         **_record(verdict, hidden, rng),
         **_oracle(events, verdict, hidden, truth, rng),
         "cpu_prepare_s": prepared - worked,
@@ -229,17 +210,18 @@ def _sizes(
     cause = next((w for w in verdict.weighed if w.name == hidden.name), None)
     if cause is None:
         return []
-    draws, weights = size_draws(cause, rng)
     result: list[dict[str, float | str | bool]] = []
-    for key, values in draws.items():
+    for key, size in summarised(*size_draws(cause, rng)).items():
         if key not in hidden.parameters:
             continue
-        low, high = weighted_interval(values, weights)
+        low, high = size.interval
         true = float(hidden.parameters[key])
         result.append(
             {
                 "parameter": key,
                 "true": true,
+                "mean": size.mean,
+                "sd": size.sd,
                 "low": low,
                 "high": high,
                 "covers": low <= true <= high,
@@ -266,7 +248,7 @@ def failed_trial(campaign: Blind, index: int, error: Exception) -> dict[str, Any
         "seed": campaign.seed,
         "events": list(campaign.events),
         "code": trial_code(),
-        "stratum": stratum_of(index),
+        "stratum": stratum_of(campaign.strata, index).name,
         "error": f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})",
     }
 

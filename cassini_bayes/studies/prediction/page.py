@@ -30,7 +30,7 @@ def page_body(findings: Findings, priors: Priors, stem: str) -> str:
     """The text of the page."""
     sections = (
         f"Every flight event predicted from the other {len(findings.events) - 1} and its own wheel "
-        "rates and\ndate ([the model](../prediction.md)).",
+        "rates and\ndate ([the model](../topics/prediction.md)).",
         _skill(findings, stem),
         _hydrazine(findings),
         _requirement(findings, stem),

@@ -17,7 +17,8 @@ QUICK: Final[Mapping[str, int]] = {"eight wheel biases": 4, "scan of settings": 
 """Numbers of seeds."""
 
 BODY: Final = """{seeds} seeds, {scan_seeds} for the scan. The physics and the settings are told in
-[The simulation](../simulation.md); what the figures mean is told there as well.
+[The simulation](../topics/simulation.md), what the figures mean in
+[findings](simulation-findings.md).
 
 ## Momentum, impulse, speed
 

@@ -168,10 +168,10 @@ def test_two_branches_without_a_mission_are_refused() -> None:
 
 
 def test_the_example_of_the_documentation_is_a_mission_file() -> None:
-    """What docs/mission.md shows is read, with every key that it names."""
-    text = (ROOT / "docs" / "mission.md").read_text("utf-8")
+    """What docs/topics/mission.md shows is read, with every key that it names."""
+    text = (ROOT / "docs" / "topics" / "mission.md").read_text("utf-8")
     example = text.split("```toml")[1].split("```")[0]
-    table = check_mission(tomllib.loads(example), "docs/mission.md")
+    table = check_mission(tomllib.loads(example), "docs/topics/mission.md")
     assert table.dated[0].change["cm_y_m"].scale == 0.005
     assert table.propellant is not None
     assert table.trend.forecast[0].branch == "B"

@@ -1,0 +1,70 @@
+"""Sizes of an effect in words: rounded by their uncertainty, in the unit that engineers say.
+
+Every kind may say what its sizes mean (``says`` of :class:`.Kind`): "Z3 delivers 74 ± 4 % of its
+thrust". One that does not is said by the keys and units of its table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import floor, isfinite, log10
+from typing import Final
+
+TWO_DIGITS: Final = 35
+"""Leading two digits of an error up to which both are printed, one beyond: the rule of the Particle
+Data Group (Review of Particle Physics, introduction, "Rounding")."""
+INTERVAL: Final = "90 % HDI"
+
+
+def decimals_of(sd: float) -> int:
+    """Decimal places to which a value with this error is printed; negative left of the point."""
+    if not isfinite(sd) or sd <= 0.0:
+        return 3
+    place = floor(log10(sd))
+    leading = round(sd / 10.0 ** (place - 1))
+    return 1 - place if leading <= TWO_DIGITS else -place
+
+
+def rounded(value: float, decimals: int) -> str:
+    """A value to some decimal places, with a true minus sign and no minus zero."""
+    whole = round(value, decimals) + 0.0
+    return f"{whole:,.{max(decimals, 0)}f}".replace("-", "−")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """One size as it is said: posterior mean, standard deviation, ends of the shortest 90 %."""
+
+    mean: float
+    sd: float
+    low: float
+    high: float
+    unit: str = ""
+
+    def said(self, unit: str | None = None, factor: float = 1.0) -> str:
+        """In words, such as ``74 ± 4 % (90 % HDI 66 to 80 %)``.
+
+        Parameters
+        ----------
+        unit
+            That is said; that of the table by default.
+        factor
+            From the table's unit to that one.
+        """
+        name = self.unit if unit is None else unit
+        behind = f" {name}" if name not in ("", "1") else ""
+        decimals = decimals_of(self.sd * factor)
+        mean, sd, low, high = (
+            rounded(value * factor, decimals) for value in (self.mean, self.sd, self.low, self.high)
+        )
+        return f"{mean} ± {sd}{behind} ({INTERVAL} {low} to {high}{behind})"
+
+
+Sizes = Mapping[str, Stated]
+
+
+def by_keys(name: str, sizes: Sizes) -> str:
+    """An effect without words of its own: its name, keys and units."""
+    said = ", ".join(f"{key} = {size.said()}" for key, size in sizes.items())
+    return f"{name} acts with {said}" if said else f"{name} acts"

@@ -1,0 +1,70 @@
+"""A table of foreign columns as one of ours: the same rows, renamed and converted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection
+from cassini_bayes.events.telemetry.channel_map import Column
+from cassini_bayes.events.telemetry.mends import Mends
+from cassini_bayes.events.telemetry.table import Table
+
+MOST_CELLS: Final = 1 << 24
+"""Of a block, read or not: some 130 MB, however many columns a file has."""
+
+
+class MappedTable:
+    """An open table whose columns are made from those of another."""
+
+    def __init__(self, table: Table, columns: Sequence[Column]) -> None:
+        self._table, self._columns = table, tuple(columns)
+        self.header = tuple(column.name for column in columns)
+        self.header_place = table.header_place
+        self.unit = table.unit
+        self.refused: dict[str, str] = {}
+
+    def blocks(self, rows: int, mends: Mends, selection: Selection = EVERYTHING) -> Iterator[Block]:
+        """Yield the rows in file order, at most ``rows`` at a time."""
+        foreign = self._table.header
+        read = {column.place for column in self._columns} - {
+            self._columns[i].place for i in selection.unread
+        }
+        asked = Selection(
+            {c.place: c.dates for c in self._columns if c.dates is not None},
+            frozenset(range(len(foreign))) - read,
+        )
+        names = tuple(
+            name if name == foreign[c.place] else f"{name} (from {foreign[c.place]!r})"
+            for name, c in zip(self.header, self._columns, strict=True)
+        )
+        most = max(1, min(rows, MOST_CELLS // len(foreign)))
+        counts = np.zeros(len(self._columns))
+        for block in self._table.blocks(most, mends, asked):
+            cells = np.empty((len(self._columns), block.rows))
+            for i, column in enumerate(self._columns):
+                values = block.cells[column.place]
+                if column.per_interval:
+                    values = self._counted(block, column, values, counts, i)
+                cells[i] = column.line.of(values)
+            made = Block(block.file, names, block.unit, block.lines, cells)
+            wrong = np.argwhere(np.isinf(cells))
+            if wrong.size:
+                i, row = wrong[0].tolist()
+                raise made.refuse(row, i, "a finite number", "check scale, offset and unit")
+            yield made
+
+    def _counted(self, block: Block, column: Column, values: Array, counts: Array, i: int) -> Array:
+        """What had been counted up to each row, in the file's unit; kept for the next block."""
+        wrong = np.flatnonzero(values < 0.0) if column.grows else np.zeros(0, dtype=np.int64)
+        if wrong.size:
+            raise block.refuse(
+                int(wrong[0]), column.place, "0 or more in each interval", "check kind and column"
+            )
+        sampled = ~np.isnan(values)
+        summed = counts[i] + np.cumsum(np.where(sampled, values, 0.0))
+        counts[i] = summed[-1] if summed.size else counts[i]
+        return np.where(sampled, summed, np.nan)

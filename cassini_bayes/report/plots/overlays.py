@@ -1,0 +1,183 @@
+"""Figures of a diagnosis: channels laid over, spectra, a size with what it trades with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.correlations import WINDOW_ROWS, running_mean
+from cassini_bayes.diagnosis.nuisances import Trade
+from cassini_bayes.diagnosis.overlay import Channel, Overlay
+from cassini_bayes.diagnosis.spectrum import RARE, Spectrum
+from cassini_bayes.report.plots.criticism import EXTENDED
+from cassini_bayes.report.plots.powers import label_powers
+from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, PRIOR_LINE, STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MEASURED: Final = "#9a9a9a"
+CAUSE: Final = "#f3c9a4"
+BASELINE_LINE: Final[dict[str, Any]] = {"lw": 2.2, "color": POSTERIOR, "alpha": 0.75}
+EXTENDED_LINE: Final[dict[str, Any]] = {"lw": 0.9, "color": EXTENDED}
+CONTOURS: Final = (0.5, 0.9)
+_POINTS: Final = 2_500
+_BINS: Final = 40
+
+
+def overlay_figure(overlay: Overlay) -> Figure:
+    """Rates and wheel speeds of one event as measured and modelled, and what is left of each.
+
+    Upper panels: measured grey, baseline blue, extended orange; the area between the extended model
+    and the same without its cause is shaded. Lower panels: measured less modelled, running means
+    over 61 rows.
+    """
+    rates = [channel for channel in overlay.channels if channel.unit == "mrad/s"]
+    wheels = [channel for channel in overlay.channels if channel.unit != "mrad/s"]
+    columns = max(len(rates), len(wheels))
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(figsize=(10.0, 8.6), layout="constrained")
+        panels = figure.subplots(
+            4, columns, squeeze=False, sharex=True, gridspec_kw={"height_ratios": (3, 2, 3, 2)}
+        )
+        for first, group in ((0, rates), (2, wheels)):
+            for c, channel in enumerate(group):
+                _laid_over(panels[first, c], overlay.time_s, channel)
+                _left(panels[first + 1, c], overlay.time_s, channel)
+            panels[first, 0].set_ylabel(f"{group[0].name.split()[0]} ({group[0].unit})")
+            panels[first + 1, 0].set_ylabel(f"left ({group[0].unit})")
+            for spare in panels[first : first + 2, len(group) :].ravel():
+                spare.set_visible(False)
+        for panel in panels[-1]:
+            panel.set_xlabel("time since first row (s)")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+def _laid_over(panel: Axes, time_s: Array, channel: Channel) -> None:
+    step = max(1, len(time_s) // _POINTS)
+    at = slice(None, None, step)
+    look = {"ms": 1.6, "color": MEASURED, "rasterized": True}
+    panel.plot(time_s[at], channel.measured[at], ".", label="measured", **look)
+    if channel.extended is not None and channel.cause is not None:
+        panel.fill_between(
+            time_s[at],
+            (channel.extended - channel.cause)[at],
+            channel.extended[at],
+            color=CAUSE,
+            lw=0,
+            label="the cause's part",
+        )
+    panel.plot(time_s[at], channel.baseline[at], label="baseline", **BASELINE_LINE)
+    if channel.extended is not None:
+        panel.plot(time_s[at], channel.extended[at], label="with the cause", **EXTENDED_LINE)
+    before, after = channel.fit
+    fit = f"{before:.2f} %" if after is None else f"{before:.2f} → {after:.2f} %"
+    panel.set_title(f"{channel.name}, fit {fit}", loc="left")
+
+
+def _left(panel: Axes, time_s: Array, channel: Channel) -> None:
+    for modelled, look in ((channel.baseline, BASELINE_LINE), (channel.extended, EXTENDED_LINE)):
+        if modelled is not None:
+            left = running_mean(channel.measured - modelled, WINDOW_ROWS)
+            panel.plot(time_s, left, **look)
+    panel.axhline(0.0, lw=0.6, color=INK)
+
+
+def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
+    """Power of the whitened innovations against frequency, per event and body axis.
+
+    White innovations have mean power one; the dashed line is passed by the largest of them with a
+    chance of one in a hundred. The peak is named where it is above.
+    """
+    events = list(dict.fromkeys(spectrum.event for spectrum in spectra))
+    if not events:
+        return None
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(figsize=(10.0, 1.9 * len(events) + 0.6), layout="constrained")
+        panels = figure.subplots(len(events), 3, squeeze=False, sharex=True, sharey="row")
+        for row, event in enumerate(events):
+            own = [spectrum for spectrum in spectra if spectrum.event == event]
+            for panel, spectrum in zip(panels[row], own, strict=True):
+                power = np.maximum(spectrum.power, 1e-3)
+                panel.loglog(spectrum.frequency_hz, power, lw=0.7, color=POSTERIOR)
+                panel.axhline(1.0, lw=0.6, color=INK)
+                level = -np.log(-np.expm1(np.log1p(-RARE) / len(power)))
+                panel.axhline(level, lw=0.8, ls="--", color=PRIOR_LINE)
+                if spectrum.chance < RARE:
+                    at = float(spectrum.frequency_hz[spectrum.peak])
+                    panel.annotate(
+                        f"{at:.3g} Hz",
+                        (at, power[spectrum.peak]),
+                        xytext=(4, 2),
+                        textcoords="offset points",
+                        fontsize=8,
+                        color=PRIOR_LINE,
+                    )
+                label_powers(panel.xaxis)
+                label_powers(panel.yaxis)
+                panel.set_title(f"{event}, {spectrum.axis.upper()}", loc="left")
+            panels[row, 0].set_ylabel("power (1)")
+        for panel in panels[-1]:
+            panel.set_xlabel("frequency (Hz)")
+    return figure
+
+
+def trade_figure(trade: Trade) -> Figure:
+    """Corner of a cause's size and the free quantity it trades with most, priors drawn in."""
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(figsize=(6.2, 5.6), layout="constrained")
+        panels = figure.subplots(2, 2)
+        panels[0, 1].set_visible(False)
+        ends = [_ends(trade, which) for which in range(2)]
+        for which, panel in ((0, panels[0, 0]), (1, panels[1, 1])):
+            edges = np.linspace(*ends[which], _BINS)
+            for values, colour, label in (
+                (trade.prior[:, which], PRIOR, "prior"),
+                (trade.posterior[:, which], POSTERIOR, "posterior"),
+            ):
+                panel.hist(
+                    values, edges, density=True, histtype="stepfilled", color=colour, alpha=0.6,
+                    label=label,
+                )  # fmt: skip
+            panel.set_yticks([])
+            panel.set_xlim(*ends[which])
+        across = panels[1, 0]
+        for values, colour in ((trade.prior, PRIOR), (trade.posterior, POSTERIOR)):
+            across.plot(*values.T, ".", ms=2.0, color=colour, alpha=0.5, rasterized=True)
+        for share in CONTOURS:
+            across.plot(*_ellipse(trade.posterior, share), lw=1.1, color=POSTERIOR)
+        across.set_xlim(*ends[0])
+        across.set_ylim(*ends[1])
+        across.set_xlabel(f"{trade.cause}: {trade.size}")
+        name = f"{trade.quantity} ({trade.unit})" if trade.unit else trade.quantity
+        across.set_ylabel(name)
+        panels[1, 1].set_xlabel(name)
+        correlation = f"{trade.correlation:+.2f}".replace("-", "−")
+        panels[0, 0].set_title(f"correlation {correlation}", loc="left")
+        panels[0, 0].legend(loc="upper right")
+    return figure
+
+
+def _ends(trade: Trade, which: int) -> tuple[float, float]:
+    """Of an axis: the posterior with as much of the prior as leaves it to be seen."""
+    own, prior = trade.posterior[:, which], trade.prior[:, which]
+    low, high = np.quantile(own, (0.001, 0.999))
+    least, most = np.quantile(prior, (0.005, 0.995))
+    room = 4.0 * (high - low)
+    return float(max(min(least, low), low - room)), float(min(max(most, high), high + room))
+
+
+def _ellipse(values: Array, share: float) -> Array:
+    """Curve (2, n) that holds a share of a normal with the values' mean and covariance."""
+    factor = np.linalg.cholesky(np.cov(values.T))
+    angle = np.linspace(0.0, 2.0 * np.pi, 121)
+    radius = np.sqrt(-2.0 * np.log1p(-share))
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(values.mean(0)[:, None] + radius * factor @ circle)

@@ -1,0 +1,49 @@
+"""Hidden and found sizes of two-wheel events: a platform's angle, a leak."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE
+
+PANELS: Final = (("articulation", 1e3, "platform off by, mrad"), ("leak", 1e6, "leak, µN"))
+_WRONG: Final = "#CC6677"
+
+
+def two_wheel_figure(table: pd.DataFrame) -> Figure:
+    """Found against hidden sizes with a standard deviation, per stratum.
+
+    ``table`` has the columns event, stratum, named, size, found and found_sd (rad, N); an open
+    marker is a trial in which another cause was first.
+    """
+    events = list(dict.fromkeys(table["event"]))
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(figsize=(8.0, 4.0 * len(events)), layout="constrained")
+        grid = figure.subplots(len(events), len(PANELS), squeeze=False)
+        for line, event in zip(grid, events, strict=True):
+            for axes, (stratum, factor, label) in zip(line, PANELS, strict=True):
+                own = table[(table["event"] == event) & (table["stratum"] == stratum)]
+                own = own[np.isfinite(own["size"].astype(float))]
+                for hit, colour, marker in ((True, POSTERIOR, "o"), (False, _WRONG, "D")):
+                    part = own[own["named"] == hit]
+                    axes.errorbar(
+                        factor * part["size"],
+                        factor * part["found"],
+                        yerr=factor * part["found_sd"],
+                        fmt=marker,
+                        ms=4,
+                        mfc=colour if hit else "white",
+                        color=colour,
+                        label="named" if hit else "another cause first",
+                    )
+                axes.axline((0.0, 0.0), slope=1.0, lw=0.8, color=INK, zorder=0)
+                axes.set_xlabel(f"hidden: {label}")
+                axes.set_ylabel("found, given the cause")
+                axes.set_title(f"{event}, {len(own)} trials", loc="left")
+        grid[0, 0].legend()
+    return figure

@@ -1,0 +1,399 @@
+"""Channel maps: the same event comes out of the columns, units and conventions of others."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+from event_folder_cases import BIAS, CASSINI, THRUSTERS, bias_rows, csv_text, write_event
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.telemetry import Chunk, event_from_frame, load_event, read_event
+
+EPOCH = "2010-02-13T12:00:00"
+CHANNELS = ("time_s", "attitude", "rate_rad_s", "wheel_rpm", "on_time_s", "pulses")
+MAP: dict[str, Any] = {
+    "ignore": ["MODE"],
+    "channels": {
+        "time": {"source": "UTC", "time_system": "iso8601"},
+        "attitude": {
+            "source": ["Q0", "Q1", "Q2", "Q3"],
+            "order": "wxyz",
+            "direction": "body_to_inertial",
+        },
+        "rate": {"source": ["WX", "WY", "WZ"], "unit": "deg/s"},
+        "rwa1_rpm": {"source": "RW1", "unit": "rad/s", "negate": True},
+        "rwa2_rpm": {"source": "RW2", "unit": "rev/s"},
+        "rwa4_rpm": {"source": "RW4", "scale": 0.25, "offset": -100.0},
+        "on_time": {
+            "source": [f"T_{name}" for name in THRUSTERS],
+            "unit": "ms",
+            "kind": "per_interval",
+        },
+        "pulses": {"source": [f"N_{name}" for name in THRUSTERS], "kind": "per_interval"},
+    },
+}
+DESCRIPTION = {key: json.loads(value) for key, value in BIAS.items()}
+
+
+def toml_text(table: Mapping[str, Any]) -> str:
+    """A channel map as TOML (JSON's values are TOML's, but for its booleans' case alike)."""
+    lines = [f"{key} = {json.dumps(value)}" for key, value in table.items() if key != "channels"]
+    for name, channel in table["channels"].items():
+        lines.append(f"[channels.{name}]")
+        lines += [f"{key} = {json.dumps(value)}" for key, value in channel.items()]
+    return "\n".join(lines) + "\n"
+
+
+def own_frame(count: int = 40) -> pd.DataFrame:
+    """The made-up event as numbers, turning, with thrusters that fire at their own paces."""
+    frame = pd.DataFrame(bias_rows(count)).astype(float)
+    turn = Rotation.from_rotvec(np.outer(np.arange(count), [1e-3, -2e-3, 5e-4]))
+    frame[["q1", "q2", "q3", "q4"]] = turn.as_quat()
+    for k, name in enumerate(THRUSTERS):
+        pulses = np.arange(count) // (2 + k)
+        frame[f"pulses_{name}"], frame[f"on_time_{name}_s"] = pulses, 0.125 * pulses
+    return frame
+
+
+def foreign_frame(own: pd.DataFrame) -> pd.DataFrame:
+    """The same with other names, units, quaternions (by scipy) and counts per interval."""
+    times = pd.Timestamp(EPOCH) + pd.to_timedelta(own["time_s"], unit="s")
+    turn = Rotation.from_quat(own[["q1", "q2", "q3", "q4"]]).inv()
+    frame = pd.DataFrame({"UTC": times.dt.strftime("%Y-%m-%dT%H:%M:%S.%f"), "MODE": "a"})
+    frame[["Q0", "Q1", "Q2", "Q3"]] = turn.as_quat(scalar_first=True)
+    for axis in "xyz":
+        frame[f"W{axis.upper()}"] = np.rad2deg(own[f"rate_{axis}_rad_s"])
+    frame["RW1"] = -own["rwa1_rpm"] * 2.0 * np.pi / 60.0
+    frame["RW2"] = own["rwa2_rpm"] / 60.0
+    frame["RW4"] = (own["rwa4_rpm"] + 100.0) * 4.0
+    for name in THRUSTERS:
+        frame[f"T_{name}"] = 1000.0 * own[f"on_time_{name}_s"].diff().fillna(0.0)
+        frame[f"N_{name}"] = own[f"pulses_{name}"].diff().fillna(0.0)
+    return frame
+
+
+def same(one: Chunk, other: Chunk, tolerance: float = 1e-9) -> None:
+    """Equal channels, whatever sign the quaternions have."""
+    for name in CHANNELS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert a.shape == b.shape
+        off = np.abs(a - b).max() if name != "attitude" else 1.0 - np.abs((a * b).sum(1)).min()
+        assert off <= tolerance, name
+
+
+def expected(own: pd.DataFrame) -> Chunk:
+    """What the reader makes of our own columns."""
+    return load_event(event_from_frame(own, DESCRIPTION, CASSINI), CASSINI)
+
+
+def write_csv(path: Path, frame: pd.DataFrame) -> None:
+    """A CSV with every digit."""
+    frame.to_csv(path, index=False)
+
+
+def write_semicolons(path: Path, frame: pd.DataFrame) -> None:
+    """The same between semicolons."""
+    frame.to_csv(path, index=False, sep=";")
+
+
+def write_parquet(path: Path, frame: pd.DataFrame) -> None:
+    """Parquet, its times as time stamps."""
+    frame.assign(UTC=pd.to_datetime(frame["UTC"])).to_parquet(path)
+
+
+def write_hdf5(path: Path, frame: pd.DataFrame) -> None:
+    """HDF5, every column a data set."""
+    with h5py.File(path, "w") as file:
+        for name in frame:
+            values = frame[name].to_numpy()
+            file[name] = values.astype("S32") if values.dtype.kind == "O" else values
+
+
+def write_matlab(path: Path, frame: pd.DataFrame) -> None:
+    """A .mat file of version 5: character rows and column vectors."""
+    columns = {name: frame[name].to_numpy() for name in frame}
+    texts = {k: np.array(list(map(str, v))) for k, v in columns.items() if v.dtype.kind == "O"}
+    vectors = {k: v[:, None] for k, v in columns.items() if v.dtype.kind != "O"}
+    scipy.io.savemat(path, {**texts, **vectors})
+
+
+WRITERS: dict[str, Callable[[Path, pd.DataFrame], None]] = {
+    "data.csv": write_csv,
+    "data.txt": write_semicolons,
+    "data.parquet": write_parquet,
+    "data.h5": write_hdf5,
+    "data.mat": write_matlab,
+}
+
+
+def folder_of(place: Path, name: str, table: Mapping[str, Any], frame: pd.DataFrame) -> Path:
+    """An event folder with a map, the data beside it."""
+    folder = place / "event"
+    write_event(folder, "", {**BIAS, "telemetry": f'"../{name}"'})
+    delimiter = {"delimiter": ";"} if name.endswith(".txt") else {}
+    (folder / "channels.toml").write_text(toml_text({**delimiter, **table}))
+    WRITERS[name](place / name, frame.astype({"UTC": object, "MODE": object}))
+    return folder
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_kind_of_file_gives_the_event(tmp_path: Path, name: str) -> None:
+    """Names, units, signs, scale and offset, quaternions, intervals and dates, from every kind."""
+    own = own_frame()
+    folder = folder_of(tmp_path, name, MAP, foreign_frame(own))
+    same(load_event(read_event(folder, CASSINI), CASSINI), expected(own))
+
+
+def test_a_frame_gives_the_event_with_dates_or_text() -> None:
+    """A data frame with text, dates, and dates with a zone."""
+    own = own_frame()
+    frame = foreign_frame(own)
+    dates = pd.to_datetime(frame["UTC"])
+    for times in (frame["UTC"], dates, dates.dt.tz_localize("UTC").dt.tz_convert("Asia/Tokyo")):
+        event = event_from_frame(frame.assign(UTC=times), DESCRIPTION, "cassini", MAP)
+        same(load_event(event, CASSINI), expected(own))
+
+
+def test_a_wrong_map_gives_another_event() -> None:
+    """Negative control: the comparison sees another order, sense, unit or way to count."""
+    own = own_frame()
+    frame = foreign_frame(own)
+    changes: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("attitude", {"order": "xyzw"}),
+        ("attitude", {"direction": "inertial_to_body"}),
+        ("rate", {"unit": "mrad/s"}),
+        ("pulses", {"kind": "cumulative"}),
+        ("rwa1_rpm", {"negate": False}),
+    )
+    for name, change in changes:
+        channels = {**MAP["channels"], name: {**MAP["channels"][name], **change}}
+        event = event_from_frame(frame, DESCRIPTION, CASSINI, {**MAP, "channels": channels})
+        with pytest.raises((AssertionError, InputError)):
+            same(load_event(event, CASSINI), expected(own))
+
+
+CLOCKS = {  # count at 2010-02-13T12:00:00 (the US Naval Observatory's converter), per second
+    "julian_date": (2455241.0, 1.0 / 86400.0, 3e-5),
+    "modified_julian_date": (55240.5, 1.0 / 86400.0, 1e-6),
+    "matlab_datenum": (734182.5, 1.0 / 86400.0, 1e-5),
+    "unix": (1266062400.0, 1.0, 1e-7),
+    "elapsed": (0.0, 1.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("system", CLOCKS)
+def test_clocks_count_from_their_zero(system: str) -> None:
+    """Days and seconds since the zeros of the time systems, to the digits that a float has."""
+    first, step, tolerance = CLOCKS[system]
+    own = own_frame()
+    frame = foreign_frame(own).assign(UTC=first + step * own["time_s"])
+    channels = {**MAP["channels"], "time": {"source": "UTC", "time_system": system}}
+    event = event_from_frame(frame, DESCRIPTION, CASSINI, {**MAP, "channels": channels})
+    assert np.abs(load_event(event, CASSINI).time_s - own["time_s"]).max() <= tolerance
+
+
+@pytest.mark.parametrize(
+    ("table", "shown"),
+    [
+        ({"unit": "ms"}, lambda t: 1000.0 * t),
+        ({"unit": "ms", "scale": 0.5, "offset": -20.0}, lambda t: 2.0 * (1000.0 * t + 20.0)),
+        ({"epoch": "2010-02-13T11:59:00Z"}, lambda t: t + 60.0),
+        ({"time_system": "unix", "unit": "us"}, lambda t: 1e6 * (t + 1266062400.0)),
+    ],
+)
+def test_elapsed_times_have_unit_and_zero(
+    table: dict[str, Any], shown: Callable[[Any], Any]
+) -> None:
+    """Milliseconds, a scale and an offset, another epoch than the event's, microseconds."""
+    own = own_frame()
+    frame = foreign_frame(own).assign(UTC=shown(own["time_s"]))
+    channels = {**MAP["channels"], "time": {"source": "UTC", **table}}
+    event = event_from_frame(frame, DESCRIPTION, CASSINI, {**MAP, "channels": channels})
+    assert np.abs(load_event(event, CASSINI).time_s - own["time_s"]).max() < 1e-6
+
+
+def test_days_of_the_year_are_dates() -> None:
+    """2010-044 is 13 February; day 366 of a year without it is refused."""
+    own = own_frame()
+    frame = foreign_frame(own)
+    days = frame["UTC"].str.replace("2010-02-13", "2010-044")
+    event = event_from_frame(frame.assign(UTC=days), DESCRIPTION, CASSINI, MAP)
+    same(load_event(event, CASSINI), expected(own))
+    wrong = frame.assign(UTC=frame["UTC"].str.replace("2010-02-13", "2010-366"))
+    with pytest.raises(InputError, match="ISO 8601"):
+        load_event(event_from_frame(wrong, DESCRIPTION, CASSINI, MAP), CASSINI)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(0, 5), min_size=3, max_size=30), st.integers(1, 7))
+def test_intervals_add_up_over_chunks(counts: list[int], rows: int) -> None:
+    """Counts per interval become running sums, wherever chunks end and cells are empty."""
+    from cassini_bayes.events.telemetry.block import Selection
+    from cassini_bayes.events.telemetry.channel_map import Column
+    from cassini_bayes.events.telemetry.clocks import Line
+    from cassini_bayes.events.telemetry.mapped import MappedTable
+    from cassini_bayes.events.telemetry.memory import MemoryTable
+    from cassini_bayes.events.telemetry.mends import Mends
+
+    values = np.array(counts, dtype=float)
+    values[::3] = np.nan
+    table = MemoryTable("memory", {"n": values})
+    mapped = MappedTable(table, [Column("pulses_z1", 0, Line(1.0, 0.0), per_interval=True)])
+    found = np.concatenate([b.cells[0] for b in mapped.blocks(rows, Mends(), Selection())])
+    sums = pd.Series(values).cumsum().to_numpy()  # pandas skips NaN and keeps it in its place
+    np.testing.assert_array_equal(found, sums)
+
+
+def test_matrices_and_structures_are_columns(tmp_path: Path) -> None:
+    """Columns of a matrix by their place, of a structure by its field, of a group by its path."""
+    own = own_frame()
+    frame = foreign_frame(own)
+    q = frame[["Q0", "Q1", "Q2", "Q3"]].to_numpy()
+    others = {name: frame[name].to_numpy() for name in frame if name[0] in "WRTN"}
+    time = own["time_s"].to_numpy()
+    fields = {**others, "q": q, "t": time}
+    scipy.io.savemat(tmp_path / "data.mat", {"tlm": fields, "notes": np.array([[1, "x"]], object)})
+    with h5py.File(tmp_path / "data.h5", "w") as file:
+        for name, values in fields.items():
+            file[f"tlm/{name}"] = values
+    for name, mark in (("data.mat", "."), ("data.h5", "/")):
+        channels: dict[str, Any] = {
+            **MAP["channels"],
+            "time": {"source": "t"},
+            "attitude": {**MAP["channels"]["attitude"], "source": "q"},
+        }
+        for channel, table in channels.items():
+            source = table["source"]
+            prefixed = f"tlm{mark}{source}" if isinstance(source, str) else None
+            listed = [f"tlm{mark}{own_name}" for own_name in source]
+            channels[channel] = {**table, "source": prefixed or listed}
+        folder = tmp_path / name.replace(".", "-")
+        write_event(folder, "", {**BIAS, "telemetry": f'"../{name}"'})
+        table_text = toml_text({"ignore_others": True, "channels": channels})
+        (folder / "channels.toml").write_text(table_text)
+        same(load_event(read_event(folder, CASSINI), CASSINI), expected(own))
+
+
+def test_the_map_is_part_of_the_digest(tmp_path: Path) -> None:
+    """Another map is another event, though the data are the same bytes."""
+    folder = folder_of(tmp_path, "data.csv", MAP, foreign_frame(own_frame()))
+    first = read_event(folder, CASSINI)
+    with (folder / "channels.toml").open("a") as stream:
+        stream.write("# another comment\n")
+    second = read_event(folder, CASSINI)
+    assert first.digest != second.digest
+    assert first.channels is not None
+    assert second.channels is not None
+    assert first.channels.digest != second.channels.digest
+
+
+def test_without_a_map_the_digest_is_as_before(tmp_path: Path) -> None:
+    """An event folder of our own columns keeps the digest that its earlier fits have."""
+    import hashlib
+
+    folder = write_event(tmp_path / "own", bias_rows())
+    parts = [hashlib.sha256((folder / n).read_bytes()).hexdigest() for n in
+             ("event.toml", "telemetry.csv")]  # fmt: skip
+    joined = hashlib.sha256(" ".join(parts).encode()).hexdigest()
+    assert read_event(folder, CASSINI).digest == joined
+
+
+def changed(channel: str, **keys: Any) -> dict[str, Any]:
+    """The map with other keys in one channel."""
+    table = {**MAP["channels"].get(channel, {}), **keys}
+    return {**MAP, "channels": {**MAP["channels"], channel: table}}
+
+
+BAD: list[tuple[dict[str, Any], list[str]]] = [
+    ({**MAP, "ignore": []}, ['"MODE"', "ignore_others"]),
+    ({**MAP, "ignored": ["MODE"]}, ["ignored", "did you mean 'ignore'"]),
+    ({**MAP, "delimiter": "1"}, ["delimiter", "one character"]),
+    ({**MAP, "delimiter": "::"}, ["delimiter", "one character"]),
+    (changed("rates", source="WX"), ["channels.rates", "unknown name", "did you mean 'rate'"]),
+    (changed("rate", source=["WX", "WY"]), ["channels.rate.source", "3 columns", "rate_z_rad_s"]),
+    (changed("rate", source=["WX", "WY", "wz"]), ["'wz'", "nowhere", "did you mean 'WZ'"]),
+    (changed("rate", unit="Hz"), ["channels.rate.unit", "'Hz'", "deg/s"]),
+    (changed("rate", unit="furlong/parsec"), ["channels.rate.unit", "dimensionless"]),
+    (changed("rate", unit="9**9**9**9"), ["channels.rate.unit", "pint"]),
+    (changed("rate", unit="m" * 5000), ["channels.rate.unit", "pint"]),
+    (changed("rate", unitt="deg/s"), ["channels.rate.unitt", "did you mean 'unit'"]),
+    (changed("rate", order="wxyz"), ["channels.rate.order", "attitude"]),
+    (changed("rate", kind="per_interval"), ["channels.rate.kind", "on_time"]),
+    (changed("rate", scale=0.0), ["channels.rate.scale"]),
+    (changed("pulses", negate=True), ["channels.pulses.negate"]),
+    (changed("on_time", offset=1.0), ["channels.on_time.offset"]),
+    (changed("time", unit="s"), ["channels.time.unit", "no date"]),
+    (changed("time", time_system="tai"), ["channels.time.time_system", "julian_date"]),
+    (changed("attitude", order="zyxw"), ["channels.attitude.order", "xyzw"]),
+    (changed("rate_x_rad_s", source="WX"), ["rate_x_rad_s", "another one"]),
+    ({**MAP, "channels": {}}, ["[channels.time]"]),
+]
+
+
+@pytest.mark.parametrize(("table", "fragments"), BAD)
+def test_a_bad_map_is_refused_in_one_line(
+    tmp_path: Path, table: dict[str, Any], fragments: list[str]
+) -> None:
+    """The map's file and key, what was expected, what was found, and the nearest name."""
+    folder = folder_of(tmp_path, "data.csv", table, foreign_frame(own_frame(4)))
+    with pytest.raises(InputError) as caught:
+        load_event(read_event(folder, CASSINI), CASSINI)
+    message = str(caught.value)
+    assert message.isprintable()
+    assert str(tmp_path) in message
+    assert all(fragment in message for fragment in fragments), message
+
+
+def test_a_bad_cell_is_named_by_both_names(tmp_path: Path) -> None:
+    """A rate too high names our column and theirs, with the line; a bad date its own."""
+    frame = foreign_frame(own_frame())
+    frame.loc[5, "WY"] = 40.0
+    folder = folder_of(tmp_path, "data.csv", MAP, frame)
+    with pytest.raises(InputError, match=r"line 7, column rate_y_rad_s \(from 'WY'\)"):
+        load_event(read_event(folder, CASSINI), CASSINI)
+    frame = foreign_frame(own_frame())
+    frame.loc[5, "UTC"] = "noon"
+    folder = folder_of(tmp_path, "data.csv", MAP, frame)
+    with pytest.raises(InputError, match="line 7, column UTC: expected an ISO 8601 time"):
+        load_event(read_event(folder, CASSINI), CASSINI)
+
+
+def test_a_date_of_digits_is_no_number(tmp_path: Path) -> None:
+    """20100213 in a column of dates is a day, never a count of seconds."""
+    own = own_frame(2)
+    frame = foreign_frame(own).assign(UTC=["20100213T120000", "20100214"])
+    folder = folder_of(tmp_path, "data.csv", MAP, frame)
+    assert load_event(read_event(folder, CASSINI), CASSINI).time_s.tolist() == [0.0, 43_200.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("on_time_0_s", "known: on_time_z1_s"),
+        ("rate_x_deg_s", "known: rate_x_rad_s"),
+        ("rate_x_rads", "did you mean 'rate_x_rad_s'"),
+        ("Pulses_Z1", "did you mean 'pulses_z1'"),
+        ("tank_pressure_psi", "known"),
+    ],
+)
+def test_no_dangerous_guess_is_made(tmp_path: Path, name: str, hint: str) -> None:
+    """A name with rivals or of another unit gets the list; one that can be only one is guessed."""
+    rows = [{**row, name: "0"} for row in bias_rows(3)]
+    for row in rows:
+        row.pop("rate_x_rad_s" if name == "rate_x_rads" else "pulses_z1")
+    folder = write_event(tmp_path / "e", csv_text(rows))
+    with pytest.raises(InputError) as caught:
+        read_event(folder, CASSINI)
+    assert hint in str(caught.value)
+    assert "channel map" in str(caught.value)

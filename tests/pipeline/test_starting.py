@@ -1,0 +1,108 @@
+"""`init`: files that are valid at once, propose in comments alone, and replace nothing."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from event_folder_cases import CASSINI
+from typer.testing import CliRunner
+
+from cassini_bayes.cli import app
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.telemetry import load_event, read_channel_map, read_event
+from cassini_bayes.events.telemetry.matches import matches, sample_of
+from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.pipeline.run_file import read_run_file
+from cassini_bayes.pipeline.starting import PROPOSED, write_starting_files
+from cassini_bayes.priors.reader import read_priors
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "docs" / "examples" / "own_csv"
+RECORDING = EXAMPLE / "may.csv"
+TWELVE = ROOT / "tests" / "data" / "spacecraft" / "twelve.toml"
+
+
+@pytest.mark.parametrize("spacecraft", ["cassini", str(TWELVE)])
+def test_the_files_are_valid_at_once(tmp_path: Path, spacecraft: str) -> None:
+    """Priors with all that telemetry needs, a run file, an empty channel map, event keys."""
+    folder = tmp_path / "mine"
+    files = write_starting_files(folder, spacecraft)
+    priors = read_priors(folder / "priors.toml")
+    assert nominal_values(priors)
+    run = read_run_file(folder / "run.toml")
+    assert [str(folder / event / "event.toml") for event in run.events] == [str(files[2])]
+    assert read_channel_map(folder / "channels.toml").channels == {}
+    event = tomllib.loads(files[2].read_text())
+    assert (event["branch"], tuple(event["wheels"])) == (priors.branch, priors.wheels)
+    shown = (folder / "channels.toml").read_text()
+    assert all(name in shown for name in priors.spacecraft.thruster_names(priors.branch))
+
+
+def test_matches_are_proposed_and_not_in_force(tmp_path: Path) -> None:
+    """The map of the recording is empty until the user takes the marks away and corrects it."""
+    folder = tmp_path / "mine"
+    write_starting_files(folder, "cassini", [RECORDING])
+    place = folder / "channels.toml"
+    assert read_channel_map(place).channels == {}
+    with pytest.raises(InputError, match=r"\[channels.time\]"):
+        read_event(folder / "events" / "may", CASSINI)
+    text = place.read_text().replace(PROPOSED, "")
+    text = text.replace('"inertial_to_body"', '"body_to_inertial"')
+    place.write_text(text.replace('"cumulative"', '"per_interval"'))
+    event = read_event(folder / "events" / "may", CASSINI)
+    assert load_event(event, CASSINI).time_s[0] == 0.0  # the epoch was taken from the data
+    finished = read_channel_map(EXAMPLE / "channels.toml")
+    assert read_channel_map(place).channels == finished.channels
+
+
+def test_nothing_is_replaced(tmp_path: Path) -> None:
+    """One file in the way, and none is written."""
+    (tmp_path / "run.toml").write_text("mine")
+    with pytest.raises(InputError, match=r"run\.toml"):
+        write_starting_files(tmp_path, "cassini")
+    assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]
+
+
+NAMES = {
+    "rate": (["wx", "wy", "wz"], ["omega.x [deg/s]", "omega.y [deg/s]", "omega.z [deg/s]"]),
+    "wheel": (["wheel1", "wheel2", "wheel4"], ["RWA1 rate", "RWA2 rate", "RWA4 rate"]),
+    "time": (["t"], ["Time (s)"]),
+    "attitude": (["q_x", "q_y", "q_z", "q_w"], ["att1", "att2", "att3", "att4"]),
+}
+
+
+@pytest.mark.parametrize("style", [0, 1])
+def test_likely_columns_are_found(tmp_path: Path, style: int) -> None:
+    """Other styles of names, and none for columns that are something else."""
+    header = [name for names in NAMES.values() for name in names[style]]
+    path = tmp_path / "data.parquet"
+    pd.DataFrame({name: [0.0] for name in [*header, "temperature"]}).to_parquet(path)
+    found = {m.channel: m.sources for m in matches(sample_of(path), CASSINI, (1, 2, 4), "B")}
+    assert found == {channel: tuple(names[style]) for channel, names in NAMES.items()}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--spacecraft", "casini"], "did you mean 'cassini'"),
+        (["--spacecraft", "cassini", "--branch", "C"], "--branch"),
+        (["--spacecraft", "cassini", "--from", "nowhere.csv"], "nowhere.csv"),
+    ],
+)
+def test_bad_arguments_are_one_line(tmp_path: Path, arguments: list[str], said: str) -> None:
+    """Another spacecraft, branch or file is named; nothing is written."""
+    result = CliRunner().invoke(app, ["init", str(tmp_path / "new"), *arguments])
+    assert isinstance(result.exception, InputError)
+    assert said in str(result.exception)
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_starting_priors_are_those_of_the_repository() -> None:
+    """One text: what init writes for a built-in spacecraft is the priors file of this project."""
+    starting = ROOT / "cassini_bayes" / "priors" / "starting"
+    for branch in "ab":
+        kept = ROOT / "priors" / f"cassini_{branch}_branch_telemetry.toml"
+        assert (starting / f"cassini_{branch}.toml").read_bytes() == kept.read_bytes()
