@@ -73,7 +73,7 @@ def test_an_event_is_worth_what_a_model_without_it_lacks() -> None:
         )
         shared = [name for name in own.index if name in alone.index]
         assert len(shared) > 15
-        np.testing.assert_allclose(own[shared], 1.0 - both[shared] / alone[shared], atol=2e-3)
+        np.testing.assert_allclose(own[shared], 1.0 - both[shared] / alone[shared], atol=1e-6)
         assert own[shared].max() > 0.01
 
 
