@@ -136,6 +136,8 @@ def test_the_residual_is_as_wide_as_it_says() -> None:
         lower = np.linalg.cholesky(residual.covariance)
         squares.append(np.linalg.solve(lower, residual.momentum_n_m_s.ravel()) ** 2)
         assert trial.tracks[0].statistic.max() < 3.0
+        np.testing.assert_allclose(trial.time_s, residual.first_s + residual.time_s)
+        assert residual.first_s >= HALF_ROWS  # rows of a stretch lie before its middle
     assert 0.75 < np.concatenate(squares).mean() < 1.25
 
 
