@@ -234,7 +234,7 @@ def _shared(square: Array) -> Array:
     covariance = np.diag(square) + square[0]
     covariance[0], covariance[:, 0] = 0.0, 0.0
     covariance[0, 0] = 1e-6 * square[0]
-    return covariance
+    return np.asarray(covariance)
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ def arms() -> Array:
 def made_up(leak_n: float = 0.0, thruster: int = 0, rows: int = 12) -> Residual:
     """A residual of white noise, of the first row's and of a leak from 40 s on."""
     rng = np.random.default_rng(2)
-    time = 10.0 * np.arange(rows)
+    time = 10.0 * np.arange(rows, dtype=np.float64)
     shared = np.eye(rows) + 0.5 + 1e-3 * np.minimum(time[:, None], time)
     covariance = np.kron(shared, np.diag([1e-4, 2e-4, 5e-5]))
     momentum = (np.linalg.cholesky(covariance) @ rng.standard_normal(3 * rows)).reshape(rows, 3)
@@ -189,7 +189,7 @@ def test_rates_of_stretches_are_mean_rates_over_rows_at_rest() -> None:
 def synthetic(index: int) -> Trial:
     """A trial without a flight: leaks raise the odds tenfold above the noise, and the residual."""
     rng = np.random.default_rng(index)
-    time = 10.0 * np.arange(30)
+    time = 10.0 * np.arange(30, dtype=np.float64)
     thruster = index % 8 if index % 10 < 7 else -1
     size = 10.0 ** rng.uniform(-5, -2.4) if thruster >= 0 else 0.0
     rise = np.where(time > 100.0, 2e4 * size, 0.0)
