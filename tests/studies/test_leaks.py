@@ -65,7 +65,7 @@ def made_up(leak_n: float = 0.0, thruster: int = 0, rows: int = 12) -> Residual:
     rng = np.random.default_rng(2)
     time = 10.0 * np.arange(rows, dtype=np.float64)
     shared = np.eye(rows) + 0.5 + 1e-3 * np.minimum(time[:, None], time)
-    covariance = np.kron(shared, np.diag([1e-4, 2e-4, 5e-5]))
+    covariance = np.asarray(np.kron(shared, np.diag([1e-4, 2e-4, 5e-5])), dtype=np.float64)
     momentum = (np.linalg.cholesky(covariance) @ rng.standard_normal(3 * rows)).reshape(rows, 3)
     leak = leak_n * np.maximum(time - 40.0, 0.0)[:, None] * arms()[:, thruster]
     return Residual(time, momentum + leak, covariance, arms(), NAMES)
