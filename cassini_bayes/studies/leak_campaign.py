@@ -232,7 +232,7 @@ def _apart(priors: Priors) -> dict[str, object]:
     head = f"| turn | until {CLEAR_SIGMA:g} σ, s after it | σ {STAY_S:.0f} s after it |"
     rows = [
         f"| {turn:.0f}° | {'never' if np.isnan(after) else f'{after:.0f}'} | {sigma:.1f} |"
-        for turn, after, sigma in turn_cells(after_turns(noise)).tolist()
+        for turn, after, sigma in turn_cells(after_turns(noise))
     ]
     return {
         "leak": 1e3 * LEAK_N,
