@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -205,7 +205,7 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
     patient = [monitor.label for monitor in MONITORS if monitor.persistence == max(PERSISTENCE)]
     shown = by_size(table)
     for row in shown[shown["monitor"].isin(patient)].to_dict(orient="records"):
-        low, high = (1e3 * float(end) for end in (row["leak_n"].left, row["leak_n"].right))
+        low, high = 1e3 * row["leak_n"].left, 1e3 * row["leak_n"].right
         delay = "" if np.isnan(row["delay_s"]) else f"{row['delay_s']:.0f}"
         named = "" if np.isnan(row["named"]) else f"{row['named']:.0%}"
         sizes.append(
@@ -226,7 +226,7 @@ def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: b
     )
 
 
-def _apart(priors: Priors) -> dict[str, object]:
+def _apart(priors: Priors) -> dict[str, Any]:
     """What the text says of a leak and a torque."""
     noise = momentum_noise(priors)
     head = f"| turn | until {CLEAR_SIGMA:g} σ, s after it | σ {STAY_S:.0f} s after it |"
