@@ -84,13 +84,13 @@ def event_worth(model: Model) -> pd.DataFrame:
     total = np.eye(unknowns.size)
     for _, places, part in parts:
         total[np.ix_(places, places)] += part
-    everything = _shared_rows(model, unknowns, np.linalg.inv(total))
+    everything = _shared_rows(model, unknowns, np.asarray(np.linalg.inv(total)))
     named = everything[["quantity", "block", "unit"]]
     tables = []
     for place, places, part in parts:
         rest = total.copy()
         rest[np.ix_(places, places)] -= part
-        without = _shared_rows(model, unknowns, np.linalg.inv(rest))
+        without = _shared_rows(model, unknowns, np.asarray(np.linalg.inv(rest)))
         narrowing = 1.0 - everything["expected_sd"] / without["expected_sd"]
         tables.append(named.assign(event=model.events[place].id, narrowing=narrowing))
     return pd.concat(tables, ignore_index=True)
