@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Final
 
@@ -92,6 +93,21 @@ class Nominal:
             pushes = force * thruster_directions(spacecraft, branch)
         tail_s = parameters.get("tau_fall_s", 0.0) - parameters.get("tau_rise_s", 0.0)
         return cls(inertia_tensor(parameters), spins[:, places], torques, pushes, tail_s)
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Places of the channels' columns."""
+        return Columns(self.spins.shape[1], self.torques.shape[1])
+
+    @cached_property
+    def exchanges(self) -> Array:
+        """Weights of what is to be explained, with thrusters as they are and exchanged."""
+        return targets_of(self.columns, self)
+
+    @cached_property
+    def departures(self) -> tuple[tuple[str, ...], Array]:
+        """Names and weights of what may depart."""
+        return nominal_departures(self.columns, self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,16 +204,13 @@ class Momentum:
 
         Of all exchanges of two thrusters the least: firings of the wrong thruster are no noise.
         """
-        each = [correction]
-        for a, b in combinations(range(nominal.torques.shape[1]), 2):
-            each.append(correction.with_thruster(exchanged(correction.thruster, ((a, b),))))
-        targets = np.stack([target_of(self.columns, nominal, other) for other in each])
-        square = np.einsum("hp,pq,hq->h", targets, self.steps, targets, optimize=True).min()
+        targets = corrected(self.columns, nominal.exchanges, correction)
+        square = float(np.einsum("ph,ph->h", targets, self.steps @ targets).min())
         return float(np.sqrt(max(square / (6.0 * self.per_row * self.counts), LEAST_NOISE**2)))
 
     def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
         """What it costs to close the balance."""
-        target = target_of(self.columns, nominal, correction)
+        target = corrected(self.columns, nominal.exchanges[:, :1], correction)[:, 0]
         names, design = departures_of(self.columns, nominal, correction)
         variance = self.noise(nominal, correction) ** 2
         strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
@@ -240,67 +253,101 @@ class MomentumFit:
     factors: Array
 
 
-def target_of(columns: Columns, nominal: Nominal, correction: Correction) -> Array:
-    """Weights (p,) of the total momentum less what nominal thrusters brought."""
-    torques = -nominal.torques @ correction.thruster
-    return columns.weights(
-        rate=nominal.inertia @ correction.rate,
-        wheel=nominal.spins @ correction.wheel,
-        fire=torques,
-        pulse=nominal.tail_s * torques,
-    )
+def corrected(columns: Columns, weights: Array, correction: Correction) -> Array:
+    """Weights (p, J) on true channels as weights on what was recorded: true = matrix · recorded."""
+    result = weights.copy()
+    for name, matrix in (
+        ("rate", correction.rate),
+        ("rate around", correction.rate),
+        ("wheel", correction.wheel),
+        ("wheel around", correction.wheel),
+        ("fire", correction.thruster),
+        ("pulse", correction.thruster),
+        ("warm up", correction.thruster),
+        ("flow", correction.thruster),
+    ):
+        block = weights[columns.of[name]].reshape(3, len(matrix), weights.shape[1])
+        moved = np.einsum("anj,nm->amj", block, matrix)
+        result[columns.of[name]] = moved.reshape(3 * len(matrix), weights.shape[1])
+    return result
+
+
+def targets_of(columns: Columns, nominal: Nominal) -> Array:
+    """Weights (p, 1 + pairs) of the total momentum less what nominal thrusters brought.
+
+    First as it is, then with each pair of thrusters exchanged.
+    """
+    count = nominal.torques.shape[1]
+    orders = [np.eye(count)]
+    orders += [exchanged(orders[0], (pair,)) for pair in combinations(range(count), 2)]
+    brought = [-nominal.torques @ order for order in orders]
+    targets = [
+        columns.weights(
+            rate=nominal.inertia, wheel=nominal.spins, fire=each, pulse=nominal.tail_s * each
+        )
+        for each in brought
+    ]
+    return np.stack(targets, axis=1)
 
 
 def departures_of(
     columns: Columns, nominal: Nominal, correction: Correction
 ) -> tuple[tuple[str, ...], Array]:
     """Names and weights (p, J) of everything that may depart, each at one standard deviation."""
+    names, design = nominal.departures
+    free = [columns.weights(fixed=_FREE * axis) for axis in correction.offset.T]
+    names += ("offset",) * len(free)
+    for w in correction.wheel_factor:
+        own = np.outer(nominal.spins[:, w], np.eye(len(correction.wheel))[w])
+        free.append(columns.weights(wheel_around=_FREE * own))
+        names += ("factor",)
+    if free:
+        design = np.concatenate([design, np.stack(free, axis=1)], axis=1)
+    return names, corrected(columns, design, correction)
+
+
+def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, ...], Array]:
+    """Names and weights (p, J) of the departures of true channels."""
     each: list[tuple[str, Array]] = []
     size = float(np.trace(nominal.inertia)) / 3.0
     for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         unit = np.zeros((3, 3))
         unit[a, b] = unit[b, a] = WIDTHS["inertia"] * size
-        each.append(("inertia", columns.weights(rate_around=unit @ correction.rate)))
-    for spin, recorded in zip(nominal.spins.T, correction.wheel, strict=True):
+        each.append(("inertia", columns.weights(rate_around=unit)))
+    for spin, one in zip(nominal.spins.T, np.eye(nominal.spins.shape[1]), strict=True):
         for axis in np.eye(3):
             moved = WIDTHS["wheel"] * np.linalg.norm(spin) * axis
-            each.append(("wheel", columns.weights(wheel_around=np.outer(moved, recorded))))
+            each.append(("wheel", columns.weights(wheel_around=np.outer(moved, one))))
     if nominal.torques.shape[1]:
-        each += _thruster_departures(columns, nominal, correction)
+        each += _thruster_departures(columns, nominal)
     for axis in np.eye(3):
         each.append(("torque", columns.weights(torque=WIDTHS["torque"] * axis)))
         each.append(("bias", columns.weights(fixed=WIDTHS["bias"] * size * axis)))
         for mode in np.eye(DRIFT_MODES):
             drift = columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
             each.append(("drift", drift))
-    each += [("offset", columns.weights(fixed=_FREE * axis)) for axis in correction.offset.T]
-    for w in correction.wheel_factor:
-        free = np.outer(nominal.spins[:, w], correction.wheel[w])
-        each.append(("factor", columns.weights(wheel_around=_FREE * free)))
     names, vectors = zip(*each, strict=True)
     return names, np.stack(vectors, axis=1)
 
 
-def _thruster_departures(
-    columns: Columns, nominal: Nominal, correction: Correction
-) -> list[tuple[str, Array]]:
-    tail, recorded = nominal.tail_s, correction.thruster
+def _thruster_departures(columns: Columns, nominal: Nominal) -> list[tuple[str, Array]]:
+    tail = nominal.tail_s
 
     def impulse(torques: Array) -> Array:
-        return columns.weights(fire=torques @ recorded, pulse=tail * torques @ recorded)
+        return columns.weights(fire=torques, pulse=tail * torques)
 
     each = [
         ("common", impulse(WIDTHS["common"] * nominal.torques)),
-        ("tail", columns.weights(pulse=WIDTHS["tail"] * nominal.torques @ recorded)),
-        ("lag", columns.weights(flow=WIDTHS["lag"] * nominal.torques @ recorded)),
+        ("tail", columns.weights(pulse=WIDTHS["tail"] * nominal.torques)),
+        ("lag", columns.weights(flow=WIDTHS["lag"] * nominal.torques)),
     ]
     for axis in np.eye(3):
         moved = WIDTHS["centre"] * np.cross(axis, nominal.pushes, axisb=0, axisc=0)
         each.append(("centre", impulse(moved)))
     for one, torque in zip(np.eye(nominal.torques.shape[1]), nominal.torques.T, strict=True):
         own = np.outer(torque, one)
-        each.append(("own tail", columns.weights(pulse=WIDTHS["own tail"] * own @ recorded)))
-        each.append(("warm-up", columns.weights(warm_up=WIDTHS["warm-up"] * own @ recorded)))
+        each.append(("own tail", columns.weights(pulse=WIDTHS["own tail"] * own)))
+        each.append(("warm-up", columns.weights(warm_up=WIDTHS["warm-up"] * own)))
         each.append(("thrust", impulse(WIDTHS["thrust"] * own)))
         for axis in np.eye(3):
             moved = WIDTHS["cant"] * np.linalg.norm(torque) * axis
