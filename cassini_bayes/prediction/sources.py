@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from cassini_bayes.prediction.physics import physics_of_fit
 from cassini_bayes.priors.reader import Priors, read_priors
 
 FIT_DRAWS = 2_000
+RESOLVED: Final = "resolved.toml"
+"""What a run was resolved to, beside its fit."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +62,15 @@ def read_sources(
             "make one: cassini-bayes run RUN.toml",
         )
     resolved = _resolved(fit.parent)
+    record = str(fit.parent / RESOLVED)
     model_table = resolved.get("model", {})
-    if model_table.get("effects"):
+    if not isinstance(model_table, dict):
+        raise InputError(f"{record}: model", "a table", repr(model_table), "run the fit again")
+    if effects := _names(model_table, "effects", f"{record}: model"):
         raise InputError(
             str(fit),
             "a fit of the standard physics",
-            f"one with effects {', '.join(model_table['effects'])}",
+            f"one with effects {', '.join(effects)}",
             "predict from a fit without [model] effects: predictions do not have them",
         )
     priors_path = priors or _locate(fit, resolved.get("priors"), "--priors")
@@ -73,14 +78,14 @@ def read_sources(
     references = (
         [events]
         if events
-        else [str(_locate(fit, name, "--events")) for name in resolved.get("events", [])]
+        else [str(_locate(fit, name, "--events")) for name in _names(resolved, "events", record)]
     )
     if not references:
         raise InputError(
             str(fit), "the events it was made of", "no resolved.toml beside it", "name --events"
         )
     rows = source or str(resolved.get("source", "flight"))
-    policy = Policy.of([*resolved.get("accept", []), *accept])
+    policy = Policy.of([*_names(resolved, "accept", record), *accept])
     tables = {name: read_totals(name, read.spacecraft, rows) for name in references}
     found = tuple(event for table in tables.values() for event in table)
     for name, table in tables.items():
@@ -105,8 +110,16 @@ def learn_from_fit(
 
 
 def _resolved(folder: Path) -> dict[str, Any]:
-    path = folder / "resolved.toml"
+    path = folder / RESOLVED
     return read_toml(path, "what a run was resolved to") if path.exists() else {}
+
+
+def _names(table: Mapping[str, Any], key: str, where: str) -> list[str]:
+    """Names under a key of the record; none where it has no such key."""
+    names = table.get(key, [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{where}, key {key}", "a list of names", repr(names), "run the fit again")
+    return names
 
 
 def _locate(fit: Path, name: object, option: str) -> Path:
@@ -119,7 +132,7 @@ def _locate(fit: Path, name: object, option: str) -> Path:
     for base in (fit.parent.parent, Path(), fit.parent):
         path = base / name
         file = base / _file_of(name)
-        if file.is_file() and (wanted is None or digest(file) == wanted):
+        if exists(file) and file.is_file() and (wanted is None or digest(file) == wanted):
             return path
     raise InputError(
         str(fit),

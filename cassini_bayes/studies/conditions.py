@@ -7,7 +7,7 @@ results are told by stratum, one level of one condition.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -116,7 +116,11 @@ def draw_condition(rng: np.random.Generator) -> Condition:
 
 
 def scenario_under(
-    condition: Condition, scenario: Path, priors: Path, rng: np.random.Generator
+    condition: Condition,
+    scenario: Path,
+    priors: Path,
+    rng: np.random.Generator,
+    effects: Sequence[Mapping[str, Any]] = (),
 ) -> ScenarioFile:
     """The scenario of a campaign flown under a condition, wheel rates drawn anew.
 
@@ -126,6 +130,8 @@ def scenario_under(
         Whose first bias and slews are flown.
     priors
         Folder of the priors files of :data:`CRAFTS`.
+    effects
+        Tables of effects hidden in all events.
     """
     document = read_toml(scenario, "a scenario file")
     file, branch, wheels, given = CRAFTS[condition.craft]
@@ -143,6 +149,7 @@ def scenario_under(
         "rate_resolution_rad_s": RATES[condition.rates][2],
     }
     document["event"] = _events(document["event"], condition.events)
+    document["effect"] = [dict(effect) for effect in effects]
     draw_wheel_rates(document["event"], rng)
     return scenario_of(document, scenario.parent, str(scenario))
 
