@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Dask, Jobs, Json, Quiet
+from cassini_bayes.cli.options import (
+    Accept,
+    ConsoleReporter,
+    Dask,
+    Jobs,
+    Json,
+    LeaveOut,
+    Quiet,
+    Strict,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,6 +51,9 @@ def sweep_command(
     page: Annotated[
         Path | None, typer.Option("--page", help="Also write a results page (.md).")
     ] = None,
+    accept: Accept = None,
+    leave_out: LeaveOut = False,
+    strict: Strict = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -49,7 +61,7 @@ def sweep_command(
     from cassini_bayes.pipeline.run_file import read_run_file
     from cassini_bayes.pipeline.sweep_run import execute_sweep
 
-    run = read_run_file(run_file)
+    run = read_run_file(run_file).accepting(accept or [], leave_out=leave_out)
     where = "command line" if spec is None else str(spec)
     sweep = _sweep_file(spec, where, {"quantities": quantity or None, "refit": refit})
     outcome = execute_sweep(
@@ -69,6 +81,10 @@ def sweep_command(
         typer.echo(json.dumps(as_record(outcome), allow_nan=False))
     elif not quiet:
         typer.echo(str(outcome.folder / "sweep.csv"))
+    for finding in outcome.findings:
+        typer.echo(f"warning: {finding}", err=True)
+    if strict and outcome.findings:
+        raise typer.Exit(1)
 
 
 def _sweep_file(spec: Path | None, where: str, options: dict[str, Any]) -> SweepFile:
@@ -88,6 +104,7 @@ def as_record(outcome: SweepOutcome) -> dict[str, Any]:
         "cells": outcome.cells,
         "seconds": round(outcome.seconds, 1),
         "interval": "central 90 %",
+        "warnings": list(outcome.findings),
         **tables,
     }
 

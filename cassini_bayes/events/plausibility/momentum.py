@@ -56,6 +56,8 @@ there, as a mistake that explains more than a torque of nobody's catalogue has t
 WARM_UP_S: Final = 5.0
 DRIFT_MODES: Final = 12
 LEAST_NOISE: Final = 1e-5
+SHARED: Final = 3.0
+"""Rows that a rounding error counts for (by trial, on pulses of 30 to 250 ms in steps of 125)."""
 MOST_SIGMAS: Final = 5.0
 NOISE_SIGMAS: Final = 3.0
 """Departures that fit noise are a χ² of their number: what noise may make of it, in its σ."""
@@ -115,7 +117,8 @@ class Correction:
     """What recorded channels have to be multiplied by to be true, and what is free besides.
 
     ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
-    a constant error; ``factor`` wheels or thrusters whose column has a free factor.
+    a constant error; ``wheel_factor``: wheels whose column has a free factor; ``on_time``: factor
+    of on-times, not of pulses.
     """
 
     rate: Array  # (3, 3)
@@ -123,6 +126,7 @@ class Correction:
     thruster: Array  # (K, K)
     offset: Array = field(default_factory=lambda: np.zeros((3, 0)))
     wheel_factor: tuple[int, ...] = ()
+    on_time: float = 1.0
 
     @classmethod
     def nothing(cls, wheels: int, thrusters: int) -> Correction:
@@ -198,6 +202,7 @@ class Momentum:
     rows: int
     per_row: int  # equations that a row brings
     counts: int  # second differences
+    rounding: Array  # (K,) s², variance that a rounded counter brings to a row
 
     def noise(self, nominal: Nominal, correction: Correction) -> float:
         """Standard deviation of a row on one axis, N m s: from second differences of the total.
@@ -206,7 +211,9 @@ class Momentum:
         """
         targets = corrected(self.columns, nominal.exchanges, correction)
         square = float(np.einsum("ph,ph->h", targets, self.steps @ targets).min())
-        return float(np.sqrt(max(square / (6.0 * self.per_row * self.counts), LEAST_NOISE**2)))
+        rounded = float(np.sum(nominal.torques**2 @ self.rounding)) / 3.0
+        bent = square / (6.0 * self.per_row * self.counts)
+        return float(np.sqrt(max(bent + rounded, LEAST_NOISE**2)))
 
     def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
         """What it costs to close the balance."""
@@ -261,10 +268,10 @@ def corrected(columns: Columns, weights: Array, correction: Correction) -> Array
         ("rate around", correction.rate),
         ("wheel", correction.wheel),
         ("wheel around", correction.wheel),
-        ("fire", correction.thruster),
+        ("fire", correction.on_time * correction.thruster),
         ("pulse", correction.thruster),
-        ("warm up", correction.thruster),
-        ("flow", correction.thruster),
+        ("warm up", correction.on_time * correction.thruster),
+        ("flow", correction.on_time * correction.thruster),
     ):
         block = weights[columns.of[name]].reshape(3, len(matrix), weights.shape[1])
         moved = np.einsum("anj,nm->amj", block, matrix)
@@ -420,7 +427,23 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     unknown = np.linalg.qr(start.reshape(3 * count, 3))[0]
     flat = flat - unknown @ (unknown.T @ flat)
     bends = (table[2:] - 2.0 * table[1:-1] + table[:-2]).reshape(3 * (count - 2), -1)
-    return Momentum(columns, flat.T @ flat, bends.T @ bends, count, per_row, count - 2)
+    gram, steps = flat.T @ flat, bends.T @ bends
+    return Momentum(columns, gram, steps, count, per_row, count - 2, rounding_of(rows))
+
+
+def rounding_of(rows: Rows) -> Array:
+    """Variance (K,) in s² that rounding brings to a cumulative on-time.
+
+    A counter in coarse steps shows pulses without on-time, or on-time without pulses. Its error is
+    spread evenly over a step and stays until the next firing, so it is no noise of single rows,
+    which second differences would find; being shared by rows, it counts :data:`SHARED` times.
+    """
+    on, pulses = np.diff(rows.on_time_s, axis=0), np.diff(rows.pulses, axis=0)
+    rounded = ((on > 0.0) != (pulses > 0.0)).any(axis=0) & (pulses > 0.0).any(axis=0)
+    # counters gain whole steps: the least difference of two gains is one
+    gains = [np.unique(np.round(np.append(column, 0.0), 6)) for column in on.T]
+    step = [float(np.diff(each).min(initial=np.inf)) for each in gains]
+    return np.where(rounded, SHARED * np.square(step) / 12.0, 0.0)
 
 
 def _around(values: Array) -> Array:

@@ -21,6 +21,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.hypotheses import (
     FREE_PRICE,
+    ON_TIME_UNITS,
     ORDER_PRICE,
     WHEEL_UNITS,
 )
@@ -290,6 +291,11 @@ def _changes(
                 replace(row, start_rpm=factor * row.start_rpm, end_rpm=factor * row.end_rpm)
                 for row in rows
             ],
+        )
+    for unit, factor in ON_TIME_UNITS.items():
+        yield (
+            ("on-time-unit", f"on-times that look like {unit}", "give seconds", ORDER_PRICE),
+            [replace(row, on_time_s=factor * row.on_time_s) for row in rows],
         )
     count = min(len(row.wheels) for row in rows)
     same = len({row.wheels for row in rows}) == 1

@@ -109,5 +109,3 @@ def recorded(event: SimulatedEvent, samples: Samples) -> tuple[TelemetryEvent, C
 def with_events(condition: Condition, events: str) -> Condition:
     """The same condition with another mix of events."""
     return replace(condition, events=events)
-
-

@@ -194,9 +194,7 @@ _RATES: Final[Mapping[str, Mistaken]] = {
         ("rate-unit", "time-unit"),
         spread=-3.0 * np.log(DEGREES),
     ),
-    "rates × 1.1": Mistaken(
-        times("rate_rad_s", 1.1), ("rate-factor",), spread=3.0 * np.log(1.1)
-    ),
+    "rates × 1.1": Mistaken(times("rate_rad_s", 1.1), ("rate-factor",), spread=3.0 * np.log(1.1)),
     "y rate × 1.1": Mistaken(
         times("rate_rad_s", (1.0, 1.1, 1.0)), ("rate-factor",), spread=np.log(1.1)
     ),
