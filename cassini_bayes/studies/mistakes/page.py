@@ -138,9 +138,10 @@ def _opening(
     right = sum(counted[word] for word in RIGHT)
     return [
         f"What the checks ([Mistakes in data](../plausibility.md)) say of {kinds} kinds of",
-        f"mistakes in {sets} data sets each, and of {len(disturbed)} honest draws, every second one with a",
-        "clear effect of the catalogue. Conditions (controller, cadence, steps of counters and",
-        "wheels, noise, craft) are drawn as for the [calibration over conditions](conditions.md).",
+        f"mistakes in {sets} data sets each, and of {len(disturbed)} honest draws, every second one",
+        "with a clear effect of the catalogue. Conditions (controller, cadence, steps of counters",
+        "and wheels, noise, craft) are drawn as for the [calibration over",
+        "conditions](conditions.md).",
         "",
         f"* **{right} of {judged} mistakes that matter are named, or cannot be known"
         f" ({100 * _share(counted):.1f} %; goal {100 * GOAL_NAMED:.0f} %)**:"
