@@ -46,6 +46,8 @@ RATE_UNITS: Final = {
     "rad/s turned from deg/s twice": 180.0 / np.pi,
 }
 ON_TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0}
+SHORTEST_PULSE_S: Final = 5e-3
+"""No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
 LATE_S: Final = (2.0, 5.0, 12.0, 30.0, 75.0)
 LEAST_FACTOR_STEP: Final = 0.08
@@ -260,7 +262,7 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
             for k in (*a, *b)
         )
     ]
-    for unit, factor in ON_TIME_UNITS.items():
+    for unit, factor in on_time_units(evidence.rows).items():
         fit = evidence.balance(replace(nothing, on_time=factor))
         assert fit is not None
         yield Explanation(
@@ -280,6 +282,29 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
             fit.excess + still,
             ORDER_PRICE * (1 + len(both)),
         )
+
+
+def on_time_units(rows: Rows | None) -> dict[str, float]:
+    """Units that recorded on-times may be in, and their seconds.
+
+    Momentum alone does not tell: tails of pulses could take the place of on-times. But no counter
+    gains more than the time that passes, and no pulse is shorter than a valve allows.
+    """
+    if rows is None:
+        return {}
+    span_s = float(rows.time_s[-1] - rows.time_s[0])
+    gained = rows.on_time_s[-1] - rows.on_time_s[0]
+    return impossible_units(gained, rows.pulses[-1] - rows.pulses[0], span_s)
+
+
+def impossible_units(on_time_s: Array, pulses: Array, span_s: float) -> dict[str, float]:
+    """Units, in seconds, of on-times (K,) that cannot be seconds: of so many pulses in a time."""
+    units = {}
+    if float(on_time_s.max(initial=0.0)) > span_s:
+        units["ms"] = ON_TIME_UNITS["ms"]
+    if 0.0 < float(on_time_s.sum()) < SHORTEST_PULSE_S * float(pulses.sum()):
+        units["min"] = ON_TIME_UNITS["min"]
+    return units
 
 
 def _of_rates(evidence: Evidence) -> Iterator[Explanation]:

@@ -74,7 +74,12 @@ def moved(late_s: float, *channels: str) -> Change:
         result[there] = values[there[np.clip(source, 0, len(there) - 1)]]
         return result
 
-    return lambda chunk: replace(chunk, **{name: slipped(chunk, name) for name in channels})
+    def change(chunk: Chunk) -> Chunk:
+        for name in channels:
+            chunk = replace(chunk, **{name: slipped(chunk, name)})
+        return chunk
+
+    return change
 
 
 def with_column(channel: str, column: int, value: Callable[[Array], Array | float]) -> Change:

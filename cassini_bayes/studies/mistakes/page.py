@@ -138,9 +138,9 @@ def _opening(
     right = sum(counted[word] for word in RIGHT)
     return [
         f"What the checks ([Mistakes in data](../plausibility.md)) say of {kinds} kinds of",
-        f"mistakes in {sets} data sets each, and of {len(disturbed)} honest draws, every second one",
-        "with a clear effect of the catalogue. Conditions (controller, cadence, steps of counters",
-        "and wheels, noise, craft) are drawn as for the [calibration over",
+        f"mistakes in {sets} data sets each, and of {len(disturbed)} honest draws, every second",
+        "one with a clear effect of the catalogue. Conditions (controller, cadence, noise, craft,",
+        "steps of counters and wheels) are those of the [calibration over",
         "conditions](conditions.md).",
         "",
         f"* **{right} of {judged} mistakes that matter are named, or cannot be known"
