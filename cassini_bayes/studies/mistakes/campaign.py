@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -143,9 +144,11 @@ Found = tuple[str, float, float]
 def _of_telemetry(
     events: Sequence[tuple[TelemetryEvent, Chunk]], priors: Priors
 ) -> Iterator[Found]:
-    honest = {event.kind: (event, chunk) for event, chunk in events}
+    honest: dict[str, tuple[TelemetryEvent, Chunk]] = {
+        event.kind: (event, chunk) for event, chunk in events
+    }
     oracles = {
-        kind: Oracle(lambda chunk, p, event=event: answer_of([(event, chunk)], p), chunk, priors)
+        kind: Oracle(partial(_answer_of_event, event), chunk, priors)
         for kind, (event, chunk) in honest.items()
     }
     for name, kind in CASES:
@@ -158,6 +161,10 @@ def _of_telemetry(
             verdict,
             *(oracles[kind].ask(wrong, each.spread * known) if verdict == "passed" else _UNASKED),
         )
+
+
+def _answer_of_event(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> Answer | None:
+    return answer_of([(event, chunk)], priors)
 
 
 def _of_rows(rows: Sequence[TotalsEvent], priors: Priors) -> Iterator[Found]:
