@@ -434,12 +434,15 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
 def rounding_of(rows: Rows) -> Array:
     """Variance (K,) in s² that rounding brings to a cumulative on-time.
 
-    A counter in coarse steps shows pulses without on-time, or on-time without pulses. Its error is
+    A counter in coarse steps shows pulses without on-time (on-time without a new pulse may be a long
+    one that goes on). Its error is
     spread evenly over a step and stays until the next firing, so it is no noise of single rows,
     which second differences would find; being shared by rows, it counts :data:`SHARED` times.
     """
     on, pulses = np.diff(rows.on_time_s, axis=0), np.diff(rows.pulses, axis=0)
-    rounded = ((on > 0.0) != (pulses > 0.0)).any(axis=0) & (pulses > 0.0).any(axis=0)
+    empty = (pulses > 0.0) & (on == 0.0)
+    # a pulse that begins as the row is taken has its on-time in the next one
+    rounded = (empty[:-1] & (on[1:] == 0.0)).any(axis=0)
     # counters gain whole steps: the least difference of two gains is one
     gains = [np.unique(np.round(np.append(column, 0.0), 6)) for column in on.T]
     step = [float(np.diff(each).min(initial=np.inf)) for each in gains]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -76,7 +76,8 @@ def moved(late_s: float, *channels: str) -> Change:
 
     def change(chunk: Chunk) -> Chunk:
         for name in channels:
-            chunk = replace(chunk, **{name: slipped(chunk, name)})
+            late: dict[str, Any] = {name: slipped(chunk, name)}
+            chunk = replace(chunk, **late)
         return chunk
 
     return change
