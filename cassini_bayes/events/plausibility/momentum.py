@@ -434,7 +434,7 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
 def rounding_of(rows: Rows) -> Array:
     """Variance (K,) in s² that rounding brings to a cumulative on-time.
 
-    A counter in coarse steps shows pulses without on-time (on-time without a new pulse may be a long
+    A counter in coarse steps shows pulses without on-time (on-time without a pulse may be a long
     one that goes on). Its error is
     spread evenly over a step and stays until the next firing, so it is no noise of single rows,
     which second differences would find; being shared by rows, it counts :data:`SHARED` times.
