@@ -24,6 +24,7 @@ from cassini_bayes.events.telemetry import load_event, read_channel_map, read_ev
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files import cells, json_file, toml_file
 from cassini_bayes.files.foreign import read_foreign
+from cassini_bayes.model.mission.mission_file import read_mission_file
 from cassini_bayes.pipeline.run_file import read_run_file
 from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.prediction.requests import read_requests
@@ -89,6 +90,7 @@ DOORS: Final = {
     "channels": Door(
         "my.toml", ROOT / "docs" / "examples" / "own_csv" / "channels.toml", read_channel_map
     ),
+    "mission": Door("my.toml", ROOT / "runs" / "cassini_mission.toml", read_mission_file),
     "beliefs": Door("my.toml", PACKAGE / "prediction" / "prediction.toml", read_beliefs),
     "event": Door("event.toml", None, _event),
     "resolved": Door("resolved.toml", None, _sources),

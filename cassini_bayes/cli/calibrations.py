@@ -241,7 +241,8 @@ def calibrate_two_wheels_command(
 
 @app.command("mistakes")
 def calibrate_mistakes_command(
-    priors: PriorsFile = TELEMETRY_PRIORS,
+    scenario: ScenarioFile = SCENARIO,
+    priors: Annotated[Path, typer.Option("--priors", help="Folder of priors files.")] = PRIORS,
     trials: Trials = None,
     quick: Quick = False,
     seed: Seed = 20_261_122,
@@ -251,14 +252,14 @@ def calibrate_mistakes_command(
     out: Out = OUT,
     quiet: Quiet = False,
 ) -> None:
-    """Hide mistakes in simulated telemetry; count what is named, and what honest events get."""
+    """Hide mistakes in telemetry and totals; count what is named, and what honest data get."""
     from cassini_bayes.studies.mistakes import FULL, QUICK, run_mistakes
 
     numbers = _numbers(FULL, QUICK, trials, quick)
     page = out / "mistakes.md"
     with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        run_mistakes(study, priors, numbers)
-    _end(page)
+        passed = run_mistakes(study, scenario, priors, numbers)
+    _end(page, passed)
 
 
 @app.command("missions")

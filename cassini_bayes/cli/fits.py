@@ -49,9 +49,7 @@ def run_command(
     run = read_run_file(run_file)
     if seed is not None:
         run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
-    accepted = [*run.accept, *(accept or [])]
-    left_out = run.leave_out or leave_out
-    run = run.model_copy(update={"accept": accepted, "leave_out": left_out})
+    run = run.accepting(accept or [], leave_out=leave_out)
     folder = out or run_file.parent / (run.output.folder or run_file.stem)
     outcome = _execute(
         run, run_file.parent, folder, run_file.stem, effects or (), force, resume, quiet

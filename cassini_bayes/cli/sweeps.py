@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Dask, Jobs, Json, Quiet
+from cassini_bayes.cli.options import (
+    Accept,
+    ConsoleReporter,
+    Dask,
+    Jobs,
+    Json,
+    LeaveOut,
+    Quiet,
+    Strict,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,6 +50,9 @@ def sweep_command(
     page: Annotated[
         Path | None, typer.Option("--page", help="Also write a results page (.md).")
     ] = None,
+    accept: Accept = None,
+    leave_out: LeaveOut = False,
+    strict: Strict = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -53,6 +65,8 @@ def sweep_command(
         quantities=quantity,
         refit=refit,
         fit=fit,
+        accept=accept or [],
+        leave_out=leave_out,
         jobs=jobs,
         dask=dask,
         report=not no_report,
@@ -64,6 +78,10 @@ def sweep_command(
         typer.echo(json.dumps(as_record(outcome), allow_nan=False))
     elif not quiet:
         typer.echo(str(outcome.folder / "sweep.csv"))
+    for finding in outcome.findings:
+        typer.echo(f"warning: {finding}", err=True)
+    if strict and outcome.findings:
+        raise typer.Exit(1)
 
 
 def as_record(outcome: SweepOutcome) -> dict[str, Any]:
@@ -74,6 +92,7 @@ def as_record(outcome: SweepOutcome) -> dict[str, Any]:
         "cells": outcome.cells,
         "seconds": round(outcome.seconds, 1),
         "interval": "central 90 %",
+        "warnings": list(outcome.findings),
         **tables,
     }
 

@@ -80,7 +80,8 @@ def _refusal(
 
 def _expected(found: Mapping[str, Any]) -> str:
     context = {key: "one" if value == 1 else value for key, value in found.get("ctx", {}).items()}
-    plain: str = found["msg"].removeprefix("Input should ").removeprefix("be ")
+    plain: str = found["msg"].removeprefix("Value error, ")
+    plain = plain.removeprefix("Input should ").removeprefix("be ")
     return _EXPECTED[found["type"]].format(**context) if found["type"] in _EXPECTED else plain
 
 

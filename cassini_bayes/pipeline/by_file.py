@@ -24,6 +24,8 @@ def sweep(
     quantities: Sequence[str] | None = None,
     refit: str | None = None,
     fit: PathLike | None = None,
+    accept: Sequence[str] = (),
+    leave_out: bool = False,
     jobs: int | None = None,
     dask: str | None = None,
     report: bool = True,
@@ -48,6 +50,8 @@ def sweep(
         ``auto``, ``always`` or ``never``.
     fit
         Folder of the finished run, if it is not where the run file says.
+    accept, leave_out
+        Mistakes that the caller accepts, and whether bad cells are left out.
     jobs, dask
         Processes, or the address of a Dask scheduler.
     report
@@ -63,7 +67,7 @@ def sweep(
         No fit there, or one of another model; an unknown block or quantity.
     """
     path = Path(run_file)
-    run = read_run_file(path)
+    run = read_run_file(path).accepting(accept, leave_out=leave_out)
     where = "command line" if spec is None else str(spec)
     wanted = _sweep_file(spec, where, {"quantities": quantities or None, "refit": refit})
     return execute_sweep(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -59,6 +60,11 @@ class RunFile(Table):
     model: ModelTable = ModelTable()
     sampler: SamplerTable = SamplerTable()
     output: OutputTable = OutputTable()
+
+    def accepting(self, mistakes: Sequence[str], *, leave_out: bool) -> RunFile:
+        """The same with what a command accepts besides."""
+        accept = [*self.accept, *mistakes]
+        return self.model_copy(update={"accept": accept, "leave_out": self.leave_out or leave_out})
 
 
 def read_run_file(path: Path) -> RunFile:

@@ -56,6 +56,7 @@ class SweepOutcome:
     tables: SweepTables
     cells: int
     seconds: float
+    findings: tuple[str, ...] = ()  # mistakes that were accepted, and what fits nothing known
 
     def summary(self) -> pd.DataFrame:
         """One row per quantity and cell: its mean and sd, shift and width against the baseline."""
@@ -139,7 +140,7 @@ def execute_sweep(
             _write_page(page, planned, tables, figures, folder, command)
     seconds = time.monotonic() - began
     reporter.say(f"done in {seconds:.0f} s: {target}")
-    return SweepOutcome(target, tables, len(planned.cells), seconds)
+    return SweepOutcome(target, tables, len(planned.cells), seconds, inputs.findings)
 
 
 def _read(run: RunFile, base: Path, folder: Path, reporter: Reporter) -> tuple[Inputs, Fit]:

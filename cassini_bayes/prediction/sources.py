@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.record import Fit
 
 FIT_DRAWS = 2_000
+RESOLVED: Final = "resolved.toml"
+"""What a run was resolved to, beside its fit."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +65,15 @@ def read_sources(
             "make one: cassini-bayes run RUN.toml",
         )
     resolved = _resolved(fit.parent)
+    record = str(fit.parent / RESOLVED)
     model_table = resolved.get("model", {})
-    if model_table.get("effects"):
+    if not isinstance(model_table, dict):
+        raise InputError(f"{record}: model", "a table", repr(model_table), "run the fit again")
+    if effects := _names(model_table, "effects", f"{record}: model"):
         raise InputError(
             str(fit),
             "a fit of the standard physics",
-            f"one with effects {', '.join(model_table['effects'])}",
+            f"one with effects {', '.join(effects)}",
             "predict from a fit without [model] effects: predictions do not have them",
         )
     priors_path = priors or locate(fit, resolved.get("priors"), "--priors")
@@ -76,14 +81,14 @@ def read_sources(
     references = (
         [events]
         if events
-        else [str(locate(fit, n, "--events", read)) for n in resolved.get("events", [])]
+        else [str(locate(fit, n, "--events", read)) for n in _names(resolved, "events", record)]
     )
     if not references:
         raise InputError(
             str(fit), "the events it was made of", "no resolved.toml beside it", "name --events"
         )
     rows = source or str(resolved.get("source", "flight"))
-    policy = Policy.of([*resolved.get("accept", []), *accept])
+    policy = Policy.of([*_names(resolved, "accept", record), *accept])
     tables = {
         name: read_totals(name, read.spacecraft, rows)
         for name in references
@@ -131,8 +136,16 @@ def learn_from_fit(
 
 
 def _resolved(folder: Path) -> dict[str, Any]:
-    path = folder / "resolved.toml"
+    path = folder / RESOLVED
     return read_toml(path, "what a run was resolved to") if path.exists() else {}
+
+
+def _names(table: Mapping[str, Any], key: str, where: str) -> list[str]:
+    """Names under a key of the record; none where it has no such key."""
+    names = table.get(key, [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{where}, key {key}", "a list of names", repr(names), "run the fit again")
+    return names
 
 
 def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -> Path:
@@ -158,7 +171,8 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
                 return path
             continue
         file = base / _file_of(name)
-        if file.is_file() and digests.get(_file_of(name)) in (None, digest(file)):
+        known = digests.get(_file_of(name))
+        if exists(file) and file.is_file() and known in (None, digest(file)):
             return path
     raise InputError(
         str(fit),

@@ -34,6 +34,8 @@ from cassini_bayes.priors.quantiles import (
 )
 
 # A prior with less of its probability between its bounds than this was not meant.
+LEAST_SCALE: Final = 1e-100
+"""Of a width: numbers divided by a smaller one may overflow."""
 _LEAST_MASS: Final = 1e-12
 _MOMENT_GRID: Final = np.linspace(-20.0, 20.0, 8001)
 
@@ -256,7 +258,7 @@ def check_keywords(
     numbers = {
         key: finite_number(f"{where}.{key}", keywords[key]) for key in allowed if key in keywords
     }
-    if numbers.get("scale", 1.0) <= 0:
+    if numbers.get("scale", 1.0) < LEAST_SCALE:
         raise InputError(
             f"{where}.scale",
             "a width above 0",

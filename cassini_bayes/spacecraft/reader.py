@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
@@ -178,7 +179,7 @@ def _declared(name: str, specs: Mapping[str, ParameterSpec], unit: str, place: s
 
 def _unit_vector(values: list[float], place: str) -> NDArray[np.float64]:
     vector = np.array(values, dtype=np.float64)
-    norm = float(np.linalg.norm(vector))
+    norm = math.hypot(*values)  # of numbers of any size
     if not abs(norm - 1.0) <= UNIT_TOLERANCE:
         raise InputError(
             place,

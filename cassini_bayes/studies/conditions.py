@@ -7,7 +7,7 @@ results are told by stratum, one level of one condition.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -118,7 +118,11 @@ def draw_condition(rng: np.random.Generator) -> Condition:
 
 
 def scenario_under(
-    condition: Condition, scenario: Path, priors: Path, rng: np.random.Generator
+    condition: Condition,
+    scenario: Path,
+    priors: Path,
+    rng: np.random.Generator,
+    effects: Sequence[Mapping[str, Any]] = (),
 ) -> ScenarioFile:
     """The scenario of a campaign flown under a condition, wheel rates drawn anew.
 
@@ -128,6 +132,8 @@ def scenario_under(
         Whose first bias and slews are flown.
     priors
         Folder of the priors files of :data:`CRAFTS`.
+    effects
+        Tables of effects hidden in all events.
     """
     document = read_toml(scenario, "a scenario file")
     file, branch, wheels, given = CRAFTS[condition.craft]
@@ -146,6 +152,7 @@ def scenario_under(
         "on_time_resolution_s": COUNTER_STEPS[condition.counter_step],
     }
     document["event"] = _events(document["event"], condition.events)
+    document["effect"] = [dict(effect) for effect in effects]
     draw_wheel_rates(document["event"], rng)
     return scenario_of(document, scenario.parent, str(scenario))
 

@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import pytest
 import run_cases
 
+from cassini_bayes.pipeline.run_file import RunFile
+
 CONTRADICTIONS = ("first: pulled", "second: pulled")
 
 
@@ -38,3 +40,22 @@ def test_contradictions_stand_last(
         assert run_cases.command([*command, "--quiet", *options]) == status
         error = capsys.readouterr().err
         assert error.splitlines() == [f"warning: {line}" for line in warnings]
+
+
+def test_a_sweep_accepts_what_its_run_accepted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Mistakes accepted on the command line of a run are accepted again, said last, and strict."""
+    given = []
+
+    def execute(run: RunFile, *_: object, **__: object) -> SimpleNamespace:
+        given.append(run)
+        return SimpleNamespace(folder=tmp_path, findings=("accepted (wheel-order)",))
+
+    monkeypatch.setattr("cassini_bayes.pipeline.sweep_run.execute_sweep", execute)
+    run_file = str(run_cases.write_run(tmp_path))
+    sweep = ["sweep", run_file, "--accept", "wheel-order", "--leave-out", "--quiet"]
+    assert run_cases.command(sweep) == 0
+    assert run_cases.command([*sweep, "--strict"]) == 1
+    assert {(tuple(run.accept), run.leave_out) for run in given} == {(("wheel-order",), True)}
+    assert capsys.readouterr().err.splitlines() == ["warning: accepted (wheel-order)"] * 2

@@ -39,7 +39,8 @@ from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
-from cassini_bayes.studies.mistakes import MISTAKEN
+from cassini_bayes.studies.mistakes.kinds import TELEMETRY
+from cassini_bayes.studies.mistakes.oracle import answer_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
 
 CASSINI = load_spacecraft("cassini")
@@ -91,7 +92,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Event]:
 
 QUICK = {
     "bias": (
-        "wheels 1 and 2 exchanged",
+        "first two wheels exchanged",
         "wheels in rad/s",
         "z1 and z3 exchanged",
         "y1 and y2 exchanged",
@@ -102,8 +103,8 @@ QUICK = {
     ),
     "slew": (
         "wheels rotated",
-        "wheel 2 stuck",
-        "wheel 2 + 500 rpm",
+        "second wheel stuck",
+        "second wheel + 500 rpm",
         "wheels 8 s late",
         "sign of y rate",
         "rates × 1.1",
@@ -121,15 +122,15 @@ def test_a_mistake_is_named(honest: dict[str, Event], kind: str, mistake: str) -
     """Refused with the file in the message, under the right name, which is how to accept it."""
     event, chunk = honest[kind]
     with pytest.raises(InputError) as caught:
-        check_telemetry(event, [MISTAKEN[mistake].change(chunk)], CASSINI, NOMINAL)
-    assert caught.value.fix.rpartition("--accept ")[2] in MISTAKEN[mistake].names
+        check_telemetry(event, [TELEMETRY[mistake].change(chunk)], CASSINI, NOMINAL)
+    assert caught.value.fix.rpartition("--accept ")[2] in TELEMETRY[mistake].names
     assert "telemetry.csv" in caught.value.where
 
 
 def test_an_accepted_mistake_is_said(honest: dict[str, Event]) -> None:
     """What was refused passes with its name accepted, and stays among the findings."""
     event, chunk = honest["bias"]
-    wrong = MISTAKEN["wheels 1 and 2 exchanged"].change(chunk)
+    wrong = TELEMETRY["first two wheels exchanged"].change(chunk)
     found = check_telemetry(event, [wrong], CASSINI, NOMINAL, Policy.of(["wheel-order"]))
     assert len(found.findings) == 1
     assert "wheel-order" in found.findings[0]
@@ -236,6 +237,42 @@ def test_bad_cells_are_found(honest: dict[str, Event], kind: str, count: int) ->
     assert "left out" in check.verdict().findings[0]
 
 
+@pytest.mark.parametrize("count", [1, 5, 50])
+def test_bad_cells_left_out_change_no_answer(honest: dict[str, Event], count: int) -> None:
+    """Among 1,200 rows: within 0.3 σ of the fit without those rows; left in, they move it.
+
+    Wheel rates wrong by 30 to 3,000 rpm and body rates by 1e-4 to 1e-2 rad/s, in any rows.
+    """
+    event, chunk = honest["bias"]
+    rng = np.random.default_rng([18, count])
+    rows = rng.choice(np.arange(2, chunk.rows - 2), count, replace=False)
+    wheel, rate = chunk.wheel_rpm.copy(), chunk.rate_rad_s.copy()
+    for row in rows:
+        size = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(0.0, 2.0)
+        column = int(rng.integers(3))
+        if rng.random() < 0.5:
+            wheel[row, column] += 30.0 * size
+        else:
+            rate[row, column] += 1e-4 * size
+    wrong = replace(chunk, wheel_rpm=wheel, rate_rad_s=rate)
+    gone = np.zeros(chunk.rows, dtype=bool)
+    gone[rows] = True
+    blank = {"wheel_rpm": chunk.wheel_rpm, "rate_rad_s": chunk.rate_rad_s}
+    without = replace(
+        chunk, **{name: np.where(gone[:, None], np.nan, v) for name, v in blank.items()}
+    )
+    priors = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+    mended = TelemetryCheck(event, CASSINI, NOMINAL, Policy(leave_out=True)).take(wrong)
+    clean, left_out = (answer_of([(event, each)], priors) for each in (without, mended))
+    assert clean is not None
+    assert left_out is not None
+    assert clean.moved(left_out) < 0.3
+    if count == 1:  # negative control
+        left_in = answer_of([(event, wrong)], priors)
+        assert left_in is not None
+        assert clean.moved(left_in) > 1.0
+
+
 # ---- totals --------------------------------------------------------------------------------------
 
 PRIORS = read_priors(Path(B_BRANCH))
@@ -298,14 +335,15 @@ def in_rad_s(event: TotalsEvent) -> TotalsEvent:
 
 
 def test_wheel_rates_in_rad_s_are_named() -> None:
-    """In every row, in one of eight, and in a row that stands alone: firing cannot vanish."""
+    """In every row, in one of eight, and in each row that stands alone: firing cannot vanish."""
     rows = list(flight())
     assert judged([in_rad_s(row) for row in rows]).startswith("wheel-unit")
     one = judged([*rows[:3], in_rad_s(rows[3]), *rows[4:]])
     assert one.startswith("wheel-unit")
     assert rows[3].id in one
-    assert judged([in_rad_s(rows[3])]).startswith("wheel-unit")
-    assert judged([rows[3]]) == ""
+    for row in rows:
+        assert judged([in_rad_s(row)]).startswith("wheel-unit")
+        assert judged([row]) == ""
 
 
 def test_a_mistake_in_one_row_is_named_with_the_row() -> None:

@@ -1,4 +1,4 @@
-"""The study of mistakes: honest sets pass, and the page counts what was named."""
+"""The study of mistakes: an honest draw passes, outcomes are judged, the page counts them."""
 
 from __future__ import annotations
 
@@ -7,45 +7,104 @@ from pathlib import Path
 import numpy as np
 import pytest
 from study_cases import study_in
+from totals_cases import flight
 
-from cassini_bayes.studies.mistakes import (
+from cassini_bayes.studies.conditions import LEVELS
+from cassini_bayes.studies.mistakes import run_mistakes
+from cassini_bayes.studies.mistakes.campaign import (
     CASES,
-    KINDS,
-    MISTAKEN,
+    MOST_EVENTS,
+    NO_EVENT,
+    ROW_CASES,
     VERDICTS,
     Honest,
-    run_mistakes,
+    judge_rows,
 )
+from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS
+from cassini_bayes.studies.mistakes.oracle import answer_of_rows, with_catalogue
+from cassini_bayes.studies.mistakes.page import outcome
 from cassini_bayes.studies.study import Arrays, Study
 
-PRIORS = Path(__file__).parents[2] / "priors" / "cassini_b_branch_telemetry.toml"
+ROOT = Path(__file__).parents[2]
+SCENARIO, PRIORS = ROOT / "runs" / "scenarios" / "calibration.toml", ROOT / "priors"
 
 
-def test_an_honest_set_passes_twice_alike() -> None:
-    """A set has a random stream of its own; without mistakes nothing is refused."""
-    first, again = (Honest(PRIORS, 3).repetition(0) for _ in range(2))
+def test_an_honest_draw_passes_twice_alike() -> None:
+    """A draw has a random stream of its own; without mistakes nothing is refused."""
+    first, again = (Honest(SCENARIO, PRIORS, 3).repetition(0) for _ in range(2))
     assert first["effect"] == -1
-    assert [VERDICTS[verdict] for verdict in np.asarray(first["verdict"])] == ["passed"] * 3
+    verdicts = np.asarray(first["verdict"])
+    assert set(verdicts[verdicts != NO_EVENT]) == {VERDICTS.index("passed")}
     assert all(np.array_equal(first[key], again[key]) for key in first)
 
 
-def test_the_page_counts_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Verdicts made up: one event flagged, every mistake named in one of two sets."""
-    named = [VERDICTS.index(MISTAKEN[name].names[0]) for name, _ in CASES]
-    honest = np.zeros((4, len(KINDS)), dtype=np.int64)
+def test_there_are_enough_kinds() -> None:
+    """Sixty in telemetry, and those of totals; each names what there is to accept."""
+    assert len(TELEMETRY) >= 60
+    for each in (*TELEMETRY.values(), *TOTALS.values()):
+        assert set(each.names) <= set(VERDICTS)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "moved", "nats", "word"),
+    [
+        ("wheel-order", np.nan, np.nan, "named"),
+        ("wheel-sign", np.nan, np.nan, "wrong name"),
+        ("flagged", np.nan, np.nan, "flagged"),
+        ("passed", 2.9, np.nan, "harmless"),
+        ("passed", 9.0, 1.9, "cannot be known"),
+        ("passed", 9.0, 2.1, "missed"),
+        ("passed", np.inf, np.inf, "missed"),
+    ],
+)
+def test_outcomes(verdict: str, moved: float, nats: float, word: str) -> None:
+    """Right by name, harmless below 3 σ, excused below 2 nats, and nothing else."""
+    assert outcome(verdict, ("wheel-order",), moved, nats).word == word
+
+
+def test_the_oracle_sees_what_matters() -> None:
+    """Flight rows: wheels exchanged move thrusts and data speak against it; on-times × 1.2 do not.
+
+    Longer on-times are a weaker thrust: with priors as wide as the catalogue nothing tells.
+    """
+    rows, priors = flight()
+    honest, wide = (answer_of_rows(rows, p) for p in (priors, with_catalogue(priors)))
+    assert honest is not None
+    assert wide is not None
+    for name, tells in (("first two wheels exchanged", True), ("on-times × 1.2", False)):
+        wrong = [TOTALS[name].change(row) for row in rows]
+        found = answer_of_rows(wrong, with_catalogue(priors))
+        assert found is not None
+        assert (wide.log_density - found.log_density > 20.0) == tells
+        assert (judge_rows(wrong, priors) == "wheel-order") == tells
+    assert honest.moved(honest) == 0.0
+
+
+def test_the_page_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made up: one draw of four disturbed; all named in one set, all missed in the other."""
+    names = [TELEMETRY[name].names for name, _ in CASES] + [TOTALS[n].names for n, _ in ROW_CASES]
+    named = np.array([VERDICTS.index(each[0]) if each else 0 for each in names])
+    nothing = np.zeros(len(names))
+    honest = np.full((4, MOST_EVENTS), NO_EVENT)
+    honest[:, 0] = 0
     honest[1, 0] = VERDICTS.index("flagged")
     made_up: dict[str, Arrays] = {
         "honest": {
+            "levels": np.zeros((4, len(LEVELS)), dtype=np.int64),
             "effect": np.array([-1, 0, -1, 1]),
             "verdict": honest,
-            "misfit": np.ones((4, len(KINDS))),
         },
-        "mistaken": {"verdict": np.array([named, np.zeros_like(named)])},
+        "mistaken": {
+            "verdict": np.array([named, np.zeros_like(named)]),
+            "moved": np.array([nothing, nothing + 9.0]),
+            "nats": np.array([nothing, nothing + 5.0]),
+        },
     }
     monkeypatch.setattr(Study, "repeat", lambda _, name, *__: made_up[name])
     study = study_in(tmp_path)
-    run_mistakes(study, PRIORS, {"honest": 4, "mistaken": 2})
+    assert not run_mistakes(study, SCENARIO, PRIORS, {"honest": 4, "mistaken": 2})
     page = study.page.read_text()
-    assert "| bias | yes | 2 | 0 | 1 | 1.0 |" in page
-    assert "Not passed: set 1, bias, thrust_scale: flagged (misfit 1.0)." in page
-    assert page.count("| 2 | 1 | 0 | 0 | 1 |") == len(CASES)
+    assert "| effect | a clear one | 2 | 1 |" in page
+    assert "Not passed: draw 1, thrust_scale: flagged." in page
+    assert "| wheels rotated | both | named | **missed (9 σ, 5 nats)** |" in page
+    assert "1 of 4 honest draws" in page

@@ -76,10 +76,9 @@ class CellSearch:
             middle = 0.5 * (turn[1:] + turn[:-1])
             gained = np.einsum("nij,jk,nk->ni", middle, self.nominal.torques, on_time)
             impulse[1:] = np.cumsum(gained, axis=0)
-            largest = np.linalg.norm(self.nominal.torques, axis=0)
-            padded = np.concatenate([np.zeros((1, steps.shape[1])), steps])
-            near = np.max([np.roll(padded, shift, axis=0) for shift in (-2, -1, 0, 1)], axis=0)
-            slack = (TAIL_S * (near > 0.0) + near) @ largest
+            counted = (steps + TAIL_S * (steps > 0.0)) @ self.nominal.torques.T
+            size = np.append(0.0, np.linalg.norm(counted, axis=1))
+            slack = np.max([np.roll(size, shift) for shift in (-2, -1, 0, 1)], axis=0)
         total = np.einsum("nij,jc,nc->ni", turn, weights, cells) - impulse
         return self._search(chunk.time_s[rows], cells, total, turn, weights, slack)
 
@@ -90,15 +89,17 @@ class CellSearch:
         recorded = cells.copy()
         names = [f"rate_{axis}_rad_s" for axis in "xyz"]
         names += [f"rwa{number}_rpm" for number in self.wheels]
+        of_rates = np.arange(cells.shape[1]) < 3
         for _ in range(MOST_PASSES):
             jumps, spread = _jumps(cells)
             totals, total_spread = _jumps(total)
             size = np.linalg.norm(totals, axis=1)
-            level = CELL_SIGMAS * float(np.linalg.norm(total_spread)) + slack
+            level = CELL_SIGMAS * float(np.linalg.norm(total_spread)) + slack[:, None] * of_rates
             columns = np.einsum("nij,jc->nic", turn, weights)
             explained = columns * jumps[:, None, :]
             left = np.sum((totals[:, :, None] - explained) ** 2, axis=1)
-            bad = (np.abs(jumps) > CELL_SIGMAS * spread) & (size > level)[:, None]
+            # firings make rates jump, never wheels: they need not stand out against a firing
+            bad = (np.abs(jumps) > CELL_SIGMAS * spread) & (size[:, None] > level)
             bad &= left < CONFIRMED * (size**2)[:, None]
             # of neighbouring rows only the worst: it makes the others look bad
             worst = np.maximum.reduce([np.roll(size, shift) for shift in (-2, -1, 0, 1, 2)])

@@ -29,8 +29,9 @@ ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
 FREE_PRICE: Final = 12.0  # a free size: some six nats of Occam's factor
 SILENT: Final = 1.5
 """Without one axis of three, noise-free misfits are two thirds as large."""
-LEAST_STILL: Final = 0.2
-"""Of the event: how long a channel has to stand still before it is asked whether it is stuck."""
+LEAST_STILL: Final = 0.4
+"""Of the event: how long a channel has to stand still before it is asked whether it is stuck:
+longer than wheels keep their rates at the end of a bias."""
 WHEEL_UNITS: Final = {
     "rad/s": 1.0 / RAD_S_PER_RPM,
     "deg/s": 1.0 / 6.0,
@@ -44,6 +45,9 @@ RATE_UNITS: Final = {
     "arcsec/s": np.pi / 648_000.0,
     "rad/s turned from deg/s twice": 180.0 / np.pi,
 }
+ON_TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0}
+SHORTEST_PULSE_S: Final = 5e-3
+"""No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
 LATE_S: Final = (2.0, 5.0, 12.0, 30.0, 75.0)
 LEAST_FACTOR_STEP: Final = 0.08
@@ -258,6 +262,15 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
             for k in (*a, *b)
         )
     ]
+    for unit, factor in on_time_units(evidence.rows).items():
+        fit = evidence.balance(replace(nothing, on_time=factor))
+        assert fit is not None
+        yield Explanation(
+            "on-time-unit",
+            f"on-times that look like {unit}",
+            "give on_time_…_s in seconds",
+            fit.excess + still,
+        )
     for both in [*((pair,) for pair in pairs), *alike]:
         names = " and ".join(f"{thrusters[a]} with {thrusters[b]}" for a, b in both)
         fit = evidence.balance(nothing.with_thruster(exchanged(np.eye(count), both)))
@@ -271,11 +284,34 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
         )
 
 
+def on_time_units(rows: Rows | None) -> dict[str, float]:
+    """Units that recorded on-times may be in, and their seconds.
+
+    Momentum alone does not tell: tails of pulses could take the place of on-times. But no counter
+    gains more than the time that passes, and no pulse is shorter than a valve allows.
+    """
+    if rows is None:
+        return {}
+    span_s = float(rows.time_s[-1] - rows.time_s[0])
+    gained = rows.on_time_s[-1] - rows.on_time_s[0]
+    return impossible_units(gained, rows.pulses[-1] - rows.pulses[0], span_s)
+
+
+def impossible_units(on_time_s: Array, pulses: Array, span_s: float) -> dict[str, float]:
+    """Units, in seconds, of on-times (K,) that cannot be seconds: of so many pulses in a time."""
+    units = {}
+    if float(on_time_s.max(initial=0.0)) > span_s:
+        units["ms"] = ON_TIME_UNITS["ms"]
+    if 0.0 < float(on_time_s.sum()) < SHORTEST_PULSE_S * float(pulses.sum()):
+        units["min"] = ON_TIME_UNITS["min"]
+    return units
+
+
 def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
     turning, nothing = evidence.turning, evidence.as_recorded
-    # momentum alone does not speak of rates: another factor changes their noise with them
-    if turning is None or evidence.turned() < LEAST_TURNED:
+    if turning is None:
         return
+    known = evidence.turned() > LEAST_TURNED
     fix = "give rate_…_rad_s about the body axes, in rad/s"
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         matrix = np.diag(signs)[:, list(order)]
@@ -283,7 +319,8 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
         if plain and min(signs) > 0.0:
             continue
         turned = evidence.turned(matrix)
-        if turned > 0.5 * evidence.turned():  # motion speaks against it: momentum need not be asked
+        # motion speaks against it: momentum need not be asked
+        if turned > (0.5 * evidence.turned() if known else LEAST_TURNED):
             continue
         # column j of the file holds what belongs in row i where matrix[i, j] is set
         held = "".join(
@@ -297,6 +334,9 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
             evidence.misfit(nothing.with_rate(matrix)),
             ORDER_PRICE,
         )
+    # momentum alone does not speak of sizes: another factor changes the rates' noise with them
+    if not known:
+        return
     for unit, factor in RATE_UNITS.items():
         yield Explanation(
             "rate-unit",

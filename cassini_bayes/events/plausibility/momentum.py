@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Final
 
@@ -55,6 +56,8 @@ there, as a mistake that explains more than a torque of nobody's catalogue has t
 WARM_UP_S: Final = 5.0
 DRIFT_MODES: Final = 12
 LEAST_NOISE: Final = 1e-5
+SHARED: Final = 3.0
+"""Rows that a rounding error counts for (by trial, on pulses of 30 to 250 ms in steps of 125)."""
 MOST_SIGMAS: Final = 5.0
 NOISE_SIGMAS: Final = 3.0
 """Departures that fit noise are a χ² of their number: what noise may make of it, in its σ."""
@@ -93,13 +96,29 @@ class Nominal:
         tail_s = parameters.get("tau_fall_s", 0.0) - parameters.get("tau_rise_s", 0.0)
         return cls(inertia_tensor(parameters), spins[:, places], torques, pushes, tail_s)
 
+    @cached_property
+    def columns(self) -> Columns:
+        """Places of the channels' columns."""
+        return Columns(self.spins.shape[1], self.torques.shape[1])
+
+    @cached_property
+    def exchanges(self) -> Array:
+        """Weights of what is to be explained, with thrusters as they are and exchanged."""
+        return targets_of(self.columns, self)
+
+    @cached_property
+    def departures(self) -> tuple[tuple[str, ...], Array]:
+        """Names and weights of what may depart."""
+        return nominal_departures(self.columns, self)
+
 
 @dataclass(frozen=True, eq=False)
 class Correction:
     """What recorded channels have to be multiplied by to be true, and what is free besides.
 
     ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
-    a constant error; ``factor`` wheels or thrusters whose column has a free factor.
+    a constant error; ``wheel_factor``: wheels whose column has a free factor; ``on_time``: factor
+    of on-times, not of pulses.
     """
 
     rate: Array  # (3, 3)
@@ -107,6 +126,7 @@ class Correction:
     thruster: Array  # (K, K)
     offset: Array = field(default_factory=lambda: np.zeros((3, 0)))
     wheel_factor: tuple[int, ...] = ()
+    on_time: float = 1.0
 
     @classmethod
     def nothing(cls, wheels: int, thrusters: int) -> Correction:
@@ -182,22 +202,22 @@ class Momentum:
     rows: int
     per_row: int  # equations that a row brings
     counts: int  # second differences
+    rounding: Array  # (K,) s², variance that a rounded counter brings to a row
 
     def noise(self, nominal: Nominal, correction: Correction) -> float:
         """Standard deviation of a row on one axis, N m s: from second differences of the total.
 
         Of all exchanges of two thrusters the least: firings of the wrong thruster are no noise.
         """
-        each = [correction]
-        for a, b in combinations(range(nominal.torques.shape[1]), 2):
-            each.append(correction.with_thruster(exchanged(correction.thruster, ((a, b),))))
-        targets = np.stack([target_of(self.columns, nominal, other) for other in each])
-        square = np.einsum("hp,pq,hq->h", targets, self.steps, targets, optimize=True).min()
-        return float(np.sqrt(max(square / (6.0 * self.per_row * self.counts), LEAST_NOISE**2)))
+        targets = corrected(self.columns, nominal.exchanges, correction)
+        square = float(np.einsum("ph,ph->h", targets, self.steps @ targets).min())
+        rounded = float(np.sum(nominal.torques**2 @ self.rounding)) / 3.0
+        bent = square / (6.0 * self.per_row * self.counts)
+        return float(np.sqrt(max(bent + rounded, LEAST_NOISE**2)))
 
     def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
         """What it costs to close the balance."""
-        target = target_of(self.columns, nominal, correction)
+        target = corrected(self.columns, nominal.exchanges[:, :1], correction)[:, 0]
         names, design = departures_of(self.columns, nominal, correction)
         variance = self.noise(nominal, correction) ** 2
         strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
@@ -240,67 +260,101 @@ class MomentumFit:
     factors: Array
 
 
-def target_of(columns: Columns, nominal: Nominal, correction: Correction) -> Array:
-    """Weights (p,) of the total momentum less what nominal thrusters brought."""
-    torques = -nominal.torques @ correction.thruster
-    return columns.weights(
-        rate=nominal.inertia @ correction.rate,
-        wheel=nominal.spins @ correction.wheel,
-        fire=torques,
-        pulse=nominal.tail_s * torques,
-    )
+def corrected(columns: Columns, weights: Array, correction: Correction) -> Array:
+    """Weights (p, J) on true channels as weights on what was recorded: true = matrix · recorded."""
+    result = weights.copy()
+    for name, matrix in (
+        ("rate", correction.rate),
+        ("rate around", correction.rate),
+        ("wheel", correction.wheel),
+        ("wheel around", correction.wheel),
+        ("fire", correction.on_time * correction.thruster),
+        ("pulse", correction.thruster),
+        ("warm up", correction.on_time * correction.thruster),
+        ("flow", correction.on_time * correction.thruster),
+    ):
+        block = weights[columns.of[name]].reshape(3, len(matrix), weights.shape[1])
+        moved = np.einsum("anj,nm->amj", block, matrix)
+        result[columns.of[name]] = moved.reshape(3 * len(matrix), weights.shape[1])
+    return result
+
+
+def targets_of(columns: Columns, nominal: Nominal) -> Array:
+    """Weights (p, 1 + pairs) of the total momentum less what nominal thrusters brought.
+
+    First as it is, then with each pair of thrusters exchanged.
+    """
+    count = nominal.torques.shape[1]
+    orders = [np.eye(count)]
+    orders += [exchanged(orders[0], (pair,)) for pair in combinations(range(count), 2)]
+    brought = [-nominal.torques @ order for order in orders]
+    targets = [
+        columns.weights(
+            rate=nominal.inertia, wheel=nominal.spins, fire=each, pulse=nominal.tail_s * each
+        )
+        for each in brought
+    ]
+    return np.stack(targets, axis=1)
 
 
 def departures_of(
     columns: Columns, nominal: Nominal, correction: Correction
 ) -> tuple[tuple[str, ...], Array]:
     """Names and weights (p, J) of everything that may depart, each at one standard deviation."""
+    names, design = nominal.departures
+    free = [columns.weights(fixed=_FREE * axis) for axis in correction.offset.T]
+    names += ("offset",) * len(free)
+    for w in correction.wheel_factor:
+        own = np.outer(nominal.spins[:, w], np.eye(len(correction.wheel))[w])
+        free.append(columns.weights(wheel_around=_FREE * own))
+        names += ("factor",)
+    if free:
+        design = np.concatenate([design, np.stack(free, axis=1)], axis=1)
+    return names, corrected(columns, design, correction)
+
+
+def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, ...], Array]:
+    """Names and weights (p, J) of the departures of true channels."""
     each: list[tuple[str, Array]] = []
     size = float(np.trace(nominal.inertia)) / 3.0
     for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         unit = np.zeros((3, 3))
         unit[a, b] = unit[b, a] = WIDTHS["inertia"] * size
-        each.append(("inertia", columns.weights(rate_around=unit @ correction.rate)))
-    for spin, recorded in zip(nominal.spins.T, correction.wheel, strict=True):
+        each.append(("inertia", columns.weights(rate_around=unit)))
+    for spin, one in zip(nominal.spins.T, np.eye(nominal.spins.shape[1]), strict=True):
         for axis in np.eye(3):
             moved = WIDTHS["wheel"] * np.linalg.norm(spin) * axis
-            each.append(("wheel", columns.weights(wheel_around=np.outer(moved, recorded))))
+            each.append(("wheel", columns.weights(wheel_around=np.outer(moved, one))))
     if nominal.torques.shape[1]:
-        each += _thruster_departures(columns, nominal, correction)
+        each += _thruster_departures(columns, nominal)
     for axis in np.eye(3):
         each.append(("torque", columns.weights(torque=WIDTHS["torque"] * axis)))
         each.append(("bias", columns.weights(fixed=WIDTHS["bias"] * size * axis)))
         for mode in np.eye(DRIFT_MODES):
             drift = columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
             each.append(("drift", drift))
-    each += [("offset", columns.weights(fixed=_FREE * axis)) for axis in correction.offset.T]
-    for w in correction.wheel_factor:
-        free = np.outer(nominal.spins[:, w], correction.wheel[w])
-        each.append(("factor", columns.weights(wheel_around=_FREE * free)))
     names, vectors = zip(*each, strict=True)
     return names, np.stack(vectors, axis=1)
 
 
-def _thruster_departures(
-    columns: Columns, nominal: Nominal, correction: Correction
-) -> list[tuple[str, Array]]:
-    tail, recorded = nominal.tail_s, correction.thruster
+def _thruster_departures(columns: Columns, nominal: Nominal) -> list[tuple[str, Array]]:
+    tail = nominal.tail_s
 
     def impulse(torques: Array) -> Array:
-        return columns.weights(fire=torques @ recorded, pulse=tail * torques @ recorded)
+        return columns.weights(fire=torques, pulse=tail * torques)
 
     each = [
         ("common", impulse(WIDTHS["common"] * nominal.torques)),
-        ("tail", columns.weights(pulse=WIDTHS["tail"] * nominal.torques @ recorded)),
-        ("lag", columns.weights(flow=WIDTHS["lag"] * nominal.torques @ recorded)),
+        ("tail", columns.weights(pulse=WIDTHS["tail"] * nominal.torques)),
+        ("lag", columns.weights(flow=WIDTHS["lag"] * nominal.torques)),
     ]
     for axis in np.eye(3):
         moved = WIDTHS["centre"] * np.cross(axis, nominal.pushes, axisb=0, axisc=0)
         each.append(("centre", impulse(moved)))
     for one, torque in zip(np.eye(nominal.torques.shape[1]), nominal.torques.T, strict=True):
         own = np.outer(torque, one)
-        each.append(("own tail", columns.weights(pulse=WIDTHS["own tail"] * own @ recorded)))
-        each.append(("warm-up", columns.weights(warm_up=WIDTHS["warm-up"] * own @ recorded)))
+        each.append(("own tail", columns.weights(pulse=WIDTHS["own tail"] * own)))
+        each.append(("warm-up", columns.weights(warm_up=WIDTHS["warm-up"] * own)))
         each.append(("thrust", impulse(WIDTHS["thrust"] * own)))
         for axis in np.eye(3):
             moved = WIDTHS["cant"] * np.linalg.norm(torque) * axis
@@ -373,7 +427,26 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     unknown = np.linalg.qr(start.reshape(3 * count, 3))[0]
     flat = flat - unknown @ (unknown.T @ flat)
     bends = (table[2:] - 2.0 * table[1:-1] + table[:-2]).reshape(3 * (count - 2), -1)
-    return Momentum(columns, flat.T @ flat, bends.T @ bends, count, per_row, count - 2)
+    gram, steps = flat.T @ flat, bends.T @ bends
+    return Momentum(columns, gram, steps, count, per_row, count - 2, rounding_of(rows))
+
+
+def rounding_of(rows: Rows) -> Array:
+    """Variance (K,) in s² that rounding brings to a cumulative on-time.
+
+    A counter in coarse steps shows pulses without on-time (on-time without a pulse may be a long
+    one that goes on). Its error is
+    spread evenly over a step and stays until the next firing, so it is no noise of single rows,
+    which second differences would find; being shared by rows, it counts :data:`SHARED` times.
+    """
+    on, pulses = np.diff(rows.on_time_s, axis=0), np.diff(rows.pulses, axis=0)
+    empty = (pulses > 0.0) & (on == 0.0)
+    # a pulse that begins as the row is taken has its on-time in the next one
+    rounded = (empty[:-1] & (on[1:] == 0.0)).any(axis=0)
+    # counters gain whole steps: the least difference of two gains is one
+    gains = [np.unique(np.round(np.append(column, 0.0), 6)) for column in on.T]
+    step = [float(np.diff(each).min(initial=np.inf)) for each in gains]
+    return np.where(rounded, SHARED * np.square(step) / 12.0, 0.0)
 
 
 def _around(values: Array) -> Array:

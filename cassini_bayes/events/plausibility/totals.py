@@ -23,6 +23,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     FREE_PRICE,
     ORDER_PRICE,
     WHEEL_UNITS,
+    impossible_units,
 )
 from cassini_bayes.events.plausibility.momentum import WIDTHS, Nominal, vanishing
 from cassini_bayes.events.plausibility.verdict import (
@@ -56,9 +57,10 @@ USUAL_PULSE_S: Final = 0.25
 """Mean width taken where a table has no pulse counts."""
 UNKNOWN_PER_ROW: Final = 20.0
 """Misfit per row above which a table is flagged though no mistake explains it."""
-SUSPECT: Final = 15.0
-LEAST_GAIN: Final = 10.0
-"""As for telemetry, but lower: with three equations a row, few departures fit noise."""
+SUSPECT: Final = 9.0
+LEAST_GAIN: Final = 7.0
+"""As for telemetry, but lower: with three equations a row, departures swallow noise (flight's rows
+leave 0.2 or less, and each alone 9.9 or more where its wheel rates are in rad/s)."""
 GROSS: Final = 100.0
 """Misfit per row above which a table that no mistake explains is refused."""
 
@@ -290,6 +292,13 @@ def _changes(
                 replace(row, start_rpm=factor * row.start_rpm, end_rpm=factor * row.end_rpm)
                 for row in rows
             ],
+        )
+    on, pulses = sum(row.on_time_s for row in rows), sum(row.pulses for row in rows)
+    span_s = sum(row.duration_s for row in rows)
+    for unit, factor in impossible_units(np.asarray(on), np.asarray(pulses), span_s).items():
+        yield (
+            ("on-time-unit", f"on-times that look like {unit}", "give seconds", ORDER_PRICE),
+            [replace(row, on_time_s=factor * row.on_time_s) for row in rows],
         )
     count = min(len(row.wheels) for row in rows)
     same = len({row.wheels for row in rows}) == 1

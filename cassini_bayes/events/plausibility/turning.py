@@ -70,7 +70,9 @@ class Turning:
             gap = self.turned[axis] - recorded[axis]
             lean = GYRO_SD**2 * recorded.T @ recorded
             lean += np.outer(quickened[axis], quickened[axis])
-            total += float(gap @ np.linalg.solve(variance[axis] * self.instruments + lean, gap))
+            # noise-free rates about one axis alone leave directions that nothing is known of
+            covariance = variance[axis] * self.instruments + lean
+            total += float(gap @ np.linalg.lstsq(covariance, gap)[0])
         return total
 
 

@@ -20,6 +20,7 @@ MISTAKES: Final = {
     "start-end": "rates before and after a bias exchanged",
     "thruster-order": "counters that belong to other thrusters",
     "counter-time": "counters that are early or late",
+    "on-time-unit": "on-times in another unit",
     "pulse-count": "pulses counted more than once",
     "rate-axes": "body rates about other axes",
     "rate-sign": "body rates of the opposite sign",
@@ -121,7 +122,10 @@ def best_explanations(
 ) -> tuple[Explanation, ...]:
     """The explanation that leaves least, and those as good; empty if none explains the misfit."""
     ranked = sorted(explanations, key=lambda each: each.score)
-    if not ranked or ranked[0].left > EXPLAINED * misfit or misfit - ranked[0].score < least_gain:
+    if not ranked or misfit - ranked[0].score < least_gain:
+        return ()
+    # of a large misfit a third is as large as no honest event's: that is not explained either
+    if ranked[0].left > min(EXPLAINED * misfit, UNKNOWN):
         return ()
     close = [each for each in ranked if each.score <= ranked[0].score + AS_GOOD]
     return tuple(close[:MOST_NAMED])

@@ -6,16 +6,25 @@ from collections.abc import Mapping
 from datetime import UTC, date, datetime, time
 from itertools import pairwise
 from pathlib import Path
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import in_utc
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
-Epoch = datetime | date
+
+def _within_calendar(epoch: datetime | date) -> datetime | date:
+    """Refuse a time whose zone leads beyond the years 1 to 9999."""
+    if isinstance(epoch, datetime) and in_utc(epoch) is None:
+        raise ValueError("an epoch within the years 1 to 9999 in UTC")
+    return epoch
+
+
+Epoch = Annotated[datetime | date, AfterValidator(_within_calendar)]
 What = Literal["recharge", "branch_swap", "separation", "burn", "articulation"]
 YEAR_S: Final = 365.25 * 86_400.0
 

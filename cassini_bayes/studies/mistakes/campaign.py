@@ -1,0 +1,226 @@
+"""Sets of honest events and of mistaken ones: what the checks of the package say of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility import MISTAKES, TelemetryCheck
+from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
+from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.files.code import identity
+from cassini_bayes.model.event_reduction import check_rows, nominal_values
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.studies.conditions import CRAFTS, LEVELS, draw_condition
+from cassini_bayes.studies.mistakes.flights import EFFECTS, fly, with_events
+from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS
+from cassini_bayes.studies.mistakes.oracle import (
+    MATTERS,
+    Answer,
+    answer_of,
+    answer_of_rows,
+    with_catalogue,
+)
+
+MODULE: Final = "studies.mistakes.campaign"
+FULL: Final[Mapping[str, int]] = {"honest": 500, "mistaken": 5}
+QUICK: Final[Mapping[str, int]] = {"honest": 40, "mistaken": 1}
+VERDICTS: Final = ("passed", "flagged", "refused", *MISTAKES)
+"""``refused`` is under no name that can be accepted."""
+NO_EFFECT: Final = -1
+NO_EVENT: Final = -1
+MOST_EVENTS: Final = 5
+"""Of a draw: three biases or a bias and slews, and the table of its biases."""
+FORMS: Final = ("every row", "one row of six", "a row alone")
+TOTALS_PRIORS: Final[Mapping[str, str]] = {
+    "A branch": "cassini_a_branch_2005.toml",
+    "B branch": "cassini_b_branch_2010.toml",
+}
+CASES: Final = tuple((name, kind) for name, each in TELEMETRY.items() for kind in each.kinds)
+"""Every mistake in telemetry with every kind of event that it is for."""
+ROW_CASES: Final = tuple((name, form) for name in TOTALS for form in FORMS)
+
+
+def judge(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> str:
+    """One of :data:`VERDICTS` on telemetry."""
+    check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors))
+
+    def ask() -> Sequence[str]:
+        check.take(chunk)
+        return check.verdict().findings
+
+    return _verdict(ask)
+
+
+def judge_rows(rows: Sequence[TotalsEvent], priors: Priors) -> str:
+    """One of :data:`VERDICTS` on totals."""
+    return _verdict(lambda: check_rows(rows, priors, "totals.csv"))
+
+
+def _verdict(ask: Callable[[], Sequence[str]]) -> str:
+    try:
+        return "flagged" if ask() else "passed"
+    except InputError as error:
+        name = error.fix.rpartition("--accept ")[2]
+        return name if name in MISTAKES else "refused"
+
+
+@dataclass(frozen=True)
+class Honest:
+    """Draws over the conditions, every second one with a clear effect of the catalogue."""
+
+    scenario: Path
+    priors: Path
+    seed: int
+    per_file: int = 10
+
+    def identity(self) -> str:
+        """Hash of all that a repetition depends on."""
+        return identity(["honest", self.seed], _inputs(self.scenario, self.priors), MODULE)
+
+    def repetition(self, index: int) -> Mapping[str, NDArray[Any] | float]:
+        """Levels of the conditions, place of the effect in :data:`EFFECTS`, verdict by event."""
+        rng = np.random.default_rng([self.seed, 0, index])
+        condition = draw_condition(rng)
+        if condition.events == "six biases":  # as good as three here, at half the time
+            condition = with_events(condition, "three biases")
+        effect = int(rng.integers(len(EFFECTS))) if index % 2 else NO_EFFECT
+        hidden = None if effect == NO_EFFECT else list(EFFECTS)[effect]
+        flight = fly(condition, self.scenario, self.priors, rng, hidden)
+        verdicts = [judge(event, chunk, flight.priors) for event, chunk in flight.events]
+        if flight.rows:
+            totals = read_priors(self.priors / TOTALS_PRIORS[condition.craft])
+            verdicts.append(judge_rows(flight.rows, totals))
+        numbers = np.full(MOST_EVENTS, NO_EVENT)
+        numbers[: len(verdicts)] = [VERDICTS.index(verdict) for verdict in verdicts]
+        levels = [LEVELS[name].index(level) for name, level in condition.strata.items()]
+        return {"levels": np.array(levels), "effect": effect, "verdict": numbers}
+
+
+@dataclass(frozen=True)
+class WithMistakes:
+    """Sets without effects: every mistake in turn in a bias, in slews, and in six totals rows."""
+
+    scenario: Path
+    priors: Path
+    seed: int
+    per_file: int = 1
+
+    def identity(self) -> str:
+        """Hash of all that a repetition depends on."""
+        return identity(["mistaken", self.seed], _inputs(self.scenario, self.priors), MODULE)
+
+    def repetition(self, index: int) -> Mapping[str, NDArray[Any]]:
+        """Verdict, largest shift of a scalar and nats, of :data:`CASES` and :data:`ROW_CASES`."""
+        rng = np.random.default_rng([self.seed, 1, index])
+        while True:
+            condition = draw_condition(rng)
+            flight = fly(with_events(condition, "bias and slews"), self.scenario, self.priors, rng)
+            # few rows lie between the firings of some: commands refuse such events for that alone
+            if all(answer_of([event], flight.priors) for event in flight.events):
+                break
+        table = fly(with_events(condition, "six biases"), self.scenario, self.priors, rng)
+        believed = read_priors(self.priors / TOTALS_PRIORS[condition.craft])
+        found = [*_of_telemetry(flight.events, flight.priors), *_of_rows(table.rows, believed)]
+        verdicts, moved, nats = zip(*found, strict=True)
+        return {
+            "verdict": np.array([VERDICTS.index(verdict) for verdict in verdicts]),
+            "moved": np.array(moved),
+            "nats": np.array(nats),
+        }
+
+
+Found = tuple[str, float, float]
+"""Verdict, shift and nats; the last two are only asked where nothing was said."""
+
+
+def _of_telemetry(
+    events: Sequence[tuple[TelemetryEvent, Chunk]], priors: Priors
+) -> Iterator[Found]:
+    honest: dict[str, tuple[TelemetryEvent, Chunk]] = {
+        event.kind: (event, chunk) for event, chunk in events
+    }
+    oracles = {
+        kind: Oracle(partial(_answer_of_event, event), chunk, priors)
+        for kind, (event, chunk) in honest.items()
+    }
+    for name, kind in CASES:
+        event, chunk = honest[kind]
+        each = TELEMETRY[name]
+        wrong = each.change(chunk)
+        verdict = judge(event, wrong, priors)
+        known = int(np.count_nonzero(~np.isnan(chunk.rate_rad_s[:, 0])))
+        yield (
+            verdict,
+            *(oracles[kind].ask(wrong, each.spread * known) if verdict == "passed" else _UNASKED),
+        )
+
+
+def _answer_of_event(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> Answer | None:
+    return answer_of([(event, chunk)], priors)
+
+
+def _of_rows(rows: Sequence[TotalsEvent], priors: Priors) -> Iterator[Found]:
+    table = Oracle(answer_of_rows, tuple(rows), priors)
+    alone = Oracle(answer_of_rows, (rows[2],), priors)
+    for name, form in ROW_CASES:
+        change = TOTALS[name].change
+        oracle, wrong = table, tuple(change(row) for row in rows)
+        if form == "one row of six":
+            wrong = (*rows[:2], wrong[2], *rows[3:])
+        elif form == "a row alone":
+            oracle, wrong = alone, (wrong[2],)
+        verdict = judge_rows(wrong, priors)
+        yield verdict, *(oracle.ask(wrong, 0.0) if verdict == "passed" else _UNASKED)
+
+
+_UNASKED: Final = (np.nan, np.nan)
+
+
+class Oracle:
+    """Answers of one set of honest data, made when first asked for."""
+
+    def __init__(
+        self, answer: Callable[[Any, Priors], Answer | None], honest: Any, priors: Priors
+    ) -> None:
+        self._answer, self._honest, self._priors = answer, honest, priors
+        self._known: dict[bool, Answer | None] = {}
+
+    def ask(self, wrong: Any, spread: float) -> tuple[float, float]:
+        """How far a mistake moves a scalar, in σ, and the nats by which data speak for it.
+
+        NaN where the package declines the honest data; infinite where it declines the wrong ones.
+        """
+        right, found = self._of_honest(wide=False), self._answer(wrong, self._priors)
+        if right is None:
+            return _UNASKED
+        if found is None:
+            return np.inf, np.inf
+        moved = right.moved(found)
+        if moved <= MATTERS:
+            return moved, np.nan
+        true, physics = (
+            self._of_honest(wide=True),
+            self._answer(wrong, with_catalogue(self._priors)),
+        )
+        if true is None or physics is None:
+            return moved, np.inf
+        return moved, true.log_density - spread - physics.log_density
+
+    def _of_honest(self, *, wide: bool) -> Answer | None:
+        if wide not in self._known:
+            priors = with_catalogue(self._priors) if wide else self._priors
+            self._known[wide] = self._answer(self._honest, priors)
+        return self._known[wide]
+
+
+def _inputs(scenario: Path, priors: Path) -> list[Path]:
+    files = [file for file, *_ in CRAFTS.values()]
+    return [scenario, *(priors / file for file in (*files, *TOTALS_PRIORS.values()))]

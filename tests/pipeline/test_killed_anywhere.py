@@ -1,0 +1,104 @@
+"""Telemetry runs with a report and diagnoses, killed as they write: the same in the end.
+
+A child kills itself with SIGKILL at its nth write, the half-written file lying there. The run left
+alone has one core, those that were killed all there are: neither changes a number.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+
+import arviz  # noqa: F401 (imported before forking: two seconds that no child spends again)
+import numpy as np
+import pytest
+import run_cases
+import tomli_w
+from event_cases import PRIORS, simulated
+
+from cassini_bayes.files import storage
+from cassini_bayes.files.storage import digest
+from cassini_bayes.results.record import GROUPS, read_fit
+
+SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
+
+
+def started(arguments: Sequence[str], log: Path, cores: set[int], kill_at: int = 0) -> int:
+    """Exit status of a command in a child on some cores, which dies at its nth write."""
+    sync, every, writes = storage._sync, os.sched_getaffinity(0), 0
+
+    def deadly(path: Path) -> None:
+        nonlocal writes
+        writes += 1
+        if writes == kill_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+        sync(path)
+
+    storage._sync = deadly
+    os.sched_setaffinity(0, cores)  # the child's from the start
+    try:
+        return run_cases.Forked.start(arguments, log).wait()
+    finally:
+        storage._sync = sync
+        os.sched_setaffinity(0, every)
+
+
+def tables(folder: Path) -> dict[str, str]:
+    """Digest of every CSV table in a folder by its name."""
+    return {str(path.relative_to(folder)): digest(path) for path in folder.rglob("*.csv")}
+
+
+@pytest.mark.slow
+def test_a_killed_telemetry_run_ends_the_same(tmp_path: Path) -> None:
+    """Killed in its first write, its sampling, its tables and its report, then resumed."""
+    table = {
+        "events": [str(simulated() / "bias")],
+        "priors": str(PRIORS),
+        "sampler": SAMPLER,
+        "output": {"report": True, "draws_per_ensemble": 500, "prior_draws": 500},
+    }
+    run_file = tmp_path / "run.toml"
+    run_file.write_text(tomli_w.dumps(table))
+    cores = sorted(os.sched_getaffinity(0))
+    alone, killed = tmp_path / "alone", tmp_path / "killed"
+    arguments = ["run", str(run_file), "--quiet", "--out"]
+    assert started([*arguments, str(alone)], tmp_path / "log", {cores[0]}) in (0, 1)
+    for kill_at in (1, 9, 25, 41):
+        more = ["--resume"] if killed.exists() and any(killed.iterdir()) else []
+        status = started(
+            [*arguments, str(killed), *more], tmp_path / "log", set(cores), kill_at=kill_at
+        )
+        assert status in (-signal.SIGKILL, 0, 1), (tmp_path / "log").read_text()
+    more = ["--resume"] if (killed / "resolved.toml").exists() else ["--force"]
+    status = started([*arguments, str(killed), *more], tmp_path / "log", set(cores))
+    assert status in (0, 1), (tmp_path / "log").read_text()
+    fits = [read_fit(folder / "fit.nc") for folder in (alone, killed)]
+    for name in GROUPS:
+        for variable, values in fits[0].groups[name].data_vars.items():
+            np.testing.assert_array_equal(values, fits[1].groups[name][variable])
+    assert tables(alone) == tables(killed)
+    assert (killed / "report.html").exists()
+    assert not [path for path in killed.rglob("*") if storage.is_leftover(path)]
+
+
+def test_a_killed_diagnosis_ends_the_same(tmp_path: Path) -> None:
+    """Killed as it writes its first and a later file, then started again: the same tables."""
+    cores = sorted(os.sched_getaffinity(0))
+    rows = [f"{run_cases.FLIGHT}:{event}" for event in run_cases.EVENTS]
+    arguments = ["diagnose", *rows, "--priors", str(run_cases.B_BRANCH), "--quiet", "--out"]
+    alone, killed = tmp_path / "alone", tmp_path / "killed"
+    assert started([*arguments, str(alone)], tmp_path / "log", {cores[0]}) == 0
+    for kill_at in (1, 3):
+        status = started(
+            [*arguments, str(killed), "--force"], tmp_path / "log", set(cores), kill_at=kill_at
+        )
+        assert status == -signal.SIGKILL, (tmp_path / "log").read_text()
+    assert started([*arguments, str(killed), "--force"], tmp_path / "log", set(cores)) == 0
+    assert tables(alone) == tables(killed)
+    records = [json.loads((folder / "diagnosis.json").read_text()) for folder in (alone, killed)]
+    for record in records:
+        del record["command"]  # names the folder
+    assert records[0] == records[1]
