@@ -153,7 +153,7 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
         failing = rng.permutation(failing)[:MOST_FAILING] if len(own.events) > 1 else failing[:0]
         losses[name] = tuple(Loss(int(k), int(rng.integers(1, len(own.events)))) for k in failing)
         shares[name] = np.abs(prior.scale * rng.standard_normal((len(failing),)))
-        shared[name] = rng.standard_normal((branch.prior.shared.shape[-1],))
+        shared[name] = rng.standard_normal((own.levels.shape[1] + own.ageing.shape[1],))
         thrusts[name] = _true_thrusts(
             own, branch.scale[0], losses[name], shares[name], shared[name], rng
         )

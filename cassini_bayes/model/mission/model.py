@@ -28,10 +28,7 @@ from cassini_bayes.model.mission.mission_file import ChangeTable, MissionTable
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.model.thrusts import (
     THRUST_COMMON,
-    CollapsedThrusts,
     ThrustInformation,
-    ThrustPrior,
-    collapse_thrusts,
     level_factor,
     thrust_prior_of,
 )
@@ -106,10 +103,43 @@ class BranchThrusts:
         levels = np.broadcast_to(self.levels, (len(years), *self.levels.shape))
         return np.concatenate([levels, years[:, None, None] * self.ageing], axis=-1)
 
-    def prior_at(self, scale: Array) -> ThrustPrior:
-        """The thrusts' prior where thrust is ``scale`` (n, E) times that at the reference."""
-        rows = scale[..., None, None] * self.rows(self.years)
-        return ThrustPrior(self.common_n, 0.0, False, 0.0, rows, self.own)
+    def levels_at(self, shared: Array) -> Array:
+        """Levels (n, E, K) less the common one, at the reference pressure, of shared (n, q)."""
+        first = self.levels.shape[1]
+        steady, yearly = shared[:, :first] @ self.levels.T, shared[:, first:] @ self.ageing.T
+        return np.asarray(steady[:, None] + self.years[:, None] * yearly[:, None])
+
+    def onto_shared(self, steady: Array, yearly: Array) -> Array:
+        """Rᵀ x (…, q) of the shared coefficients, from Σ x and Σ t x (…, K) over events."""
+        return np.concatenate([steady @ self.levels, yearly @ self.ageing], axis=-1)
+
+    def first(self, count: int) -> BranchThrusts:
+        """Those of its first events."""
+        return replace(
+            self,
+            events=self.events[:count],
+            years=self.years[:count],
+            reference_n=self.reference_n[:count],
+        )
+
+
+@dataclass(frozen=True)
+class CollapsedLevels:
+    """Conditional normal of a branch's shared coefficients at n points, all else integrated out."""
+
+    log_likelihood: Array  # (n,) with the coefficients integrated out too
+    factor: Array  # (n, q, q) lower Cholesky factor of their precision
+    shift: Array  # (n, q) factor⁻¹ of the linear term
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Inverse (n, q, q) of the factor."""
+        return np.asarray(np.linalg.inv(self.factor))
+
+    @property
+    def mean(self) -> Array:
+        """Conditional mean (n, q)."""
+        return np.asarray((self.shift[:, None] @ self.inverse)[:, 0])
 
 
 @dataclass(frozen=True)
@@ -120,35 +150,61 @@ class BranchAt:
     information: ThrustInformation  # about ``reference_n``
     scale: Array  # (n, E) u, thrust over thrust at the reference pressure
 
-    @cached_property
-    def prior(self) -> ThrustPrior:
-        """The thrusts' prior, with the design rows at these points."""
-        return self.thrusts.prior_at(self.scale)
-
     @property
     def offset_n(self) -> Array:
         """Prior mean of the thrusts less the reference (n, E, K)."""
         mean = self.thrusts.common_n * self.scale - self.thrusts.reference_n
         return np.broadcast_to(mean[..., None], (*mean.shape, len(self.thrusts.thrusters)))
 
-    def take(self, places: Places) -> BranchAt:
-        """The same at some of the points, in that order."""
-        found = self.information
-        chosen = ThrustInformation(
-            found.matrix[places], found.vector[places], found.constant[places]
-        )
-        return replace(self, information=chosen, scale=self.scale[places])
-
-    @cached_property
-    def collapsed(self) -> CollapsedThrusts:
-        """Thrusts and coefficients integrated out."""
-        none = np.zeros(len(self.scale))
-        return collapse_thrusts(self.prior, self.information, none, self.offset_n)
-
     @cached_property
     def left(self) -> ThrustInformation:
         """What events say of their levels, about the prior mean, own departures integrated out."""
         return self.information.about(self.offset_n).without_own(self.thrusts.own)
+
+    @cached_property
+    def levels(self) -> CollapsedLevels:
+        """Thrusts and coefficients integrated out.
+
+        With the design row u [B, t A] of an event, B of levels and A of ageing, the precision is
+        1 + [[Bᵀ S₀ B, Bᵀ S₁ A], [Aᵀ S₁ B, Aᵀ S₂ A]], S_i = Σ u² tⁱ G̃: three sums of K × K.
+        """
+        own, left, scale = self.thrusts, self.left, self.scale
+        n, events, size = left.vector.shape
+        powers = own.years ** np.arange(3)[:, None]
+        flat = left.matrix.reshape(n, events, size * size)
+        sums = ((scale**2)[:, None] * powers) @ flat
+        steady, mixed, yearly = np.moveaxis(sums.reshape(n, 3, size, size), 1, 0)
+        across = own.levels.T @ mixed @ own.ageing
+        precision = np.block(
+            [
+                [own.levels.T @ steady @ own.levels, across],
+                [np.swapaxes(across, -1, -2), own.ageing.T @ yearly @ own.ageing],
+            ]
+        )
+        linear = (scale[:, None] * powers[:2]) @ left.vector
+        vector = own.onto_shared(linear[:, 0], linear[:, 1])
+        factor = np.asarray(np.linalg.cholesky(precision + np.eye(precision.shape[-1])))
+        shift = np.asarray(np.linalg.solve(factor, vector[..., None]))[..., 0]
+        log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
+        fit = 0.5 * (shift**2).sum(-1)
+        return CollapsedLevels(left.constant.sum(-1) + fit - log_det, factor, shift)
+
+    def take(self, places: Places) -> BranchAt:
+        """The same at some of the points, in that order."""
+        return self._cut(places, slice(None), self.thrusts)
+
+    def first(self, count: int) -> BranchAt:
+        """The same of the branch's first events alone."""
+        return self._cut(slice(None), slice(count), self.thrusts.first(count))
+
+    def _cut(self, points: Places | slice, events: slice, thrusts: BranchThrusts) -> BranchAt:
+        """Some points and events; what was eliminated event by event already is kept."""
+        found = BranchAt(
+            thrusts, self.information.cut(points, events), self.scale[points][:, events]
+        )
+        if "left" in self.__dict__:
+            found.__dict__["left"] = self.left.cut(points, events)
+        return found
 
 
 @dataclass(frozen=True)
@@ -189,7 +245,7 @@ class MissionModel:
 
     def _log_likelihood(self, z: Array) -> Array:
         branches, rest = self.at(z)
-        return np.asarray(rest + sum(branch.collapsed.log_likelihood for branch in branches))
+        return np.asarray(rest + sum(branch.levels.log_likelihood for branch in branches))
 
     def batches(self, n: int) -> Iterator[slice]:
         """Slices that cover n points, fewer at a time the more events there are."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -22,14 +22,15 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.mission.losses import (
     Hypothesis,
     LossPrior,
-    LossTerms,
     chosen,
     log_bayes,
+    log_bayes_of,
+    log_prior_of,
     loss_terms,
+    near_hypotheses,
     place_of,
-    weigh,
 )
-from cassini_bayes.model.mission.model import MissionModel
+from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import (
@@ -195,10 +196,9 @@ def target(model: MissionModel, references: References, prior: LossPrior) -> Log
         for rows in model.batches(len(z)):
             branches, total = model.at(z[rows])
             for branch in branches:
-                total = total + branch.collapsed.log_likelihood
                 losses = references[branch.thrusts.branch]
-                if losses:
-                    total = total + log_bayes(loss_terms(branch), losses, prior.scale)
+                total = total + branch.levels.log_likelihood
+                total = total + log_bayes(branch, losses, prior.scale)
             found.append(total)
         return np.asarray(np.concatenate(found) + model.space.log_prior_terms(z).sum(-1))
 
@@ -207,13 +207,25 @@ def target(model: MissionModel, references: References, prior: LossPrior) -> Log
 
 @dataclass(frozen=True)
 class Remembered:
-    """A density whose values are kept in files: a killed fit works out only what is missing."""
+    """A density that is worked out once at every point.
+
+    Values are kept in files too: a killed fit works out only what is missing.
+    """
 
     log_density: LogDensity
     store: CheckpointStore | None
+    known: dict[bytes, float] = field(default_factory=dict)
 
     def __call__(self, z: Array) -> Array:
         """Values at z (n, d)."""
+        keys = [row.tobytes() for row in z]
+        new = {key: i for i, key in enumerate(keys) if key not in self.known}
+        if new:
+            values = self._worked_out(z[list(new.values())])
+            self.known.update(zip(new, values.tolist(), strict=True))
+        return np.array([self.known[key] for key in keys])
+
+    def _worked_out(self, z: Array) -> Array:
         if self.store is None:
             return self.log_density(z)
         starts = range(0, len(z), _KEPT)
@@ -334,8 +346,7 @@ def _weighed_anew(
     log_ratio = density(z) - earlier.log_density - standard_normal_log_density(z[:, new]).sum(-1)
     log_total = float(logsumexp(log_ratio))
     # the same draw twice is one draw: chains of short updates would wear out unseen
-    _, which = np.unique(earlier.z, axis=0, return_inverse=True)
-    weights = np.bincount(which.ravel(), weights=np.exp(log_ratio - log_total))
+    weights = np.bincount(distinct(earlier.z)[1], weights=np.exp(log_ratio - log_total))
     efficiency = 1.0 / (len(z) * float((weights**2).sum()))
     error = np.sqrt(max(1.0 / efficiency - 1.0, 0.0) / len(z))
     return ImportanceDraws(
@@ -361,18 +372,46 @@ def weighed_losses(
     model: MissionModel, prior: LossPrior, z: Array, references: References
 ) -> tuple[Losses, ...]:
     """Posterior probabilities of every branch's hypotheses, the other branch at its reference."""
-    lots = [
-        [loss_terms(branch) for branch in model.at(z[rows])[0]] for rows in model.batches(len(z))
-    ]
-    found = []
-    for branch, parts in zip(model.branches, zip(*lots, strict=True), strict=True):
-        name = branch.branch
-        weighed = weigh(LossTerms.joined(parts), prior, include=references[name])
-        reference = place_of(weighed, references[name])
-        probability = chosen(weighed, reference)
-        ratio = weighed.log_bayes - weighed.log_bayes[:, [reference]]
-        found.append(Losses(name, weighed.which, weighed.log_prior, probability, reference, ratio))
-    return tuple(found)
+    points, back = distinct(z)
+    lots = (model.at(points[rows])[0] for rows in model.batches(len(points)))
+    return weighed_at(lots, prior, references, back)
+
+
+def weighed_at(
+    lots: Iterable[Sequence[BranchAt]], prior: LossPrior, references: References, back: Places
+) -> tuple[Losses, ...]:
+    """The same from lots of points that have been worked up, one lot in memory at a time.
+
+    ``back`` (n,) are the places of the draws among the points. Hypotheses are looked for at the
+    first lot.
+    """
+    which: dict[str, tuple[Hypothesis, ...]] = {}
+    shapes: dict[str, tuple[int, int]] = {}
+    ratios: dict[str, list[Array]] = {}
+    for branches in lots:
+        for branch in branches:
+            name, terms = branch.thrusts.branch, loss_terms(branch)
+            if name not in which:
+                which[name] = near_hypotheses(terms, prior, references[name])
+                shapes[name] = (len(branch.thrusts.events), len(branch.thrusts.thrusters))
+            found = log_bayes_of(terms, which[name], prior.scale)
+            reference = place_of(which[name], references[name])
+            ratios.setdefault(name, []).append(found - found[:, [reference]])
+    weighed = []
+    for name, hypotheses in which.items():
+        log_prior = log_prior_of(hypotheses, prior, shapes[name])
+        ratio = np.concatenate(ratios.pop(name))[back]
+        probability = chosen(log_prior, ratio)
+        reference = place_of(hypotheses, references[name])
+        weighed.append(Losses(name, hypotheses, log_prior, probability, reference, ratio))
+    return tuple(weighed)
+
+
+def distinct(z: Array) -> tuple[Array, Places]:
+    """Different rows of z (n, d) in the order in which they first come, and where each row is."""
+    _, first, which = np.unique(z, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return z[first[order]], np.argsort(order)[which.ravel()]
 
 
 def describe(model: MissionModel, references: References) -> str:
