@@ -136,6 +136,15 @@ class ThrustInformation:
             np.concatenate([part.constant for part in parts], axis=1),
         )
 
+    @classmethod
+    def of_points(cls, lots: Sequence[ThrustInformation]) -> ThrustInformation:
+        """Of the same events at the points of several lots."""
+        return cls(
+            np.concatenate([lot.matrix for lot in lots]),
+            np.concatenate([lot.vector for lot in lots]),
+            np.concatenate([lot.constant for lot in lots]),
+        )
+
     def cut(self, points: Places | slice, events: slice) -> ThrustInformation:
         """That of some points and events."""
         return ThrustInformation(

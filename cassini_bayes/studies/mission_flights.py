@@ -27,10 +27,11 @@ from cassini_bayes.model.mission.model import BranchAt, BranchThrusts, MissionMo
 from cassini_bayes.model.terms import TORQUE
 from cassini_bayes.model.thrusts import ThrustDraws
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.results.mission.fitting import EarlierDraws, MissionFit, fit_mission, loss_prior
-from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S
+from cassini_bayes.results.mission.fitting import Losses, fit_mission, loss_prior
+from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.studies.bias_estimates import bias_estimates
+from cassini_bayes.studies.mission_looks import looks
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 MODULE: Final = "studies.mission_flights"
@@ -225,23 +226,33 @@ def judge_flight(
     flown: Flown, priors: Priors, rng: np.random.Generator
 ) -> Mapping[str, NDArray[Any]]:
     """Fit a mission event by event; what each rule says of every thruster, by branch A then B."""
-    prior, table = loss_prior(priors), flown.table
-    names = ("A", "B")
-    fits: MissionFit | None = None
-    earlier: EarlierDraws | None = None
+    prior, names = loss_prior(priors), ("A", "B")
     chances = np.zeros((2, MOST_BIASES, 8))
-    counts = range(len(flown.events), FIRST_LOOK - 1, -EVERY)
-    for count in reversed(counts):
-        model = _model(flown.events[:count], table, priors)
-        fits = fit_mission(model, prior, rng, draws=DRAWS, proposals=PROPOSALS, earlier=earlier)
-        earlier = fits.draws
-        for losses in fits.losses:
-            branch = next(b for b in model.branches if b.branch == losses.branch)
-            chances[names.index(losses.branch), len(branch.events) - 1] = losses.failing(8)
-    assert fits is not None  # there are at least twenty biases
+
+    def note(events: int, weighed: Sequence[Losses]) -> None:
+        for losses in weighed:
+            branch = next(b for b in flown.model.branches if b.branch == losses.branch)
+            last = int((branch.events < events).sum()) - 1
+            chances[names.index(losses.branch), last] = losses.failing(8)
+
+    whole = len(flown.events)
+    counts = range(FIRST_LOOK + (whole - FIRST_LOOK) % EVERY, whole, EVERY)
+    first = _model(flown.events[: counts[0]], flown.table, priors)
+    size = {"draws": DRAWS, "proposals": PROPOSALS}
+    begun = fit_mission(first, prior, rng, **size)
+    note(counts[0], begun.losses)
+    untrusted, earlier = 0, begun.draws
+    for look in looks(flown.model, prior, earlier, counts[1:], DRAWS, rng):
+        note(look.events, look.losses)
+        untrusted, earlier = untrusted + (not look.trusted), look.draws
+    fits = fit_mission(flown.model, prior, rng, earlier=earlier, **size)
+    note(whole, fits.losses)
+    drawn = draw_branches(fits, rng)
     estimates = bias_estimates(flown.model, flown.events)
     found: dict[str, NDArray[Any]] = {
         "converged": np.array(fits.converged),
+        "untrusted": np.array(untrusted),
+        "looks": np.array(len(counts) - 1),
         "chances": chances,
         "estimates": np.full((2, MOST_BIASES, 8), np.nan),
         "events": np.zeros(2),
@@ -250,6 +261,7 @@ def judge_flight(
         "onset": np.full((2, 8), -1.0),
         "oracle": np.full((2, 8), -1.0),
         "onset_rank": np.full((2, 8), np.nan),
+        "slope_rank": np.full(2, np.nan),
         "fired": np.zeros((2, MOST_BIASES, 8), dtype=bool),
     }
     truth, _ = flown.model.at(flown.z)
@@ -268,15 +280,25 @@ def judge_flight(
                 found["onset"][place, k] = int(np.argmax(onset))
                 likely = rng.choice(count, size=200, p=onset).astype(float)
                 found["onset_rank"][place, k] = rank(likely, float(loss.onset), rng)
-        for k, first in _oracle_onsets(at, flown).items():
-            found["oracle"][place, k] = first
+        for k, likeliest in _oracle_onsets(at, flown).items():
+            found["oracle"][place, k] = likeliest
+        slopes = _slope(own, drawn[own.branch].shared)
+        true = float(_slope(own, flown.shared[own.branch][None])[0])
+        found["slope_rank"][place] = rank(slopes, true, rng)
     values = flown.model.space.to_parameters(flown.z)
-    drawn = fits.model.space.to_parameters(fits.z)
+    walked = fits.model.space.to_parameters(fits.z)
     ranked = [n for n in fits.model.space.names if np.ndim(values[n])]
+    found["names"] = np.array(ranked)
     found["ranks"] = np.array(
-        [rank(np.asarray(drawn[n]), float(np.asarray(values[n])[0]), rng) for n in ranked]
+        [rank(np.asarray(walked[n]), float(np.asarray(values[n])[0]), rng) for n in ranked]
     )
     return found
+
+
+def _slope(thrusts: BranchThrusts, shared: Array) -> Array:
+    """Mean change of the thrusters' levels in a year (n,) N, of shared coefficients (n, q)."""
+    in_a_year = replace(thrusts, years=np.array([0.0, 1.0])).levels_at(shared)
+    return np.asarray((in_a_year[:, 1] - in_a_year[:, 0]).mean(-1))
 
 
 def _oracle_onsets(branch: BranchAt, flown: Flown) -> dict[int, int]:

@@ -147,19 +147,30 @@ class BranchAt:
     """One branch at n points: its events' information and the collapsed coefficients."""
 
     thrusts: BranchThrusts
-    information: ThrustInformation  # about ``reference_n``
     scale: Array  # (n, E) u, thrust over thrust at the reference pressure
+    information: ThrustInformation  # about ``reference_n``
+    left: ThrustInformation  # for levels, about their prior mean; own departures integrated out
+
+    @classmethod
+    def of(cls, thrusts: BranchThrusts, scale: Array, information: ThrustInformation) -> BranchAt:
+        """With the events' own departures eliminated."""
+        about = information.about(_offset_n(thrusts, scale))
+        return cls(thrusts, scale, information, about.without_own(thrusts.own))
+
+    @classmethod
+    def joined(cls, lots: Sequence[BranchAt]) -> BranchAt:
+        """The same at the points of several lots, in their order."""
+        return cls(
+            lots[0].thrusts,
+            np.concatenate([lot.scale for lot in lots]),
+            ThrustInformation.of_points([lot.information for lot in lots]),
+            ThrustInformation.of_points([lot.left for lot in lots]),
+        )
 
     @property
     def offset_n(self) -> Array:
         """Prior mean of the thrusts less the reference (n, E, K)."""
-        mean = self.thrusts.common_n * self.scale - self.thrusts.reference_n
-        return np.broadcast_to(mean[..., None], (*mean.shape, len(self.thrusts.thrusters)))
-
-    @cached_property
-    def left(self) -> ThrustInformation:
-        """What events say of their levels, about the prior mean, own departures integrated out."""
-        return self.information.about(self.offset_n).without_own(self.thrusts.own)
+        return _offset_n(self.thrusts, self.scale)
 
     @cached_property
     def levels(self) -> CollapsedLevels:
@@ -198,13 +209,17 @@ class BranchAt:
         return self._cut(slice(None), slice(count), self.thrusts.first(count))
 
     def _cut(self, points: Places | slice, events: slice, thrusts: BranchThrusts) -> BranchAt:
-        """Some points and events; what was eliminated event by event already is kept."""
-        found = BranchAt(
-            thrusts, self.information.cut(points, events), self.scale[points][:, events]
+        return BranchAt(
+            thrusts,
+            self.scale[points][:, events],
+            self.information.cut(points, events),
+            self.left.cut(points, events),
         )
-        if "left" in self.__dict__:
-            found.__dict__["left"] = self.left.cut(points, events)
-        return found
+
+
+def _offset_n(thrusts: BranchThrusts, scale: Array) -> Array:
+    mean = thrusts.common_n * scale - thrusts.reference_n
+    return np.broadcast_to(mean[..., None], (*mean.shape, len(thrusts.thrusters)))
 
 
 @dataclass(frozen=True)
@@ -272,7 +287,7 @@ class MissionModel:
         )
         share = np.broadcast_to(np.asarray(parameters[INTERCEPT]), (len(relative),))[:, None]
         scale = share + (1.0 - share) * relative[:, branch.events]
-        return BranchAt(branch, information, scale)
+        return BranchAt.of(branch, scale, information)
 
 
 def mission_name(name: str, block: str, branch: str, own: Sequence[str], several: bool) -> str:

@@ -48,7 +48,7 @@ MOST_K: Final = 0.7
 """Pareto k̂ beyond which importance draws are no result (Vehtari et al. 2024)."""
 LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
-_LOOKS: Final = 4  # at the hypotheses, each with draws of its own
+LOOKS: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
 _KEPT: Final = 100  # points whose densities one file keeps
 _WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
@@ -279,8 +279,8 @@ def fit_mission(
         density = Remembered(target(model, references, prior), store_of(repr(references)))
         found = _weighed_anew(earlier, model, density, rng)
         proposal = moments(found)
-        found = found if _trusted(found) else None
-    for look in range(_LOOKS):
+        found = found if trusted(found) else None
+    for look in range(LOOKS):
         density = Remembered(target(model, references, prior), store_of(repr(references)))
         say(f"draws with {describe(model, references)}")
         start = proposal or _prior_proposal(model.space.dimension)
@@ -289,7 +289,7 @@ def fit_mission(
         z = found.resample(rng, draws)
         losses = weighed_losses(model, prior, z, references)
         best = {one.branch: one.best for one in losses}
-        if look == _LOOKS - 1 or all(set(best[b]) == set(references[b]) for b in best):
+        if look == LOOKS - 1 or all(set(best[b]) == set(references[b]) for b in best):
             break
         references, found = best, None
     assert found is not None  # the loop ends with draws
@@ -307,7 +307,8 @@ def fit_mission(
     )
 
 
-def _trusted(found: ImportanceDraws) -> bool:
+def trusted(found: ImportanceDraws) -> bool:
+    """Whether importance draws are a result."""
     return found.pareto_k < MOST_K and found.efficiency * len(found.z) > LEAST_DRAWS
 
 
@@ -320,7 +321,7 @@ def _importance(
     """
     found = importance(density, proposal, rng, n)
     for look in range(_PILOTS):
-        if _trusted(found):
+        if trusted(found):
             break
         if look == 0 and found.efficiency * n < LEAST_DRAWS / 4:
             mode = find_mode(density, proposal.location)
@@ -334,15 +335,8 @@ def _importance(
 def _weighed_anew(
     earlier: EarlierDraws, model: MissionModel, density: LogDensity, rng: np.random.Generator
 ) -> ImportanceDraws:
-    """Draws of a shorter mission with the weights that the longer one gives them.
-
-    Parameters that only the longer one has are drawn from their priors.
-    """
-    before, names = earlier.names, model.space.names
-    z = rng.standard_normal((len(earlier.z), len(names)))
-    known = [i for i, name in enumerate(names) if name in before]
-    z[:, known] = earlier.z[:, [before.index(names[i]) for i in known]]
-    new = [i for i, name in enumerate(names) if name not in before]
+    """Draws of a shorter mission with the weights that the longer one gives them."""
+    z, new = embedded(earlier, model, rng)
     log_ratio = density(z) - earlier.log_density - standard_normal_log_density(z[:, new]).sum(-1)
     log_total = float(logsumexp(log_ratio))
     # the same draw twice is one draw: chains of short updates would wear out unseen
@@ -357,6 +351,29 @@ def _weighed_anew(
         pareto_k=pareto_k(log_ratio),
         efficiency=efficiency,
     )
+
+
+def embedded(
+    earlier: EarlierDraws, model: MissionModel, rng: np.random.Generator
+) -> tuple[Array, Places]:
+    """Draws of a shorter mission as points of a longer one; parameters that only it has are new.
+
+    These come from their priors. A mission of one branch names without the branch what every
+    branch of the longer one has for itself.
+    """
+    names = model.space.names
+    z = rng.standard_normal((len(earlier.z), len(names)))
+    new = []
+    for i, name in enumerate(names):
+        branch, _, of_branch = name.partition(".")
+        before = of_branch if list(earlier.references) == [branch] else name
+        if name in earlier.names:
+            before = name
+        if before in earlier.names:
+            z[:, i] = earlier.z[:, earlier.names.index(before)]
+        else:
+            new.append(i)
+    return z, np.array(new, dtype=np.int64)
 
 
 def _prior_proposal(d: int) -> Proposal:
