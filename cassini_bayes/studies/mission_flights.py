@@ -42,7 +42,7 @@ SWAP: Final = datetime(2009, 3, 12, tzinfo=UTC)
 END: Final = datetime(2012, 1, 1, tzinfo=UTC)
 PRESSURES: Final = (
     (START, 1_800.0),
-    (RECHARGE - timedelta(days=1), 1_700.0),
+    (RECHARGE - timedelta(seconds=1), 1_700.0),
     (RECHARGE, 2_700.0),
     (END, 2_000.0),
 )
@@ -56,6 +56,7 @@ FIXED: Final = (
     *("rwa4_tilt_u_rad", "rwa4_tilt_v_rad", "tail_ageing_per_year", "tail_pressure_exponent"),
 )
 """Nuisances held at their means: they shift all of a thruster's estimates alike."""
+ROOM_S: Final = 10.0
 MOST_FAILING: Final = 2
 FIRST_LOOK, EVERY = 6, 2
 DRAWS, PROPOSALS = 400, 800
@@ -176,10 +177,15 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
 
 
 def _bias(event: TotalsEvent, name: str, epoch: datetime, rng: np.random.Generator) -> TotalsEvent:
-    """A flight bias, scaled and perhaps run backwards, flown by the branch of its date."""
+    """A flight bias, scaled and perhaps run backwards, flown by the branch of its date.
+
+    The thrusters of the flight had less thrust than pressures and tail-offs of the priors may give:
+    the limit cycle gets more room, so that no on-time comes out negative.
+    """
     size, backwards = rng.uniform(0.7, 1.3), rng.uniform() < 0.5
     start, end = event.rwa_start_rpm * size, event.rwa_end_rpm * size
-    on_time, pulses = event.on_time_s * size, np.asarray(event.pulses)
+    on_time, pulses = size * (event.on_time_s + ROOM_S), np.asarray(event.pulses)
+    pulses = pulses + ROOM_S / 0.125
     if backwards:
         start, end = end, start
         on_time, pulses = on_time[list(OPPOSITE)], pulses[list(OPPOSITE)]

@@ -33,7 +33,7 @@ from cassini_bayes.results.mission.fitting import (
 from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, refined, weighted
 
 POINTS: Final = 400  # added to a pool at a time
-WEIGHED: Final = 150  # draws of a look at which losses are weighed
+WEIGHED: Final = 100  # draws of a look at which losses are weighed
 _TRIES: Final = 6
 
 
