@@ -20,7 +20,7 @@ from cassini_bayes.model.mission.losses import (
 )
 from cassini_bayes.model.mission.mission_file import ForecastTable, MissionTable, years_between
 from cassini_bayes.model.mission.model import INTERCEPT, BranchThrusts
-from cassini_bayes.results.mission.fitting import MissionFit
+from cassini_bayes.results.mission.fitting import MissionFit, distinct
 
 INTERVAL: Final = (0.05, 0.95)
 LEAST_ON_TIME_S: Final = 5.0
@@ -107,7 +107,8 @@ def _draw_batch(
     rng: np.random.Generator,
 ) -> BranchDraws:
     """Draws of one branch, by its number, at some of the fit's points with their hypotheses."""
-    branch = fit.model.at(fit.z[places])[0][number]
+    points, back = distinct(fit.z[places])
+    branch = fit.model.at(points)[0][number].take(back)
     losses = draw_losses(loss_terms(branch), which, fit.prior.scale, rng)
     shared, thrust = draw_thrusts_given(branch, losses, rng)
     thrusts = branch.thrusts

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mission_cases import mission_of, mission_table
 from scipy.integrate import quad
-from scipy.stats import halfnorm, truncnorm
+from scipy.stats import halfnorm, norm, truncnorm
 from totals_cases import flight
 
 from cassini_bayes.model.mission.losses import (
@@ -21,6 +21,7 @@ from cassini_bayes.model.mission.losses import (
     log_bayes_of,
     log_bayes_pair,
     log_bayes_single,
+    log_both_positive,
     log_prior_of,
     loss_terms,
     near_hypotheses,
@@ -97,7 +98,7 @@ def test_evidence_of_one_loss_is_its_integral(linear: float) -> None:
 def test_evidence_of_two_losses_is_their_integral(
     linear: tuple[float, float], square: tuple[float, float], cross: float
 ) -> None:
-    """Sixteen quantiles of the first loss serve to a hundredth of a nat."""
+    """Both terms and sizes by a product rule of 400 nodes each."""
     nodes, weights = np.polynomial.legendre.leggauss(400)
     s, t = np.meshgrid(0.4 * (nodes + 1.0), 0.4 * (nodes + 1.0), indexing="ij")
     height = linear[0] * s + linear[1] * t
@@ -105,7 +106,7 @@ def test_evidence_of_two_losses_is_their_integral(
     density = halfnorm.pdf(s, scale=SCALE) * halfnorm.pdf(t, scale=SCALE)
     value = (np.exp(height) * density * np.outer(0.4 * weights, 0.4 * weights)).sum()
     found = log_bayes_pair(np.array(linear), np.array(square), np.array(cross), SCALE)
-    assert float(found) == pytest.approx(np.log(value), abs=0.01)
+    assert float(found) == pytest.approx(np.log(value), abs=1e-6)
 
 
 def test_hypotheses_add_up_whichever_is_the_reference(branch: BranchAt) -> None:
@@ -131,17 +132,32 @@ def test_evidence_of_one_hypothesis_is_that_among_all(branch: BranchAt) -> None:
         np.testing.assert_allclose(alone, found[:, number], rtol=1e-9, atol=1e-9)
 
 
-def test_a_sure_loss_leaves_the_other_its_own_probability() -> None:
-    """Closed form of a pair with one sure loss against the quantiles on either side of sure."""
-    square, cross = np.array([[4000.0, 500.0]] * 2), np.full(2, 200.0)
-    linear = np.array([[430.0, 30.0], [460.0, 31.4]])  # the first loss at 6.7 and 7.2 sigmas
-    nodes, weights = np.polynomial.legendre.leggauss(600)
-    s, t = np.meshgrid(0.5 * (nodes + 1.0), 0.5 * (nodes + 1.0), indexing="ij")
-    for one, quick in zip(linear, log_bayes_pair(linear, square, cross, SCALE), strict=True):
-        height = one[0] * s + one[1] * t - 0.5 * (4000.0 * s**2 + 500.0 * t**2) - 200.0 * s * t
-        density = halfnorm.pdf(s, scale=SCALE) * halfnorm.pdf(t, scale=SCALE)
-        value = (np.exp(height) * density * np.outer(0.5 * weights, 0.5 * weights)).sum()
-        assert quick == pytest.approx(np.log(value), abs=1e-3)
+@pytest.mark.parametrize(
+    ("h", "k", "correlation"),
+    [(7.5, 0.3, 0.6), (1.2, -2.0, -0.8), (-1.0, -1.5, 0.3), (0.0, 1.0, -0.5), (0.5, 0.0, 0.95)],
+)
+def test_probability_that_both_are_positive(h: float, k: float, correlation: float) -> None:
+    """Owen's T function against a numerical integral over the first normal."""
+    root = np.sqrt(1.0 - correlation**2)
+
+    def integrand(x: float) -> float:
+        return float(norm.pdf(x) * norm.cdf((k + correlation * x) / root))
+
+    value = quad(integrand, -h, 9.0, epsabs=1e-13, limit=200)[0]
+    found = log_both_positive(np.array([h]), np.array([k]), np.array([correlation]))
+    assert found[0] == pytest.approx(np.log(value), abs=1e-9)
+
+
+def test_small_probabilities_keep_their_logarithm() -> None:
+    """Both means at −8 standard deviations: quantiles of the first, by its integral in logs."""
+    h, k, correlation = -8.0, -8.0, 0.2
+    root = np.sqrt(1.0 - correlation**2)
+    value = quad(
+        lambda x: np.exp(norm.logpdf(x) + norm.logcdf((k + correlation * x) / root) + 60.0),
+        -h, 12.0, epsabs=0.0, limit=200,
+    )[0]  # fmt: skip
+    found = log_both_positive(np.array([h]), np.array([k]), np.array([correlation]))
+    assert found[0] == pytest.approx(np.log(value) - 60.0, abs=0.02)
 
 
 def test_first_events_alone_are_a_branch_of_their_own(branch: BranchAt) -> None:
