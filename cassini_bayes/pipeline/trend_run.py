@@ -28,8 +28,10 @@ from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.pipeline.provenance import library_versions
 from cassini_bayes.pipeline.run import Reporter
 from cassini_bayes.results.mission.fitting import MissionFit, fit_mission, loss_prior
+from cassini_bayes.results.mission.groups import mission_fit_record
 from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend
 from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
+from cassini_bayes.results.record import save_fit
 
 CHECKPOINT: Final = "checkpoint"
 DRAWN_BY: Final = ("model.mission.inputs", "results.mission.fitting")
@@ -57,6 +59,7 @@ def execute_trend(
     command: Sequence[str],
     reporter: Reporter,
     report: bool = True,
+    fit_record: bool = False,
 ) -> TrendOutcome:
     """Work out the trend of a mission and write it to ``folder``.
 
@@ -67,6 +70,8 @@ def execute_trend(
     ----------
     where, base
         The mission file for messages, and the folder that its paths are relative to.
+    fit_record
+        Whether to write ``fit.nc`` too, in the layout of a fit of one branch.
 
     Raises
     ------
@@ -86,6 +91,9 @@ def execute_trend(
     trend = trend_of(fit, mission, inputs.on_time_s, np.random.default_rng([mission.trend.seed, 1]))
     record = _record(mission, inputs, fit, trend, laws)
     save_trend(fit, trend, folder / "trend.nc")
+    if fit_record:
+        rng = np.random.default_rng([mission.trend.seed, 2])
+        save_fit(mission_fit_record(fit, trend.draws, rng), folder / "fit.nc")
     write_text(folder / "trend.csv", trend.thrust.to_csv(index=False, float_format="%.6g"))
     write_text(folder / "trend.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
     write_text(

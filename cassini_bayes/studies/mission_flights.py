@@ -253,7 +253,7 @@ def judge_flight(
         untrusted, earlier = untrusted + (not look.trusted), look.draws
     fits = fit_mission(flown.model, prior, rng, earlier=earlier, **size)
     note(whole, fits.losses)
-    drawn = draw_branches(fits, rng)
+    drawn = draw_branches(fits, rng).branches
     estimates = bias_estimates(flown.model, flown.events)
     found: dict[str, NDArray[Any]] = {
         "converged": np.array(fits.converged),

@@ -322,6 +322,18 @@ def _positive_normal(mean: Array, sd: Array, rng: np.random.Generator) -> Array:
     return np.asarray(np.maximum(mean - sd * ndtri_exp(log_level), 0.0))
 
 
+def prior_losses(
+    prior: LossPrior, shape: tuple[int, int, int], rng: np.random.Generator
+) -> DrawnLosses:
+    """Losses before any data, for ``shape`` = (draws n, events E, thrusters K)."""
+    n, events, thrusters = shape
+    order = np.where(rng.uniform(size=(n, thrusters)) < prior.probability, 0.0, 1.0)
+    thruster = np.argsort(order + rng.uniform(size=order.shape), axis=1)[:, :2]
+    fails = (np.take_along_axis(order, thruster, axis=1) == 0.0) & (events > 1)
+    share = np.where(fails, np.abs(prior.scale * rng.standard_normal((n, 2))), 0.0)
+    return DrawnLosses(thruster, rng.integers(1, max(events, 2), (n, 2)), share)
+
+
 def draw_thrusts_given(
     branch: BranchAt, losses: DrawnLosses, rng: np.random.Generator
 ) -> tuple[Array, Array]:

@@ -103,6 +103,11 @@ class BranchThrusts:
         levels = np.broadcast_to(self.levels, (len(years), *self.levels.shape))
         return np.concatenate([levels, years[:, None, None] * self.ageing], axis=-1)
 
+    def scale_at(self, parameters: Parameters, relative: Array) -> Array:
+        """u (n, E), thrust over that at the reference pressure; relative (n, …) as pressures."""
+        share = np.broadcast_to(np.asarray(parameters[INTERCEPT]), (len(relative),))[:, None]
+        return np.asarray(share + (1.0 - share) * relative[:, self.events])
+
     def levels_at(self, shared: Array) -> Array:
         """Levels (n, E, K) less the common one, at the reference pressure, of shared (n, q)."""
         first = self.levels.shape[1]
@@ -234,16 +239,12 @@ class MissionModel:
 
     def at(self, z: Array) -> tuple[tuple[BranchAt, ...], Array]:
         """Every branch at walked coordinates z (n, d), and what says nothing of thrusts (n,)."""
-        parameters = self.space.to_parameters(z)
-        n, tank = len(z), self.circumstances.tank
-        factor = np.broadcast_to(np.asarray(parameters.get(USED_FACTOR, 1.0)), (n,))
-        relative = tank.pressures_kpa(factor) / tank.reference_kpa
+        parameters, n = self.space.to_parameters(z), len(z)
+        relative = self.relative_pressures(parameters, n)
         found: dict[str, list[tuple[Part, ThrustInformation]]] = {}
         rest = np.zeros(n)
         for part in self.parts:
-            years = self._years(part)
-            own = part.parameters_at(parameters, relative[:, part.event], years)
-            points = part.model.points_at(own, n)
+            points = part.model.points_at(self.of_part(part, parameters, relative), n)
             terms = [term.at(points) for term in part.model.terms]
             rest = rest + sum(term.log_likelihood for term in terms)
             if len(part.places):
@@ -253,6 +254,18 @@ class MissionModel:
             self._branch_at(branch, found[branch.branch], parameters, relative)
             for branch in self.branches
         ), rest
+
+    def relative_pressures(self, parameters: Parameters, n: int) -> Array:
+        """Tank pressures over the reference one in all events, (n, E)."""
+        factor = np.broadcast_to(np.asarray(parameters.get(USED_FACTOR, 1.0)), (n,))
+        tank = self.circumstances.tank
+        return np.asarray(tank.pressures_kpa(factor) / tank.reference_kpa)
+
+    def of_part(
+        self, part: Part, parameters: Parameters, relative: Array
+    ) -> dict[str, Array | float]:
+        """One part's own parameters at the mission's; relative (n, E) as above."""
+        return part.parameters_at(parameters, relative[:, part.event], self._years(part))
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
@@ -285,8 +298,7 @@ class MissionModel:
         information = ThrustInformation(
             joined.matrix[:, order], joined.vector[:, order], joined.constant[:, order]
         )
-        share = np.broadcast_to(np.asarray(parameters[INTERCEPT]), (len(relative),))[:, None]
-        scale = share + (1.0 - share) * relative[:, branch.events]
+        scale = branch.scale_at(parameters, relative)
         return BranchAt.of(branch, scale, information)
 
 

@@ -89,14 +89,17 @@ class Losses:
         total = found.sum()
         return found / total if total > 0 else found
 
-    def draw(self, rng: np.random.Generator, n: int) -> tuple[Places, list[Hypothesis]]:
-        """n draws of a point and a hypothesis together: places among the fit's draws, losses."""
-        log_joint = self.log_prior + self.log_ratio
-        flat = np.exp(log_joint - log_joint.max()).ravel()
-        edges = np.cumsum(flat)
-        points = (np.arange(n) + rng.uniform()) / n * edges[-1]
-        place, number = np.divmod(np.searchsorted(edges, points), log_joint.shape[1])
-        return place, [self.which[i] for i in number]
+    @property
+    def log_weight(self) -> Array:
+        """Log of what all hypotheses together have over the reference at each draw, (n,)."""
+        return np.asarray(logsumexp(self.log_prior + self.log_ratio, axis=1))
+
+    def draw_at(self, places: Places, rng: np.random.Generator) -> list[Hypothesis]:
+        """A hypothesis at each of some of the fit's draws, with its probability there."""
+        log_joint = (self.log_prior + self.log_ratio)[places]
+        edges = np.cumsum(np.exp(log_joint - log_joint.max(1, keepdims=True)), axis=1)
+        levels = rng.uniform(size=(len(places), 1)) * edges[:, -1:]
+        return [self.which[i] for i in (edges < levels).sum(1)]
 
     @property
     def best(self) -> Hypothesis:
