@@ -170,7 +170,7 @@ def _record(
     mission: MissionTable, inputs: MissionInputs, fit: MissionFit, trend: Trend, laws: str
 ) -> dict[str, Any]:
     """``trend.json``: health, alarms, forecast and how the draws were made."""
-    names, values = fit.model.space.names, fit.model.space.to_parameters(fit.z)
+    names, values = fit.model.space.names, fit.model.space.to_parameters(trend.draws.z)
     return {
         "format": 1,
         "identity": laws,
@@ -179,7 +179,15 @@ def _record(
         "log_evidence": fit.log_evidence_total,
         "log_evidence_se": fit.log_evidence_se,
         "pareto_k": fit.pareto_k,
-        "log_bayes_proportional_law": proportional_odds(fit),
+        "log_bayes_proportional_law": proportional_odds(fit.model, trend.draws.z),
+        "slopes": {
+            branch: {
+                "mean_n_per_year": float(own.slope.mean()),
+                "sd_n_per_year": float(own.slope.std()),
+                "below_zero": float((own.slope < 0).mean()),
+            }
+            for branch, own in trend.draws.branches.items()
+        },
         "alarm_above": mission.trend.alarm,
         "health": _rows(trend.health),
         "onsets": _rows(trend.onsets),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -244,14 +245,14 @@ def judge_flight(
     whole = len(flown.events)
     counts = range(FIRST_LOOK + (whole - FIRST_LOOK) % EVERY, whole, EVERY)
     first = _model(flown.events[: counts[0]], flown.table, priors)
-    size = {"draws": DRAWS, "proposals": PROPOSALS}
-    begun = fit_mission(first, prior, rng, **size)
+    fit = partial(fit_mission, draws=DRAWS, proposals=PROPOSALS)
+    begun = fit(first, prior, rng)
     note(counts[0], begun.losses)
     untrusted, earlier = 0, begun.draws
     for look in looks(flown.model, prior, earlier, counts[1:], DRAWS, rng):
         note(look.events, look.losses)
         untrusted, earlier = untrusted + (not look.trusted), look.draws
-    fits = fit_mission(flown.model, prior, rng, earlier=earlier, **size)
+    fits = fit(flown.model, prior, rng, earlier=earlier)
     note(whole, fits.losses)
     drawn = draw_branches(fits, rng).branches
     estimates = bias_estimates(flown.model, flown.events)
@@ -288,9 +289,9 @@ def judge_flight(
                 found["onset_rank"][place, k] = rank(likely, float(loss.onset), rng)
         for k, likeliest in _oracle_onsets(at, flown).items():
             found["oracle"][place, k] = likeliest
-        slopes = _slope(own, drawn[own.branch].shared)
-        true = float(_slope(own, flown.shared[own.branch][None])[0])
-        found["slope_rank"][place] = rank(slopes, true, rng)
+        of_branch = drawn[own.branch]
+        true = replace(of_branch, shared=flown.shared[own.branch][None]).slope
+        found["slope_rank"][place] = rank(of_branch.slope, float(true[0]), rng)
     values = flown.model.space.to_parameters(flown.z)
     walked = fits.model.space.to_parameters(fits.z)
     ranked = [n for n in fits.model.space.names if np.ndim(values[n])]
@@ -299,12 +300,6 @@ def judge_flight(
         [rank(np.asarray(walked[n]), float(np.asarray(values[n])[0]), rng) for n in ranked]
     )
     return found
-
-
-def _slope(thrusts: BranchThrusts, shared: Array) -> Array:
-    """Mean change of the thrusters' levels in a year (n,) N, of shared coefficients (n, q)."""
-    in_a_year = replace(thrusts, years=np.array([0.0, 1.0])).levels_at(shared)
-    return np.asarray((in_a_year[:, 1] - in_a_year[:, 0]).mean(-1))
 
 
 def _oracle_onsets(branch: BranchAt, flown: Flown) -> dict[int, int]:

@@ -134,8 +134,9 @@ def looks(
         for look in range(LOOKS):
             pool, found, log_density = _weighed(pool, count, references, prior, rng)
             branches = pool.first(count)
-            chosen, back = distinct(found.places(rng, WEIGHED)[:, None])
-            lot = tuple(branch.take(chosen[:, 0]) for branch in branches)
+            places = found.places(rng, WEIGHED)
+            chosen, back = distinct(places)
+            lot = tuple(branch.take(places[chosen]) for branch in branches)
             losses = weighed_at([lot], prior, references, back)
             best = {one.branch: one.best for one in losses}
             settled = all(set(best[b]) == set(references[b]) for b in best)

@@ -134,7 +134,8 @@ def compare_rules(found: Arrays) -> pd.DataFrame:
         for i, j in np.ndindex(events.shape):
             n = events[i, j]
             paths[i, j, :n] = rule(found["estimates"][i, j, :n], found["chances"][i, j, :n])
-        highest = np.where(healthy(failed, paths.shape[2]), paths, 0.0).max((1, 2, 3))
+        steady = np.where(healthy(failed, found["chances"].shape[2]), paths, 0.0)
+        highest = steady.reshape(len(paths), -1).max(1)
         threshold = float(np.quantile(highest, 1.0 - FALSE_ALARMS))
         delays = []
         for i, j, k in np.argwhere((failed >= 0) & (share >= LARGE)):

@@ -249,7 +249,7 @@ def log_bayes_of(terms: LossTerms, which: Sequence[Hypothesis], scale: float) ->
         members = np.flatnonzero(counts == size)
         if not len(members):
             continue
-        places = np.array([[(s.onset, s.thruster) for s in which[i]] for i in members])
+        places = np.array([[(s.onset, s.thruster) for s in which[int(i)]] for i in members])
         o, k = places[..., 0], places[..., 1]
         linear, square = terms.linear[:, o, k], terms.square[:, o, k]
         if size == 1:

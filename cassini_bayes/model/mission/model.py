@@ -46,7 +46,7 @@ OF_A_BRANCH: Final = ("thrust", "tail-off")
 MAY_CHANGE: Final = ("centre of mass", "inertia", "mass")
 """Blocks that dated facts and propellant may change."""
 _SAME_THRUST: Final = 0.1  # events whose expected thrusts differ less share an expansion
-_MOST_POINTS, _MOST_ROWS = 100, 20_000  # worked up at a time; rows are events times points
+_MOST_POINTS, _MOST_ROWS = 100, 5_000  # worked up at a time; rows are events times points
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ import hashlib
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Places
@@ -392,7 +393,8 @@ def weighed_losses(
     model: MissionModel, prior: LossPrior, z: Array, references: References
 ) -> tuple[Losses, ...]:
     """Posterior probabilities of every branch's hypotheses, the other branch at its reference."""
-    points, back = distinct(z)
+    first, back = distinct(z)
+    points = z[first]
     lots = (model.at(points[rows])[0] for rows in model.batches(len(points)))
     return weighed_at(lots, prior, references, back)
 
@@ -427,11 +429,11 @@ def weighed_at(
     return tuple(weighed)
 
 
-def distinct(z: Array) -> tuple[Array, Places]:
-    """Different rows of z (n, d) in the order in which they first come, and where each row is."""
-    _, first, which = np.unique(z, axis=0, return_index=True, return_inverse=True)
+def distinct(rows: NDArray[Any]) -> tuple[Places, Places]:
+    """Where each different one of the rows (n, …) first comes, and which of these each row is."""
+    _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
-    return z[first[order]], np.argsort(order)[which.ravel()]
+    return first[order], np.argsort(order)[which.ravel()]
 
 
 def describe(model: MissionModel, references: References) -> str:

@@ -19,7 +19,7 @@ from cassini_bayes.model.mission.losses import (
     loss_terms,
 )
 from cassini_bayes.model.mission.mission_file import ForecastTable, MissionTable, years_between
-from cassini_bayes.model.mission.model import INTERCEPT, BranchThrusts
+from cassini_bayes.model.mission.model import INTERCEPT, BranchThrusts, MissionModel
 from cassini_bayes.results.mission.fitting import MissionFit, distinct
 from cassini_bayes.sampling.warmstart import weighted
 
@@ -47,6 +47,12 @@ class BranchDraws:
         mean = self.thrusts.common_n + self.shared @ self.thrusts.rows(np.array([years]))[0].T
         lost = self.losses.lost(len(self.thrusts.events), len(self.thrusts.thrusters))[:, -1]
         return np.asarray(mean - self.thrusts.common_n * lost)
+
+    @property
+    def slope(self) -> Array:
+        """Mean change (n,) of the thrusters' levels in a year, losses not counted, N."""
+        first = self.thrusts.levels.shape[1]
+        return np.asarray((self.shared[:, first:] @ self.thrusts.ageing.T).mean(-1))
 
 
 @dataclass(frozen=True)
@@ -120,14 +126,13 @@ def _draw_batch(
     rng: np.random.Generator,
 ) -> BranchDraws:
     """Draws of one branch, by its number, at points (n, d) with their hypotheses."""
-    points, back = distinct(z)
-    branch = fit.model.at(points)[0][number].take(back)
+    first, back = distinct(z)
+    branch = fit.model.at(z[first])[0][number].take(back)
     losses = draw_losses(loss_terms(branch), which, fit.prior.scale, rng)
     shared, thrust = draw_thrusts_given(branch, losses, rng)
     thrusts = branch.thrusts
     lost = losses.lost(len(thrusts.events), len(thrusts.thrusters))
-    rows = thrusts.rows(thrusts.years)
-    level = thrusts.common_n + np.einsum("ekq,nq->nek", rows, shared) - thrusts.common_n * lost
+    level = thrusts.common_n * (1.0 - lost) + thrusts.levels_at(shared)
     return BranchDraws(thrusts, level, thrust, shared, losses, intercept)
 
 
@@ -145,19 +150,19 @@ def _joined(parts: Sequence[BranchDraws]) -> BranchDraws:
     return BranchDraws(parts[0].thrusts, level, thrust, shared, losses, intercept)
 
 
-def proportional_odds(fit: MissionFit) -> float | None:
+def proportional_odds(model: MissionModel, z: Array) -> float | None:
     """Log Bayes factor of the proportional law of pressure against the affine one.
 
-    Posterior over prior density of no intercept (Savage and Dickey), by a kernel estimate from the
-    draws: good to a tenth of a nat near the bulk, a bound far out. None where the intercept is
-    fixed.
+    Posterior over prior density of no intercept (Savage and Dickey), by a kernel estimate from
+    draws z (n, d): good to a tenth of a nat near the bulk, a bound far out. None where the
+    intercept is fixed.
     """
-    space = fit.model.space
+    space = model.space
     if INTERCEPT not in space.names:
         return None
     place = space.names.index(INTERCEPT)
     none = float(space.distributions[place].standard_of(0.0))
-    return float(gaussian_kde(fit.z[:, place]).logpdf(none)[0] - norm.logpdf(none))
+    return float(gaussian_kde(z[:, place]).logpdf(none)[0] - norm.logpdf(none))
 
 
 def thrust_table(
