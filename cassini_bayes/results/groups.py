@@ -59,6 +59,9 @@ def build_fit(
     if replicate_rows:
         for name, channels in channel_replicates(model, flat, draws, n, coordinates, rng).items():
             groups[name] = xr.merge([groups[name], channels], join="exact")
+    branch = ("event", [model.branch] * len(model.event_ids))
+    of_events = {name: own for name, own in groups.items() if "event" in own.dims}
+    groups |= {name: own.assign_coords(branch=branch) for name, own in of_events.items()}
     return Fit(groups, dict(attributes))
 
 
@@ -67,7 +70,7 @@ def drawn_groups(
 ) -> dict[str, xr.Dataset]:
     """The groups that follow from draws of everything, and from as many as may be of its prior.
 
-    ``shape`` (chains, draws) is that of ``draws``; events carry their branch.
+    ``shape`` (chains, draws) is that of ``draws``.
     """
     coordinates, before = coordinates_of(model), (1, prior.size)
     terms, terms_before = _drawn_terms(model, draws), _drawn_terms(model, prior)
@@ -81,16 +84,11 @@ def drawn_groups(
         "prior": _posterior(model, prior, terms_before),
         "prior_predictive": _predictive(model, terms_before, rng),
     }
-    groups = {
+    return {
         **{name: dataset_of(own, coordinates, shape) for name, own in variables.items()},
         **{name: dataset_of(own, coordinates, before) for name, own in variables_before.items()},
         "observed_data": _dataset(model, [term.observed() for term in model.terms]),
         "constant_data": _constants(model),
-    }
-    branch = ("event", [model.branch] * len(model.event_ids))
-    return {
-        name: own.assign_coords(branch=branch) if "event" in own.dims else own
-        for name, own in groups.items()
     }
 
 
