@@ -73,6 +73,9 @@ def test_rates_of_made_up_missions() -> None:
     findings = findings_of(found)
     assert findings.named == findings.near == findings.oracle_near == (20, 20)
     assert findings.false_alarms == (0, 40)
+    assert findings.in_time == (20, 20)
+    late = {**found, "fired": found["fired"] & (np.arange(60) < 8)[:, None]}  # two biases since
+    assert findings_of(late).in_time == (0, 0)
     delay = findings.rules.set_index("rule")["median_delay_biases"]
     assert delay["posterior odds"] == 1.0
     assert set(findings.rank_p) == {"thrust_intercept_share", "A slope", "B slope", "onset"}
