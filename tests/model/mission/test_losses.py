@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mission_cases import mission_of, mission_table
 from scipy.integrate import quad
-from scipy.stats import halfnorm, norm, truncnorm
+from scipy.stats import binom, halfnorm, norm, truncnorm
 from totals_cases import flight
 
 from cassini_bayes.model.mission.losses import (
@@ -26,6 +26,7 @@ from cassini_bayes.model.mission.losses import (
     loss_terms,
     near_hypotheses,
     place_of,
+    prior_losses,
 )
 from cassini_bayes.model.mission.model import BranchAt
 from cassini_bayes.model.thrusts import ThrustPrior, collapse_thrusts
@@ -200,3 +201,19 @@ def test_thrusts_without_a_loss_are_those_of_the_collapsed_model(branch: BranchA
     error = 5 * np.sqrt(variance[0] / n)
     assert (np.abs(thrust.mean(0) - mean[0]) < error).all()
     np.testing.assert_allclose(thrust.std(0), np.sqrt(variance[0]), rtol=0.06)
+
+
+def test_losses_before_any_data_follow_their_prior() -> None:
+    """One thruster in ten fails, at most two; onsets after the first event; half-normal shares."""
+    n = 20_000
+    drawn = prior_losses(LossPrior(0.1, SCALE), (n, 5, 8), np.random.default_rng(3))
+    failing = (drawn.share > 0).sum(1)
+    for count, probability in enumerate(binom.pmf([0, 1], 8, 0.1)):
+        assert (failing == count).mean() == pytest.approx(probability, abs=0.015)
+    assert failing.max() == 2
+    assert (drawn.thruster[:, 0] != drawn.thruster[:, 1]).all()
+    assert {int(o) for o in drawn.onset.ravel()} == {1, 2, 3, 4}
+    mean = halfnorm.mean(scale=SCALE)
+    assert drawn.share[drawn.share > 0].mean() == pytest.approx(mean, rel=0.03)
+    alone = prior_losses(LossPrior(0.1, SCALE), (10, 1, 8), np.random.default_rng(3))
+    assert not alone.share.any()  # a branch of one event has no onset after it
