@@ -268,7 +268,7 @@ def calibrate_missions_command(
     priors: PriorsFile = MISSION_PRIORS,
     trials: Trials = None,
     quick: Quick = False,
-    seed: Seed = 20_090_312,
+    seed: Seed = 19_971_015,
     jobs: Jobs = None,
     dask: Dask = None,
     work: Work = WORK,

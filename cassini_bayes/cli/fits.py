@@ -22,6 +22,8 @@ from cassini_bayes.cli.options import (
     Resume,
     Strict,
 )
+from cassini_bayes.cli.trends import fit_of_mission
+from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,8 +67,16 @@ def fit_command(
             help="Event folder (telemetry), totals CSV, or CSV:ID for one of its rows; any mix.",
         ),
     ],
-    priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    priors: Annotated[Path | None, typer.Option("--priors", help="Priors file.")] = None,
+    mission: Annotated[
+        Path | None,
+        typer.Option(
+            "--mission",
+            metavar="MISSION.toml",
+            help="Mission file: events of both branches in one fit, with its facts and priors.",
+        ),
+    ] = None,
     source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
     effect: Annotated[
         list[str] | None,
@@ -86,6 +96,20 @@ def fit_command(
     """Posterior of events: fit.nc, tables, figures and report."""
     from cassini_bayes.pipeline.run_file import check_run
 
+    if mission is not None:
+        if effect or effects or accept or leave_out or strict:
+            raise InputError(
+                "--mission",
+                "no option about effects, plausibility or strictness beside it",
+                "one of --effect, --effects, --accept, --leave-out, --strict",
+                "fit events of one branch with it, or leave it out",
+            )
+        fit_of_mission(mission, events, priors, source, out, seed, as_json, quiet)
+    if priors is None:
+        raise InputError(
+            "--priors", "a priors file, or a mission file that names one", "neither",
+            "add --priors FILE, or --mission MISSION.toml",
+        )  # fmt: skip
     sampler: dict[str, Any] = {} if seed is None else {"seed": seed}
     run = check_run(
         {

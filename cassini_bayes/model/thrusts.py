@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.priors.chaining import ChainedLevels
 from cassini_bayes.priors.reader import Priors
 
@@ -134,6 +134,23 @@ class ThrustInformation:
             np.concatenate([part.matrix for part in parts], axis=1),
             np.concatenate([part.vector for part in parts], axis=1),
             np.concatenate([part.constant for part in parts], axis=1),
+        )
+
+    @classmethod
+    def of_points(cls, lots: Sequence[ThrustInformation]) -> ThrustInformation:
+        """Of the same events at the points of several lots."""
+        return cls(
+            np.concatenate([lot.matrix for lot in lots]),
+            np.concatenate([lot.vector for lot in lots]),
+            np.concatenate([lot.constant for lot in lots]),
+        )
+
+    def cut(self, points: Places | slice, events: slice) -> ThrustInformation:
+        """That of some points and events."""
+        return ThrustInformation(
+            self.matrix[points][:, events],
+            self.vector[points][:, events],
+            self.constant[points][:, events],
         )
 
     def about(self, offset_n: Array) -> ThrustInformation:

@@ -30,6 +30,7 @@ from cassini_bayes.pipeline.run import Reporter
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.mission.fitting import MissionFit, fit_mission, loss_prior
+from cassini_bayes.results.mission.groups import mission_fit_record
 from cassini_bayes.results.mission.record import (
     earlier_draws,
     save_state,
@@ -37,6 +38,7 @@ from cassini_bayes.results.mission.record import (
     trend_draws,
 )
 from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
+from cassini_bayes.results.record import save_fit
 
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
@@ -110,6 +112,7 @@ def execute_trend(
     command: Sequence[str],
     reporter: Reporter,
     report: bool = True,
+    fit_record: bool = False,
 ) -> TrendOutcome:
     """Work out the trend of a mission and write it to ``folder``.
 
@@ -120,6 +123,8 @@ def execute_trend(
     ----------
     where, base
         The mission file for messages, and the folder that its paths are relative to.
+    fit_record
+        Whether to write ``fit.nc`` too, in the layout of a fit of one branch.
 
     Raises
     ------
@@ -139,6 +144,9 @@ def execute_trend(
     trend = trend_of(fit, mission, inputs.on_time_s, np.random.default_rng([mission.trend.seed, 1]))
     record = _record(mission, inputs, fit, trend, laws)
     save_trend(fit, trend, folder / "trend.nc")
+    if fit_record:
+        rng = np.random.default_rng([mission.trend.seed, 2])
+        save_fit(mission_fit_record(fit, trend.draws, rng), folder / "fit.nc")
     write_text(folder / "trend.csv", trend.thrust.to_csv(index=False, float_format="%.6g"))
     write_text(folder / "trend.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
     write_text(
@@ -215,7 +223,7 @@ def _record(
     mission: MissionTable, inputs: MissionInputs, fit: MissionFit, trend: Trend, laws: str
 ) -> dict[str, Any]:
     """``trend.json``: health, alarms, forecast and how the draws were made."""
-    names, values = fit.model.space.names, fit.model.space.to_parameters(fit.z)
+    names, values = fit.model.space.names, fit.model.space.to_parameters(trend.draws.z)
     return {
         "format": 1,
         "identity": laws,
@@ -224,7 +232,15 @@ def _record(
         "log_evidence": fit.log_evidence_total,
         "log_evidence_se": fit.log_evidence_se,
         "pareto_k": fit.pareto_k,
-        "log_bayes_proportional_law": proportional_odds(fit),
+        "log_bayes_proportional_law": proportional_odds(fit.model, trend.draws.z),
+        "slopes": {
+            branch: {
+                "mean_n_per_year": float(own.slope.mean()),
+                "sd_n_per_year": float(own.slope.std()),
+                "below_zero": float((own.slope < 0).mean()),
+            }
+            for branch, own in trend.draws.branches.items()
+        },
         "alarm_above": mission.trend.alarm,
         "health": _rows(trend.health),
         "onsets": _rows(trend.onsets),

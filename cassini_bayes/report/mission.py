@@ -63,11 +63,18 @@ def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[s
             "No tank pressure is given: levels are as if the pressure had stayed, and the common "
             "drift holds what pressure did."
         )
-    odds = proportional_odds(fit)
+    odds = proportional_odds(fit.model, trend.draws.z)
     if mission.pressure is not None and odds is not None:
         found.append(
             f"Thrust in proportion to pressure against an affine law: {odds:+.1f} nats"
             + (" (undecided)." if abs(odds) < DECISIVE else ".")
+        )
+    for branch, draws in trend.draws.branches.items():
+        slope = draws.slope
+        found.append(
+            f"Mean slope of branch {branch}, losses not counted: {1e3 * slope.mean():+.0f} ± "
+            f"{1e3 * slope.std():.0f} mN a year, below zero with probability "
+            f"{(slope < 0).mean():.2f}."
         )
     if mission.propellant is not None and mission.propellant.computed:
         found.append(
@@ -119,7 +126,9 @@ def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
         {
             "date": lambda row: str(row["epoch"])[:10],
             "thruster": lambda row: f"{row['branch']}.{row['thruster']}",
-            "pressure [kPa]": lambda row: f"{row['pressure_kpa']:.0f}",
+            "pressure [kPa]": lambda row: (
+                Cell("–", "muted") if mission.pressure is None else f"{row['pressure_kpa']:.0f}"
+            ),
             "thrust [N]": lambda row: f"{row['thrust_n']:.3f} ± {row['thrust_sd_n']:.3f}",
             "central 90 %": lambda row: f"{row['thrust_low_n']:.3f} to {row['thrust_high_n']:.3f}",
         },

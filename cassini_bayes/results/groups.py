@@ -22,6 +22,7 @@ from cassini_bayes.results.replicates import channel_replicates
 
 DENSITY: Final = "event_data"
 """Log density of the data where the events are not all of one kind."""
+DENSITY_MEANING: Final = "log density of the event's data, everything else given"
 DrawnTerm = tuple[TermAt, Array, TermDraws]
 
 
@@ -43,36 +44,55 @@ def build_fit(
     telemetry looks at its rows again.
     """
     m, n, d = z.shape
-    flat, shape, before = z.reshape(-1, d), (m, n), (1, prior_size)
+    flat, shape = z.reshape(-1, d), (m, n)
     draws = draw(model, flat, rng) if drawn is None else drawn
     prior = draw_prior(model, prior_size, rng)
     coordinates = coordinates_of(model)
     density = event_log_density(model, flat, draws)
-    meaning = "log density of the event's data, everything else given"
+    groups = drawn_groups(model, draws, prior, shape, rng)
     lp: Variable = ((), log_density.reshape(-1), "1", "log posterior density in z")
+    added: dict[str, Mapping[str, Variable]] = {
+        "log_likelihood": {density_name(model): (("event",), density, "1", DENSITY_MEANING)},
+        "log_prior": _log_prior(model, flat, draws),
+    }
+    groups |= {name: dataset_of(own, coordinates, shape) for name, own in added.items()}
+    groups["sample_stats"] = xr.merge(
+        [dataset_of({"lp": lp}, coordinates, shape), groups["sample_stats"]], join="exact"
+    )
+    if replicate_rows:
+        for name, channels in channel_replicates(model, flat, draws, n, coordinates, rng).items():
+            groups[name] = xr.merge([groups[name], channels], join="exact")
+    branch = ("event", [model.branch] * len(model.event_ids))
+    of_events = {name: own for name, own in groups.items() if "event" in own.dims}
+    groups |= {name: own.assign_coords(branch=branch) for name, own in of_events.items()}
+    return Fit(groups, dict(attributes))
+
+
+def drawn_groups(
+    model: Model, draws: Draws, prior: Draws, shape: tuple[int, int], rng: np.random.Generator
+) -> dict[str, xr.Dataset]:
+    """The groups that follow from draws of everything, and from as many as may be of its prior.
+
+    ``shape`` (chains, draws) is that of ``draws``.
+    """
+    coordinates, before = coordinates_of(model), (1, prior.size)
     terms, terms_before = _drawn_terms(model, draws), _drawn_terms(model, prior)
     statistics = merged(model, [term.statistics(thrust) for term, thrust, _ in terms])
-    variables: dict[str, Mapping[str, Variable]] = {
+    variables = {
         "posterior": _posterior(model, draws, terms),
         "posterior_predictive": _predictive(model, terms, rng),
-        "log_likelihood": {density_name(model): (("event",), density, "1", meaning)},
-        "log_prior": _log_prior(model, flat, draws),
-        "sample_stats": {"lp": lp, **statistics},
+        "sample_stats": statistics,
     }
     variables_before = {
         "prior": _posterior(model, prior, terms_before),
         "prior_predictive": _predictive(model, terms_before, rng),
     }
-    groups = {
+    return {
         **{name: dataset_of(own, coordinates, shape) for name, own in variables.items()},
         **{name: dataset_of(own, coordinates, before) for name, own in variables_before.items()},
         "observed_data": _dataset(model, [term.observed() for term in model.terms]),
         "constant_data": _constants(model),
     }
-    if replicate_rows:
-        for name, channels in channel_replicates(model, flat, draws, n, coordinates, rng).items():
-            groups[name] = xr.merge([groups[name], channels], join="exact")
-    return Fit(groups, dict(attributes))
 
 
 def coordinates_of(model: Model) -> Coordinates:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln, logsumexp
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.errors import CassiniBayesError
 
@@ -75,11 +75,15 @@ class ImportanceDraws:
     pareto_k: float
     efficiency: float
 
-    def resample(self, rng: np.random.Generator, n: int) -> Array:
-        """n draws with equal weight (systematic resampling), shape (n, d), in random order."""
+    def places(self, rng: np.random.Generator, n: int) -> Places:
+        """Which (n,) have equal weight (systematic resampling), in random order."""
         edges = np.cumsum(np.exp(self.log_weights))
         points = (np.arange(n) + rng.uniform()) / n * edges[-1]
-        return np.asarray(self.z[rng.permutation(np.searchsorted(edges, points))])
+        return rng.permutation(np.searchsorted(edges, points))
+
+    def resample(self, rng: np.random.Generator, n: int) -> Array:
+        """n draws with equal weight, shape (n, d), in random order."""
+        return np.asarray(self.z[self.places(rng, n)])
 
 
 @dataclass(frozen=True)
@@ -202,7 +206,12 @@ def importance(
 ) -> ImportanceDraws:
     """Importance draws from the proposal, with log evidence, its standard error and Pareto k̂."""
     z = proposal.sample(rng, n)
-    log_ratio = log_density(z) - proposal.log_density(z)
+    return weighted(z, log_density(z) - proposal.log_density(z))
+
+
+def weighted(z: Array, log_ratio: Array) -> ImportanceDraws:
+    """Draws z (n, d) with log ratios (n,) of the target's density to the one they come from."""
+    n = len(z)
     log_total = float(logsumexp(log_ratio))
     weights = np.exp(log_ratio - log_total)
     efficiency = 1.0 / (n * float((weights**2).sum()))

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -27,10 +28,11 @@ from cassini_bayes.model.mission.model import BranchAt, BranchThrusts, MissionMo
 from cassini_bayes.model.terms import TORQUE
 from cassini_bayes.model.thrusts import ThrustDraws
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.results.mission.fitting import EarlierDraws, MissionFit, fit_mission, loss_prior
-from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S
+from cassini_bayes.results.mission.fitting import Losses, fit_mission, loss_prior
+from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.studies.bias_estimates import bias_estimates
+from cassini_bayes.studies.mission_looks import looks
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 MODULE: Final = "studies.mission_flights"
@@ -41,7 +43,7 @@ SWAP: Final = datetime(2009, 3, 12, tzinfo=UTC)
 END: Final = datetime(2012, 1, 1, tzinfo=UTC)
 PRESSURES: Final = (
     (START, 1_800.0),
-    (RECHARGE - timedelta(days=1), 1_700.0),
+    (RECHARGE - timedelta(seconds=1), 1_700.0),
     (RECHARGE, 2_700.0),
     (END, 2_000.0),
 )
@@ -55,6 +57,7 @@ FIXED: Final = (
     *("rwa4_tilt_u_rad", "rwa4_tilt_v_rad", "tail_ageing_per_year", "tail_pressure_exponent"),
 )
 """Nuisances held at their means: they shift all of a thruster's estimates alike."""
+ROOM_S: Final = 10.0
 MOST_FAILING: Final = 2
 FIRST_LOOK, EVERY = 6, 2
 DRAWS, PROPOSALS = 400, 800
@@ -153,7 +156,7 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
         failing = rng.permutation(failing)[:MOST_FAILING] if len(own.events) > 1 else failing[:0]
         losses[name] = tuple(Loss(int(k), int(rng.integers(1, len(own.events)))) for k in failing)
         shares[name] = np.abs(prior.scale * rng.standard_normal((len(failing),)))
-        shared[name] = rng.standard_normal((branch.prior.shared.shape[-1],))
+        shared[name] = rng.standard_normal((own.levels.shape[1] + own.ageing.shape[1],))
         thrusts[name] = _true_thrusts(
             own, branch.scale[0], losses[name], shares[name], shared[name], rng
         )
@@ -175,10 +178,15 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
 
 
 def _bias(event: TotalsEvent, name: str, epoch: datetime, rng: np.random.Generator) -> TotalsEvent:
-    """A flight bias, scaled and perhaps run backwards, flown by the branch of its date."""
+    """A flight bias, scaled and perhaps run backwards, flown by the branch of its date.
+
+    The thrusters of the flight had less thrust than pressures and tail-offs of the priors may give:
+    the limit cycle gets more room, so that no on-time comes out negative.
+    """
     size, backwards = rng.uniform(0.7, 1.3), rng.uniform() < 0.5
     start, end = event.rwa_start_rpm * size, event.rwa_end_rpm * size
-    on_time, pulses = event.on_time_s * size, np.asarray(event.pulses)
+    on_time, pulses = size * (event.on_time_s + ROOM_S), np.asarray(event.pulses)
+    pulses = pulses + ROOM_S / 0.125
     if backwards:
         start, end = end, start
         on_time, pulses = on_time[list(OPPOSITE)], pulses[list(OPPOSITE)]
@@ -225,23 +233,33 @@ def judge_flight(
     flown: Flown, priors: Priors, rng: np.random.Generator
 ) -> Mapping[str, NDArray[Any]]:
     """Fit a mission event by event; what each rule says of every thruster, by branch A then B."""
-    prior, table = loss_prior(priors), flown.table
-    names = ("A", "B")
-    fits: MissionFit | None = None
-    earlier: EarlierDraws | None = None
+    prior, names = loss_prior(priors), ("A", "B")
     chances = np.zeros((2, MOST_BIASES, 8))
-    counts = range(len(flown.events), FIRST_LOOK - 1, -EVERY)
-    for count in reversed(counts):
-        model = _model(flown.events[:count], table, priors)
-        fits = fit_mission(model, prior, rng, draws=DRAWS, proposals=PROPOSALS, earlier=earlier)
-        earlier = fits.draws
-        for losses in fits.losses:
-            branch = next(b for b in model.branches if b.branch == losses.branch)
-            chances[names.index(losses.branch), len(branch.events) - 1] = losses.failing(8)
-    assert fits is not None  # there are at least twenty biases
+
+    def note(events: int, weighed: Sequence[Losses]) -> None:
+        for losses in weighed:
+            branch = next(b for b in flown.model.branches if b.branch == losses.branch)
+            last = int((branch.events < events).sum()) - 1
+            chances[names.index(losses.branch), last] = losses.failing(8)
+
+    whole = len(flown.events)
+    counts = range(FIRST_LOOK + (whole - FIRST_LOOK) % EVERY, whole, EVERY)
+    first = _model(flown.events[: counts[0]], flown.table, priors)
+    fit = partial(fit_mission, draws=DRAWS, proposals=PROPOSALS)
+    begun = fit(first, prior, rng)
+    note(counts[0], begun.losses)
+    untrusted, earlier = 0, begun.draws
+    for look in looks(flown.model, prior, earlier, counts[1:], DRAWS, rng):
+        note(look.events, look.losses)
+        untrusted, earlier = untrusted + (not look.trusted), look.draws
+    fits = fit(flown.model, prior, rng, earlier=earlier)
+    note(whole, fits.losses)
+    drawn = draw_branches(fits, rng).branches
     estimates = bias_estimates(flown.model, flown.events)
     found: dict[str, NDArray[Any]] = {
         "converged": np.array(fits.converged),
+        "untrusted": np.array(untrusted),
+        "looks": np.array(len(counts) - 1),
         "chances": chances,
         "estimates": np.full((2, MOST_BIASES, 8), np.nan),
         "events": np.zeros(2),
@@ -250,6 +268,7 @@ def judge_flight(
         "onset": np.full((2, 8), -1.0),
         "oracle": np.full((2, 8), -1.0),
         "onset_rank": np.full((2, 8), np.nan),
+        "slope_rank": np.full(2, np.nan),
         "fired": np.zeros((2, MOST_BIASES, 8), dtype=bool),
     }
     truth, _ = flown.model.at(flown.z)
@@ -268,13 +287,17 @@ def judge_flight(
                 found["onset"][place, k] = int(np.argmax(onset))
                 likely = rng.choice(count, size=200, p=onset).astype(float)
                 found["onset_rank"][place, k] = rank(likely, float(loss.onset), rng)
-        for k, first in _oracle_onsets(at, flown).items():
-            found["oracle"][place, k] = first
+        for k, likeliest in _oracle_onsets(at, flown).items():
+            found["oracle"][place, k] = likeliest
+        of_branch = drawn[own.branch]
+        true = replace(of_branch, shared=flown.shared[own.branch][None]).slope
+        found["slope_rank"][place] = rank(of_branch.slope, float(true[0]), rng)
     values = flown.model.space.to_parameters(flown.z)
-    drawn = fits.model.space.to_parameters(fits.z)
+    walked = fits.model.space.to_parameters(fits.z)
     ranked = [n for n in fits.model.space.names if np.ndim(values[n])]
+    found["names"] = np.array(ranked)
     found["ranks"] = np.array(
-        [rank(np.asarray(drawn[n]), float(np.asarray(values[n])[0]), rng) for n in ranked]
+        [rank(np.asarray(walked[n]), float(np.asarray(values[n])[0]), rng) for n in ranked]
     )
     return found
 

@@ -46,6 +46,7 @@ CONTROL_HOLD_RATE: Final = 1e-7
 COVERAGE_TOLERANCE: Final = 0.03
 LEAST_P_VALUE: Final = 0.01
 SETTLED_S: Final = 1e-9
+MOST_STEPS: Final = 500  # slow where a pulse lasts no longer than thrust takes to build up
 MODULE: Final = "studies.totals_calibration"
 """Whose code, with all that it imports, a repetition runs through."""
 
@@ -215,7 +216,7 @@ def simulate_totals(
 
     def solve(on_time: Array, pulses: Array) -> Array:
         # with the number of pulses given, a second more on-time is a second more of steady thrust
-        for _ in range(50):
+        for _ in range(MOST_STEPS):
             effective = effective_on_time(
                 model.totals_rows.pulse_shape, on_time, pulses, *shape_values
             )

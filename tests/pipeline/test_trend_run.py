@@ -15,6 +15,7 @@ from cassini_bayes.cli import app
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.inputs import read_mission
 from cassini_bayes.model.mission.mission_file import read_mission_file
+from cassini_bayes.results.record import read_fit
 
 MISSION = """
 events = [{events}]
@@ -103,3 +104,42 @@ def test_another_spacecraft_and_an_event_twice_are_refused(tmp_path: Path, prior
     path.write_text('spacecraft = { name = "juno" }\n' + path.read_text("utf-8"), "utf-8")
     with pytest.raises(InputError, match=r"spacecraft\.name: expected 'cassini'"):
         read_mission(read_mission_file(path), tmp_path, "mission.toml")
+
+
+def test_events_of_both_branches_in_one_fit(tmp_path: Path, priors: Path) -> None:
+    """`fit --mission` takes a mix that a fit refuses; fit.nc has the coordinate `branch`."""
+    text = Path(FLIGHT).read_text("utf-8").splitlines()
+    own = next(row for row in text if row.startswith(IDS[0]) and row.endswith("flight"))
+    other = own.replace(IDS[0], "2007-05-01-bias").replace("2009-08-22", "2007-05-01")
+    other = other.replace(
+        ",B,1 2 4,-1118,1290,,330,626,1300,,-729,", ",A,1 2 3,-1118,1290,330,,626,1300,-729,,"
+    )
+    events = tmp_path / "events.csv"
+    events.write_text("\n".join([text[0], other, own]) + "\n", "utf-8")
+    mission = write_mission(tmp_path, priors, IDS[:1])
+    mission.write_text(mission.read_text("utf-8").replace("[pressure]", "[unused]"), "utf-8")
+    lines = mission.read_text("utf-8").splitlines()
+    lines = [
+        line for line in lines if not line.startswith(("[unused]", "reference_kpa", "readings"))
+    ]
+    mission.write_text("\n".join(lines), "utf-8")
+    out, run = tmp_path / "out", CliRunner()
+    arguments = ["fit", str(events), "--mission", str(mission), "--out", str(out)]
+    refused = run.invoke(app, ["fit", str(events), "--priors", str(priors), "--out", str(out)])
+    assert "cassini-bayes trend MISSION.toml" in str(refused.exception)
+    done = run.invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    fit = read_fit(out / "fit.nc")
+    assert fit.posterior["branch"].values.tolist() == ["A", "B"]
+    assert fit.posterior["event"].values.tolist() == ["2007-05-01-bias", IDS[0]]
+    assert fit.posterior["thrust_n"].dims == ("chain", "draw", "event", "thruster")
+    thrust, before = fit.posterior["thrust_n"], fit.prior["thrust_n"]
+    assert np.isfinite(thrust.values).all()
+    assert (thrust.std(("chain", "draw")) < before.std(("chain", "draw")) * 1.2).all()
+    assert {"A.tau_fall_s", "B.tau_fall_s", "cm_y_m"} <= set(fit.posterior.data_vars)
+    assert np.isfinite(fit.groups["log_likelihood"]["event_data"].values).all()
+    observed = fit.groups["observed_data"]["on_time_s"].values
+    simulated = fit.groups["posterior_predictive"]["on_time_s"]
+    assert simulated.shape[2:] == observed.shape
+    mixed = run.invoke(app, [*arguments, "--effect", "thruster_leak:z3"])
+    assert "no option about effects" in str(mixed.exception)

@@ -57,6 +57,14 @@ def test_what_is_saved_reads_back(tmp_path: Path, fit: Fit) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["fit.nc"]
 
 
+def test_events_carry_their_branch(fit: Fit) -> None:
+    """Wherever a group has events it has the branch that flew them."""
+    groups = [group for group in fit.groups.values() if "event" in group.dims]
+    assert len(groups) >= 5
+    for group in groups:
+        assert group["branch"].values.tolist() == ["B", "B"]
+
+
 def test_arviz_reads_it(tmp_path: Path, fit: Fit) -> None:
     """arviz.from_netcdf finds every group, log_prior too, with the named dimensions."""
     save_fit(fit, tmp_path / "fit.nc")

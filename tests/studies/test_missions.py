@@ -42,6 +42,8 @@ def made_up(missions: int = 40) -> dict[str, np.ndarray]:
     shape = (missions, 2, 8)
     found = {
         "converged": np.ones(missions, dtype=bool),
+        "untrusted": np.zeros(missions),
+        "looks": np.full(missions, 5),
         "events": np.tile([12.0, 0.0], (missions, 1)),
         "failed": np.full(shape, -1.0),
         "share": np.zeros(shape),
@@ -52,6 +54,8 @@ def made_up(missions: int = 40) -> dict[str, np.ndarray]:
         "chances": np.full((missions, 2, 60, 8), 0.01),
         "estimates": np.full((missions, 2, 60, 8), 0.75),
         "ranks": np.linspace(0.01, 0.99, missions)[:, None],
+        "names": np.full((missions, 1), "thrust_intercept_share"),
+        "slope_rank": np.tile(np.linspace(0.01, 0.99, missions)[:, None], 2),
     }
     found["chances"][:, :, 12:] = 0.0
     for i in range(0, missions, 2):
@@ -69,14 +73,22 @@ def test_rates_of_made_up_missions() -> None:
     findings = findings_of(found)
     assert findings.named == findings.near == findings.oracle_near == (20, 20)
     assert findings.false_alarms == (0, 40)
+    assert findings.in_time == (20, 20)
+    late = {**found, "fired": found["fired"] & (np.arange(60) < 8)[:, None]}  # two biases since
+    assert findings_of(late).in_time == (0, 0)
     delay = findings.rules.set_index("rule")["median_delay_biases"]
     assert delay["posterior odds"] == 1.0
+    assert set(findings.rank_p) == {"thrust_intercept_share", "A slope", "B slope", "onset"}
+    assert min(findings.rank_p.values()) > 0.5
+    assert findings_of({**found, "slope_rank": found["slope_rank"] ** 2}).rank_p["A slope"] < 0.01
     found["onset"][::2, 0, 0] = 9
     assert findings_of(found).near == (0, 20)
     found["chances"][1, 0, 3, 5] = 0.99
     spoilt = findings_of(found)
     assert spoilt.false_alarms == (1, 40)
     assert not passes(spoilt)
+    found["chances"][2, 0, 4, 0] = 0.99  # this thruster fails two biases later
+    assert findings_of(found).false_alarms == (2, 40)
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp, ndtri_exp
+from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp, owens_t
 
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.mission.model import BranchAt
 
 NODES: Final = np.polynomial.legendre.leggauss(16)
+_SMALL: Final = 1e-8  # probability below which rounding takes a share of it
 _NEAR: Final = 12.0  # nats from the likeliest hypothesis within which pairs are kept
 _MOST_PAIRS: Final = 150
 _FIRST: Final = 25  # losses that a pair may start from
@@ -60,15 +61,6 @@ class LossTerms:
             both -= spent[:, o, k] * spent[:, p, j]
         return np.asarray(both)
 
-    @classmethod
-    def joined(cls, parts: Sequence[LossTerms]) -> LossTerms:
-        """The terms of several lots of points, in their order."""
-        linear, total, spent = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("linear", "total", "spent")
-        )
-        return cls(linear, total, spent)
-
     def at(self, places: Places | slice) -> LossTerms:
         """The same at some of the points."""
         return LossTerms(self.linear[places], self.total[places], self.spent[places])
@@ -76,22 +68,25 @@ class LossTerms:
 
 def loss_terms(branch: BranchAt) -> LossTerms:
     """b and C of every loss; an event's pattern is −u × the common level from the onset on."""
-    left, design = branch.left, branch.prior.shared
-    lost = -branch.thrusts.common_n * branch.scale[..., None]  # (n, E, 1)
-    by_shared = left.matrix @ design  # (n, E, K, q)
-    factor, shift = branch.collapsed.shared_factor, branch.collapsed.shared_shift
-    upper = np.swapaxes(factor, -1, -2)
-    mean = np.linalg.solve(upper, shift[..., None])[..., 0]
-    residual = left.vector - (by_shared @ mean[:, None, :, None])[..., 0]
-    across = _from_onset(lost[..., None] * by_shared)
+    own, left, levels = branch.thrusts, branch.left, branch.levels
+    square = branch.scale[..., None, None] ** 2 * left.matrix
+    steady = _from_onset(square)
+    yearly = _from_onset(own.years[:, None, None] * square)
+    across = own.onto_shared(steady, yearly)
     n, onsets, thrusters, q = across.shape
-    flat = np.swapaxes(across.reshape(n, -1, q), -1, -2)
-    spent = np.swapaxes(np.linalg.solve(factor, flat), -1, -2)
+    spent = across.reshape(n, -1, q) @ np.swapaxes(-own.common_n * levels.inverse, -1, -2)
     return LossTerms(
-        linear=_from_onset(lost * residual),
-        total=_from_onset(lost[..., None] ** 2 * left.matrix),
-        spent=np.asarray(spent.reshape(n, onsets, thrusters, q)),
+        linear=_from_onset(-own.common_n * branch.scale[..., None] * _residual(branch)),
+        total=own.common_n**2 * steady,
+        spent=spent.reshape(n, onsets, thrusters, q),
     )
+
+
+def _residual(branch: BranchAt) -> Array:
+    """What is left of each event's linear term, (n, E, K), with coefficients at their mean."""
+    mean = branch.scale[..., None] * branch.thrusts.levels_at(branch.levels.mean)
+    left = branch.left
+    return np.asarray(left.vector - (left.matrix @ mean[..., None])[..., 0])
 
 
 def _from_onset(values: Array) -> Array:
@@ -112,8 +107,7 @@ def log_bayes_single(linear: Array, square: Array, scale: float) -> Array:
 def log_bayes_pair(linear: Array, square: Array, cross: Array, scale: float) -> Array:
     """The same of two losses together: linear and square (..., 2), cross (...).
 
-    Four times the Gaussian integral times the probability that both are positive, whose second
-    factor is averaged over quantiles of the first loss.
+    Four times the Gaussian integral times the probability that both are positive.
     """
     first, second = square[..., 0] + scale**-2, square[..., 1] + scale**-2
     determinant = first * second - cross**2
@@ -125,15 +119,35 @@ def log_bayes_pair(linear: Array, square: Array, cross: Array, scale: float) -> 
         axis=-1,
     )
     height = 0.5 * (means * linear).sum(-1) - 0.5 * np.log(determinant) - 2.0 * np.log(scale)
-    sd = np.sqrt(second / determinant)
-    above = log_ndtr(means[..., 0] / sd)
-    # s1 at quantiles of its truncated normal; given it, s2 is normal with precision ``second``
-    levels, weights = 0.5 * (1.0 + NODES[0]), 0.5 * NODES[1]
-    tail = ndtri_exp(above[..., None] + np.log(levels))
-    beyond = -sd[..., None] * tail  # s1 less its mean
-    given = means[..., 1, None] - cross[..., None] / second[..., None] * beyond
-    positive = log_ndtr(given * np.sqrt(second)[..., None])
-    return np.asarray(np.log(4.0) + height + above + logsumexp(positive, b=weights, axis=-1))
+    both = log_both_positive(
+        means[..., 0] * np.sqrt(determinant / second),
+        means[..., 1] * np.sqrt(determinant / first),
+        -cross / np.sqrt(first * second),
+    )
+    return np.asarray(np.log(4.0) + height + both)
+
+
+def log_both_positive(h: Array, k: Array, correlation: Array) -> Array:
+    """Log probability that two normals with means h, k and standard deviation 1 are both positive.
+
+    By Owen's T function (Owen 1956), good to 1e-16 in the probability; where that is small, by
+    sixteen quantiles of the first one given that it is positive, good to a hundredth of a nat.
+    """
+    root = np.sqrt(1.0 - correlation**2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = owens_t(h, (k - correlation * h) / (h * root))
+        across += owens_t(k, (h - correlation * k) / (k * root))
+    apart = (h * k < 0.0) | ((h * k == 0.0) & (h + k < 0.0))
+    probability = np.asarray(0.5 * (ndtr(h) + ndtr(k)) - across - 0.5 * apart)
+    found = np.log(np.maximum(probability, _SMALL))
+    small = ~(probability > _SMALL)
+    if small.any():
+        h, k, correlation, root = (np.asarray(v)[small][:, None] for v in (h, k, correlation, root))
+        levels, weights = 0.5 * (1.0 + NODES[0]), 0.5 * NODES[1]
+        beyond = -ndtri_exp(log_ndtr(h) + np.log(levels))  # the first one less its mean
+        given = log_ndtr((k + correlation * beyond) / root)
+        found[small] = log_ndtr(h)[:, 0] + logsumexp(given, b=weights, axis=-1)
+    return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -148,45 +162,50 @@ Hypothesis = tuple[Loss, ...]
 """Losses that a hypothesis has: none, one or two, of different thrusters."""
 
 
-@dataclass(frozen=True)
-class Hypotheses:
-    """Hypotheses on one branch with the log Bayes factors (n, H) against no loss at n points."""
-
-    which: tuple[Hypothesis, ...]
-    log_prior: Array  # (H,)
-    log_bayes: Array  # (n, H)
-
-
-def log_bayes(terms: LossTerms, hypothesis: Hypothesis, scale: float) -> Array:
-    """Log Bayes factor (n,) of one hypothesis against no loss."""
+def log_bayes(branch: BranchAt, hypothesis: Hypothesis, scale: float) -> Array:
+    """Log Bayes factor (n,) of one hypothesis against no loss, from its own b and C alone."""
+    n, events = branch.scale.shape
     if not hypothesis:
-        return np.zeros(len(terms.linear))
-    o, k = (
-        np.array([getattr(loss, name) for loss in hypothesis]) for name in ("onset", "thruster")
-    )
-    linear, square = terms.linear[:, o, k], terms.square[:, o, k]
+        return np.zeros(n)
+    own, residual = branch.thrusts, _residual(branch)
+    linear, columns, spent = [], [], []
+    for loss in hypothesis:
+        begun = np.where(np.arange(events) >= loss.onset, -own.common_n * branch.scale, 0.0)
+        column = begun[..., None] * branch.left.matrix[..., loss.thruster]
+        across = own.onto_shared(
+            (branch.scale[:, None] @ column)[:, 0],
+            ((own.years * branch.scale)[:, None] @ column)[:, 0],
+        )
+        linear.append((begun * residual[..., loss.thruster]).sum(1))
+        columns.append((begun, column))
+        spent.append((branch.levels.inverse @ across[..., None])[..., 0])
+
+    def square(i: int, j: int) -> Array:
+        (begun, _), (_, column) = columns[i], columns[j]
+        total = (begun * column[..., hypothesis[i].thruster]).sum(1)
+        return np.asarray(total - (spent[i] * spent[j]).sum(-1))
+
     if len(hypothesis) == 1:
-        return log_bayes_single(linear[:, 0], square[:, 0], scale)
-    places = np.stack([o, k], axis=-1)
-    cross = terms.cross(places[:1], places[1:])[:, 0]
-    return log_bayes_pair(linear, square, cross, scale)
+        return log_bayes_single(linear[0], square(0, 0), scale)
+    squares = np.stack([square(0, 0), square(1, 1)], axis=-1)
+    return log_bayes_pair(np.stack(linear, axis=-1), squares, square(0, 1), scale)
 
 
-def weigh(terms: LossTerms, prior: LossPrior, include: Hypothesis = ()) -> Hypotheses:
+def near_hypotheses(
+    terms: LossTerms, prior: LossPrior, include: Hypothesis = ()
+) -> tuple[Hypothesis, ...]:
     """No loss, every single loss, the pairs that come near the best of them, and ``include``.
 
     A pair is looked at if one of its members is among the best single losses, and kept if an upper
     bound of its probability is within 12 nats of the likeliest hypothesis.
     """
-    n, onsets, thrusters = terms.linear.shape
+    _, onsets, thrusters = terms.linear.shape
     if onsets < 2:
-        return Hypotheses(((),), np.zeros(1), np.zeros((n, 1)))
+        return ((),)
     o, k = (grid.ravel() for grid in np.mgrid[1:onsets, 0:thrusters])
     all_losses = np.stack([o, k], axis=-1)
     linear, square = terms.linear[:, o, k], terms.square[:, o, k]
     single = log_bayes_single(linear, square, prior.scale)
-    spread = np.log(onsets - 1.0)
-    fails, works = np.log(prior.probability), np.log1p(-prior.probability)
     best = np.argsort(-single.mean(0))[:_FIRST]
     left, right = (grid.ravel() for grid in np.meshgrid(best, np.arange(len(o)), indexing="ij"))
     rank = np.full(len(o), len(o))
@@ -201,29 +220,44 @@ def weigh(terms: LossTerms, prior: LossPrior, include: Hypothesis = ()) -> Hypot
         prior.scale,
     ).mean(0)
     # what a second loss costs beforehand decides how near a pair has to come
-    once, twice = fails - works - spread, 2.0 * (fails - works - spread)
-    likeliest = max(0.0, once + single.mean(0).max(), twice + bound.max(initial=-np.inf))
+    once = np.log(prior.probability) - np.log1p(-prior.probability) - np.log(onsets - 1.0)
+    likeliest = max(0.0, once + single.mean(0).max(), 2.0 * once + bound.max(initial=-np.inf))
     near = np.argsort(-bound)[:_MOST_PAIRS]
-    near = near[twice + bound[near] > likeliest - _NEAR]
-    left, right = left[near], right[near]
-    pair = log_bayes_pair(
-        np.stack([linear[:, left], linear[:, right]], axis=-1),
-        np.stack([square[:, left], square[:, right]], axis=-1),
-        terms.cross(all_losses[left], all_losses[right]),
-        prior.scale,
-    )
+    near = near[2.0 * once + bound[near] > likeliest - _NEAR]
     which: list[Hypothesis] = [()]
     losses = [Loss(int(b), int(a)) for a, b in all_losses]
     which += [(loss,) for loss in losses]
-    which += [(losses[i], losses[j]) for i, j in zip(left, right, strict=True)]
+    which += [(losses[i], losses[j]) for i, j in zip(left[near], right[near], strict=True)]
     if frozenset(include) not in map(frozenset, which):
         which.append(include)
-        pair = np.concatenate([pair, log_bayes(terms, include, prior.scale)[:, None]], axis=1)
+    return tuple(which)
+
+
+def log_prior_of(which: Sequence[Hypothesis], prior: LossPrior, shape: tuple[int, int]) -> Array:
+    """Log prior probability (H,) of hypotheses on a branch of ``shape`` (events, thrusters)."""
+    events, thrusters = shape
     counts = np.array([len(hypothesis) for hypothesis in which])
-    log_prior = counts * (fails - spread) + (thrusters - counts) * works
-    return Hypotheses(
-        tuple(which), log_prior, np.concatenate([np.zeros((n, 1)), single, pair], axis=1)
-    )
+    fails = np.log(prior.probability) - np.log(max(events - 1.0, 1.0))
+    return np.asarray(counts * fails + (thrusters - counts) * np.log1p(-prior.probability))
+
+
+def log_bayes_of(terms: LossTerms, which: Sequence[Hypothesis], scale: float) -> Array:
+    """Log Bayes factors (n, H) of hypotheses against no loss."""
+    found = np.zeros((len(terms.linear), len(which)))
+    counts = np.array([len(hypothesis) for hypothesis in which])
+    for size in (1, 2):
+        members = np.flatnonzero(counts == size)
+        if not len(members):
+            continue
+        places = np.array([[(s.onset, s.thruster) for s in which[int(i)]] for i in members])
+        o, k = places[..., 0], places[..., 1]
+        linear, square = terms.linear[:, o, k], terms.square[:, o, k]
+        if size == 1:
+            found[:, members] = log_bayes_single(linear[..., 0], square[..., 0], scale)
+        else:
+            cross = terms.cross(places[:, 0], places[:, 1])
+            found[:, members] = log_bayes_pair(linear, square, cross, scale)
+    return found
 
 
 def _pair_bound(linear: Array, square: Array, cross: Array, scale: float) -> Array:
@@ -288,22 +322,31 @@ def _positive_normal(mean: Array, sd: Array, rng: np.random.Generator) -> Array:
     return np.asarray(np.maximum(mean - sd * ndtri_exp(log_level), 0.0))
 
 
+def prior_losses(
+    prior: LossPrior, shape: tuple[int, int, int], rng: np.random.Generator
+) -> DrawnLosses:
+    """Losses before any data, for ``shape`` = (draws n, events E, thrusters K)."""
+    n, events, thrusters = shape
+    order = np.where(rng.uniform(size=(n, thrusters)) < prior.probability, 0.0, 1.0)
+    thruster = np.argsort(order + rng.uniform(size=order.shape), axis=1)[:, :2]
+    fails = (np.take_along_axis(order, thruster, axis=1) == 0.0) & (events > 1)
+    share = np.where(fails, np.abs(prior.scale * rng.standard_normal((n, 2))), 0.0)
+    return DrawnLosses(thruster, rng.integers(1, max(events, 2), (n, 2)), share)
+
+
 def draw_thrusts_given(
     branch: BranchAt, losses: DrawnLosses, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """One draw of the shared coefficients (n, q) and the events' thrusts (n, E, K) given losses."""
-    thrusts, collapsed = branch.thrusts, branch.collapsed
+    thrusts, levels, scale = branch.thrusts, branch.levels, branch.scale[..., None]
     lost = losses.lost(branch.scale.shape[1], len(thrusts.thrusters))
-    pattern = -thrusts.common_n * branch.scale[..., None] * lost
-    left = (branch.left.matrix @ pattern[..., None])[..., 0]
-    moved = (np.swapaxes(branch.prior.shared, -1, -2) @ left[..., None])[..., 0].sum(1)
-    shift = (
-        collapsed.shared_shift - np.linalg.solve(collapsed.shared_factor, moved[..., None])[..., 0]
-    )
-    upper = np.swapaxes(collapsed.shared_factor, -1, -2)
+    pattern = -thrusts.common_n * scale * lost
+    left = scale * (branch.left.matrix @ pattern[..., None])[..., 0]
+    moved = thrusts.onto_shared(left.sum(1), (thrusts.years[:, None] * left).sum(1))
+    shift = levels.shift - (levels.inverse @ moved[..., None])[..., 0]
     white = shift + rng.standard_normal(shift.shape)
-    shared = np.linalg.solve(upper, white[..., None])[..., 0]
-    mean = branch.offset_n + (branch.prior.shared @ shared[:, None, :, None])[..., 0] + pattern
+    shared = (white[:, None] @ levels.inverse)[:, 0]
+    mean = branch.offset_n + scale * thrusts.levels_at(shared) + pattern
     return np.asarray(shared), thrusts.reference_n[:, None] + _with_departures(branch, mean, rng)
 
 
@@ -319,18 +362,16 @@ def _with_departures(branch: BranchAt, mean: Array, rng: np.random.Generator) ->
     return np.asarray(mean + drawn @ own.T)
 
 
-def chosen(hypotheses: Hypotheses, reference: int) -> Array:
-    """Posterior probability (H,) of the hypotheses from draws under the ``reference`` one.
+def chosen(log_prior: Array, log_ratio: Array) -> Array:
+    """Posterior probability (H,) of hypotheses from draws under a reference one.
 
-    Z_h / Z_ref is the mean over those draws of the ratio of Bayes factors.
+    ``log_ratio`` (n, H) are their Bayes factors against it: Z_h / Z_ref is the mean over the draws.
     """
-    ratio = hypotheses.log_bayes - hypotheses.log_bayes[:, [reference]]
-    log_evidence = logsumexp(ratio, axis=0) - np.log(len(ratio))
-    total = hypotheses.log_prior + log_evidence
+    total = log_prior + logsumexp(log_ratio, axis=0) - np.log(len(log_ratio))
     return np.asarray(np.exp(total - logsumexp(total)))
 
 
-def place_of(hypotheses: Hypotheses, hypothesis: Sequence[Loss]) -> int:
+def place_of(which: Sequence[Hypothesis], hypothesis: Hypothesis) -> int:
     """Number of a hypothesis, its losses in either order."""
     wanted = frozenset(hypothesis)
-    return next(i for i, losses in enumerate(hypotheses.which) if frozenset(losses) == wanted)
+    return next(i for i, losses in enumerate(which) if frozenset(losses) == wanted)

@@ -28,10 +28,7 @@ from cassini_bayes.model.mission.mission_file import ChangeTable, MissionTable
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.model.thrusts import (
     THRUST_COMMON,
-    CollapsedThrusts,
     ThrustInformation,
-    ThrustPrior,
-    collapse_thrusts,
     level_factor,
     thrust_prior_of,
 )
@@ -49,7 +46,7 @@ OF_A_BRANCH: Final = ("thrust", "tail-off")
 MAY_CHANGE: Final = ("centre of mass", "inertia", "mass")
 """Blocks that dated facts and propellant may change."""
 _SAME_THRUST: Final = 0.1  # events whose expected thrusts differ less share an expansion
-_MOST_POINTS, _MOST_ROWS = 100, 20_000  # worked up at a time; rows are events times points
+_MOST_POINTS, _MOST_ROWS = 100, 5_000  # worked up at a time; rows are events times points
 
 
 @dataclass(frozen=True)
@@ -106,10 +103,48 @@ class BranchThrusts:
         levels = np.broadcast_to(self.levels, (len(years), *self.levels.shape))
         return np.concatenate([levels, years[:, None, None] * self.ageing], axis=-1)
 
-    def prior_at(self, scale: Array) -> ThrustPrior:
-        """The thrusts' prior where thrust is ``scale`` (n, E) times that at the reference."""
-        rows = scale[..., None, None] * self.rows(self.years)
-        return ThrustPrior(self.common_n, 0.0, False, 0.0, rows, self.own)
+    def scale_at(self, parameters: Parameters, relative: Array) -> Array:
+        """u (n, E), thrust over that at the reference pressure; relative (n, …) as pressures."""
+        share = np.broadcast_to(np.asarray(parameters[INTERCEPT]), (len(relative),))[:, None]
+        return np.asarray(share + (1.0 - share) * relative[:, self.events])
+
+    def levels_at(self, shared: Array) -> Array:
+        """Levels (n, E, K) less the common one, at the reference pressure, of shared (n, q)."""
+        first = self.levels.shape[1]
+        steady, yearly = shared[:, :first] @ self.levels.T, shared[:, first:] @ self.ageing.T
+        return np.asarray(steady[:, None] + self.years[:, None] * yearly[:, None])
+
+    def onto_shared(self, steady: Array, yearly: Array) -> Array:
+        """Rᵀ x (…, q) of the shared coefficients, from Σ x and Σ t x (…, K) over events."""
+        return np.concatenate([steady @ self.levels, yearly @ self.ageing], axis=-1)
+
+    def first(self, count: int) -> BranchThrusts:
+        """Those of its first events."""
+        return replace(
+            self,
+            events=self.events[:count],
+            years=self.years[:count],
+            reference_n=self.reference_n[:count],
+        )
+
+
+@dataclass(frozen=True)
+class CollapsedLevels:
+    """Conditional normal of a branch's shared coefficients at n points, all else integrated out."""
+
+    log_likelihood: Array  # (n,) with the coefficients integrated out too
+    factor: Array  # (n, q, q) lower Cholesky factor of their precision
+    shift: Array  # (n, q) factor⁻¹ of the linear term
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Inverse (n, q, q) of the factor."""
+        return np.asarray(np.linalg.inv(self.factor))
+
+    @property
+    def mean(self) -> Array:
+        """Conditional mean (n, q)."""
+        return np.asarray((self.shift[:, None] @ self.inverse)[:, 0])
 
 
 @dataclass(frozen=True)
@@ -117,38 +152,79 @@ class BranchAt:
     """One branch at n points: its events' information and the collapsed coefficients."""
 
     thrusts: BranchThrusts
-    information: ThrustInformation  # about ``reference_n``
     scale: Array  # (n, E) u, thrust over thrust at the reference pressure
+    information: ThrustInformation  # about ``reference_n``
+    left: ThrustInformation  # for levels, about their prior mean; own departures integrated out
 
-    @cached_property
-    def prior(self) -> ThrustPrior:
-        """The thrusts' prior, with the design rows at these points."""
-        return self.thrusts.prior_at(self.scale)
+    @classmethod
+    def of(cls, thrusts: BranchThrusts, scale: Array, information: ThrustInformation) -> BranchAt:
+        """With the events' own departures eliminated."""
+        about = information.about(_offset_n(thrusts, scale))
+        return cls(thrusts, scale, information, about.without_own(thrusts.own))
+
+    @classmethod
+    def joined(cls, lots: Sequence[BranchAt]) -> BranchAt:
+        """The same at the points of several lots, in their order."""
+        return cls(
+            lots[0].thrusts,
+            np.concatenate([lot.scale for lot in lots]),
+            ThrustInformation.of_points([lot.information for lot in lots]),
+            ThrustInformation.of_points([lot.left for lot in lots]),
+        )
 
     @property
     def offset_n(self) -> Array:
         """Prior mean of the thrusts less the reference (n, E, K)."""
-        mean = self.thrusts.common_n * self.scale - self.thrusts.reference_n
-        return np.broadcast_to(mean[..., None], (*mean.shape, len(self.thrusts.thrusters)))
+        return _offset_n(self.thrusts, self.scale)
+
+    @cached_property
+    def levels(self) -> CollapsedLevels:
+        """Thrusts and coefficients integrated out.
+
+        With the design row u [B, t A] of an event, B of levels and A of ageing, the precision is
+        1 + [[Bᵀ S₀ B, Bᵀ S₁ A], [Aᵀ S₁ B, Aᵀ S₂ A]], S_i = Σ u² tⁱ G̃: three sums of K × K.
+        """
+        own, left, scale = self.thrusts, self.left, self.scale
+        n, events, size = left.vector.shape
+        powers = own.years ** np.arange(3)[:, None]
+        flat = left.matrix.reshape(n, events, size * size)
+        sums = ((scale**2)[:, None] * powers) @ flat
+        steady, mixed, yearly = np.moveaxis(sums.reshape(n, 3, size, size), 1, 0)
+        across = own.levels.T @ mixed @ own.ageing
+        precision = np.block(
+            [
+                [own.levels.T @ steady @ own.levels, across],
+                [np.swapaxes(across, -1, -2), own.ageing.T @ yearly @ own.ageing],
+            ]
+        )
+        linear = (scale[:, None] * powers[:2]) @ left.vector
+        vector = own.onto_shared(linear[:, 0], linear[:, 1])
+        factor = np.asarray(np.linalg.cholesky(precision + np.eye(precision.shape[-1])))
+        shift = np.asarray(np.linalg.solve(factor, vector[..., None]))[..., 0]
+        log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
+        fit = 0.5 * (shift**2).sum(-1)
+        return CollapsedLevels(left.constant.sum(-1) + fit - log_det, factor, shift)
 
     def take(self, places: Places) -> BranchAt:
         """The same at some of the points, in that order."""
-        found = self.information
-        chosen = ThrustInformation(
-            found.matrix[places], found.vector[places], found.constant[places]
+        return self._cut(places, slice(None), self.thrusts)
+
+    def first(self, count: int) -> BranchAt:
+        """The same of the branch's first events alone."""
+        return self._cut(slice(None), slice(count), self.thrusts.first(count))
+
+    def _cut(self, points: Places | slice, events: slice, thrusts: BranchThrusts) -> BranchAt:
+        return BranchAt(
+            thrusts,
+            self.scale[points][:, events],
+            self.information.cut(points, events),
+            self.left.cut(points, events),
         )
-        return replace(self, information=chosen, scale=self.scale[places])
 
-    @cached_property
-    def collapsed(self) -> CollapsedThrusts:
-        """Thrusts and coefficients integrated out."""
-        none = np.zeros(len(self.scale))
-        return collapse_thrusts(self.prior, self.information, none, self.offset_n)
 
-    @cached_property
-    def left(self) -> ThrustInformation:
-        """What events say of their levels, about the prior mean, own departures integrated out."""
-        return self.information.about(self.offset_n).without_own(self.thrusts.own)
+def _offset_n(thrusts: BranchThrusts, scale: Array) -> Array:
+    mean = thrusts.common_n * scale - thrusts.reference_n
+    return np.broadcast_to(mean[..., None], (*mean.shape, len(thrusts.thrusters)))
 
 
 @dataclass(frozen=True)
@@ -163,16 +239,12 @@ class MissionModel:
 
     def at(self, z: Array) -> tuple[tuple[BranchAt, ...], Array]:
         """Every branch at walked coordinates z (n, d), and what says nothing of thrusts (n,)."""
-        parameters = self.space.to_parameters(z)
-        n, tank = len(z), self.circumstances.tank
-        factor = np.broadcast_to(np.asarray(parameters.get(USED_FACTOR, 1.0)), (n,))
-        relative = tank.pressures_kpa(factor) / tank.reference_kpa
+        parameters, n = self.space.to_parameters(z), len(z)
+        relative = self.relative_pressures(parameters, n)
         found: dict[str, list[tuple[Part, ThrustInformation]]] = {}
         rest = np.zeros(n)
         for part in self.parts:
-            years = self._years(part)
-            own = part.parameters_at(parameters, relative[:, part.event], years)
-            points = part.model.points_at(own, n)
+            points = part.model.points_at(self.of_part(part, parameters, relative), n)
             terms = [term.at(points) for term in part.model.terms]
             rest = rest + sum(term.log_likelihood for term in terms)
             if len(part.places):
@@ -183,13 +255,25 @@ class MissionModel:
             for branch in self.branches
         ), rest
 
+    def relative_pressures(self, parameters: Parameters, n: int) -> Array:
+        """Tank pressures over the reference one in all events, (n, E)."""
+        factor = np.broadcast_to(np.asarray(parameters.get(USED_FACTOR, 1.0)), (n,))
+        tank = self.circumstances.tank
+        return np.asarray(tank.pressures_kpa(factor) / tank.reference_kpa)
+
+    def of_part(
+        self, part: Part, parameters: Parameters, relative: Array
+    ) -> dict[str, Array | float]:
+        """One part's own parameters at the mission's; relative (n, E) as above."""
+        return part.parameters_at(parameters, relative[:, part.event], self._years(part))
+
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at walked coordinates z (n, d)."""
         return np.concatenate([self._log_likelihood(z[rows]) for rows in self.batches(len(z))])
 
     def _log_likelihood(self, z: Array) -> Array:
         branches, rest = self.at(z)
-        return np.asarray(rest + sum(branch.collapsed.log_likelihood for branch in branches))
+        return np.asarray(rest + sum(branch.levels.log_likelihood for branch in branches))
 
     def batches(self, n: int) -> Iterator[slice]:
         """Slices that cover n points, fewer at a time the more events there are."""
@@ -214,9 +298,8 @@ class MissionModel:
         information = ThrustInformation(
             joined.matrix[:, order], joined.vector[:, order], joined.constant[:, order]
         )
-        share = np.broadcast_to(np.asarray(parameters[INTERCEPT]), (len(relative),))[:, None]
-        scale = share + (1.0 - share) * relative[:, branch.events]
-        return BranchAt(branch, information, scale)
+        scale = branch.scale_at(parameters, relative)
+        return BranchAt.of(branch, scale, information)
 
 
 def mission_name(name: str, block: str, branch: str, own: Sequence[str], several: bool) -> str:

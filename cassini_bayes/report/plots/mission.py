@@ -48,21 +48,25 @@ def over_time(own: pd.DataFrame, name: str, label: str, dated: Mapping[str, str]
     figure = Figure(figsize=(11.0, 2.6 * rows), layout="constrained")
     grid = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
     styles = thruster_styles(thrusters)
+    within = {
+        epoch: what
+        for epoch, what in dated.items()
+        if own["when"].min() <= pd.to_datetime(epoch, utc=True) <= own["when"].max()
+    }
     for axes, thruster in zip(grid.flat, thrusters, strict=False):
         part, style = own[own["thruster"] == thruster], styles[thruster]
         _panel(axes, part, name, style.colour)
         axes.set_title(thruster.upper())
-        for epoch in dated:
+        for epoch in within:
             when = pd.to_datetime(epoch, utc=True)
-            if part["when"].min() <= when <= part["when"].max():
-                axes.axvline(when, color=PRIOR, linewidth=0.8, linestyle="--")
+            axes.axvline(when, color=PRIOR, linewidth=0.8, linestyle="--")
         axes.tick_params(axis="x", labelrotation=35)
     for axes in grid[:, 0]:
         axes.set_ylabel("N")
     for axes in list(grid.flat)[len(thrusters) :]:
         axes.set_visible(False)
     branch = own["branch"].iloc[0]
-    facts = ", ".join(f"{what} {epoch[:10]}" for epoch, what in dated.items())
+    facts = ", ".join(f"{what} {epoch[:10]}" for epoch, what in within.items())
     figure.suptitle(
         f"Branch {branch}: {label}, mean and central 90 %; filled: on for more than 5 s"
         + (f"\ndashed: {facts}" if facts else ""),
@@ -115,9 +119,9 @@ def losses(own: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame) -> Fig
             label=f"{name.upper()} ({chance:.0%})",
         )
     right.set_ylabel("probability of the onset, if it fails")
-    right.set_ylim(bottom=0.0)
+    right.set_ylim(0.0, 1.15 * right.dataLim.y1)
     right.tick_params(axis="x", labelrotation=35)
-    right.legend(loc="upper left")
+    right.legend(loc="best")
     branch = own["branch"].iloc[0]
     title = f"Branch {branch}: losses of thrust, the two likeliest at the right"
     figure.suptitle(title, x=0.01, ha="left", fontsize=9.5, color=INK)

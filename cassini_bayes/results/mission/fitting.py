@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Places
@@ -22,14 +23,15 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.mission.losses import (
     Hypothesis,
     LossPrior,
-    LossTerms,
     chosen,
     log_bayes,
+    log_bayes_of,
+    log_prior_of,
     loss_terms,
+    near_hypotheses,
     place_of,
-    weigh,
 )
-from cassini_bayes.model.mission.model import MissionModel
+from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import (
@@ -47,7 +49,7 @@ MOST_K: Final = 0.7
 """Pareto k̂ beyond which importance draws are no result (Vehtari et al. 2024)."""
 LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
-_LOOKS: Final = 4  # at the hypotheses, each with draws of its own
+LOOKS: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
 _KEPT: Final = 100  # points whose densities one file keeps
 _WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
@@ -88,14 +90,17 @@ class Losses:
         total = found.sum()
         return found / total if total > 0 else found
 
-    def draw(self, rng: np.random.Generator, n: int) -> tuple[Places, list[Hypothesis]]:
-        """n draws of a point and a hypothesis together: places among the fit's draws, losses."""
-        log_joint = self.log_prior + self.log_ratio
-        flat = np.exp(log_joint - log_joint.max()).ravel()
-        edges = np.cumsum(flat)
-        points = (np.arange(n) + rng.uniform()) / n * edges[-1]
-        place, number = np.divmod(np.searchsorted(edges, points), log_joint.shape[1])
-        return place, [self.which[i] for i in number]
+    @property
+    def log_weight(self) -> Array:
+        """Log of what all hypotheses together have over the reference at each draw, (n,)."""
+        return np.asarray(logsumexp(self.log_prior + self.log_ratio, axis=1))
+
+    def draw_at(self, places: Places, rng: np.random.Generator) -> list[Hypothesis]:
+        """A hypothesis at each of some of the fit's draws, with its probability there."""
+        log_joint = (self.log_prior + self.log_ratio)[places]
+        edges = np.cumsum(np.exp(log_joint - log_joint.max(1, keepdims=True)), axis=1)
+        levels = rng.uniform(size=(len(places), 1)) * edges[:, -1:]
+        return [self.which[i] for i in (edges < levels).sum(1)]
 
     @property
     def best(self) -> Hypothesis:
@@ -195,10 +200,9 @@ def target(model: MissionModel, references: References, prior: LossPrior) -> Log
         for rows in model.batches(len(z)):
             branches, total = model.at(z[rows])
             for branch in branches:
-                total = total + branch.collapsed.log_likelihood
                 losses = references[branch.thrusts.branch]
-                if losses:
-                    total = total + log_bayes(loss_terms(branch), losses, prior.scale)
+                total = total + branch.levels.log_likelihood
+                total = total + log_bayes(branch, losses, prior.scale)
             found.append(total)
         return np.asarray(np.concatenate(found) + model.space.log_prior_terms(z).sum(-1))
 
@@ -207,13 +211,25 @@ def target(model: MissionModel, references: References, prior: LossPrior) -> Log
 
 @dataclass(frozen=True)
 class Remembered:
-    """A density whose values are kept in files: a killed fit works out only what is missing."""
+    """A density that is worked out once at every point.
+
+    Values are kept in files too: a killed fit works out only what is missing.
+    """
 
     log_density: LogDensity
     store: CheckpointStore | None
+    known: dict[bytes, float] = field(default_factory=dict)
 
     def __call__(self, z: Array) -> Array:
         """Values at z (n, d)."""
+        keys = [row.tobytes() for row in z]
+        new = {key: i for i, key in enumerate(keys) if key not in self.known}
+        if new:
+            values = self._worked_out(z[list(new.values())])
+            self.known.update(zip(new, values.tolist(), strict=True))
+        return np.array([self.known[key] for key in keys])
+
+    def _worked_out(self, z: Array) -> Array:
         if self.store is None:
             return self.log_density(z)
         starts = range(0, len(z), _KEPT)
@@ -267,8 +283,8 @@ def fit_mission(
         density = Remembered(target(model, references, prior), store_of(repr(references)))
         found = _weighed_anew(earlier, model, density, rng)
         proposal = moments(found)
-        found = found if _trusted(found) else None
-    for look in range(_LOOKS):
+        found = found if trusted(found) else None
+    for look in range(LOOKS):
         density = Remembered(target(model, references, prior), store_of(repr(references)))
         say(f"draws with {describe(model, references)}")
         start = proposal or _prior_proposal(model.space.dimension)
@@ -277,7 +293,7 @@ def fit_mission(
         z = found.resample(rng, draws)
         losses = weighed_losses(model, prior, z, references)
         best = {one.branch: one.best for one in losses}
-        if look == _LOOKS - 1 or all(set(best[b]) == set(references[b]) for b in best):
+        if look == LOOKS - 1 or all(set(best[b]) == set(references[b]) for b in best):
             break
         references, found = best, None
     assert found is not None  # the loop ends with draws
@@ -295,7 +311,8 @@ def fit_mission(
     )
 
 
-def _trusted(found: ImportanceDraws) -> bool:
+def trusted(found: ImportanceDraws) -> bool:
+    """Whether importance draws are a result."""
     return found.pareto_k < MOST_K and found.efficiency * len(found.z) > LEAST_DRAWS
 
 
@@ -308,7 +325,7 @@ def _importance(
     """
     found = importance(density, proposal, rng, n)
     for look in range(_PILOTS):
-        if _trusted(found):
+        if trusted(found):
             break
         if look == 0 and found.efficiency * n < LEAST_DRAWS / 4:
             mode = find_mode(density, proposal.location)
@@ -322,20 +339,12 @@ def _importance(
 def _weighed_anew(
     earlier: EarlierDraws, model: MissionModel, density: LogDensity, rng: np.random.Generator
 ) -> ImportanceDraws:
-    """Draws of a shorter mission with the weights that the longer one gives them.
-
-    Parameters that only the longer one has are drawn from their priors.
-    """
-    before, names = earlier.names, model.space.names
-    z = rng.standard_normal((len(earlier.z), len(names)))
-    known = [i for i, name in enumerate(names) if name in before]
-    z[:, known] = earlier.z[:, [before.index(names[i]) for i in known]]
-    new = [i for i, name in enumerate(names) if name not in before]
+    """Draws of a shorter mission with the weights that the longer one gives them."""
+    z, new = embedded(earlier, model, rng)
     log_ratio = density(z) - earlier.log_density - standard_normal_log_density(z[:, new]).sum(-1)
     log_total = float(logsumexp(log_ratio))
     # the same draw twice is one draw: chains of short updates would wear out unseen
-    _, which = np.unique(earlier.z, axis=0, return_inverse=True)
-    weights = np.bincount(which.ravel(), weights=np.exp(log_ratio - log_total))
+    weights = np.bincount(distinct(earlier.z)[1], weights=np.exp(log_ratio - log_total))
     efficiency = 1.0 / (len(z) * float((weights**2).sum()))
     error = np.sqrt(max(1.0 / efficiency - 1.0, 0.0) / len(z))
     return ImportanceDraws(
@@ -346,6 +355,29 @@ def _weighed_anew(
         pareto_k=pareto_k(log_ratio),
         efficiency=efficiency,
     )
+
+
+def embedded(
+    earlier: EarlierDraws, model: MissionModel, rng: np.random.Generator
+) -> tuple[Array, Places]:
+    """Draws of a shorter mission as points of a longer one; parameters that only it has are new.
+
+    These come from their priors. A mission of one branch names without the branch what every
+    branch of the longer one has for itself.
+    """
+    names = model.space.names
+    z = rng.standard_normal((len(earlier.z), len(names)))
+    new = []
+    for i, name in enumerate(names):
+        branch, _, of_branch = name.partition(".")
+        before = of_branch if list(earlier.references) == [branch] else name
+        if name in earlier.names:
+            before = name
+        if before in earlier.names:
+            z[:, i] = earlier.z[:, earlier.names.index(before)]
+        else:
+            new.append(i)
+    return z, np.array(new, dtype=np.int64)
 
 
 def _prior_proposal(d: int) -> Proposal:
@@ -361,18 +393,47 @@ def weighed_losses(
     model: MissionModel, prior: LossPrior, z: Array, references: References
 ) -> tuple[Losses, ...]:
     """Posterior probabilities of every branch's hypotheses, the other branch at its reference."""
-    lots = [
-        [loss_terms(branch) for branch in model.at(z[rows])[0]] for rows in model.batches(len(z))
-    ]
-    found = []
-    for branch, parts in zip(model.branches, zip(*lots, strict=True), strict=True):
-        name = branch.branch
-        weighed = weigh(LossTerms.joined(parts), prior, include=references[name])
-        reference = place_of(weighed, references[name])
-        probability = chosen(weighed, reference)
-        ratio = weighed.log_bayes - weighed.log_bayes[:, [reference]]
-        found.append(Losses(name, weighed.which, weighed.log_prior, probability, reference, ratio))
-    return tuple(found)
+    first, back = distinct(z)
+    points = z[first]
+    lots = (model.at(points[rows])[0] for rows in model.batches(len(points)))
+    return weighed_at(lots, prior, references, back)
+
+
+def weighed_at(
+    lots: Iterable[Sequence[BranchAt]], prior: LossPrior, references: References, back: Places
+) -> tuple[Losses, ...]:
+    """The same from lots of points that have been worked up, one lot in memory at a time.
+
+    ``back`` (n,) are the places of the draws among the points. Hypotheses are looked for at the
+    first lot.
+    """
+    which: dict[str, tuple[Hypothesis, ...]] = {}
+    shapes: dict[str, tuple[int, int]] = {}
+    ratios: dict[str, list[Array]] = {}
+    for branches in lots:
+        for branch in branches:
+            name, terms = branch.thrusts.branch, loss_terms(branch)
+            if name not in which:
+                which[name] = near_hypotheses(terms, prior, references[name])
+                shapes[name] = (len(branch.thrusts.events), len(branch.thrusts.thrusters))
+            found = log_bayes_of(terms, which[name], prior.scale)
+            reference = place_of(which[name], references[name])
+            ratios.setdefault(name, []).append(found - found[:, [reference]])
+    weighed = []
+    for name, hypotheses in which.items():
+        log_prior = log_prior_of(hypotheses, prior, shapes[name])
+        ratio = np.concatenate(ratios.pop(name))[back]
+        probability = chosen(log_prior, ratio)
+        reference = place_of(hypotheses, references[name])
+        weighed.append(Losses(name, hypotheses, log_prior, probability, reference, ratio))
+    return tuple(weighed)
+
+
+def distinct(rows: NDArray[Any]) -> tuple[Places, Places]:
+    """Where each different one of the rows (n, …) first comes, and which of these each row is."""
+    _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return first[order], np.argsort(order)[which.ravel()]
 
 
 def describe(model: MissionModel, references: References) -> str:

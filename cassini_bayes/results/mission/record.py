@@ -38,11 +38,12 @@ def trend_draws(fit: MissionFit, trend: Trend) -> xr.Dataset:
     ``thrust_n[event, thruster]`` has the coordinate ``branch`` on its events, and NaN where a
     thruster is not of the event's branch.
     """
-    names = list(dict.fromkeys(n for own in trend.draws.values() for n in own.thrusts.thrusters))
+    branches = trend.draws.branches
+    names = list(dict.fromkeys(n for own in branches.values() for n in own.thrusts.thrusters))
     events = fit.model.circumstances.events
     shape = (1, len(fit.z), len(events), len(names))
     values = {key: np.full(shape, np.nan) for key in ("thrust_n", "normalised_thrust_n")}
-    for own in trend.draws.values():
+    for own in branches.values():
         columns = np.array([names.index(name) for name in own.thrusts.thrusters])
         place = np.ix_(own.thrusts.events, columns)
         values["thrust_n"][0][:, place[0], place[1]] = own.thrust_n
@@ -53,7 +54,7 @@ def trend_draws(fit: MissionFit, trend: Trend) -> xr.Dataset:
     }
     dims = ("chain", "draw", "event", "thruster")
     data = {key: labelled(dims, array, "N", meanings[key]) for key, array in values.items()}
-    for name, value in fit.model.space.to_parameters(fit.z).items():
+    for name, value in fit.model.space.to_parameters(trend.draws.z).items():
         if np.ndim(value):
             unit = fit.model.units[name]
             data[name] = labelled(("chain", "draw"), np.asarray(value)[None], unit, name)

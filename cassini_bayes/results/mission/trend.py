@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import gaussian_kde, norm
 
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.mission.losses import (
     DrawnLosses,
     Hypothesis,
@@ -19,8 +19,9 @@ from cassini_bayes.model.mission.losses import (
     loss_terms,
 )
 from cassini_bayes.model.mission.mission_file import ForecastTable, MissionTable, years_between
-from cassini_bayes.model.mission.model import INTERCEPT, BranchThrusts
-from cassini_bayes.results.mission.fitting import MissionFit
+from cassini_bayes.model.mission.model import INTERCEPT, BranchThrusts, MissionModel
+from cassini_bayes.results.mission.fitting import MissionFit, distinct
+from cassini_bayes.sampling.warmstart import weighted
 
 INTERVAL: Final = (0.05, 0.95)
 LEAST_ON_TIME_S: Final = 5.0
@@ -47,6 +48,20 @@ class BranchDraws:
         lost = self.losses.lost(len(self.thrusts.events), len(self.thrusts.thrusters))[:, -1]
         return np.asarray(mean - self.thrusts.common_n * lost)
 
+    @property
+    def slope(self) -> Array:
+        """Mean change (n,) of the thrusters' levels in a year, losses not counted, N."""
+        first = self.thrusts.levels.shape[1]
+        return np.asarray((self.shared[:, first:] @ self.thrusts.ageing.T).mean(-1))
+
+
+@dataclass(frozen=True)
+class MissionDraws:
+    """Joint draws of a mission: walked coordinates z (n, d), and each branch's thrusts at them."""
+
+    z: Array
+    branches: Mapping[str, BranchDraws]
+
 
 @dataclass(frozen=True)
 class Trend:
@@ -56,7 +71,7 @@ class Trend:
     health: pd.DataFrame  # one row per thruster
     onsets: pd.DataFrame  # probability of each onset, given that the thruster fails
     forecast: pd.DataFrame
-    draws: Mapping[str, BranchDraws]
+    draws: MissionDraws
 
 
 def trend_of(
@@ -73,47 +88,51 @@ def trend_of(
         Event → commanded on-time of each thruster of its branch, (K,).
     """
     draws = draw_branches(fit, rng)
+    branches = draws.branches
     return Trend(
-        thrust=thrust_table(fit, draws, on_time_s),
-        health=health_table(fit, mission, draws),
-        onsets=onset_table(fit, draws),
-        forecast=forecast_table(fit, mission, draws, rng),
+        thrust=thrust_table(fit, branches, on_time_s),
+        health=health_table(fit, mission, branches),
+        onsets=onset_table(fit, branches),
+        forecast=forecast_table(fit, mission, branches, rng),
         draws=draws,
     )
 
 
-def draw_branches(fit: MissionFit, rng: np.random.Generator) -> dict[str, BranchDraws]:
-    """As many draws of every branch as the fit has, of points and hypotheses together."""
-    share = fit.model.space.to_parameters(fit.z)[INTERCEPT]
-    intercept = np.broadcast_to(np.asarray(share), (len(fit.z),))
+def draw_branches(fit: MissionFit, rng: np.random.Generator) -> MissionDraws:
+    """As many draws of everything as the fit has: of points, then of every branch's hypotheses."""
+    log_weight = np.sum([losses.log_weight for losses in fit.losses], axis=0)
+    places = weighted(fit.z, np.broadcast_to(log_weight, (len(fit.z),))).places(rng, len(fit.z))
+    z = fit.z[places]
+    share = fit.model.space.to_parameters(z)[INTERCEPT] if fit.losses else 0.0
+    intercept = np.broadcast_to(np.asarray(share), (len(z),))
     found = {}
     for number, losses in enumerate(fit.losses):
-        places, which = losses.draw(rng, len(fit.z))
+        which = losses.draw_at(places, rng)
         found[losses.branch] = _joined(
             [
-                _draw_batch(fit, number, places[rows], which[rows], intercept[places[rows]], rng)
-                for rows in fit.model.batches(len(places))
+                _draw_batch(fit, number, z[rows], which[rows], intercept[rows], rng)
+                for rows in fit.model.batches(len(z))
             ]
         )
-    return found
+    return MissionDraws(z, found)
 
 
 def _draw_batch(
     fit: MissionFit,
     number: int,
-    places: Places,
+    z: Array,
     which: Sequence[Hypothesis],
     intercept: Array,
     rng: np.random.Generator,
 ) -> BranchDraws:
-    """Draws of one branch, by its number, at some of the fit's points with their hypotheses."""
-    branch = fit.model.at(fit.z[places])[0][number]
+    """Draws of one branch, by its number, at points (n, d) with their hypotheses."""
+    first, back = distinct(z)
+    branch = fit.model.at(z[first])[0][number].take(back)
     losses = draw_losses(loss_terms(branch), which, fit.prior.scale, rng)
     shared, thrust = draw_thrusts_given(branch, losses, rng)
     thrusts = branch.thrusts
     lost = losses.lost(len(thrusts.events), len(thrusts.thrusters))
-    rows = thrusts.rows(thrusts.years)
-    level = thrusts.common_n + np.einsum("ekq,nq->nek", rows, shared) - thrusts.common_n * lost
+    level = thrusts.common_n * (1.0 - lost) + thrusts.levels_at(shared)
     return BranchDraws(thrusts, level, thrust, shared, losses, intercept)
 
 
@@ -131,19 +150,19 @@ def _joined(parts: Sequence[BranchDraws]) -> BranchDraws:
     return BranchDraws(parts[0].thrusts, level, thrust, shared, losses, intercept)
 
 
-def proportional_odds(fit: MissionFit) -> float | None:
+def proportional_odds(model: MissionModel, z: Array) -> float | None:
     """Log Bayes factor of the proportional law of pressure against the affine one.
 
-    Posterior over prior density of no intercept (Savage and Dickey), by a kernel estimate from the
-    draws: good to a tenth of a nat near the bulk, a bound far out. None where the intercept is
-    fixed.
+    Posterior over prior density of no intercept (Savage and Dickey), by a kernel estimate from
+    draws z (n, d): good to a tenth of a nat near the bulk, a bound far out. None where the
+    intercept is fixed.
     """
-    space = fit.model.space
+    space = model.space
     if INTERCEPT not in space.names:
         return None
     place = space.names.index(INTERCEPT)
     none = float(space.distributions[place].standard_of(0.0))
-    return float(gaussian_kde(fit.z[:, place]).logpdf(none)[0] - norm.logpdf(none))
+    return float(gaussian_kde(z[:, place]).logpdf(none)[0] - norm.logpdf(none))
 
 
 def thrust_table(
