@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from cassini_bayes.results.tables import nuisance_table, summarise
     from cassini_bayes.sampling.ensembles import SamplerSettings
     from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
-    from cassini_bayes.studies.scenario import simulate
+    from cassini_bayes.studies.flight import simulate
 
 __version__ = "0.1.0"
 
@@ -59,7 +59,7 @@ _VERBS = {
     "pipeline.models": ("build_model",),
     "pipeline.predictions": ("plan", "predict"),
     "priors.reader": ("read_priors",),
-    "studies.scenario": ("simulate",),
+    "studies.flight": ("simulate",),
 }
 _PARTS = {
     "errors": ("CassiniBayesError", "InputError"),

@@ -23,7 +23,7 @@ def simulate_command(
 ) -> None:
     """Simulate a scenario: event folders, totals.csv and truth.json."""
     # numba takes a moment to import
-    from cassini_bayes.studies.scenario import simulate
+    from cassini_bayes.studies.flight import simulate
 
     simulation = simulate(
         scenario,

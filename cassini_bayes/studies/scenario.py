@@ -9,13 +9,11 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
@@ -26,7 +24,6 @@ from cassini_bayes.events.totals import TotalsEvent, write_totals
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors, read_priors
-from cassini_bayes.report.shown import html_of, names_shown
 from cassini_bayes.simulation import (
     Effect,
     ScenarioFile,
@@ -48,7 +45,7 @@ from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
-    from cassini_bayes.report.plots import Figure
+    pass
 
 TRUTH_FILE: Final = "truth.json"
 TOTALS_FILE: Final = "totals.csv"
@@ -62,45 +59,13 @@ class Reporter(Protocol):
         """Take one line of progress."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Simulation:
     """Everything that one seed of a scenario gives, before it is written."""
 
     file: ScenarioFile
     seed: int
     events: tuple[SimulatedEvent, ...]
-
-    def summary(self) -> pd.DataFrame:
-        """One row per event: its kind, duration, rows of telemetry, on-time and pulses."""
-        rows = []
-        for event in self.events:
-            logs = event.motion.pulses.values()
-            rows.append(
-                {
-                    "event": event.plan.event.id,
-                    "kind": event.plan.event.kind,
-                    "duration_s": float(event.motion.duration_s),
-                    "rows": len(event.telemetry.time_s),
-                    "on_time_s": float(sum(log.width_s.sum() for log in logs)),
-                    "pulses": int(sum(log.width_s.size for log in logs)),
-                }
-            )
-        return pd.DataFrame(rows)
-
-    def plot_motion(self) -> dict[str, Figure]:
-        """A figure per event: attitude, rates, wheel rates, firings."""
-        from cassini_bayes.report.plots import draw
-        from cassini_bayes.report.plots.simulation import motion_figure
-
-        return draw({own.plan.event.id: partial(motion_figure, own) for own in self.events})
-
-    def __repr__(self) -> str:
-        effects = ", ".join(effect.name for effect in self.file.scenario.effect) or "no effect"
-        names = names_shown([own.plan.event.id for own in self.events])
-        return f"Simulation of {names}: seed {self.seed}, {effects} hidden"
-
-    def _repr_html_(self) -> str:
-        return html_of("Simulation", [repr(self)], self.summary())
 
     def truth(self) -> dict[str, Any]:
         """What ``truth.json`` says: parameters and thrusts with effects applied, the effects."""
@@ -337,43 +302,6 @@ def simulate_scenario(
     simulation = simulate_file(file, seed, reporter)
     write_simulation(simulation, folder)
     return simulation
-
-
-def simulate(
-    scenario: str | Path,
-    folder: str | Path | None = None,
-    *,
-    seed: int,
-    own_effects: Sequence[str | Path] = (),
-    force: bool = False,
-    reporter: Reporter | None = None,
-) -> Simulation:
-    """Fly a scenario in closed loop: telemetry of wheel biases, slews, burns, with hidden effects.
-
-    Parameters
-    ----------
-    scenario
-        The scenario file.
-    folder
-        Where to write event folders, ``totals.csv`` and ``truth.json``; nothing without it.
-    seed
-        The same scenario and seed give the same bytes.
-    own_effects
-        Files of effects that are not of this package.
-    force
-        Replace what an earlier simulation left in ``folder``.
-    reporter
-        Told of every event.
-
-    Raises
-    ------
-    InputError
-        Anything wrong with the scenario, or a folder that holds something already.
-    """
-    own = simulated_sides([Path(path) for path in own_effects])
-    if folder is None:
-        return simulate_file(read_scenario(scenario, own), seed, reporter)
-    return simulate_scenario(scenario, folder, seed, reporter, force, own)
 
 
 def simulated_sides(files: Sequence[Path]) -> dict[str, Effect]:

@@ -26,7 +26,7 @@ from cassini_bayes.diagnosis.verdict import weigh
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.posterior import build_model, log_posterior
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.report.diagnosis import gain_sentence
+from cassini_bayes.report.diagnosis_verdict import gain_sentence
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.blind.flights import reduced

@@ -15,7 +15,7 @@ from event_cases import events, priors, simulated
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry import Chunk
+from cassini_bayes.events.telemetry import Chunk, read_event
 from cassini_bayes.model import event_reduction, reduce_event, reduce_samples
 from cassini_bayes.model.event_reduction import last_time, store_reduction
 
@@ -113,11 +113,13 @@ def test_samples_in_memory_reduce_like_those_of_the_file() -> None:
 def test_last_time_of_a_tail(tmp_path: Path) -> None:
     """The last row's time; 1 where the tail does not tell."""
     path = tmp_path / "telemetry.csv"
+    event = replace(read_event(simulated() / "bias", priors().spacecraft), telemetry=path)
     path.write_text("q1,time_s\n0,0\n0,12.5\n\n")
-    assert last_time(path) == 12.5
+    assert last_time(event) == 12.5
     path.write_text("q1,time_s\n0,0\n0,nonsense\n")
-    assert last_time(path) == 1.0
-    assert last_time(tmp_path / "missing.csv") == 1.0
+    assert last_time(event) == 1.0
+    path.unlink()
+    assert last_time(event) == 1.0
 
 
 def test_counters_gained_are_those_of_the_file() -> None:
