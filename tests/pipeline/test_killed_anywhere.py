@@ -52,7 +52,7 @@ def tables(folder: Path) -> dict[str, str]:
 
 
 def resumed(folder: Path) -> list[str]:
-    """How to go on: before the first checkpoint there is nothing to resume, and nothing to force."""
+    """How to go on: before the first checkpoint there is nothing to resume or to force."""
     return ["--resume"] if list(folder.glob("checkpoint/*.npz")) else []
 
 
