@@ -282,7 +282,6 @@ def test_other_errors_of_the_package_end_with_one(
         ["run", "x.toml", "--sed", "3"],
         ["run", "x.toml", "--seed", "three"],
         ["run", "x.toml", "--seed", "-1"],
-        ["fit", "events.csv", "--out", "o"],
         ["fit", "--priors", "p", "--out", "o"],
     ],
 )

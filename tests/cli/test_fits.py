@@ -52,7 +52,7 @@ def test_a_sweep_accepts_what_its_run_accepted(
         given.append(run)
         return SimpleNamespace(folder=tmp_path, findings=("accepted (wheel-order)",))
 
-    monkeypatch.setattr("cassini_bayes.pipeline.sweep_run.execute_sweep", execute)
+    monkeypatch.setattr("cassini_bayes.pipeline.by_file.execute_sweep", execute)
     run_file = str(run_cases.write_run(tmp_path))
     sweep = ["sweep", run_file, "--accept", "wheel-order", "--leave-out", "--quiet"]
     assert run_cases.command(sweep) == 0

@@ -40,6 +40,9 @@ COST_MS: Final = {
     "fit": 20.0,
     "beliefs": 10.0,
     "checked telemetry": 300.0,
+    "stored run": 150.0,
+    "HDF5": 400.0,
+    "MATLAB": 400.0,
 }
 """Readers that take longer than a few milliseconds get fewer inputs."""
 USUAL_MS: Final = 4.0

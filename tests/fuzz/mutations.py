@@ -145,6 +145,8 @@ OF: Final[dict[str, tuple[Mutation, ...]]] = {
     ".nc": BYTES,
     ".npz": BYTES,
     ".parquet": BYTES,
+    ".h5": BYTES,
+    ".mat": BYTES,
 }
 """What is done to a file of each kind."""
 NUMBERS: Final[tuple[Mutation, ...]] = (number, number, number, column, lines_moved)

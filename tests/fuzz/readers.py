@@ -12,7 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
+import h5py
 import numpy as np
+import scipy.io
 import xarray as xr
 from event_folder_cases import BIAS, CASSINI, bias_rows
 from simulation_cases import BIAS as BIAS_EVENT
@@ -25,6 +27,7 @@ from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.pipeline.fits import read_fit
 from cassini_bayes.prediction.sources import read_sources
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.results.record import GROUPS, Fit, save_fit
@@ -67,6 +70,16 @@ def _sources(path: Path) -> object:
     return read_sources(folder / "fit.nc").events
 
 
+def _stored(path: Path) -> object:
+    """A stored run with its record, as far as its draws go."""
+    folder = path.parent
+    _fit(folder)
+    for name, source in _RUN.items():
+        shutil.copy(source, folder / name)
+    (folder / "provenance.json").write_bytes(_provenance())
+    return read_fit(folder).figures
+
+
 def _resolved() -> bytes:
     return (
         b'priors = "p.toml"\nevents = ["e.csv"]\nsource = "flight"\naccept = ["bad-cell"]\n'
@@ -106,6 +119,7 @@ MORE: Final = {
     "checked totals": Door("my.csv", DOORS["totals"].good, _checked_totals),
     "checkpoint": Door("block.npz", None, _checkpoint),
     "resolved": Door("resolved.toml", None, _sources),
+    "stored run": Door("resolved.toml", None, _stored),
     "provenance": Door("provenance.json", None, _sources),
 }
 """Beside the doors of the command line: what they lead to, and files of the package's own."""
@@ -135,10 +149,13 @@ def _content(name: str, door: Door, folder: Path) -> bytes:
     make: dict[str, Callable[[Path], bytes]] = {
         "event": lambda _: _described().encode(),
         "resolved": lambda _: _resolved(),
+        "stored run": lambda _: _resolved(),
         "provenance": lambda _: _provenance(),
         "checked telemetry": _simulated,
         "fit": _fit,
         "parquet": _parquet,
+        "HDF5": _hdf5,
+        "MATLAB": _matlab,
         "checkpoint": _block,
     }
     if name in make:
@@ -165,6 +182,19 @@ def _parquet(folder: Path) -> bytes:
     stream = io.BytesIO()
     parquet.write_table(table, stream)
     return stream.getvalue()
+
+
+def _hdf5(folder: Path) -> bytes:
+    path = folder / "my.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("group/x", data=np.arange(500.0), compression="gzip")
+    return path.read_bytes()
+
+
+def _matlab(folder: Path) -> bytes:
+    path = folder / "my.mat"
+    scipy.io.savemat(path, {"group": {"x": np.arange(500.0)}}, do_compression=True)
+    return path.read_bytes()
 
 
 def _block(folder: Path) -> bytes:
