@@ -93,7 +93,8 @@ def test_every_reader_is_fuzzed() -> None:
             try:
                 good.door.read(path)
             except InputError:
-                assert good.reader in ("event",), good.reader
+                # no telemetry beside the one, draws of another model in the other
+                assert good.reader in ("event", "stored run"), good.reader
             finally:
                 sys.setprofile(None)
     for path in PACKAGE.rglob("*.py"):
