@@ -23,6 +23,7 @@ from test_doors import DOORS, PRIORS, Door, good_csv
 
 from cassini_bayes.events.plausibility import check_telemetry, check_totals
 from cassini_bayes.events.telemetry import read_chunks, read_event
+from cassini_bayes.events.telemetry.matches import matches, sample_of
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import digest
@@ -47,6 +48,11 @@ def _checked_telemetry(path: Path) -> object:
     (path.parent / "event.toml").write_text(_described())
     event = read_event(path.parent, CASSINI)
     return check_telemetry(event, read_chunks(event, CASSINI), CASSINI, NOMINAL)
+
+
+def _proposed(path: Path) -> object:
+    """What ``init --from`` proposes for the columns of a file."""
+    return matches(sample_of(path), CASSINI, (1, 2, 4), "B")
 
 
 def _checked_totals(path: Path) -> object:
@@ -118,6 +124,7 @@ MORE: Final = {
     "checked telemetry": Door("telemetry.csv", None, _checked_telemetry),
     "checked totals": Door("my.csv", DOORS["totals"].good, _checked_totals),
     "checkpoint": Door("block.npz", None, _checkpoint),
+    "foreign columns": Door("my.csv", DOORS["totals"].good, _proposed),
     "resolved": Door("resolved.toml", None, _sources),
     "stored run": Door("resolved.toml", None, _stored),
     "provenance": Door("provenance.json", None, _sources),
