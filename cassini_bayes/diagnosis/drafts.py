@@ -308,7 +308,7 @@ def _columns(rows: Sequence[EventRows], thrusts: Sequence[Array]) -> _Columns:
         for power in (1, 2):
             places = tuple(columns.add(_about(c, _speed(number, power))) for c in range(3))
             place = next(e.wheels.index(number) for e in rows if number in e.wheels)
-            numbers = {"power": power, "place": place}
+            numbers: dict[str, float] = {"power": power, "place": place}
             columns.offer("wheel", _Candidate(str(number), numbers, places))
     _oscillations(columns, rows)
     return columns
@@ -397,7 +397,7 @@ def _fired_since(start: float, thrusts: Sequence[Array]) -> Callable[[int, Event
             return np.zeros((len(event.time_s), 3))
         since = inertial - inertial[max(first - 1, 0)] if first else inertial
         since[:first] = 0.0
-        return np.einsum("nai,ni->na", turn, since)
+        return np.asarray(np.einsum("nai,ni->na", turn, since))
 
     return make
 

@@ -126,8 +126,8 @@ def _gaussian(weighed: Weighed[Hypothesis]) -> _Gaussian:
     gram = left.linear.gram()
     mean = np.linalg.solve(gram, left.linear.columns.T @ left.linear.target + pull)[:kept]
     mean[: len(point)] += point
-    unit = np.eye(len(gram), kept)
-    return _Gaussian(mean, np.linalg.solve(gram, unit)[:kept])
+    covariance = np.linalg.solve(gram, np.eye(len(gram), kept))[:kept]
+    return _Gaussian(np.asarray(mean, dtype=np.float64), np.asarray(covariance, dtype=np.float64))
 
 
 def _drawn(weighed: Weighed[Hypothesis], rng: np.random.Generator) -> Array:

@@ -112,7 +112,8 @@ def cause_part(events: Events, weighed: Weighed[Hypothesis]) -> list[Array]:
     shared = np.array([at[name] for name in without.model.space.names])
     linear, factors = linearise(own, weighed.mode.point)
     plain, plain_factors = linearise(without, shared)
-    fitted = np.linalg.solve(left.linear.gram(), left.linear.columns.T @ left.linear.target)
+    seen = left.linear.columns.T @ left.linear.target
+    fitted = np.asarray(np.linalg.solve(left.linear.gram(), seen), dtype=np.float64)
     # slopes stand first, and are those of one model alone; all other unknowns are both models'
     unknowns = fitted[len(weighed.mode.point) : linear.columns.shape[1]]
     missing = _left(plain, unknowns, len(shared), plain_factors)

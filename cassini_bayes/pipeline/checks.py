@@ -164,7 +164,7 @@ def check(
     if isinstance(events, Model):
         model, findings, given = events, tuple[str, ...](), events.sources
     else:
-        known = priors_of(priors if priors is not None else "")
+        known = priors_of(priors)
         policy = Policy.of(accept, leave_out=leave_out)
         given, findings = gather(
             events, known, pulse_shape=pulse_shape, source=source, policy=policy, say=say

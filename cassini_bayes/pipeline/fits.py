@@ -30,6 +30,7 @@ from cassini_bayes.pipeline.run import Reporter, execute, facts_of, write_result
 from cassini_bayes.pipeline.run_file import RunFile, SamplerTable, check_run, read_run_file
 from cassini_bayes.prediction.sources import locate
 from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.report.plots.scalars import headlines, scalar_corner, trace_figure
 from cassini_bayes.report.shown import html_of, names_shown, value_with_unit, with_interval
 from cassini_bayes.results import record
 from cassini_bayes.results.exchange import inference_data
@@ -46,12 +47,6 @@ if TYPE_CHECKING:
 INTERVAL: Final = "90 % highest density"
 FIT_FILE: Final = "fit.nc"
 RESOLVED: Final = "resolved.toml"
-_MOST_HEADLINES: Final = 6
-_HEADLINES: Final = (
-    *("thrust_common_n", "tau_fall_s"),
-    *(f"inertia_{axis}{axis}_kg_m2" for axis in "xyz"),
-    "cm_x_m",
-)
 
 
 class Quiet:
@@ -142,22 +137,16 @@ class FitResult(Fit):
 
     def _named(self, quantities: str | Sequence[str] | None) -> tuple[str, ...]:
         if quantities is None:
-            from cassini_bayes.report.plots.scalars import default_names
-
-            return default_names(self.posterior)
+            return headlines(self.posterior)
         patterns = [quantities] if isinstance(quantities, str) else list(quantities)
         return chosen_names(self.posterior, patterns, "quantities")
 
     def plot_corner(self, quantities: str | Sequence[str] | None = None) -> Figure | None:
         """Corner plot with the priors drawn in; None with fewer than two scalars that vary."""
-        from cassini_bayes.report.plots.scalars import scalar_corner
-
         return self._drawn("corner", partial(scalar_corner, self, self._named(quantities)))
 
     def plot_trace(self, quantities: str | Sequence[str] | None = None) -> Figure | None:
         """Draws in their order, one colour an ensemble."""
-        from cassini_bayes.report.plots.scalars import trace_figure
-
         return self._drawn("trace", partial(trace_figure, self, self._named(quantities)))
 
     def plot_thrusts(self) -> Figure | None:
@@ -232,8 +221,7 @@ class FitResult(Fit):
 
     def _headlines(self) -> pd.DataFrame:
         """A few scalars with their intervals beside their priors, without sampling diagnostics."""
-        names = [name for name in _HEADLINES if name in self.posterior][:_MOST_HEADLINES]
-        names = [name for name in names if self.posterior[name].ndim == 2]
+        names = headlines(self.posterior)
         after, before = values_of(self.posterior, names), values_of(self.prior, names)
         low, high = hdi(after)
         table = pd.DataFrame(
@@ -330,6 +318,11 @@ def fit(
     told = reporter or Quiet()
     if isinstance(events, str | os.PathLike) and Path(events).suffix == ".toml":
         path = Path(events)
+        said = (priors, *effects, pulse_shape, delta_v, source, *accept, leave_out)
+        if said != (None, "first_order", "as-declared", "flight", False):
+            raise InputError(
+                "fit", "a run file alone", "priors or settings beside it", "write them into it"
+            )
         run = read_run_file(path)
         if sampler is not None or seed is not None:
             run = run.model_copy(update={"sampler": _merged(run.sampler, settings, seed)})
@@ -402,8 +395,6 @@ def _model(
                 "fit", "a model alone", "priors or effects beside it", "give them to build_model"
             )
         return events, ()
-    if priors is None:
-        raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
     known = priors_of(priors)
     found, findings = gather(
         events, known, pulse_shape=pulse_shape, source=source, policy=policy, say=say

@@ -8,6 +8,7 @@ from pathlib import Path
 from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds, read_kinds
+from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model import posterior
@@ -19,8 +20,16 @@ from cassini_bayes.priors.reader import Priors, read_priors
 PriorsLike = PathLike | Priors
 
 
-def priors_of(priors: PriorsLike) -> Priors:
-    """Priors, read where a file is named."""
+def priors_of(priors: PriorsLike | None) -> Priors:
+    """Priors, read where a file is named.
+
+    Raises
+    ------
+    InputError
+        None were given, or the file is bad.
+    """
+    if priors is None:
+        raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
     return priors if isinstance(priors, Priors) else read_priors(Path(priors))
 
 

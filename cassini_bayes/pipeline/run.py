@@ -195,7 +195,7 @@ def execute(
         what_if=run.output.report,
     )
     review.work_out(cores())
-    converged = is_converged(review)
+    converged = _is_converged(review)
     write_results(review, folder, reporter.say, report=run.output.report)
     seconds = time.monotonic() - began
     reporter.say(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
@@ -226,7 +226,7 @@ def write_results(
         write_report(review, sections, pictures, folder / "report.html")
 
 
-def is_converged(review: Review) -> bool:
+def _is_converged(review: Review) -> bool:
     """Whether the stop rule held, and every scalar has its R-hat and effective sample size."""
     attributes = review.fit.attributes
     rhat, bulk, tail = worst_convergence(review.summary)

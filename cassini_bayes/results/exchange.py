@@ -14,11 +14,11 @@ import xarray as xr
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
+from cassini_bayes.results.fitting import WALKED
+from cassini_bayes.results.groups import DENSITY
 from cassini_bayes.results.record import Fit
 
-DENSITY: Final = "event_data"
 REPLICATE: Final = "replicate"
-WALKED: Final = "walked"
 
 
 def inference_data(fit: Fit, event_density: Array | None = None) -> Any:  # ArviZ has no types

@@ -24,7 +24,13 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
-from cassini_bayes.spacecraft.two_wheels import HELD_AXES, free_axis, wheel_torques
+from cassini_bayes.spacecraft.two_wheels import (
+    HELD_AXES,
+    SpinModulation,
+    free_axis,
+    torque_coupling,
+    wheel_torques,
+)
 from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 LEAST_SINGULAR_VALUE: Final = 0.1
@@ -252,18 +258,38 @@ def _to_wheels(plan: Plan, axes: Array) -> Array:
     return np.ascontiguousarray(np.linalg.pinv(axes), dtype=np.float64)
 
 
+def _check_spin(plan: Plan, axes: Array) -> None:
+    """Paper 004's assumption G1 > |G2| of a body that spins while two wheels hold X and Y."""
+    hybrid, rates = plan.event.hybrid, plan.event.from_rpm
+    if hybrid is None or hybrid.controller != "dfpw" or hybrid.spin_rad_s <= 0.0:
+        return
+    where = f"event {plan.event.id}"
+    craft = prime_wheels(plan)
+    momentum = axes @ (wheel_inertias(craft, plan.parameters) * floats(rates) / RPM_PER_RAD_S)
+    p_x, p_y = (float(value) for value in torque_coupling(axes, "dfpw", f"{where}: wheels"))
+    SpinModulation(
+        plan.parameters["inertia_zz_kg_m2"],
+        hybrid.spin_rad_s,
+        (p_x, p_y),
+        (float(momentum[0]), float(momentum[1])),
+        f"{where}: from_rpm and spin_rad_s",
+    )
+
+
 def rwa_law(plan: Plan, body: kernel.Body) -> kernel.RwaLaw:
     """The wheel controller's settings as numbers, and the attitudes between its slews.
 
     Raises
     ------
     InputError
-        The wheels are to hold the attitude, or two axes of it, and cannot turn the body about them.
+        The wheels are to hold the attitude, or two axes of it, and cannot turn the body about them;
+        or a free spin would stop before it has come round.
     """
     hybrid = plan.event.hybrid
     free_from = math.inf
     if hybrid is not None and not uses_thrusters(plan):
         free_from = 0.0
+        _check_spin(plan, body.axes)
     elif hybrid is not None and hybrid.free_from_s is not None:
         free_from = hybrid.free_from_s
     slews = sorted(plan.event.slew, key=lambda slew: slew.start_s)

@@ -324,6 +324,8 @@ def _check_value(place: str, key: str, value: object, names: list[str]) -> None:
     number = finite_number(place, value)
     if abs(number) > LARGEST:
         raise InputError(place, f"a number within ±{LARGEST:g}", repr(value), "check the unit")
+    if key.endswith("_rad") and abs(number) > 2.0 * math.pi:
+        raise InputError(place, "an angle in rad, within a turn", repr(value), "convert degrees")
     if key in _ABOVE_ZERO or key.endswith("_inertia_kg_m2"):
         if number < SMALLEST:
             raise InputError(place, "a number above 0", repr(value), "check sign and unit")

@@ -110,6 +110,8 @@ class SpinModulation:
         p (2,), of :func:`torque_coupling`.
     momentum_n_m_s
         The wheels' H_X and H_Y (2,) at α = 0.
+    where
+        What an error names.
 
     Raises
     ------
@@ -121,12 +123,13 @@ class SpinModulation:
     rate_rad_s: float
     coupling: tuple[float, float]
     momentum_n_m_s: tuple[float, float]
+    where: str = "momentum of the wheels"
 
     def __post_init__(self) -> None:
         if abs(self.g2) >= self.g1:
             raise InputError(
-                "momentum of the wheels",
-                "one small enough for the spin to come round: |G2| < G1",
+                self.where,
+                "a momentum small enough for the spin to come round: |G2| < G1",
                 f"G1 = {self.g1:.3g} and |G2| = {abs(self.g2):.3g} rad/s, so that the rate falls to"
                 " zero before a turn is complete",
                 "spin faster, or start with less momentum or one along the other sense of K1",

@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.computing.arrays import Array
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.studies.leak_monitors import HALF_ROWS, ROWS_EVERY_S
 
@@ -114,8 +113,8 @@ def clear_after_s(table: pd.DataFrame) -> dict[float, float]:
     }
 
 
-def turn_cells(table: pd.DataFrame) -> Array:
+def turn_cells(table: pd.DataFrame) -> list[tuple[float, float, float]]:
     """Rows of turn, seconds after it until :data:`CLEAR_SIGMA`, σ after :data:`STAY_S`."""
     clear = clear_after_s(table)
     at_stay = table[np.isclose(table["after_s"], STAY_S)].set_index("turn_deg")["sigma"]
-    return np.array([[turn, clear[turn], at_stay[turn]] for turn in TURNS_DEG])
+    return [(turn, clear[turn], float(at_stay[turn])) for turn in TURNS_DEG]

@@ -50,11 +50,12 @@ class Residual:
     a leak. ``arms`` (3, K) are the thrusters' torques per newton.
     """
 
-    time_s: Array  # (N,)
+    time_s: Array  # (N,) since the first row
     momentum_n_m_s: Array  # (N, 3) axes of the body at the first row
     covariance: Array  # (3N, 3N)
     arms_m: Array  # (3, K)
     thrusters: tuple[str, ...]
+    first_s: float = 0.0  # time of the first row
 
 
 @dataclass(frozen=True)
@@ -190,6 +191,7 @@ def residual_of(
         jacobian @ jacobian.T + _noise(nominal, places, means, still),
         np.asarray(nominal.arms_m),
         thrusters,
+        float(still.time_s[0]),
     )
 
 

@@ -98,7 +98,7 @@ def fly_trial(
     samples = with_torque_noise(samples, event, rng)
     residual = residual_of(samples, thrusters, event.plan.wheel_numbers, priors)
     tracks = (Odds(residual).track(), *(threshold_track(residual, w) for w in WINDOWS_S))
-    return Trial(size, thruster, start, residual.time_s, tracks)
+    return Trial(size, thruster, start, residual.first_s + residual.time_s, tracks)
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from event_cases import PRIORS, events, model
+from totals_cases import flight
 
 from cassini_bayes.model import build_model, log_posterior
-from cassini_bayes.model.observability import observability
+from cassini_bayes.model.observability import event_worth, observability
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.sampling.warmstart import warm_start
 
@@ -55,6 +56,25 @@ def test_more_events_see_no_less() -> None:
     alone = observability(model("bias")).table.set_index("quantity")["ratio"]
     both = observability(model("bias", "slews")).table.set_index("quantity")["ratio"]
     assert (both.reindex(alone.index) <= alone * (1 + 1e-9)).all()
+
+
+def test_an_event_is_worth_what_a_model_without_it_lacks() -> None:
+    """Left out by subtracting its information, and by building the model without it: the same."""
+    rows, priors = flight(2)
+    cases = [
+        (model("bias", "slews"), "slews", model("bias")),
+        (build_model(rows, priors), rows[1].id, build_model(rows[:1], priors)),
+    ]
+    for all_of_them, left_out, rest in cases:
+        worth = event_worth(all_of_them)
+        own = worth[worth["event"] == left_out].set_index("quantity")["narrowing"]
+        both, alone = (
+            observability(m).table.set_index("quantity")["expected_sd"] for m in (all_of_them, rest)
+        )
+        shared = [name for name in own.index if name in alone.index]
+        assert len(shared) > 15
+        np.testing.assert_allclose(own[shared], 1.0 - both[shared] / alone[shared], atol=1e-6)
+        assert own[shared].max() > 0.01
 
 
 def test_fixed_departures_of_thrust_change_nothing_of_what_is_shared(tmp_path: Path) -> None:

@@ -136,7 +136,4 @@ def test_the_page_holds_the_numbers_and_a_script_of_its_own(
 
 def render_report_of(review: Review, section: Section) -> str:
     """A page with this section alone."""
-    vars(review)["summary"] = pd.DataFrame(
-        columns=["quantity", "sd", "ess_bulk", "ess_tail", "rhat"]
-    )
     return render_report(review, [section], {})

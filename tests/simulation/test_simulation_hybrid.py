@@ -103,12 +103,17 @@ def test_direction_error_is_blind_to_the_turn_about_its_axis(axis: int) -> None:
     assert np.abs(out).max() > 1e-6
 
 
+SLOW = {"controller": "dfpw", "spin_rad_s": 0.5e-3}  # stops before it has come round
+
+
 @pytest.mark.parametrize(
     ("event", "change", "words"),
     [
         (SPIN, {"articulation": -60.0}, ["event spin: wheels", "singular angle"]),
         (SPIN, {"articulation": 120.0}, ["event spin: wheels", "singular angle"]),
         (MOSAIC, {"articulation": 60.0}, ["event mosaic: wheels", "singular angle"]),
+        (SPIN, {"articulation": -5397.3}, ["rwa4_articulation_rad", "-94.2", "degrees"]),
+        (SPIN, {"hybrid": SLOW}, ["event spin: from_rpm and spin_rad_s", "|G2| < G1", "faster"]),
         (SPIN, {"wheels": [4]}, ["two wheels to hold X and Y", "1 wheel"]),
         (SPIN, {"wheels": [1, 2]}, ["rwa4_articulation_rad", "wheels [1, 2]", "add 4"]),
         (SPIN, {"hybrid": None}, ["three wheels", "hybrid controller"]),
@@ -118,7 +123,9 @@ def test_direction_error_is_blind_to_the_turn_about_its_axis(axis: int) -> None:
     ],
 )
 def test_bad_hybrids_get_one_line(event: str, change: dict[str, Any], words: list[str]) -> None:
-    """Singular angles, a platform without its wheel, one wheel, keys that do not go together."""
+    """Singular angles, degrees for radians, a spin that stops, a platform without its wheel, one
+    wheel, keys that do not go together.
+    """
     document = scenario(event)
     own = document["event"][0]
     if "articulation" in change:

@@ -63,9 +63,9 @@ def arms() -> Array:
 def made_up(leak_n: float = 0.0, thruster: int = 0, rows: int = 12) -> Residual:
     """A residual of white noise, of the first row's and of a leak from 40 s on."""
     rng = np.random.default_rng(2)
-    time = 10.0 * np.arange(rows)
+    time = 10.0 * np.arange(rows, dtype=np.float64)
     shared = np.eye(rows) + 0.5 + 1e-3 * np.minimum(time[:, None], time)
-    covariance = np.kron(shared, np.diag([1e-4, 2e-4, 5e-5]))
+    covariance = np.asarray(np.kron(shared, np.diag([1e-4, 2e-4, 5e-5])), dtype=np.float64)
     momentum = (np.linalg.cholesky(covariance) @ rng.standard_normal(3 * rows)).reshape(rows, 3)
     leak = leak_n * np.maximum(time - 40.0, 0.0)[:, None] * arms()[:, thruster]
     return Residual(time, momentum + leak, covariance, arms(), NAMES)
@@ -136,6 +136,8 @@ def test_the_residual_is_as_wide_as_it_says() -> None:
         lower = np.linalg.cholesky(residual.covariance)
         squares.append(np.linalg.solve(lower, residual.momentum_n_m_s.ravel()) ** 2)
         assert trial.tracks[0].statistic.max() < 3.0
+        np.testing.assert_allclose(trial.time_s, residual.first_s + residual.time_s)
+        assert residual.first_s >= HALF_ROWS  # rows of a stretch lie before its middle
     assert 0.75 < np.concatenate(squares).mean() < 1.25
 
 
@@ -187,7 +189,7 @@ def test_rates_of_stretches_are_mean_rates_over_rows_at_rest() -> None:
 def synthetic(index: int) -> Trial:
     """A trial without a flight: leaks raise the odds tenfold above the noise, and the residual."""
     rng = np.random.default_rng(index)
-    time = 10.0 * np.arange(30)
+    time = 10.0 * np.arange(30, dtype=np.float64)
     thruster = index % 8 if index % 10 < 7 else -1
     size = 10.0 ** rng.uniform(-5, -2.4) if thruster >= 0 else 0.0
     rise = np.where(time > 100.0, 2e4 * size, 0.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -68,6 +69,8 @@ def draw(drawings: Mapping[str, Callable[[], Figure | None]]) -> dict[str, Figur
         figures = {name: figure for name, figure in found.items() if figure is not None}
         for figure in figures.values():
             settle(figure)
+            # a notebook shows it, whether or not a plotting session has been started there
+            vars(figure)["_repr_png_"] = partial(encode, figure, "png")
     return figures
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 MEASURED: Final = "#9a9a9a"
 CAUSE: Final = "#f3c9a4"
+MEASURED_DOTS: Final[dict[str, Any]] = {"ms": 1.6, "color": MEASURED, "rasterized": True}
 BASELINE_LINE: Final[dict[str, Any]] = {"lw": 2.2, "color": POSTERIOR, "alpha": 0.75}
 EXTENDED_LINE: Final[dict[str, Any]] = {"lw": 0.9, "color": EXTENDED}
 CONTOURS: Final = (0.5, 0.9)
@@ -63,8 +64,7 @@ def overlay_figure(overlay: Overlay) -> Figure:
 def _laid_over(panel: Axes, time_s: Array, channel: Channel) -> None:
     step = max(1, len(time_s) // _POINTS)
     at = slice(None, None, step)
-    look = {"ms": 1.6, "color": MEASURED, "rasterized": True}
-    panel.plot(time_s[at], channel.measured[at], ".", label="measured", **look)
+    panel.plot(time_s[at], channel.measured[at], ".", label="measured", **MEASURED_DOTS)
     if channel.extended is not None and channel.cause is not None:
         panel.fill_between(
             time_s[at],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,8 +18,12 @@ from cassini_bayes.sweep.models import scalar_names, units_of, values_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DEFAULT: Final = ("thrust_common_n", "tau_fall_s", "cm_*", "inertia_??_kg_m2")
-"""Quantities that are shown where none are named, as far as a fit has them."""
+HEADLINES: Final = (
+    *("thrust_common_n", "tau_fall_s"),
+    *(f"inertia_{axis}{axis}_kg_m2" for axis in "xyz"),
+    "cm_x_m",
+)
+"""Scalars that say most of a fit at a glance: shown where none are named, if a fit has them."""
 MOST_TRACED: Final = 1_000
 ROW_IN: Final = 1.25
 
@@ -53,14 +56,14 @@ def trace_figure(fit: Fit, names: Sequence[str]) -> Figure:
         for chain in chains:
             panel.plot(places, chain[::every], lw=0.5, alpha=0.8)
         panel.axhline(float(column.prior.mean()), color=PRIOR_LINE, lw=1.0)
-        panel.set_ylabel(f"{column.label}\n({column.unit})")
+        panel.set_ylabel(column.unit)
         panel.set_title(name, loc="left")
     panels[-1].set_xlabel("draw (one colour an ensemble; line: prior mean)")
     headline(figure, "Draws in order")
     return figure
 
 
-def default_names(posterior: xr.Dataset) -> tuple[str, ...]:
-    """The scalars that say most of a fit at a glance."""
-    names = scalar_names(posterior)
-    return tuple(n for pattern in DEFAULT for n in names if fnmatchcase(n, pattern))
+def headlines(posterior: xr.Dataset) -> tuple[str, ...]:
+    """The scalars that say most of a fit at a glance, those that it has."""
+    known = scalar_names(posterior)
+    return tuple(name for name in HEADLINES if name in known)

@@ -1,0 +1,93 @@
+"""`check`, `causes`, `parameters`, `quantities`, `-h`, completion: what they print and refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from event_cases import events, priors
+from run_cases import B_BRANCH, EVENTS, FLIGHT, command
+from sweep_cases import small_fit
+
+import cassini_bayes as cb
+from cassini_bayes.results.record import save_fit
+
+Captured = pytest.CaptureFixture[str]
+FIRST = [f"{FLIGHT}:{EVENTS[0]}", f"{FLIGHT}:{EVENTS[1]}"]
+
+
+def printed(capsys: Captured, *arguments: str) -> str:
+    """Standard output of a command that must end with 0."""
+    capsys.readouterr()
+    assert command(arguments) == 0
+    return capsys.readouterr().out
+
+
+def test_check_says_all_that_is_known(capsys: Captured) -> None:
+    """Events and rows used, what they can see, size and time, on one page; the same as JSON."""
+    text = printed(capsys, "check", *FIRST, "--priors", str(B_BRANCH))
+    for said in (*EVENTS, "What these events can see", "walked and", "Sampling takes about"):
+        assert said in text
+    assert len(text.splitlines()) < 40
+    record = json.loads(printed(capsys, "check", *FIRST, "--priors", str(B_BRANCH), "--json"))
+    assert [row["event"] for row in record["rows"]] == list(EVENTS)
+    ratio = {row["quantity"]: row["ratio"] for row in record["seen"]}
+    assert all(0.0 < own <= 1.0 + 1e-9 for own in ratio.values())
+    assert ratio["thrust[all events,z1]"] < 0.95
+    assert record["seconds"][0] < record["seconds"][1]
+
+
+def test_a_conflict_is_found_before_sampling(capsys: Captured) -> None:
+    """A prior that slews contradict is named, the shipped one is not: `--strict` ends with 0."""
+    shifted = priors().scaled(["inertia_xy_kg_m2"], shift=6.0)
+    found = cb.check(events("slews"), shifted)
+    assert any("inertia_xy_kg_m2: the data pull it" in line for line in found.warnings)
+    assert not cb.check(events("slews"), priors()).warnings
+    assert command(["check", *FIRST, "--priors", str(B_BRANCH), "--strict", "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_lists_are_tables_and_json(capsys: Captured, tmp_path: Path) -> None:
+    """Every name once with its unit; JSON has the same names."""
+    save_fit(small_fit()[1], tmp_path / "fit.nc")
+    for arguments, name, unit in (
+        (["causes", "--priors", str(B_BRANCH)], "thruster_degraded:z3", "1"),
+        (["parameters"], "tau_fall_s", "s"),
+        (["parameters", "--priors", str(B_BRANCH)], "cm_x_m", "m"),
+        (["quantities", str(tmp_path)], "thrust_level_n[z1]", "N"),
+    ):
+        text = printed(capsys, *arguments)
+        rows = json.loads(printed(capsys, *arguments, "--json"))
+        assert len(text.splitlines()) == len(rows) + 1
+        (own, *_) = [row for row in rows if row["name"] == name]
+        assert own["unit"] == unit
+        assert any(line.startswith(name) for line in text.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["check", "nothing.csv", "--priors", str(B_BRANCH)], "nothing.csv"),
+        (["check", FIRST[0], "--priors", "nothing.toml"], "nothing.toml"),
+        (["causes", "--priors", "nothing.toml"], "nothing.toml"),
+        (["parameters", "--spacecraft", "nowhere"], "nowhere"),
+        (["quantities", "nothing"], "nothing"),
+        (["report", "nothing"], "nothing"),
+    ],
+)
+def test_mistakes_are_one_line(capsys: Captured, arguments: list[str], said: str) -> None:
+    """Exit status 2, one line on standard error, nothing on standard output."""
+    assert command(arguments) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith("error: ")
+    assert output.err.count("\n") == 1
+    assert said in output.err
+
+
+def test_help_is_short_and_completion_is_offered(capsys: Captured) -> None:
+    """`-h` is `--help`, of the program and of each command."""
+    assert printed(capsys, "-h") == printed(capsys, "--help")
+    assert "--install-completion" in printed(capsys, "-h")
+    assert "--priors" in printed(capsys, "check", "-h")

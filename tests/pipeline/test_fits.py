@@ -1,0 +1,206 @@
+"""A fit of telemetry as its user holds it: read back, shown, given to ArviZ, predicted from."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from event_cases import PRIORS, priors, simulated
+from run_cases import command
+
+import cassini_bayes as cb
+from cassini_bayes.computing.arviz_import import arviz, corner
+from cassini_bayes.errors import InputError
+from cassini_bayes.model import log_posterior
+from cassini_bayes.pipeline import fits
+from cassini_bayes.pipeline.fits import FitResult
+from cassini_bayes.prediction.sources import read_sources
+from cassini_bayes.results.review import Review
+
+SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
+FEW = {"draws_per_ensemble": 500, "prior_draws": 500}
+BIAS = "rwa1: -200 -> 150, rwa2: 300 -> -100, rwa4: 250 -> -50"
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> FitResult:
+    """A bias and slews, fitted and written as a run."""
+    return cb.fit(
+        [simulated() / "bias", simulated() / "slews"],
+        PRIORS,
+        sampler=SAMPLER,
+        seed=3,
+        folder=tmp_path_factory.mktemp("fits") / "run",
+        report=False,
+        **FEW,
+    )
+
+
+@pytest.fixture(scope="module")
+def again(stored: FitResult) -> FitResult:
+    """The same, read back from its folder."""
+    assert stored.path is not None
+    return cb.read_fit(stored.path.parent)
+
+
+@pytest.fixture(scope="module")
+def data(again: FitResult) -> Any:
+    """ArviZ's view of it."""
+    return again.to_arviz()
+
+
+def test_what_is_read_back_is_the_same(stored: FitResult, again: FitResult) -> None:
+    """Walked draws come back from the file: they have the density that was stored with them."""
+    np.testing.assert_allclose(again.review.z, stored.review.z, atol=1e-6)
+    lp = again.groups["sample_stats"]["lp"].values.reshape(-1)
+    np.testing.assert_allclose(log_posterior(again.model, again.review.z), lp, atol=1e-4)
+    assert again.review.convergence.equals(stored.review.convergence)
+    assert dict(again.review.facts) == dict(stored.review.facts)
+    assert again.warnings == stored.warnings
+
+
+def test_it_says_something_in_a_few_lines(again: FitResult) -> None:
+    """No pages of nested records: the state, a few quantities with units beside their priors."""
+    lines = repr(again).splitlines()
+    assert len(lines) < 9
+    assert "events bias, slews" in lines[0]
+    assert any("thrust_common_n" in line and " N (prior" in line for line in lines)
+    page = again._repr_html_()
+    assert "90 % highest density" in page
+    assert len(page) < 5_000
+
+
+def test_a_summary_says_its_units_and_interval(again: FitResult) -> None:
+    """One row per scalar; a name that is none is refused with the nearest."""
+    table = again.summary(["thrust_level_n", "inertia_??_kg_m2"])
+    assert len(table) == 8 + 6
+    assert set(table["unit"]) == {"N", "kg m2"}
+    assert table.attrs["interval"] == "90 % highest density"
+    with pytest.raises(InputError, match="thrust_level_n"):
+        again.summary("thrust_levels_n")
+
+
+def test_figures_are_drawn(again: FitResult) -> None:
+    """Corner and trace from the draws alone, thrusts and any other of the report by its name."""
+    names = ["thrust_common_n", "tau_fall_s"]
+    corner_plot = again.plot_corner(names)
+    assert corner_plot is not None
+    assert len(corner_plot.axes) == 3
+    trace = again.plot_trace(names)
+    assert trace is not None
+    assert [axes.get_title(loc="left") for axes in trace.axes] == names
+    assert again.plot_thrusts() is not None
+    assert "nuisances" in again.figures
+    with pytest.raises(InputError, match="expected one of"):
+        again.plot("nothing")
+
+
+def test_arviz_takes_it(data: Any) -> None:
+    """Summary without a gap although slews have no thrust, trace, replicates, prior sensitivity."""
+    az = arviz()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        table = az.summary(data, var_names=["thrust_n", "tau_fall_s"])
+        assert np.isfinite(table[["mean", "sd", "hdi_3%"]].to_numpy()).all()
+        assert len(table) == 8 + 1
+        az.plot_trace(data, var_names=["tau_fall_s"])
+        az.plot_ppc(data, var_names=["rwa_rpm"], num_pp_samples=3)
+        for component in ("prior", "likelihood"):
+            found = az.psens(data, component=component, var_names=["tau_fall_s"])
+            assert np.isfinite(float(found))
+        corner().corner(data, var_names=["thrust_common_n", "tau_fall_s"])
+
+
+def test_the_event_is_the_unit_of_leaving_one_out(again: FitResult, data: Any) -> None:
+    """One k̂ an event; given an event's own unknowns, too, more parameters would be counted."""
+    az = arviz()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        own = az.loo(data, pointwise=True)
+        full = az.loo(again.to_arviz(marginal=False), pointwise=True)
+    assert own.pareto_k.dims == ("event",)
+    assert own.pareto_k.shape == (2,)
+    assert float(own.p_loo) < float(full.p_loo)
+
+
+def test_a_fit_of_telemetry_predicts(again: FitResult) -> None:
+    """The bias flown again: the recorded on-times lie within the predicted spread."""
+    found = cb.predict(again, BIAS)
+    row = read_sources(again.path, None).events[0]
+    drawn = found.predictions[0].on_time_s
+    assert (np.abs(drawn.mean(0) - row.on_time_s) < 4.0 * drawn.std(0) + 0.5).all()
+    table = found.summary()
+    assert {"on_time_z1", "duration"} <= set(table["quantity"])
+    assert table.attrs["interval"] == "90 % central"
+    group = found.to_arviz().predictions
+    assert group["on_time_s"].dims == ("chain", "draw", "bias", "thruster")
+    plan = cb.plan(again, "tau_fall_s", levels=1, top=2)
+    assert "nan" not in repr(plan)
+    json.dumps(plan.as_record(), allow_nan=False)
+    assert len(plan.summary()) == len(plan.plan.candidates)
+
+
+def test_slews_teach_no_prediction(stored: FitResult, tmp_path: Path) -> None:
+    """Negative control: without a wheel bias nothing is known of the firing logic."""
+    run = tmp_path / "slews"
+    run.mkdir()
+    resolved = (stored.path.parent / "resolved.toml").read_text()
+    (run / "resolved.toml").write_text(resolved.replace(f'    "{simulated() / "bias"}",\n', ""))
+    (run / "fit.nc").symlink_to(stored.path)
+    with pytest.raises(InputError, match="wheel biases among its events"):
+        cb.predict(run, BIAS)
+
+
+def test_a_fit_that_stands_alone_says_what_it_lacks(stored: FitResult, tmp_path: Path) -> None:
+    """Draws, summary and corner need the file alone; the model needs its run."""
+    stored.save(tmp_path / "alone.nc")
+    alone = cb.read_fit(tmp_path / "alone.nc")
+    assert alone.plot_corner(["thrust_common_n", "tau_fall_s"]) is not None
+    assert alone.to_arviz(marginal=False).posterior.sizes["draw"] > 400
+    with pytest.raises(InputError, match="stands alone"):
+        alone.to_arviz()
+
+
+def test_bad_calls_are_one_line(tmp_path: Path) -> None:
+    """What a notebook's user gets wrong: the message says what to give instead."""
+    with pytest.raises(InputError, match="expected a priors file, got none"):
+        cb.fit(simulated() / "bias")
+    with pytest.raises(InputError, match="got dict; read it with"):
+        cb.fit([{}], PRIORS)
+    with pytest.raises(InputError, match="named by their paths"):
+        cb.fit([simulated() / "bias"], priors(), folder=tmp_path / "x")
+    with pytest.raises(InputError, match="some of ensembles"):
+        cb.fit(simulated() / "bias", PRIORS, sampler={"chains": 4})
+    with pytest.raises(InputError, match="a run file alone"):
+        cb.fit("runs/flight_2009_2010.toml", PRIORS)
+    with pytest.raises(InputError, match="expected a priors file, got none"):
+        cb.check(simulated() / "bias")
+    with pytest.raises(InputError, match="a model alone"):
+        cb.fit(cb.build_model(simulated() / "bias", PRIORS), PRIORS)
+
+
+def test_the_report_command_goes_on_from_the_stored_draws(
+    stored: FitResult,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It writes what a run writes, of the same draws, into the run's folder or another."""
+    written: list[tuple[Review, Path]] = []
+
+    def write(review: Review, folder: Path, say: object, *, report: bool) -> None:
+        assert report
+        written.append((review, folder))
+
+    monkeypatch.setattr(fits, "write_results", write)
+    run = str(stored.path.parent)
+    assert command(["report", run, "--quiet"]) == 0
+    assert command(["report", run, "--out", str(tmp_path), "--quiet"]) == 0
+    assert [str(folder) for _, folder in written] == [run, str(tmp_path)]
+    assert written[0][0].summary.equals(stored.review.summary)
+    assert command(["report", str(tmp_path), "--quiet"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
