@@ -18,6 +18,14 @@ DECISIVE: Final = 3.0
 """Nats from which odds decide, some 20 to 1."""
 
 
+CAPTIONS: Final[Mapping[str, str]] = {
+    "thrust": "thrust of every thruster in every event, mean and central 90 %, against the date; "
+    "filled where it was on for more than 5 s.",
+    "normalised": "the same at the reference pressure: what is left is health.",
+    "losses": "probability that a thruster has lost thrust, and at which event the loss began.",
+}
+
+
 def write_trend_report(
     page: Path,
     name: str,
@@ -33,10 +41,16 @@ def write_trend_report(
         name=name,
         sentences=sentences_of(fit, mission, trend),
         tables=tables_of(mission, trend),
-        pictures=[(alt, svg_address(figure)) for alt, figure in figures.items()],
+        pictures=[(_caption(own), svg_address(figure)) for own, figure in figures.items()],
         made=made,
     )
     write_text(page, html)
+
+
+def _caption(name: str) -> str:
+    """What a figure ``<what>_<branch>`` shows, for those who see it and those who do not."""
+    what, _, branch = name.rpartition("_")
+    return f"Branch {branch}: {CAPTIONS[what]}"
 
 
 def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[str]:
