@@ -13,8 +13,9 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import wraps
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any, Final
 
 import numpy as np
@@ -45,6 +46,13 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 
 
+class _Source(SourceFileLoader):
+    """Runs a file as it is now: no bytecode of an earlier edit, and none left beside it."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def load_module(path: Path) -> ModuleType:
     """Run a Python file.
 
@@ -53,7 +61,8 @@ def load_module(path: Path) -> ModuleType:
     InputError
         There is none, or it fails: the line is named.
     """
-    spec = importlib.util.spec_from_file_location(f"effect_{path.stem}", path)
+    name = f"effect_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, loader=_Source(name, str(path)))
     if not path.is_file() or spec is None or spec.loader is None:
         raise InputError(str(path), "a Python file", "none", "name one that is there")
     if not _NAME.fullmatch(path.stem) or path.stem in _TAKEN:
