@@ -49,7 +49,7 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
 class _Source(SourceFileLoader):
     """Runs a file as it is now: no bytecode of an earlier edit, and none left beside it."""
 
-    def get_code(self, fullname: str) -> CodeType:
+    def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002 - importlib names it
         return self.source_to_code(self.get_data(self.path), self.path)
 
 
