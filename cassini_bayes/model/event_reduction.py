@@ -73,7 +73,6 @@ WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured veloc
 FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
 REDUCED_BY: Final = ("events.telemetry", "events.plausibility", "balance.statistics")
 """Packages whose code, with all that they import, checks telemetry and reduces it."""
-_SAME_S: Final = 1e-9
 _TELL_S: Final = 5.0  # between lines of progress
 _TAIL_SPAN: Final = 5.0
 _PRIOR_SPAN: Final = 2.0
@@ -346,17 +345,13 @@ def reduce_event(
     search = CellSearch(nominal, event.wheels) if policy.leave_out else None
     rows = EventRows(event, priors.spacecraft, search)
     looked = PreparedRows(rows, priors.spacecraft.control_cycle_s)
-    guess = last_time(event)
-    sampling = sampling_of(priors, event.thrusters, guess, pulse_shape)
-    key = reduction_key(event, sampling, policy)
+    likely = sampling_of(priors, event.thrusters, last_time(event), pulse_shape)
+    key = reduction_key(event, likely, policy)
     cached = _cached(cache, key)
     if cached is None:
-        statistics, reading = _reduced(event, rows, looked.prepared, priors, sampling, say, policy)
-        if abs(reading.end_s - guess) > _SAME_S:  # the file's tail did not tell
-            sampling = sampling_of(priors, event.thrusters, reading.end_s, pulse_shape)
-            statistics, reading = _reduced(
-                event, rows, looked.prepared, priors, sampling, say, policy
-            )
+        prepared = looked.prepared
+        sampling = sampling_of(priors, event.thrusters, prepared.end_s, pulse_shape)
+        statistics, reading = _reduced(event, rows, prepared, priors, sampling, say, policy)
     else:
         statistics, reading = cached
         sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)

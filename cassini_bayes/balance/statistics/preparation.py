@@ -29,12 +29,13 @@ class Prepared:
     """What a first look found, and the telemetry with it.
 
     ``counter_time_s`` (m,) and ``on_time_s`` (m, K) are expected on-times at the readings around
-    every change.
+    every change. ``end_s`` is the time of the last row.
     """
 
     found: Preparation
     counter_time_s: Array
     on_time_s: Array
+    end_s: float
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         """The same telemetry with expected on-times in the place of rounded ones."""
@@ -58,9 +59,10 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float) -> Prepared:
     control_cycle_s
         What commands may be multiples of; the readings tell whether they are.
     """
-    readings, rates, wheels, looked = _Readings(), [], [], 0
+    readings, rates, wheels, looked, end_s = _Readings(), [], [], 0, 0.0
     for chunk in chunks:
         readings.add(chunk)
+        end_s = float(chunk.time_s[-1])
         if looked < LOOKED_AT:
             rates.append(chunk.rate_rad_s)
             wheels.append(chunk.wheel_rad_s)
@@ -71,9 +73,9 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float) -> Prepared:
     )
     time, on_time, pulses = readings.around_changes()
     if len(time) == 0:
-        return Prepared(Preparation(steps), time, on_time)
+        return Prepared(Preparation(steps), time, on_time, end_s)
     expected = expected_on_times(on_time, pulses, counter_step(on_time), control_cycle_s)
-    return Prepared(Preparation(steps, expected.rounding), time, expected.on_time_s)
+    return Prepared(Preparation(steps, expected.rounding), time, expected.on_time_s, end_s)
 
 
 def channel_step(values: Array) -> float:
