@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -49,6 +50,43 @@ def each_event(events: EventLike | Iterable[EventLike]) -> tuple[EventLike, ...]
     return found
 
 
+@dataclass(frozen=True)
+class Read:
+    """What a reference names: events, findings in words, and the digest of each one's numbers."""
+
+    events: tuple[Event, ...]
+    findings: tuple[str, ...]
+    contents: tuple[str, ...]
+
+
+def read_reference(
+    given: PathLike | TelemetryEvent,
+    priors: Priors,
+    *,
+    pulse_shape: str,
+    source: str,
+    policy: Policy,
+    say: Say | None = None,
+    cache: Path | None = None,
+) -> Read:
+    """An event folder or an event that was read, reduced; or rows of a totals file, checked.
+
+    ``cache`` holds earlier reductions (:func:`~cassini_bayes.model.event_reduction.reduce_event`).
+
+    Raises
+    ------
+    InputError
+        Bad data: file, row and column are named.
+    """
+    if isinstance(given, TelemetryEvent) or is_event_folder(Path(given)):
+        folder = given if isinstance(given, TelemetryEvent) else Path(given)
+        reduced = reduce_event(folder, priors, pulse_shape, cache, say, policy)
+        return Read((reduced,), reduced.reading.findings, (reduced.reading.content,))
+    rows = read_totals(str(given), priors.spacecraft, source)
+    findings = check_rows(rows, priors, str(given), policy)
+    return Read(rows, findings, tuple(content_of_totals(row) for row in rows))
+
+
 def gather(
     events: EventLike | Iterable[EventLike],
     priors: Priors,
@@ -80,25 +118,23 @@ def gather(
     contents: list[tuple[str, str]] = []
     for given in each_event(events):
         if isinstance(given, TotalsEvent):
-            found.append(given)
-            contents.append((given.id, content_of_totals(given)))
-            continue
-        if isinstance(given, ReducedEvent):
-            own: ReducedEvent | None = given
-        elif isinstance(given, TelemetryEvent) or is_event_folder(Path(given)):
-            read = given if isinstance(given, TelemetryEvent) else Path(given)
-            own = reduce_event(read, priors, pulse_shape, say=say, policy=policy)
+            read = Read((given,), (), (content_of_totals(given),))
+        elif isinstance(given, ReducedEvent):
+            read = Read((given,), given.reading.findings, (given.reading.content,))
         else:
-            own = None
-        if own is not None:
-            found.append(own)
-            findings += own.reading.findings
-            name = own.id if isinstance(given, READ) else str(given)
-            contents.append((name, own.reading.content))
-        else:
-            rows = read_totals(str(given), priors.spacecraft, source)
-            findings += check_rows(rows, priors, str(given), policy)
-            contents += [(f"{given}: {row.id}", content_of_totals(row)) for row in rows]
-            found += rows
+            read = read_reference(
+                given, priors, pulse_shape=pulse_shape, source=source, policy=policy, say=say
+            )
+        found += read.events
+        findings += read.findings
+        names = (_place(given, event) for event in read.events)
+        contents += zip(names, read.contents, strict=True)
     findings += refuse_duplicates([pair for pair in contents if pair[1]], policy)
     return tuple(found), tuple(findings)
+
+
+def _place(given: EventLike, event: Event) -> str:
+    """Where an event came from, for a message."""
+    if isinstance(given, READ):
+        return event.id
+    return str(given) if isinstance(event, ReducedEvent) else f"{given}: {event.id}"

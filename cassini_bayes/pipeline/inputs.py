@@ -11,16 +11,11 @@ from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
-from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.events.plausibility import Policy, refuse_duplicates
+from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.event_reduction import (
-    ReducedEvent,
-    check_rows,
-    is_event_folder,
-    reduce_event,
-    store_reduction,
-)
+from cassini_bayes.model.event_reduction import ReducedEvent, store_reduction
+from cassini_bayes.model.gather import read_reference
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -78,23 +73,28 @@ def read_inputs(
     policy = Policy.of(run.accept, leave_out=run.leave_out)
     cache = None if folder is None else folder / STATISTICS
     for reference in run.events:
-        if is_event_folder(base / reference):
-            reduced = reduce_event(
-                base / reference, priors, run.model.pulse_shape, cache, say, policy
-            )
-            found: tuple[Event, ...] = (reduced,)
-            digests[reference] = reduced.digest
-            if reduced.channels is not None:
-                digests[f"channels of {reference}"] = reduced.channels.digest
-            findings += reduced.reading.findings
-            contents.append((str(base / reference), reduced.reading.content))
-        else:
-            rows = read_totals(str(base / reference), priors.spacecraft, run.source)
-            found = rows
-            file = file_of(base, reference)
-            digests[file] = digest(base / file)
-            findings += check_rows(rows, priors, str(base / reference), policy)
-            contents += [(f"{base / file}: {row.id}", content_of_totals(row)) for row in rows]
+        read = read_reference(
+            base / reference,
+            priors,
+            pulse_shape=run.model.pulse_shape,
+            source=run.source,
+            policy=policy,
+            say=say,
+            cache=cache,
+        )
+        found = read.events
+        findings += read.findings
+        file = file_of(base, reference)
+        for event, content in zip(found, read.contents, strict=True):
+            if isinstance(event, ReducedEvent):
+                digests[reference] = event.digest
+                if event.channels is not None:
+                    digests[f"channels of {reference}"] = event.channels.digest
+                contents.append((str(base / reference), content))
+            else:
+                if file not in digests:
+                    digests[file] = digest(base / file)
+                contents.append((f"{base / file}: {event.id}", content))
         for name in (event.id for event in found):
             if name in given:
                 raise InputError(
