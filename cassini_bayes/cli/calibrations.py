@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Dask, Jobs, Quiet, Seed
+from cassini_bayes.cli.options import ConsoleReporter, Dask, Jobs, PriorsFile, Quiet, Seed
 from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ Quick = Annotated[
 Work = Annotated[Path, typer.Option("--work", help="Folder of finished repetitions.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder of the results page.")]
 Totals = Annotated[Path, typer.Option("--events", help="Template totals CSV.")]
-PriorsFile = Annotated[Path, typer.Option("--priors", help="Priors file.")]
 ScenarioFile = Annotated[Path, typer.Option("--scenario", help="Scenario that is flown.")]
 
 WORK = Path("runs/studies")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,9 +11,12 @@ from cassini_bayes.cli.options import (
     Accept,
     ConsoleReporter,
     Effects,
+    FittedEffects,
     Json,
     LeaveOut,
+    PriorsFile,
     Quiet,
+    Source,
     Strict,
 )
 
@@ -26,12 +28,9 @@ def check_command(
             metavar="EVENT...", help="Event folder, totals CSV, or CSV:ID for one of its rows."
         ),
     ],
-    priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
-    source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
-    effect: Annotated[
-        list[str] | None,
-        typer.Option("--effect", help="Effect to fit by name, thruster_leak:z3; may be repeated."),
-    ] = None,
+    priors: PriorsFile,
+    source: Source = "flight",
+    effect: FittedEffects = None,
     effects: Effects = None,
     accept: Accept = None,
     leave_out: LeaveOut = False,

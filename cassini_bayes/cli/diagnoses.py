@@ -17,7 +17,9 @@ from cassini_bayes.cli.options import (
     Json,
     LeaveOut,
     OwnSeed,
+    PriorsFile,
     Quiet,
+    Source,
     Strict,
 )
 from cassini_bayes.errors import InputError
@@ -30,10 +32,10 @@ def diagnose_command(
         list[str],
         typer.Argument(help="Event folders, totals CSV or file.csv:ID; or estimates CSV."),
     ],
-    priors: Annotated[Path, typer.Option("--priors", help="Priors file.")],
+    priors: PriorsFile,
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     effects: Effects = None,
-    source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
+    source: Source = "flight",
     gain: Annotated[bool, typer.Option("--gain/--no-gain", help="Hold events out.")] = True,
     then_fit: Annotated[
         bool, typer.Option("--then-fit", help="Sample the extended model with emcee.")

@@ -13,6 +13,7 @@ from cassini_bayes.cli.options import (
     Accept,
     ConsoleReporter,
     Effects,
+    FittedEffects,
     Force,
     Json,
     LeaveOut,
@@ -20,6 +21,7 @@ from cassini_bayes.cli.options import (
     OwnSeed,
     Quiet,
     Resume,
+    Source,
     Strict,
 )
 from cassini_bayes.cli.trends import fit_of_mission
@@ -77,11 +79,8 @@ def fit_command(
             help="Mission file: events of both branches in one fit, with its facts and priors.",
         ),
     ] = None,
-    source: Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")] = "flight",
-    effect: Annotated[
-        list[str] | None,
-        typer.Option("--effect", help="Effect to fit by name, thruster_leak:z3; may be repeated."),
-    ] = None,
+    source: Source = "flight",
+    effect: FittedEffects = None,
     effects: Effects = None,
     seed: OwnSeed = None,
     force: Force = False,

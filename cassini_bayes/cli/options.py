@@ -47,6 +47,12 @@ Dask = Annotated[
     str | None, typer.Option("--dask", help="Workers of a Dask scheduler, e.g. tcp://host:8786.")
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")]
+PriorsFile = Annotated[Path, typer.Option("--priors", help="Priors file.")]
+Source = Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")]
+FittedEffects = Annotated[
+    list[str] | None,
+    typer.Option("--effect", help="Effect to fit by name, thruster_leak:z3; may be repeated."),
+]
 Effects = Annotated[
     list[Path] | None,
     typer.Option("--effects", help="Own effects (.py) or tables of effects (.toml)."),

@@ -23,8 +23,6 @@ from cassini_bayes.computing.arrays import Array
 EffectiveTime = Callable[[Array, Array, Array, Array], Array]
 ThrustFraction = Callable[[Array, Array, Array, Array, Array], Array]
 
-_INSTANT_S: Final = 1e-30  # a time constant of 0 without dividing by it
-
 
 @dataclass(frozen=True)
 class PulseShape:

@@ -17,7 +17,6 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 Change = Callable[[Chunk], Chunk]
 ALL: Final = ("bias", "slew")
 BIAS: Final = ("bias",)
-SLEW: Final = ("slew",)
 DEGREES: Final = 180.0 / np.pi
 
 
