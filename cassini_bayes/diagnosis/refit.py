@@ -25,9 +25,9 @@ from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import Proposal, importance, laplace, refined
 
 DRAWS: Final = 1_000  # of every ensemble
-SETTINGS: Final = SamplerSettings(target_ess=1_000)
-PILOT_ROUNDS: Final = 2
-PILOT_DRAWS: Final = 4_000
+SETTINGS: Final = SamplerSettings(target_ess=1_000)  # sizes and a summary, no corner of tails
+PILOT_ROUNDS: Final = 2  # refinements of the proposal by its own draws (judgement)
+PILOT_DRAWS: Final = 4_000  # of each: over a hundred for every dimension
 _PILOTS, _LINEAR = 6, 7  # streams of the proposal's draws, and of what is integrated out
 
 

@@ -25,11 +25,11 @@ from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.sampling.warmstart import LogDensity, Proposal
 
-BURN_IN_TAU: Final = 5.0
-LENGTH_IN_TAU: Final = 50.0
-TAU_CHANGE: Final = 0.05
-MAX_RHAT: Final = 1.01
-GROWTH: Final = 1.25
+BURN_IN_TAU: Final = 5.0  # autocorrelation times τ left out at the start: judgement
+LENGTH_IN_TAU: Final = 50.0  # τ, from which on emcee's documentation trusts its estimate of τ
+TAU_CHANGE: Final = 0.05  # relative change of τ since the last check: judgement
+MAX_RHAT: Final = 1.01  # of rank-normalised R̂ (Vehtari et al. 2021)
+GROWTH: Final = 1.25  # length at a check over that at the last: few checks, little overshoot
 START_ATTEMPTS: Final = 100
 FEWEST_STEPS: Final = 8
 
