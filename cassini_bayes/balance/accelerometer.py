@@ -8,7 +8,7 @@ M the wet mass and s_k the effective on-time of the momentum balance. The roundi
 the same for as long as the velocity stays within a step, so a stretch of rows with one count is one
 reading, at its mean time; taken row by row it would average away. Rows during which a pulse is
 delivered are left out, as in the balance. Both scale and bias are parameters: rows before the burn
-tell the bias, if there are enough of them for a count or two.
+determine the bias, if there are enough of them for a count or two.
 """
 
 from __future__ import annotations

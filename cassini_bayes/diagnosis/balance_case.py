@@ -280,7 +280,7 @@ class BalanceCase(Case[Hypothesis]):
         return drafted(self.events, unknown)
 
     def separation(self, one: str, other: str) -> str:
-        """What the kinds say, or events that fire other thrusters."""
+        """The advice of the kinds, or events that fire other thrusters."""
         kinds, priors = self.events.catalogue.kinds, self.events.priors
         return separating_measurement(kinds, priors, one, other)
 

@@ -1,6 +1,6 @@
 """Single cut tails and single roundings, as columns of the innovations' linear model.
 
-Counters do not say which pulses were a control cycle apart, nor what their rounding took off. The
+Counters show neither which pulses were a control cycle apart, nor what rounding took off. The
 likelihood has the share of close pulses, the mean of every quarter of an event, and the rest as
 noise of every band (docs/topics/telemetry-likelihood.md §7). Each leaves a step in the momentum, up
 to fifteen standard deviations by all rows after it: rows can have a column for every one.

@@ -87,7 +87,7 @@ class Draft:
 
     @property
     def words(self) -> str:
-        """What it says, in one clause."""
+        """The draft in words, one clause."""
         return _WORDS[self.form](self)
 
     @property
@@ -146,7 +146,7 @@ class _Columns:
 
 @dataclass(frozen=True)
 class _Told:
-    """What some of the rows tell of all columns: M (q, q) and h (q,)."""
+    """Information of some of the rows on all columns: M (q, q) and h (q,)."""
 
     matrix: Array
     vector: Array

@@ -199,7 +199,7 @@ def estimate_case(
 ) -> EstimateCase:
     """Estimates with all that may be wrong with them, by the kinds of effect that there are.
 
-    ``priors`` tell which thrusters only ever fire together.
+    ``priors`` name the spacecraft, and with it the thrusters that only fire together.
     """
     known = standard() if kinds is None else kinds
 

@@ -18,7 +18,7 @@ from cassini_bayes.priors.reader import Priors
 class Events:
     """All that is diagnosed together, with the causes to weigh.
 
-    ``findings`` is what has to be said of the data: mistakes accepted, what fits nothing known.
+    ``findings`` are warnings about the data: mistakes accepted, what fits nothing known.
     """
 
     priors: Priors

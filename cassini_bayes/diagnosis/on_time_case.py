@@ -226,7 +226,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         return float(chi2.sf(fitted.chi_square, y.size))
 
     def separation(self, one: str, other: str) -> str:
-        """What the kinds say, or events that fire other thrusters."""
+        """The advice of the kinds, or events that fire other thrusters."""
         return separating_measurement(self.catalogue.kinds, self.data.priors, one, other)
 
 

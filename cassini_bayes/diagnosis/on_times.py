@@ -72,7 +72,7 @@ class OnTimes:
     share
         (E, S) part of the event's duration that a piece takes.
     thrust_n
-        (E,) thrust that the calculation is told, N; the prior's departs from ``thrust_centre_n``.
+        (E,) thrust that the calculation is given, N; the prior's departs from ``thrust_centre_n``.
     fixed
         Prior centres of what is not inferred here (inertia, pulse times, hold rate).
     """

@@ -66,7 +66,7 @@ def fit_extended(
     diagnosis
         What was found.
     folder, seed, log
-        Where to write, the sampler's seed, told how far it got.
+        Where to write; the sampler's seed; a reporter of progress.
     settings
         How to sample, and when to stop; the seed is the one above.
 

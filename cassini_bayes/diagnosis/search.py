@@ -103,7 +103,7 @@ def starts(extra: int, values: Sequence[float] = STARTS) -> Array:
 def newton_search(hypothesis: Hypothesis, base: Mode, worth: float = -np.inf) -> ModeSearch:
     """Mode of a cause that the data hardly speak of, by Newton steps from the baseline's mode.
 
-    The nuisances keep the baseline's curvature; that of the effect, across and along, is looked at
+    The nuisances keep the baseline's curvature; that of the effect, across and along, is computed
     before every step. The search has not ended where it comes to no rest, nor where the cause gains
     more than a few nats: there may be another mode. It is left where the cause will not gain what
     makes it ``worth`` while (nats).

@@ -21,9 +21,9 @@ def separating_measurement(kinds: Kinds, priors: Priors, one: str, other: str) -
     Parameters
     ----------
     kinds
-        What effects there are, which say it of each other.
+        The effects there are, which name what separates them.
     priors
-        Their spacecraft and branch tell which thrusters only ever fire together.
+        With their spacecraft and branch: which thrusters only fire together.
     one, other
         Names of causes.
     """

@@ -1,6 +1,6 @@
 """What counters leave open, as unknowns of the rows' linear model.
 
-Counters tell what fired in an interval, not when. The likelihood's columns are averages over when;
+Counters show what fired in an interval, not when. The likelihood's columns are averages over when;
 each firing departs from them by an amount of its own: single tails may have been cut
 (:mod:`cassini_bayes.diagnosis.cut_tails`), and effects whose columns depend on when a pulse was
 fired say what they leave open (``left_open`` of their kind). Rows can have a column for every
@@ -29,7 +29,7 @@ def unresolved(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
 
 
 def timed(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
-    """The part that depends on when in an interval pulses were fired, by effects that tell it.
+    """The part that depends on when in an interval pulses were fired, by effects that have one.
 
     The likelihood has the mean of it.
     """

@@ -33,7 +33,7 @@ def oscillation_series(
 
 @dataclass(frozen=True)
 class KnownMotion:
-    """What the rates before each row say of the body's motion, on a grid of their median step.
+    """The body's motion as the rates before each row show it, on a grid of their median step.
 
     The last line before a row is that of the step before, so that a row's own noise is not in it:
     it would be taken for an answer to it.
@@ -85,7 +85,7 @@ class KnownMotion:
 
 
 def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
-    """The motion that samples of the rate (n, c) at times (n,) tell; NaN is not sampled.
+    """The motion that samples of the rate (n, c) at times (n,) show; NaN is not sampled.
 
     All samples count, those during pulses as well. Where some are missing the line goes to the
     next one, whose noise is then in it.

@@ -1,4 +1,4 @@
-"""How an attitude controller answers a wheel bias: what an effect on its firings is told."""
+"""How an attitude controller responds to a wheel bias: the input of an effect on its firings."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class SearchResult(Protocol):
 
     @property
     def log_looks(self) -> float:
-        """What the search cost, nats: the log of how many places were looked at."""
+        """What the search cost, nats: the log of the number of places searched."""
 
     def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
         """Columns of one event's telemetry that go with it."""
@@ -99,7 +99,7 @@ def unchanged(physics: Physics, _: Parameters, __: Values, ___: Setting) -> Phys
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of effect: its name and the functions that say what it does.
+    """One kind of effect: its name and the functions that define it.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Firings as counters tell them: what was fired in an interval between readings, not when."""
+"""Firings as counters show them: what was fired in an interval between readings, not when."""
 
 from __future__ import annotations
 

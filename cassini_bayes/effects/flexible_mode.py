@@ -55,7 +55,7 @@ class Oscillation:
     """A damped oscillation about a body axis (0, 1, 2): frequency and damping of it clamped.
 
     Departures from them are counted in what ``span_s`` can tell apart: 1/T of the frequency,
-    1/(ΩT) of the damping. ``step_s`` lies between the rates that tell how the body moves.
+    1/(ΩT) of the damping. ``step_s`` lies between the rates that show how the body moves.
     ``log_looks`` is what the search costs, ``log_gain`` what it found, nats, about what the fit had
     left.
     """
@@ -203,7 +203,7 @@ def find_oscillation(
 ) -> Oscillation | None:
     """The oscillation of most evidence; None where the events are too short for any.
 
-    All frequencies a line's width apart are looked at with two dampings and with what the fit takes
+    All frequencies a line's width apart are tried with two dampings and with what the fit takes
     away left in the columns; the best of them and their neighbours with that taken off; the best of
     these with all dampings; the best of all goes on to the maximum.
 

@@ -108,7 +108,7 @@ class Kinds:
         return columns_of(shown, thrusters)
 
     def separation(self, one: str, other: str) -> str | None:
-        """The measurement that tells two kinds apart, in words; None where neither names one."""
+        """The measurement that separates two kinds, in words; None where neither names one."""
         said = {kind.name: kind.separation for kind, _ in self.kinds}
         return said.get(one, {}).get(other) or said.get(other, {}).get(one)
 
@@ -198,7 +198,7 @@ def read_kinds(files: Sequence[Path]) -> Kinds:
 
 
 def merged(table: Mapping[str, Any], changed: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with what another says: key by key, parameters one by one."""
+    """A table updated by another: key by key, parameters one by one."""
     parameters = {**table["parameters"], **changed.get("parameters", {})}
     return {**table, **changed, "parameters": parameters}
 

@@ -97,7 +97,7 @@ class ParameterTable:
 
 @dataclass(frozen=True)
 class Table:
-    """The table of a kind: ``where`` it stands, what it says.
+    """The table of a kind: ``where`` it was read, and its content.
 
     ``form_error`` is the standard deviation, by size and as a share of it, of what the form of the
     effect leaves out.

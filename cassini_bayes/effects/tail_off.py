@@ -1,4 +1,4 @@
-"""The tail-off time constant τ_fall is not what the propulsion model says."""
+"""The tail-off time constant τ_fall is not that of the propulsion model."""
 
 from __future__ import annotations
 

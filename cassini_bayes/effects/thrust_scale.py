@@ -1,4 +1,4 @@
-"""All thrusters stronger or weaker than the propulsion model says: F → F × factor."""
+"""All thrusters stronger or weaker than in the propulsion model: F → F × factor."""
 
 from __future__ import annotations
 

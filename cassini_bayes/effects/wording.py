@@ -1,4 +1,4 @@
-"""Sizes of an effect in words: rounded by their uncertainty, in the unit that engineers say.
+"""Sizes of an effect in words: rounded by their uncertainty, in the unit that engineers use.
 
 Every kind may say what its sizes mean (``says`` of :class:`.Kind`): "Z3 delivers 74 ± 4 % of its
 thrust". One that does not is said by the keys and units of its table.
@@ -34,7 +34,7 @@ def rounded(value: float, decimals: int) -> str:
 
 @dataclass(frozen=True)
 class Stated:
-    """One size as it is said: posterior mean, standard deviation, ends of the shortest 90 %."""
+    """One size to put into words: posterior mean, standard deviation, ends of the shortest 90 %."""
 
     mean: float
     sd: float

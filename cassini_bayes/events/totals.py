@@ -42,7 +42,7 @@ _DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
 
 @dataclass(frozen=True, eq=False)
 class TotalsEvent:
-    """Totals of one bias event, as one source tells them. Arrays are copied and read-only.
+    """Totals of one bias event, from one source. Arrays are copied and read-only.
 
     ``on_time_s`` and ``pulses`` are aligned with ``thrusters`` (those of the branch, in file
     order), ``rwa_start_rpm`` and ``rwa_end_rpm`` with ``wheels``. On-times are as commanded, per

@@ -1,4 +1,4 @@
-"""How deep and how long the parts of a text may be, looked at before any parser sees it.
+"""How deep and how long the parts of a text may be, checked before it is parsed.
 
 Parsers of TOML and JSON call themselves for every bracket, take quadratic time for long dotted
 keys, and refuse or choke on numbers of thousands of digits. No file of this package comes near.

@@ -1,4 +1,4 @@
-"""A CSV as rows of named cells that know where they stand, so that every message can say it."""
+"""A CSV as rows of named cells with their line and column, for messages."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def read_rows(
 
 
 def first_line(path: Path, what: str, comment: str) -> str:
-    """The first line of a CSV file that is no comment, to tell what it is; nothing is checked yet.
+    """The first line of a CSV file that is no comment, to recognise its kind; nothing is checked.
 
     Raises
     ------

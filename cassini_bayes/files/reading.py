@@ -1,4 +1,4 @@
-"""The one way in: a file's bytes or text, of a kind and a size that were looked at first."""
+"""The one way to read a file: its bytes or text, after a check of its kind and size."""
 
 from __future__ import annotations
 

@@ -558,7 +558,7 @@ def nominal_values(priors: Priors) -> dict[str, float]:
     Raises
     ------
     InputError
-        Inertia, wheels, or what fires is missing: nothing can be said of the momentum.
+        Inertia, wheels, or what fires is missing: momentum cannot be computed.
     """
     spacecraft = priors.spacecraft
     geometry = spacecraft.geometry[priors.branch]

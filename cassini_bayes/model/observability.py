@@ -49,7 +49,7 @@ class Observability:
 
     @property
     def unseen_effects(self) -> tuple[str, ...]:
-        """In words: parameters of effects of which the events say nothing."""
+        """In words: parameters of effects about which the events have no information."""
         of_effects = self.table["block"] == EFFECT_BLOCK
         unseen = self.table[of_effects & (self.table["verdict"] == NOT_SEEN)]["quantity"]
         return tuple(

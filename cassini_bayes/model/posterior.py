@@ -303,7 +303,7 @@ def without_idle(model: Model) -> Model:
 
 
 def with_equal_bands_merged(model: Model) -> Model:
-    """The model with a slew's bands as one where no torque noise tells them apart."""
+    """The model with the bands of a slew joined, where no torque noise makes them differ."""
     if model.space.fixed.get(TORQUE_NOISE) != 0.0:
         return model
     return replace(model, telemetry=tuple(term.with_bands_merged() for term in model.telemetry))

@@ -214,7 +214,7 @@ class TelemetryAt:
 
     @property
     def information(self) -> ThrustInformation:
-        """What momentum and a measured velocity change say of the event's thrusts."""
+        """Information of momentum and of a measured velocity change on the event's thrusts."""
         _, matrix, vector, constant = self._collapsed
         if not self.term.event.fires:
             return ThrustInformation.nothing(

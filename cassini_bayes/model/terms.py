@@ -1,4 +1,4 @@
-"""What a model adds up: terms that say something of thrusts and parameters.
+"""What a model adds up: terms that depend on thrusts and parameters.
 
 Totals rows and telemetry events are two kinds of :class:`Term`. A model knows of a term only what
 stands here, so what it adds up is a plain sum.
@@ -78,11 +78,11 @@ class TermAt(Protocol):
 
     @property
     def log_likelihood(self) -> Array:
-        """Log likelihood (n,) of what says nothing of thrusts."""
+        """Log likelihood (n,) of what does not depend on thrusts."""
 
     @property
     def information(self) -> ThrustInformation:
-        """What the events that fire say of their thrusts, (n, E', …)."""
+        """Information of the events that fire on their thrusts, (n, E', …)."""
 
     @property
     def stretch(self) -> Array:

@@ -109,7 +109,7 @@ def level_factor(common_sd: float, individual_sd: float, size: int) -> Array:
 
 @dataclass(frozen=True)
 class ThrustInformation:
-    """What events say of their thrusts, everything else of their own integrated out.
+    """Information of events on their thrusts, their other unknowns integrated out.
 
     With d = F − common: log L_e(F) = constant + vectorᵀ d − ½ dᵀ matrix d.
     """

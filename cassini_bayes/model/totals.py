@@ -173,7 +173,7 @@ class TotalsAt:
 
     @property
     def log_likelihood(self) -> Array:
-        """That of the ΔV computed on board (n,): it says nothing of thrusts."""
+        """That of the ΔV computed on board (n,): it does not depend on thrusts."""
         computed = self.term.computed
         if computed is None:
             return np.zeros(self.points.n)
@@ -181,7 +181,7 @@ class TotalsAt:
 
     @cached_property
     def information(self) -> ThrustInformation:
-        """What the rows say of their thrusts, the external torques integrated out.
+        """Information of the rows on their thrusts, the external torques integrated out.
 
         With A the whitened design, b the whitened misfit at the common level's mean, and g, H the
         gradient and Hessian of the response Jacobian there, a row's information on its thrusts is

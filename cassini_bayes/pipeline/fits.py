@@ -50,7 +50,7 @@ RESOLVED: Final = "resolved.toml"
 
 
 class Quiet:
-    """A reporter that says nothing: a library does not print."""
+    """A reporter that does nothing: a library does not print."""
 
     def say(self, text: str) -> None:
         """Nothing."""
@@ -302,7 +302,7 @@ def fit(
         With ``folder``: whether to draw figures and write the page; replace an earlier run; go on
         with one.
     reporter
-        Told of stages and progress; nobody by default.
+        Called with stages and progress; by default nothing is.
 
     Returns
     -------

@@ -50,7 +50,7 @@ WRITTEN: Final = (
 
 
 class Reporter(Protocol):
-    """Where a run says what it is doing."""
+    """How a run reports what it is doing."""
 
     def say(self, text: str) -> None:
         """One line about a stage that begins or has ended."""
@@ -238,7 +238,7 @@ def _is_converged(review: Review) -> bool:
 def facts_of(
     run: RunFile, model: Model, fit: Fit, provenance: Provenance | None = None
 ) -> dict[str, str]:
-    """What is to be said of a run as a whole, by heading, from its settings and its fit."""
+    """Statements about a run as a whole, by heading, from its settings and its fit."""
     kept = fit.attributes
     stats = fit.groups["sample_stats"]
     expansion = {}

@@ -39,7 +39,7 @@ FOLDER: Final = "sweep"
 
 
 class Reporter(Protocol):
-    """Where a sweep says what it is doing."""
+    """How a sweep reports what it is doing."""
 
     def say(self, text: str) -> None:
         """One line about a stage that begins or has ended."""

@@ -58,7 +58,7 @@ class Features:
 
 @dataclass(frozen=True)
 class Observation:
-    """What the totals of one event say of the firing logic, without physics."""
+    """Data of the firing logic in the totals of one event, without physics."""
 
     minor_ring_s: float
     minor_couple_s: float

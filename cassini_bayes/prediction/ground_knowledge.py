@@ -1,4 +1,4 @@
-"""What past events say of everything but thrust and firing: counts, grams, seconds, trends.
+"""What past events determine beside thrust and firing: counts, grams, seconds, trends.
 
 Each is a small regression (:mod:`.regressions`) on figures of the given events alone: pulses on
 on-times, hydrazine on impulse, the duration on wheel changes, and the drift of what the ground

@@ -51,7 +51,7 @@ IMPLIED: Final = (
 
 @dataclass(frozen=True)
 class GroundInputs:
-    """What the ground software is told: thrust (all thrusters alike), mass, parameters by name."""
+    """Input of the ground software: thrust (all thrusters alike), mass, parameters by name."""
 
     spacecraft: Spacecraft
     branch: str

@@ -205,7 +205,7 @@ def joint_draws(
     features
         Per event, over the ``given`` draws of the physics.
     seen
-        What the events' totals say of the firing logic.
+        Data of the firing logic in the events' totals.
     given, size, pairings
         Draws of the physics, draws wanted, firing draws per draw of the physics.
 

@@ -27,7 +27,7 @@ _FORM: Final = 'write e.g. "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 ->
 
 @dataclass(frozen=True, eq=False)
 class BiasRequest:
-    """One planned wheel bias: nothing that only the flight could tell.
+    """One planned wheel bias, without anything that is known only after the flight.
 
     ``wheels`` are wheel numbers, ``start_rpm`` and ``end_rpm`` are aligned with them. ``epoch``
     None means: at the last event of the fit. ``quaternion`` is inertial to body, scalar last.

@@ -95,7 +95,7 @@ class ParameterPrior:
 
 @dataclass(frozen=True)
 class Priors:
-    """Everything a priors file says.
+    """The content of a priors file.
 
     ``path`` is the file as the user named it, ``digest`` the SHA-256 of its bytes; both stay those
     of the file when :meth:`with_distribution` makes a variant of it. ``earlier`` are the moments of
@@ -245,7 +245,7 @@ def read_priors(path: str | Path) -> Priors:
     Parameters
     ----------
     path
-        The TOML file; a relative ``spacecraft.file`` in it is sought beside it.
+        The TOML file; a relative ``spacecraft.file`` in it is looked up beside it.
 
     Raises
     ------

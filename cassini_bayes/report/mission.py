@@ -54,7 +54,7 @@ def _caption(name: str) -> str:
 
 
 def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[str]:
-    """What the mission says in a few sentences."""
+    """The result of a mission in a few sentences."""
     alarms = trend.health[trend.health["alarm"]]
     found = [
         f"{len(fit.model.circumstances.events)} events. "

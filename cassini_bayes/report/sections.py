@@ -45,7 +45,7 @@ SECTIONS: Final[tuple[Callable[[Review], Iterator[Section]], ...]] = (
 
 
 def sections_of(review: Review) -> tuple[Section, ...]:
-    """Everything that is to be said of a run."""
+    """All sections of a run's report."""
     return tuple(section for make in SECTIONS for section in make(review))
 
 

@@ -249,7 +249,7 @@ def event_table(events: Sequence[ReducedEvent], series: Sequence[EventSeries]) -
 
 
 def conflict_sentences(nuisances: pd.DataFrame) -> list[str]:
-    """Conflicts between priors and data, said in a sentence each."""
+    """Conflicts between priors and data, in a sentence each."""
     return [
         f"{row['name']}: the data pull it {row['surprise']:+.1f} standard deviations from its "
         f"prior ({row['prior_mean']:.4g} ± {row['prior_sd']:.2g} → {row['mean']:.4g} ± "

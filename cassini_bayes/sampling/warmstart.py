@@ -61,7 +61,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class ImportanceDraws:
-    """Weighted draws from the posterior, with what they say of the evidence.
+    """Weighted draws from the posterior, and the evidence from them.
 
     ``log_evidence`` is the log of the mean weight with its Monte Carlo standard error;
     ``pareto_k`` is the tail index of the weights (Vehtari et al. 2024): below 0.5 the estimates and

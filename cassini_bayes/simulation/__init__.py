@@ -1,7 +1,7 @@
 """The simulation: closed-loop wheel biases, slews and burns, and effects hidden in them.
 
 It integrates the equations of motion of a rigid body with wheels and thrusters; it shares geometry
-and pulse physics with the inference and nothing else. ``docs/topics/simulation.md`` tells the
+and pulse physics with the inference and nothing else. ``docs/topics/simulation.md`` has the
 physics.
 """
 

@@ -1,4 +1,4 @@
-"""What a scenario says: events, controllers, wheel manager, appendages, telemetry, effects.
+"""The content of a scenario: events, controllers, wheel manager, appendages, telemetry, effects.
 
 Frozen models with every default stated once; the reader checks a file against them. Angles in rad,
 wheel rates in rpm (as telemetry has them), everything else SI.

@@ -227,7 +227,7 @@ def hydrazine_g(plan: Plan, motion: Motion) -> float:
 
 
 def event_fields(plan: Plan, settings: TelemetrySettings) -> dict[str, Any]:
-    """What ``event.toml`` of an event folder says, by key."""
+    """The content of an event folder's ``event.toml``, by key."""
     event = plan.event
     document: dict[str, Any] = {
         "id": event.id,

@@ -110,7 +110,7 @@ def check_complete(truth: Truth, needed: Iterable[str], events: Iterable[str], w
 def truth_fields(
     seed: int, plans: Iterable[Plan], effects: Iterable[ChosenEffect]
 ) -> dict[str, Any]:
-    """What ``truth.json`` says: format, seed, the parameters that were simulated, effects.
+    """The content of ``truth.json``: format, seed, the parameters that were simulated, effects.
 
     And, by event, what differs from event to event (parameters, thrust of every thruster).
     ``parameters`` holds the values with all effects applied, those that all events share.

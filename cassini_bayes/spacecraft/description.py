@@ -1,4 +1,4 @@
-"""Frozen description of a spacecraft: what a spacecraft file says, checked and in arrays."""
+"""Frozen description of a spacecraft: the content of a spacecraft file, checked and in arrays."""
 
 from __future__ import annotations
 

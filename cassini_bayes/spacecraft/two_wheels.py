@@ -1,6 +1,6 @@
 """Two wheels that hold two body axes: what they do to the third (paper 004 §VII, §VIII, App. C, D).
 
-Two wheels give any torque about two axes, and with it one about the third that nobody asked for.
+Two wheels give any torque about two axes, and with it an unwanted one about the third.
 Where the third axis is free (the spin of §VIII), the body takes up that momentum: its spin rate
 swings once per turn, and with it the wheels' rates.
 """

@@ -108,7 +108,7 @@ def mean_absolute_differences(comparison: Comparison, column: str) -> dict[str, 
 
 @dataclass(frozen=True)
 class Signature:
-    """What a column says of the controller, over all events.
+    """Figures of the controller from a column, over all events.
 
     Attributes
     ----------

@@ -2,7 +2,7 @@
 
 What was calibrated under one condition says little about others: counters that are rounded, another
 controller, biases without slews. Every trial of a campaign draws one level of every condition, and
-results are told by stratum, one level of one condition.
+results are given by stratum, one level of one condition.
 """
 
 from __future__ import annotations

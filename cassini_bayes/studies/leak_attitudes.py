@@ -1,4 +1,4 @@
-"""When a change of attitude tells a leak from a steady torque.
+"""When a change of attitude separates a leak from a steady torque.
 
 A leak turns with the body, a torque of the Sun or of gravity stays with inertial axes. At one
 attitude both add momentum in one fixed direction, and no telemetry tells one from the other; nor

@@ -240,7 +240,7 @@ def _shared(square: Array) -> Array:
 
 @dataclass(frozen=True)
 class Track:
-    """What a monitor says along the rows: a statistic (N,) and the thruster it would name (N,)."""
+    """Output of a monitor along the rows: a statistic (N,) and the thruster it would name (N,)."""
 
     statistic: Array
     thruster: Array  # places among the thrusters; −1: none fits

@@ -232,7 +232,7 @@ def _true_thrusts(
 def judge_flight(
     flown: Flown, priors: Priors, rng: np.random.Generator
 ) -> Mapping[str, NDArray[Any]]:
-    """Fit a mission event by event; what each rule says of every thruster, by branch A then B."""
+    """Fit a mission event by event; each rule's verdict on every thruster, branch A then B."""
     prior, names = loss_prior(priors), ("A", "B")
     chances = np.zeros((2, MOST_BIASES, 8))
 

@@ -83,7 +83,7 @@ class Pool:
     ) -> Array:
         """Log posterior density (n,) of the branches' events given losses.
 
-        Totals rows without a velocity change: what says nothing of thrusts is left out.
+        Totals rows without a velocity change: what does not depend on thrusts is left out.
         """
         found = self.log_prior
         for branch in branches:

@@ -1,4 +1,4 @@
-"""What simulated missions say of the trend: names, onsets, false alarms, delays beside two rules.
+"""Results of the trend on simulated missions: names, onsets, false alarms, delays beside two rules.
 
 The rules are those that paper 003 and process control use on single-bias estimates: the ratio of
 the mean of the last four to that of the first four, and a one-sided CUSUM. Every rule gets the
@@ -201,7 +201,7 @@ def _rate(counts: tuple[int, int]) -> float:
 
 
 def body_of(findings: MissionFindings) -> str:
-    """What the results page says below its heading."""
+    """Text of the results page below its heading."""
     rows = "\n".join(
         f"| {row['rule']} | {row['threshold']:.3g} | {row['detected']:.0%} | "
         f"{row['median_delay_biases']:.1f} | {row['mean_delay_of_detected']:.1f} |"

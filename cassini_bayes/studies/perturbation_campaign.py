@@ -100,7 +100,7 @@ def _tables(table: pd.DataFrame) -> str:
 
 
 def verdict(table: pd.DataFrame) -> str:
-    """What the comparison says, in plain sentences made from its numbers."""
+    """The comparison in plain sentences, made from its numbers."""
     lines = []
     for reading in READINGS:
         mean, single = (

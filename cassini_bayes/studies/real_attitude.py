@@ -1,4 +1,4 @@
-"""What real attitude records say: noise of rates and attitudes, their steps, and gyro errors.
+"""What real attitude records show: noise of rates and attitudes, their steps, and gyro errors.
 
 Reconstructed Cassini attitudes and rates (:mod:`cassini_bayes.published.attitude`) are the source
 of the priors of both noise levels. White noise is told by high differences, in which smooth motion

@@ -68,7 +68,7 @@ class Simulation:
     events: tuple[SimulatedEvent, ...]
 
     def truth(self) -> dict[str, Any]:
-        """What ``truth.json`` says: parameters and thrusts with effects applied, the effects."""
+        """The content of ``truth.json``: parameters, thrusts (effects applied), the effects."""
         plans = [event.plan for event in self.events]
         return truth_fields(self.seed, plans, self.file.effects)
 
@@ -78,7 +78,7 @@ class Simulation:
         return truth_text(self.seed, plans, self.file.effects)
 
     def totals(self) -> tuple[TotalsEvent, ...]:
-        """Totals of the biases among the events but hybrid ones, whose rates nobody commands."""
+        """Totals of the biases among the events but hybrid ones, whose rates are not commanded."""
         settings = self.file.scenario.telemetry
         return tuple(
             TotalsEvent(**totals_row(event.plan, event.motion, settings, self.seed))

@@ -94,7 +94,7 @@ def conflict_table(blocks: Mapping[str, Coordinates], fit: Fit) -> pd.DataFrame:
 
 
 def sentence(row: pd.Series) -> str:
-    """What a row of :func:`conflict_table` says."""
+    """A row of :func:`conflict_table` in words."""
     name = str(row["name"])
     told = ", ".join(
         f"p = {_probability(float(row[column]))} {when} fitting"

@@ -1,7 +1,7 @@
 """Which knowledge to buy: how much narrower each interval gets if a prior were known perfectly.
 
 If the parameters θ_B of a block were measured exactly, a quantity q would be left with the
-variance E[Var(q | θ_B)] on average over what the measurement may say. Over posterior draws it is
+variance E[Var(q | θ_B)] on average over the outcomes of the measurement. Over posterior draws it is
 the residual variance of the regression of q on θ_B; a quadratic in each coordinate takes up
 curvature.
 """

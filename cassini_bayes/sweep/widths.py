@@ -3,7 +3,7 @@
 A prior block is made ¼ … 4 times as wide and the stored draws are weighted by p'(θ) / p(θ), as a
 cell of a sweep does. Nothing is drawn back or fitted anew: what is integrated out takes part where
 the fit keeps draws of it (the common thrust, one number), and where the weights cannot be trusted
-the answer is that the draws cannot say.
+the answer is that the draws do not reach.
 """
 
 from __future__ import annotations

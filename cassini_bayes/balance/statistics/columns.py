@@ -440,8 +440,8 @@ def close_pairs(
 ) -> Pairs:
     """Pairs within each of some counter intervals, and across the reading before it.
 
-    Counters tell neither which pairs were a control cycle apart nor what share: that is as the
-    controller has it, and inferred (docs/topics/telemetry-likelihood.md §7).
+    Counters show neither which pairs were a control cycle apart nor what share. The share depends
+    on the controller and is inferred (docs/topics/telemetry-likelihood.md §7).
 
     Parameters
     ----------

@@ -119,11 +119,11 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
 def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool | None:
     """Whether every reading (m,) is within its rounding of a multiple of the quantum.
 
-    None where a thruster fired too rarely to tell: what commands are made of is the controller's
-    business, so that one thruster tells it of all.
+    None where a thruster fired too rarely to decide. The quantum is a property of the controller,
+    so that one thruster is enough to decide for all.
 
     By chance a reading is so with probability 2 step/quantum; with five different ones, of a step
-    of a quarter of the quantum or less, that is nobody's chance. With a step that is the quantum
+    of a quarter of the quantum or less, that is not chance. With a step that is the quantum
     itself all readings are multiples; shorter pulses are seen by a gain of less than one each (but
     for the last, which may have been counted and not yet fired).
     """

@@ -57,7 +57,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float) -> Prepared:
     chunks
         Rows in order of time.
     control_cycle_s
-        What commands may be multiples of; the readings tell whether they are.
+        What commands may be multiples of; whether they are is decided from the readings.
     """
     readings, rates, wheels, looked, end_s = _Readings(), [], [], 0, 0.0
     for chunk in chunks:

@@ -3,7 +3,7 @@
 A cell is compared with the mean of the middle two of its four neighbours, which one more bad cell
 among them does not move, in units of the robust spread of all such differences. A real jerk of a
 wheel or of the body is answered by another carrier of momentum; a bad cell is not: it shows in the
-total, by its own column's weight. What was found is set to what its neighbours say and the search
+total, by its own column's weight. A bad cell is set to what its neighbours predict, and the search
 goes on, so that large bad cells do not mask small ones.
 """
 

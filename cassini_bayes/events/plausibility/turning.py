@@ -1,4 +1,4 @@
-"""Do body rates and the turns of the attitude tell the same motion?
+"""Do body rates and the turns of the attitude show the same motion?
 
 Turn over step y = M x + bias, x the mean recorded rate of the step; M is the identity if both are
 right. Rates are a noisy regressor, and plain least squares would find a factor below 1 out of noise

@@ -1,6 +1,6 @@
 """Telemetry of an event: its description, and its rows as a stream of checked chunks.
 
-``docs/reference/telemetry-format.md`` tells the format, and what is refused or mended.
+``docs/reference/telemetry-format.md`` has the format, and what is refused or repaired.
 """
 
 from __future__ import annotations

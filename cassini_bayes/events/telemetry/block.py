@@ -19,7 +19,7 @@ TextReader = Callable[[str, str], float]
 class Selection:
     """What to make of a file's columns, by their places: numbers, but for these.
 
-    ``texts`` are columns of text and their readers; of ``unread`` columns nothing is looked at, and
+    ``texts`` are columns of text and their readers; ``unread`` columns are not checked, and
     their cells are NaN.
     """
 

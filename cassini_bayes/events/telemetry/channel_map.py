@@ -1,6 +1,6 @@
 """Channel maps: which column of somebody else's file is which of ours, and how it is converted.
 
-``docs/how-to/own-columns.md`` tells the keys. A map is read without a look at the data
+``docs/how-to/own-columns.md`` has the keys. A map is read without the data
 (:func:`read_channel_map`); what it means for the columns of one file is :func:`columns_of`.
 """
 
@@ -78,7 +78,7 @@ class _File(Table):
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """A channel map as its file says it; ``digest`` is the SHA-256 of the file's bytes."""
+    """A channel map as its file has it; ``digest`` is the SHA-256 of the file's bytes."""
 
     where: str
     channels: Mapping[str, ChannelTable]
@@ -113,7 +113,7 @@ def read_channel_map(path: Path) -> ChannelMap:
 
 
 def channel_map_of(table: Mapping[str, Any], where: str = "channels") -> ChannelMap:
-    """A channel map from what its file would say.
+    """A channel map from a mapping of the same keys as its file.
 
     Raises
     ------

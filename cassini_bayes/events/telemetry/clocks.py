@@ -1,4 +1,4 @@
-"""Time systems of telemetry: what a cell of a time column says, in seconds since the event's epoch.
+"""Time systems of telemetry: cells of a time column in seconds since the event's epoch.
 
 Times are UTC without leap seconds, as clocks on the ground show them: an event that spans one is
 refused by its rows, whose times repeat.

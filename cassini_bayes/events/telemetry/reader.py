@@ -34,7 +34,7 @@ def read_chunks(
 ) -> Iterator[Chunk]:
     """Stream an event's telemetry, every row checked and mended, in constant memory.
 
-    What one row says about the next is carried across chunks, so that their size changes nothing.
+    What a check of a row needs of the rows before is carried across chunks of any size.
 
     Parameters
     ----------

@@ -196,7 +196,7 @@ def near_hypotheses(
 ) -> tuple[Hypothesis, ...]:
     """No loss, every single loss, the pairs that come near the best of them, and ``include``.
 
-    A pair is looked at if one of its members is among the best single losses, and kept if an upper
+    A pair is considered if one of its members is among the best single losses, and kept if an upper
     bound of its probability is within 12 nats of the likeliest hypothesis.
     """
     _, onsets, thrusters = terms.linear.shape

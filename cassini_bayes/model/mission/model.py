@@ -238,7 +238,7 @@ class MissionModel:
     units: Mapping[str, str]
 
     def at(self, z: Array) -> tuple[tuple[BranchAt, ...], Array]:
-        """Every branch at walked coordinates z (n, d), and what says nothing of thrusts (n,)."""
+        """Every branch at coordinates z (n, d), and log likelihoods (n,) without thrusts."""
         parameters, n = self.space.to_parameters(z), len(z)
         relative = self.relative_pressures(parameters, n)
         found: dict[str, list[tuple[Part, ThrustInformation]]] = {}

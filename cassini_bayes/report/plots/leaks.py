@@ -1,4 +1,4 @@
-"""Leaks that monitors found, by size; and what tells a leak from a torque."""
+"""Leaks that monitors found, by size; and what separates a leak from a torque."""
 
 from __future__ import annotations
 

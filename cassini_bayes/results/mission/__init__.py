@@ -1,1 +1,1 @@
-"""A mission's posterior: its draws, what they say of thrusts and health, its record in files."""
+"""A mission's posterior: its draws, thrusts and health from them, its record in files."""

@@ -1,4 +1,4 @@
-"""What a fitted mission says of every thruster: its thrust over time, its health, what is next."""
+"""Every thruster of a fitted mission: its thrust over time, its health, what is next."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Attitude against integrated rates: what the quaternions say of the gyros.
+"""Attitude against integrated rates: information of the quaternions on the gyros.
 
 Over an interval the attitude turns by φ and the measured rates integrate to φ' ; with measured
 rates (1 + s) ω + b, φ' − φ = b Δt + s φ + noise per body axis. The noise is the attitude's white
@@ -50,7 +50,7 @@ NOTHING = RateInformation(np.zeros((3, 2, 2)), np.zeros((3, 2)))
 
 
 def rate_information(samples: Samples) -> RateInformation:
-    """What one event's attitudes and rates say of rate bias and scale."""
+    """Information of one event's attitudes and rates on rate bias and scale."""
     state = np.flatnonzero(samples.has_state)
     turned = turns_between(direction_cosines(samples.attitude[state]))
     steps = np.diff(samples.time_s[state])

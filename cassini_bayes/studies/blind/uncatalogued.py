@@ -59,7 +59,7 @@ def draw_strange(events: Events, rng: np.random.Generator) -> Strange:
 
 
 def draw_uncatalogued(stage: Stage, rng: np.random.Generator) -> Hidden | None:
-    """A strange effect, log-uniform over its span as far as it is at least 5 σ.
+    """An uncatalogued effect, log-uniform over its span as far as it is at least 5 σ.
 
     None where even the largest of its kind is smaller on this flight.
     """
