@@ -199,7 +199,7 @@ def computed_delta_v_m_s(plan: Plan, motion: Motion, time_s: Array) -> Array:
     """ΔV (N, 3) as flight software computes it: c F/M Σ_k d_k (T_k + offset · pulses_k).
 
     F is the common thrust it assumes and M its mass; c and the offset are the parameters
-    ``fsw_acceleration_factor`` and ``fsw_impulse_offset_s`` (design notes; paper 001 eq. 22).
+    ``fsw_acceleration_factor`` and ``fsw_impulse_offset_s`` (paper 001 eq. 22).
     """
     parameters = plan.parameters
     mass = parameters["mass_kg"] / parameters["mass_factor"]

@@ -1,6 +1,6 @@
 """Small linear algebra of the compiled likelihood against LAPACK, and what has no value.
 
-The likelihood as a whole is compared with plain algebra in tests/test_joint.py.
+The likelihood as a whole is compared with plain algebra in tests/model/test_posterior.py.
 """
 
 from __future__ import annotations
