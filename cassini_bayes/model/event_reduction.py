@@ -68,14 +68,14 @@ from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 Say = Callable[[str], None]
-_TAIL_BYTES: Final = 65_536
+_TAIL_BYTES: Final = 65_536  # of a file's end, for the time of its last row
 WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
 FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
 REDUCED_BY: Final = ("events.telemetry", "events.plausibility", "balance.statistics")
 """Packages whose code, with all that they import, checks telemetry and reduces it."""
 _TELL_S: Final = 5.0  # between lines of progress
-_TAIL_SPAN: Final = 5.0
-_PRIOR_SPAN: Final = 2.0
+_TAIL_SPAN: Final = 5.0  # τ_fall after which 0.7 % of a tail is still to come
+_PRIOR_SPAN: Final = 2.0  # prior standard deviations that τ_fall may exceed its mean by
 _CORNER: Final = 0.5  # of the attitude's noise
 _CORNER_NOISE: Final = 5.0  # standard deviations of a second difference
 MOST_KEPT: Final = 200_000

@@ -40,9 +40,9 @@ from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
 Event = TotalsEvent | ReducedEvent
-_POINTS: Final = 4
-_BLOCK: Final = 400
-_FAR: Final = 30.0
+_POINTS: Final = 4  # draws of the prior at which a column without weight is found
+_BLOCK: Final = 400  # points at once, whose arrays stay in the processor's cache
+_FAR: Final = 30.0  # standard normals: beyond it quantiles overflow
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from cassini_bayes.model.mission.model import BranchAt
 NODES: Final = np.polynomial.legendre.leggauss(16)
 _SMALL: Final = 1e-8  # probability below which rounding takes a share of it
 _NEAR: Final = 12.0  # nats from the likeliest hypothesis within which pairs are kept
-_MOST_PAIRS: Final = 150
+_MOST_PAIRS: Final = 150  # pairs that are weighed, those with the highest bounds (judgement)
 _FIRST: Final = 25  # losses that a pair may start from
 _LOOKED_AT: Final = 16  # draws at which pairs are looked for
 
