@@ -3,7 +3,7 @@
 The rows of an event are turned into modes (a constant and cosines, orthonormal over the rows that
 are used, diagonal for a random walk) and a remainder that is faster than all of them. White channel
 noise is the same in every band, the motion of the wheels is not: slow bands hold all of it. So what
-a measured wheel rate implies for the true one differs: docs/topics/telemetry-likelihood.md §3.
+a measured wheel rate says of the true one differs by band: docs/topics/telemetry-likelihood.md §3.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ _MADE: WeakKeyDictionary[EventStatistics, Bands] = WeakKeyDictionary()
 def make_bands(statistics: EventStatistics) -> Bands:
     """Split an event's rows into bands, once for all models of the event.
 
-    In slews the wheels turn the body, at every frequency that the controller has. So they have a
-    flat prior in every band. Little is lost by it, because rates are far above their noise.
+    In slews the wheels are what turns the body, at every frequency that the controller has: nothing
+    is said of them in any band, and next to nothing lost, the rates being far above their noise.
 
     Returns the slow band, the fast bands (octaves of the faster modes, and all that no mode
     explains), all columns' coordinates (3, A, M) on the slow modes, and the Gram matrices
@@ -211,7 +211,7 @@ def resting_squares(statistics: EventStatistics, places: Places, turned: Array) 
     """Square (M,) of the wheel rates' rounding on every mode, over that of a single row.
 
     Rounding is white where a wheel moves by more than a step between rows, or passes one step
-    after the other: its mean over a step is zero. While a wheel *rests*, at a printed value that
+    after the other: over a step its mean is nothing. While a wheel *rests*, at a printed value that
     it does not leave on the other side, the rounding is the same in all rows, and the slow modes
     have all of it. Mean over wheels of Σ_runs |Φᵀ 1_run|², with runs of one row where nothing
     rests.

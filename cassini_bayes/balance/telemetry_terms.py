@@ -26,7 +26,7 @@ from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-INITIAL_SD_N_M_S: Final = 10.0  # flat against a row's noise of some 0.01 N m s
+INITIAL_SD_N_M_S: Final = 10.0
 SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses about that of all
 
 

@@ -63,7 +63,7 @@ class Weighed(Generic[H]):
 
     ``z`` (n, d) are draws with ``log_weights`` (n,), normalised. ``unsure`` is by how many nats the
     evidence may be short where it is Laplace's. ``remainder`` is what the hypothesis leaves of
-    telemetry, where that was tested.
+    telemetry, where that was looked at.
     """
 
     hypothesis: H
@@ -107,7 +107,7 @@ class Weighed(Generic[H]):
 
 @dataclass(frozen=True)
 class Shown:
-    """Results of the tests of the baseline and of the extended model, for the record.
+    """What tests say of the baseline and of the extended model, for the record.
 
     ``more`` are further fields of the record, ``detail`` is what the case's own figures need.
     """
@@ -162,7 +162,7 @@ class Case(ABC, Generic[H]):
 
     @property
     def findings(self) -> Sequence[str]:
-        """Warnings about the data: mistakes accepted, what fits nothing known."""
+        """What has to be said of the data: mistakes accepted, what fits nothing known."""
         return ()
 
     @abstractmethod

@@ -37,7 +37,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
-MODES: Final = 512  # cosines: periods down to 4 s in an event of 1,000 s
+MODES: Final = 512
 _FORMAT: Final = 6
 BLOCK_ROWS: Final = 4_096
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
