@@ -21,11 +21,11 @@ from scipy.interpolate import CubicSpline
 from cassini_bayes.balance.kernel import LEAST_SQUARE
 from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
 from cassini_bayes.balance.statistics import EventStatistics, Layout
+from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.computing.arrays import Array
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 SLOPE_EDGES: Final = (2, 8, 32)  # the same of slopes of quiet pieces
-WORTH_ADDING: Final = 3.0  # times the information of the rates that slopes must have
 ROWS_PER_MODE: Final = 2
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
@@ -248,49 +248,38 @@ def _runs(rates: Array) -> NDArray[np.intp]:
 class TurnBand:
     """Contrasts of turns over quiet pieces, and what beside the attitude is in their noise.
 
-    Mean squares per contrast: of the wheels' summed noise, of a unit random walk, and per couple of
-    what counters leave open.
+    Mean squares per contrast: of the wheels' summed noise and of their rounding, over that of one
+    row, of a unit random walk, and per couple of what counters leave open.
     """
 
     contrasts: int
     summed_s2: float
+    rounded_s2: float
     walked_s3: float
     cut: Array  # (G,) s²
     level: Array  # (G,) s⁴
 
 
-def turn_bands(
-    statistics: EventStatistics, rate_square: float
-) -> tuple[tuple[TurnBand, ...], Array]:
+def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array]:
     """Slopes of the quiet pieces by frequency, then the rest; and their Gram matrices.
 
     Torque noise and what counters leave open are slow, so that slopes are told apart by modes as
-    rows are (:func:`turned_modes`). The latter is in rates and in slopes alike, and would count
-    twice where both say as much: where something fires and rates are so good that slopes would add
-    little, these are left out. ``rate_square`` is the variance of a measured rate, (rad/s)².
-    Returns the bands and (T, 3, 3, A, A).
+    rows are (:func:`turned_modes`). Returns the bands and (T, 3, 3, A, A).
     """
     turns = statistics.turns
     bands: list[TurnBand] = []
     grams: list[Array] = []
-    if turns.pieces > 0 and _adds(statistics, rate_square):
+    if turns.pieces > 0:
         bands, grams = _slope_bands(statistics)
     if turns.contrasts > 0:
         nothing = np.zeros(statistics.counters.weight.shape[1])
-        bands.append(TurnBand(turns.contrasts, turns.summed_s2, turns.walked_s3, nothing, nothing))
+        # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
+        moving = float(np.isnan(turns.slope_resting).mean()) if turns.pieces > 0 else 1.0
+        rounded = turns.summed_s2 * moving
+        noise = (turns.summed_s2, rounded, turns.walked_s3)
+        bands.append(TurnBand(turns.contrasts, *noise, nothing, nothing))
         grams.append(turns.gram)
     return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
-
-
-def _adds(statistics: EventStatistics, rate_square: float) -> bool:
-    """Whether nothing fires, or slopes say several times what the rates do by the noise of both."""
-    turns = statistics.turns
-    if len(statistics.layout.thrusters) == 0 or turns.contrasts == 0:
-        return len(statistics.layout.thrusters) == 0
-    turned = statistics.layout.rate
-    attitude_square = float(np.diagonal(turns.gram[0, 0])[turned].mean()) / turns.contrasts
-    by_slopes = float(turns.slope_mode_gram[0, 0]) * rate_square
-    return by_slopes > WORTH_ADDING * statistics.rows * attitude_square
 
 
 def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array]]:
@@ -299,22 +288,48 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     modes = np.tensordot(turns.slope_projection, turned, (0, 0))
     places = Places(turns.slope_time_s, turns.slope_waves, turns.slope_stride)
     left_open = open_squares(statistics, places, turned)
+    rounded, all_rounded = rounded_slopes(turns, turned)
     bands, grams, rest = [], [], turns.slope_gram
     inner = [edge for edge in SLOPE_EDGES if edge < len(walk)]
     for start, stop in pairwise([0, *inner, len(walk)]):
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         walked = float(walk[start:stop].mean())
+        squares = (turns.slope_summed_s2, float(rounded[start:stop].mean()), walked)
         noise = left_open.of_modes(start, stop)
-        bands.append(TurnBand(stop - start, turns.slope_summed_s2, walked, *noise))
+        bands.append(TurnBand(stop - start, *squares, *noise))
         grams.append(gram)
         rest = rest - gram
     if (rows := turns.pieces - len(walk)) > 0:
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         walked = float(beyond * turns.slope_mode_gram[0, 0] / rows)
-        bands.append(TurnBand(rows, turns.slope_summed_s2, walked, *left_open.of_rest(rows)))
+        left = max(all_rounded - float(rounded.sum()), 0.0) / rows
+        squares = (turns.slope_summed_s2, left, walked)
+        bands.append(TurnBand(rows, *squares, *left_open.of_rest(rows)))
         grams.append(rest)
     return bands, grams
+
+
+def rounded_slopes(turns: TurnStatistics, turned: Array) -> tuple[Array, float]:
+    """Square (M,) of the wheel rates' rounding on every mode of slopes, and on all slopes.
+
+    Over that of a single row, mean over wheels. A rounding that stays the same in a piece is in its
+    slope |t − t̄| times, and in the next pieces as well while the wheel rests
+    (:func:`resting_squares`); one that is another in each row is summed up like noise. ``turned``
+    (1 + cosines, M) makes the modes of the cosines.
+    """
+    on_modes, stride = turns.slope_waves @ turned, turns.slope_stride
+    total, everywhere = np.zeros(turned.shape[1]), 0.0
+    for shown in turns.slope_resting.T:
+        rests = np.isfinite(shown)
+        size = np.where(rests, turns.slope_waves[:, 0], np.sqrt(turns.slope_summed_s2))
+        starts = np.flatnonzero(np.r_[True, shown[1:] != shown[:-1]])  # NaN is unlike any
+        lengths = np.diff(starts, append=len(shown))
+        own = np.where(lengths == 1, stride, stride**2)
+        total += own @ np.add.reduceat(size[:, None] * on_modes, starts) ** 2
+        everywhere += stride * float(size @ size)
+    wheels = turns.slope_resting.shape[1]
+    return np.asarray(total / wheels), everywhere / wheels
 
 
 def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array]:

@@ -110,7 +110,7 @@ def normal_equations(
     weights
         (n, B', 3) weight of every entry per axis; those of measured wheel rates are overwritten.
     turned
-        (n, B', 3) the same for integrated columns.
+        (n, T, B', 3) the same for integrated columns, by band.
     noise, entries, slow, fast, turns, placed
         See there.
 
@@ -174,7 +174,7 @@ def normal_equations(
         for i in range(n):
             log_determinant = _invert(noise.turns[i, t], other)
             log_scale[i] -= 0.5 * turns.contrasts[t] * log_determinant
-            _contract(turns.grams[t], entries, turned[i], other, normal[i])
+            _contract(turns.grams[t], entries, turned[i, t], other, normal[i])
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):
