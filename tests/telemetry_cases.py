@@ -311,21 +311,31 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
         unknown = np.array(own).T
         if len(turns.of_rates):
-            # turns in the place of rates, all else integrated; the noise of wheels is summed up
-            gained = turns.of_rates @ inertia + turns.of_rows @ np.array(rows.wheels) @ weights.T
+            # of turn less gyro what the rows' own residual makes one expect of the gyro's noise
+            by_turn = turns.of_rates @ inertia
+            by_gyro = turns.of_rows @ np.array(rows.rates) @ inertia
+            residual = by_gyro + turns.of_rows @ np.array(rows.wheels) @ weights.T
             attitude = values["attitude_noise_rad"] ** 2 * inertia @ inertia
             by_wheels = wheel_noise * weights @ weights.T
-            noise = np.zeros((len(gained), 3, len(gained), 3))
+            noise = np.zeros((len(by_turn), 3, len(by_turn), 3))
+            expects = np.zeros_like(noise)
             for share, summed, walked in turns.bands:
-                own_noise = attitude + summed * by_wheels + walked * drift_square * np.eye(3)
+                gyro = summed * values["rate_noise_rad_s"] ** 2 * inertia @ inertia
+                shared_noise = summed * by_wheels + walked * drift_square * np.eye(3)
                 on_slopes = share[: len(turns.times), : len(turns.times)]
                 open_square = plain_open(
                     model, term, rows, arms, tau, close, on_slopes, turns.times, turns.ramps
                 )
-                own_noise = own_noise + open_square / np.trace(share)
+                shared_noise = shared_noise + open_square / np.trace(share)
+                of_gyro = gyro @ np.linalg.inv(gyro + shared_noise)
+                own_noise = attitude + gyro - of_gyro @ gyro
                 noise += np.einsum("ij,ab->iajb", share, own_noise)
-            on_turns = np.kron(turns.of_rows, np.eye(3))
-            y, mean = np.concatenate([y, gained]), np.concatenate([mean, turns.of_rows @ mean])
+                expects += np.einsum("ij,ab->iajb", share, of_gyro)
+            expects = expects.reshape(3 * len(by_turn), -1)
+            gained = by_turn - by_gyro + (expects @ residual.reshape(-1)).reshape(-1, 3)
+            on_turns = expects @ np.kron(turns.of_rows, np.eye(3))
+            mean = np.concatenate([mean, (on_turns @ mean.reshape(-1)).reshape(-1, 3)])
+            y = np.concatenate([y, gained])
             columns = np.concatenate([columns, on_turns @ columns])
             unknown = np.concatenate([unknown, on_turns @ unknown])
             total = block_diag(total, noise.reshape(3 * len(gained), -1))

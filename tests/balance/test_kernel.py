@@ -72,7 +72,8 @@ def equations(
     )
     placed = Placed(np.zeros(1), 1.0, np.full((1, 1), own_sd))
     weights = np.ones((1, 2, 3))
-    return kernel.normal_equations(weights, 2.0 * weights, noise, entries, slow, fast, band, placed)
+    turned = np.repeat(2.0 * weights[:, None], len(turns), axis=1)
+    return kernel.normal_equations(weights, turned, noise, entries, slow, fast, band, placed)
 
 
 def test_inner_products_of_modes_are_the_sums_written_out() -> None:
