@@ -20,6 +20,7 @@ import numpy as np
 from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
+from cassini_bayes.balance.rounded_wheels import WheelSquares
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
@@ -144,6 +145,7 @@ class TelemetryBalance:
     turns: tuple[TurnBand, ...]
     initial_mean_n_m_s: Array
     spin: Array
+    wheels: WheelSquares  # over all rows
     reduced: Reduced
 
     @property
@@ -161,12 +163,7 @@ class TelemetryBalance:
         """The bands for compiled code."""
         nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
         slow = SlowBand(
-            self.reduced.slow,
-            self.slow.walk,
-            self.slow.values,
-            self.slow.vectors,
-            nodes[0],
-            coefficients[0],
+            self.reduced.slow, self.slow.walk, self.slow.square, nodes[0], coefficients[0]
         )
         fast = FastBands(
             np.ascontiguousarray(self.reduced.grams.transpose(0, 3, 1, 2, 4)),
@@ -218,7 +215,7 @@ def make_balance(
     start = np.linalg.lstsq(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
-    slow, fast, slow_modes, grams = make_bands(statistics)
+    slow, fast, slow_modes, grams, of_wheels = make_bands(statistics)
     turns, turn_grams = turn_bands(statistics)
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
@@ -232,6 +229,7 @@ def make_balance(
         turns=turns,
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
+        wheels=of_wheels,
         reduced=Reduced(
             everything,
             np.arange(slow_modes.shape[1]),
@@ -391,15 +389,14 @@ def noise_covariance(
     """
     wheels = event.wheel_weights(physics)
     left = wheels if kept is None else wheels @ kept
-    noise = wheel_variance(event, parameters)[:, None, None]
+    noise = wheel_variance(event, parameters)[:, None, :]
     other = covariance_beside_wheels(event, physics, parameters)
-    return np.asarray(other + noise * left @ np.swapaxes(wheels, -1, -2))
+    return np.asarray(other + (left * noise) @ np.swapaxes(wheels, -1, -2))
 
 
 def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Variance (n,) of a measured wheel rate, its rounding included, rad²/s²."""
-    noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
-    return np.asarray(noise**2 + event.statistics.steps.wheel_rad_s**2 / 12.0)
+    """Variance (n, W) of a measured wheel rate, its rounding included, rad²/s²."""
+    return _wheel_variances(event, parameters, event.wheels)
 
 
 def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -409,16 +406,23 @@ def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> A
 
 
 def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Variance (n, 1 + F) of measured wheel rates in every band, rad²/s²: rounding is not white."""
-    resting = np.array([band.resting for band in (event.slow, *event.fast)])
-    noise, lasting, white = _wheel_squares(event, parameters)
-    return np.ascontiguousarray((noise + white)[:, None] + lasting[:, None] * resting)
+    """Variance (n, 1 + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
+    each = [_wheel_variances(event, parameters, b.wheels) for b in (event.slow, *event.fast)]
+    return np.ascontiguousarray(np.stack(each, axis=1))
 
 
-def _wheel_squares(
-    event: TelemetryBalance, parameters: Mapping[str, Array]
-) -> tuple[Array, Array, Array]:
-    """Squares (n,), rad²/s², of wheel noise, and of rounding that lasts while a wheel rests or not.
+def _wheel_variances(
+    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
+) -> Array:
+    """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
+    noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
+    rounding, share = event.statistics.steps.wheel_rad_s**2 / 12.0, lasting_share(event, parameters)
+    white = noise**2 * squares.moving + squares.seen + rounding * squares.moving
+    return np.asarray(white + rounding * share[:, None] * squares.lasting)
+
+
+def lasting_share(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Share (n,) of the square of a rounding that lasts while a wheel rests.
 
     Noise ε dithers: of a rate that rests at a phase x of the step Δ the mean of what is printed is
     off by Σ_k (−1)^k Δ/(π k) exp(−2 π² k² σ²/Δ²) sin 2 π k x (the characteristic function of ε at
@@ -427,12 +431,10 @@ def _wheel_squares(
     """
     noise, step = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM, event.statistics.steps.wheel_rad_s
     if step == 0.0:
-        return noise**2, np.zeros_like(noise), np.zeros_like(noise)
+        return np.zeros_like(noise)
     order = np.arange(1, _HARMONICS + 1)
     faded = np.exp(-((2.0 * np.pi * order * noise[:, None] / step) ** 2))
-    share = 6.0 / np.pi**2 * (faded / order**2).sum(axis=1)
-    rounding = step**2 / 12.0
-    return noise**2, rounding * share, rounding * (1.0 - share)
+    return np.asarray(6.0 / np.pi**2 * (faded / order**2).sum(axis=1))
 
 
 def covariance_beside_wheels(
@@ -502,18 +504,19 @@ def _shared_turn_covariances(
 ) -> Array:
     """Covariance (n, T, 3, 3) of what is in integrated rows and in turns alike, (N m s²)²."""
     wheels = event.wheel_weights(physics)
-    of_wheels = wheels @ np.swapaxes(wheels, -1, -2)
-    noise, lasting, white = _wheel_squares(event, parameters)
-    noise = (noise + white)[:, None, None]
-    lasting = lasting[:, None, None]
+    white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
+    noise = _wheel_variances(event, parameters, white)
+    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
+    lasting = rounding * lasting_share(event, parameters)[:, None]
     by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
     each = [
-        (band.summed_s2 * noise + band.rounded_s2 * lasting) * of_wheels
+        (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])
+        @ np.swapaxes(wheels, -1, -2)
         + band.walked_s3 * by_torque
         + _open_covariance(event, physics, thrust_n, band.cut, band.level)
         for band in event.turns
     ]
-    return np.array(each).reshape(-1, *of_wheels.shape).swapaxes(0, 1)
+    return np.array(each).reshape(-1, *by_torque.shape).swapaxes(0, 1)
 
 
 def _open_covariance(

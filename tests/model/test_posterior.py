@@ -240,7 +240,7 @@ def test_wheels_that_show_nothing_leave_the_density_finite() -> None:
             square * np.diag([0.0] * 3 + [1.0, 1.0, 0.0]),
             np.eye(3),
             np.eye(3),
-            1.0,
+            np.ones(3),
             np.empty((3, 3)),
         )
         for square in (1.0, 1e-6, 1e-12, 1e-24, 0.0)
