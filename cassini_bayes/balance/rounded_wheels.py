@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array, Flags
 
+_HARMONICS: Final = 64  # of a sawtooth: the rest has less than a percent of its square
 WINDOW: Final = 8  # rows on either side; a wheel that gains a step between their means moves
 
 
@@ -68,8 +69,8 @@ def rests(levels: Array) -> Rests:
     """Where a wheel whose printed rates are whole numbers (r,) of steps rests.
 
     It moves where it gains a step over the window, or passes through a printed value: comes from
-    one side and leaves on the other. Readings that change to and fro are one stretch at rest, and
-    scatter by half the mean square of their differences.
+    one side and leaves on the other, for good. Readings that change to and fro are one stretch at
+    rest, and scatter by half the mean square of their differences.
     """
     rows = len(levels)
     total = np.concatenate([[0.0], np.cumsum(levels)])
@@ -80,13 +81,15 @@ def rests(levels: Array) -> Rests:
     moving = (np.abs(mean_after - mean_before) > 1.0) & (at > before)
     change = np.diff(levels)
     edges = np.flatnonzero(change) + 1
-    same = np.sign(change[edges[1:] - 1]) == np.sign(change[edges[:-1] - 1])
-    for first, last in zip(edges[:-1][same], edges[1:][same], strict=True):
+    came, left = edges[:-1], edges[1:]
+    passed = np.sign(change[came - 1]) == np.sign(change[left - 1])
+    # noise to either side of a value is no passage
+    passed &= np.abs(mean_after[left] - mean_before[came]) > 1.0
+    for first, last in zip(came[passed], left[passed], strict=True):
         moving[first:last] = True
-    # a stretch ends where the next change goes on in the same direction, and at rows that move
+    # a stretch ends where a value is passed, and at rows that move
     stays = np.ones(rows, dtype=bool)
-    stays[edges[:-1][same]] = stays[edges[1:][same]] = False
-    stays[0] = False
+    stays[came[passed]] = stays[left[passed]] = stays[0] = False
     stays &= ~moving & ~np.concatenate([[True], moving[:-1]])
     starts = np.flatnonzero(~stays)
     lengths = np.diff(starts, append=rows)
@@ -94,6 +97,20 @@ def rests(levels: Array) -> Rests:
     scatter = np.add.reduceat(jumps, starts) / np.maximum(2.0 * (lengths - 1), 1.0)
     moving = moving | np.repeat(lengths == 1, lengths)
     return Rests(moving, np.where(moving, 0.0, np.repeat(scatter, lengths)), starts)
+
+
+def lasting_share(noise: Array) -> Array:
+    """Share (n,) of the square of a rounding that lasts while a wheel rests.
+
+    ``noise`` (n,) is that of the measurement, σ/Δ. It dithers: of a rate that rests at a phase x of
+    the step the mean of what is printed is off by
+    Σ_k (−1)^k Δ/(π k) exp(−2 π² k² σ²/Δ²) sin 2 π k x (the characteristic function of the noise at
+    whole turns), and only that lasts. Over all phases its square is Δ²/12 times
+    6/π² Σ exp(−4 π² k² σ²/Δ²)/k²: all of it without noise, 15 % at σ = 0.19 Δ.
+    """
+    order = np.arange(1, _HARMONICS + 1)
+    faded = np.exp(-((2.0 * np.pi * order * noise[:, None]) ** 2))
+    return np.asarray(6.0 / np.pi**2 * (faded / order**2).sum(axis=1))
 
 
 def wheel_squares(

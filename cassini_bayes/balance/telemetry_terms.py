@@ -20,7 +20,7 @@ import numpy as np
 from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
-from cassini_bayes.balance.rounded_wheels import WheelSquares
+from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
@@ -29,7 +29,6 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 INITIAL_SD_N_M_S: Final = 10.0
 LEAST_RATE_RAD_S: Final = 1e-9  # noise that no gyro goes below: without any, turns have no say
-_HARMONICS: Final = 64  # of a sawtooth: the rest has less than a percent of its square
 SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses about that of all
 
 
@@ -416,25 +415,16 @@ def _wheel_variances(
 ) -> Array:
     """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
     noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
-    rounding, share = event.statistics.steps.wheel_rad_s**2 / 12.0, lasting_share(event, parameters)
-    white = noise**2 * squares.moving + squares.seen + rounding * squares.moving
+    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
+    share = _lasting_share(event, parameters)
+    white = (noise**2 + rounding) * squares.moving + squares.seen
     return np.asarray(white + rounding * share[:, None] * squares.lasting)
 
 
-def lasting_share(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Share (n,) of the square of a rounding that lasts while a wheel rests.
-
-    Noise ε dithers: of a rate that rests at a phase x of the step Δ the mean of what is printed is
-    off by Σ_k (−1)^k Δ/(π k) exp(−2 π² k² σ²/Δ²) sin 2 π k x (the characteristic function of ε at
-    whole turns), and only that lasts. Over all phases its square is Δ²/12 times
-    6/π² Σ exp(−4 π² k² σ²/Δ²)/k²: all of it without noise, 15 % at σ = 0.19 Δ.
-    """
-    noise, step = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM, event.statistics.steps.wheel_rad_s
-    if step == 0.0:
-        return np.zeros_like(noise)
-    order = np.arange(1, _HARMONICS + 1)
-    faded = np.exp(-((2.0 * np.pi * order * noise[:, None] / step) ** 2))
-    return np.asarray(6.0 / np.pi**2 * (faded / order**2).sum(axis=1))
+def _lasting_share(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Share (n,) of the rounding of wheel rates that lasts; without steps there is none."""
+    step, noise = event.statistics.steps.wheel_rad_s, parameters["wheel_noise_rpm"]
+    return lasting_share(noise * RAD_S_PER_RPM / step) if step > 0.0 else np.zeros_like(noise)
 
 
 def covariance_beside_wheels(
@@ -507,7 +497,7 @@ def _shared_turn_covariances(
     white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
     noise = _wheel_variances(event, parameters, white)
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    lasting = rounding * lasting_share(event, parameters)[:, None]
+    lasting = rounding * _lasting_share(event, parameters)[:, None]
     by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
     each = [
         (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])

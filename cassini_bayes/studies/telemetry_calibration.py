@@ -16,6 +16,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from cassini_bayes.balance.statistics import reduce_chunks
+from cassini_bayes.balance.statistics.reduction import Preparation
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
@@ -39,7 +41,7 @@ from cassini_bayes.studies.scenario import (
 )
 
 LogDensity = Any
-Control = Literal["none", "balance-residual", "pulse-blind"]
+Control = Literal["none", "balance-residual", "pulse-blind", "rounding-ignored", "cuts-ignored"]
 
 TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
@@ -93,6 +95,19 @@ CONTROLS: Final = (
         label="control: rows during pulses kept",
         control="pulse-blind",
     ),
+    replace(
+        VARIANTS[0],
+        name="rounding-ignored",
+        label="control: counters of 10 ms taken as exact",
+        telemetry={"on_time_resolution_s": 0.01},
+        control="rounding-ignored",
+    ),
+    replace(
+        VARIANTS[0],
+        name="cuts-ignored",
+        label="control: no pulse taken to cut the one before",
+        control="cuts-ignored",
+    ),
 )
 
 
@@ -135,6 +150,8 @@ class TelemetryCampaign:
     def priors(self) -> Priors:
         """The priors file, with the variant's own wheel noise."""
         priors = read_priors(self.priors_path)
+        if self.variant.control == "cuts-ignored":
+            priors = priors.with_fixed(CLOSE_SHARE, 0.0)
         if self.variant.wheel_noise_rpm is None:
             return priors
         narrow = Distribution("lognorm", {"s": 0.3, "scale": self.variant.wheel_noise_rpm})
@@ -177,20 +194,37 @@ def _walked(priors: Priors, fires: bool) -> tuple[str, ...]:
 def model_of(simulation: Simulation, variant: Variant, priors: Priors) -> Model:
     """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
     guard_s = 0.0 if variant.control == "pulse-blind" else None
-    events = [reduced_simulation(event, priors, guard_s) for event in simulation.events]
+    exact = variant.control == "rounding-ignored"
+    events = [
+        reduced_simulation(event, priors, guard_s, exact_counters=exact)
+        for event in simulation.events
+    ]
     return build_model(events, priors)
 
 
 def reduced_simulation(
-    event: SimulatedEvent, priors: Priors, guard_s: float | None = None
+    event: SimulatedEvent,
+    priors: Priors,
+    guard_s: float | None = None,
+    *,
+    exact_counters: bool = False,
 ) -> ReducedEvent:
-    """A simulated event as a model takes it; ``guard_s`` replaces the guard time."""
+    """A simulated event as a model takes it.
+
+    ``guard_s`` replaces the guard time; ``exact_counters`` takes the counters at their word,
+    whatever they are rounded to.
+    """
     samples, thrusters = simulated_samples(event)
     sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
     if guard_s is not None:
         sampling = replace(sampling, guard_s=guard_s)
     declared, wheels = event.plan.event, event.plan.wheel_numbers
-    return reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
+    reduced = reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
+    if not exact_counters:
+        return reduced
+    known, prepared = reduced.statistics, Preparation(reduced.statistics.steps)
+    given = (known.event_id, known.kind, (samples,), known.layout, sampling)
+    return replace(reduced, statistics=reduce_chunks(*given, prepared=prepared))
 
 
 def log_density_of(model: Model, variant: Variant) -> LogDensity:
