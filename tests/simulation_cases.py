@@ -146,6 +146,6 @@ def run(
     cycle_s: float = 0.125,
     record_s: float = 0.125,
 ) -> Motion:
-    """The motion of a plan; start and knowledge errors from the seed."""
-    start, knowledge = (np.random.default_rng([seed, i]) for i in range(2))
-    return simulate_motion(plan, Steps.of(step_s, cycle_s, record_s), start, knowledge)
+    """The motion of a plan; start, knowledge errors and torque noise from the seed."""
+    streams = (np.random.default_rng([seed, i]) for i in range(3))
+    return simulate_motion(plan, Steps.of(step_s, cycle_s, record_s), *streams)

@@ -235,15 +235,16 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
         burst: list[int] = []
         for i in range(1, len(samples) + 1):
             gained = i < len(samples) and samples.on_time_s[i, k] > samples.on_time_s[i - 1, k]
-            if gained:
-                burst.append(i)
-            elif burst:
+            goes_on = gained and samples.pulses[i, k] == samples.pulses[i - 1, k]
+            if burst and not goes_on:
                 seconds = samples.on_time_s[burst[-1], k] - samples.on_time_s[burst[0] - 1, k]
                 count = samples.pulses[burst[-1], k] - samples.pulses[burst[0] - 1, k]
                 for j in burst:
                     own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
                     result[j, k] = own / seconds * count * linearised(seconds / count)
                 burst = []
+            if gained:
+                burst.append(i)
     return result
 
 
@@ -311,21 +312,31 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
         unknown = np.array(own).T
         if len(turns.of_rates):
-            # turns in the place of rates, all else integrated; the noise of wheels is summed up
-            gained = turns.of_rates @ inertia + turns.of_rows @ np.array(rows.wheels) @ weights.T
+            # of turn less gyro what the rows' own residual makes one expect of the gyro's noise
+            by_turn = turns.of_rates @ inertia
+            by_gyro = turns.of_rows @ np.array(rows.rates) @ inertia
+            residual = by_gyro + turns.of_rows @ np.array(rows.wheels) @ weights.T
             attitude = values["attitude_noise_rad"] ** 2 * inertia @ inertia
             by_wheels = wheel_noise * weights @ weights.T
-            noise = np.zeros((len(gained), 3, len(gained), 3))
+            noise = np.zeros((len(by_turn), 3, len(by_turn), 3))
+            expects = np.zeros_like(noise)
             for share, summed, walked in turns.bands:
-                own_noise = attitude + summed * by_wheels + walked * drift_square * np.eye(3)
+                gyro = summed * values["rate_noise_rad_s"] ** 2 * inertia @ inertia
+                shared_noise = summed * by_wheels + walked * drift_square * np.eye(3)
                 on_slopes = share[: len(turns.times), : len(turns.times)]
                 open_square = plain_open(
                     model, term, rows, arms, tau, close, on_slopes, turns.times, turns.ramps
                 )
-                own_noise = own_noise + open_square / np.trace(share)
+                shared_noise = shared_noise + open_square / np.trace(share)
+                of_gyro = gyro @ np.linalg.inv(gyro + shared_noise)
+                own_noise = attitude + gyro - of_gyro @ gyro
                 noise += np.einsum("ij,ab->iajb", share, own_noise)
-            on_turns = np.kron(turns.of_rows, np.eye(3))
-            y, mean = np.concatenate([y, gained]), np.concatenate([mean, turns.of_rows @ mean])
+                expects += np.einsum("ij,ab->iajb", share, of_gyro)
+            expects = expects.reshape(3 * len(by_turn), -1)
+            gained = by_turn - by_gyro + (expects @ residual.reshape(-1)).reshape(-1, 3)
+            on_turns = expects @ np.kron(turns.of_rows, np.eye(3))
+            mean = np.concatenate([mean, (on_turns @ mean.reshape(-1)).reshape(-1, 3)])
+            y = np.concatenate([y, gained])
             columns = np.concatenate([columns, on_turns @ columns])
             unknown = np.concatenate([unknown, on_turns @ unknown])
             total = block_diag(total, noise.reshape(3 * len(gained), -1))
@@ -348,6 +359,46 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
     white = solve_triangular(lower, residual, lower=True)
     log_density = -0.5 * white @ white - np.log(np.diagonal(lower)).sum()
     return float(log_density - 0.5 * size * np.log(2.0 * np.pi)) + constant
+
+
+def joint_of_slews(
+    model: Model, parameters: Mapping[str, float], *, shared: bool = True
+) -> float:
+    """Log density of rates, wheels and turns of slews without torque noise, as one normal.
+
+    The noise of measured wheels is in the balance of rows and, summed up, in that of turns; unless
+    it is ``shared`` both have one of their own.
+    """
+    (term,) = model.telemetry
+    values = dict(model.idle) | dict(parameters)
+    samples = Samples.joined(list(term.event.rows))
+    rows = plain_rows(samples, term.event.sampling, np.zeros((3, 0)), (0.0, 0.0, 0.0))
+    turns = plain_turns(rows, term.event.sampling)
+    inertia = inertia_tensor(values)
+    axes, moments = wheel_axes(model.spacecraft, values), wheel_inertias(model.spacecraft, values)
+    weights = (axes * moments)[:, [0, 1, 3]]
+    spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
+    by_rate = values["rate_noise_rad_s"] ** 2 * inertia @ inertia
+    by_attitude = values["attitude_noise_rad"] ** 2 * inertia @ inertia
+    by_wheels = (values["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
+    n, contrasts, summed = len(rows.times), len(turns.of_rates), turns.of_rows
+    of_row = by_rate + by_wheels + values["attitude_noise_rad"] ** 2 * spin
+    between = np.kron(summed, by_wheels) * float(shared)
+    of_turns = np.kron(summed @ summed.T, by_wheels) + np.kron(np.eye(contrasts), by_attitude)
+    noise = np.block([[np.kron(np.eye(n), of_row), between.T], [between, of_turns]])
+    own, _, mean = _unknowns(model, term, samples, rows, np.zeros((3, 0)), (0.0,) * 3, 0.0)
+    unknown = np.array(own).T
+    unknown = np.concatenate([unknown, np.kron(summed, np.eye(3)) @ unknown])
+    delivered = np.array(rows.wheels) @ weights.T - mean
+    residual = np.array(rows.rates) @ inertia + delivered
+    turned = turns.of_rates @ inertia + summed @ delivered
+    dense = noise + unknown @ unknown.T
+    lower = np.linalg.cholesky(dense)
+    white = solve_triangular(lower, np.concatenate([residual, turned]).reshape(-1), lower=True)
+    log_density = -0.5 * white @ white - np.log(np.diagonal(lower)).sum()
+    jacobian = (n + contrasts) * np.linalg.slogdet(inertia)[1]
+    channels = 2 * n + contrasts  # three wheels and three rates of a row
+    return float(log_density + jacobian - 1.5 * channels * np.log(2.0 * np.pi))
 
 
 def _unknowns(

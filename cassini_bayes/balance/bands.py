@@ -15,17 +15,16 @@ from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from cassini_bayes.balance.kernel import LEAST_SQUARE
 from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
+from cassini_bayes.balance.rounded_wheels import WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics, Layout
+from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.computing.arrays import Array
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 SLOPE_EDGES: Final = (2, 8, 32)  # the same of slopes of quiet pieces
-WORTH_ADDING: Final = 3.0  # times the information of the rates that slopes must have
 ROWS_PER_MODE: Final = 2
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
@@ -41,22 +40,20 @@ _NODES: Final = 800
 class Band:
     """Part of the row space: modes of similar frequency, or all that is faster than the modes.
 
-    ``values`` (W,) are the measured wheel rates' mean squares, rad²/s², along the principal axes
-    ``vectors`` (W, W); ``walk`` (R,) or (1,) are the variances of a unit random walk's modes, s.
+    ``square`` (W, W) are the measured wheel rates' mean products, rad²/s²; ``walk`` (R,) or (1,)
+    are the variances of a unit random walk's modes, s.
     ``motion`` is None where wheels move by any amount at all frequencies. ``cut`` and ``level``
     (G,) are mean squares, per couple, of what counters leave open (:class:`OpenSquares`), and
-    ``resting`` that of the wheel rates' rounding over the one of a single row
-    (:func:`resting_squares`).
+    ``wheels`` those of the noise of wheel rates.
     """
 
     rows: int
-    values: Array
-    vectors: Array
+    square: Array
     walk: Array
     motion: CubicSpline | None  # of :func:`motion_table`
     cut: Array
     level: Array  # s²
-    resting: float
+    wheels: WheelSquares
 
     @property
     def table(self) -> tuple[Array, Array]:
@@ -66,7 +63,7 @@ class Band:
         return self.motion.x, np.ascontiguousarray(self.motion.c)
 
 
-Bands = tuple[Band, tuple[Band, ...], Array, Array]
+Bands = tuple[Band, tuple[Band, ...], Array, Array, WheelSquares]
 _MADE: WeakKeyDictionary[EventStatistics, Bands] = WeakKeyDictionary()
 
 
@@ -77,8 +74,8 @@ def make_bands(statistics: EventStatistics) -> Bands:
     is said of them in any band, and next to nothing lost, the rates being far above their noise.
 
     Returns the slow band, the fast bands (octaves of the faster modes, and all that no mode
-    explains), all columns' coordinates (3, A, M) on the slow modes, and the Gram matrices
-    (3, 3, A, A) of the fast bands.
+    explains), all columns' coordinates (3, A, M) on the slow modes, the Gram matrices
+    (3, 3, A, A) of the fast bands, and the noise of wheel rates over all rows.
     """
     if statistics not in _MADE:
         _MADE[statistics] = _bands(statistics)
@@ -92,7 +89,11 @@ def _bands(statistics: EventStatistics) -> Bands:
     waves = np.cos(np.pi / statistics.duration_s * time[:, None] * np.arange(len(turned)))
     places = Places(time, waves, counters.stride)
     left_open = open_squares(statistics, places, turned)
-    resting = resting_squares(statistics, places, turned)
+    on_modes = places.waves @ turned
+    step = statistics.steps.wheel_rad_s
+    of_wheels, everywhere = wheel_squares(
+        statistics.shown.rate_rad_s, step, on_modes, counters.stride
+    )
     turning = statistics.kind == "slew"
     edges, still = _edges(statistics, len(walk)), STILL
     bands, grams, rest = [], [], statistics.gram
@@ -100,7 +101,7 @@ def _bands(statistics: EventStatistics) -> Bands:
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         motion = None if turning else motion_table(stop - start, still)
-        noise = (*left_open.of_modes(start, stop), float(resting[start:stop].mean()))
+        noise = (*left_open.of_modes(start, stop), of_modes(of_wheels, start, stop))
         bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion, *noise))
         grams.append(gram)
         rest = rest - gram
@@ -111,8 +112,8 @@ def _bands(statistics: EventStatistics) -> Bands:
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         left = np.array([beyond * statistics.rows / rows])
         motion = None if turning else motion_table(rows, still)
-        rest_resting = max(float(statistics.rows - resting.sum()), 0.0) / rows
-        noise = (*left_open.of_rest(rows), rest_resting)
+        slower = of_modes(of_wheels, 0, len(walk), mean=False)
+        noise = (*left_open.of_rest(rows), (everywhere - slower).over(rows))
         bands.append(_band(statistics.layout, rest, left, rows, motion, *noise))
         grams.append(rest)
     slow = np.ascontiguousarray(modes[..., : bands[0].rows])
@@ -121,6 +122,7 @@ def _bands(statistics: EventStatistics) -> Bands:
         tuple(bands[1:]),
         slow,
         np.array(grams[1:]).reshape(len(bands) - 1, *rest.shape),
+        everywhere.over(counters.stride * len(time)),
     )
 
 
@@ -146,12 +148,17 @@ def _band(
     motion: CubicSpline | None,
     cut: Array,
     level: Array,
-    resting: float,
+    wheels: WheelSquares,
 ) -> Band:
-    square = gram[0, 0, layout.wheel, layout.wheel]
-    values, vectors = np.linalg.eigh(square / rows)
-    squares = np.maximum(values, LEAST_SQUARE)
-    return Band(rows, squares, vectors, walk, motion, cut, level, resting)
+    square = np.ascontiguousarray(gram[0, 0, layout.wheel, layout.wheel] / rows)
+    return Band(rows, square, walk, motion, cut, level, wheels)
+
+
+def of_modes(squares: WheelSquares, start: int, stop: int, *, mean: bool = True) -> WheelSquares:
+    """Mean or sum over some modes of squares (M, W)."""
+    parts = (squares.moving, squares.seen, squares.lasting)
+    total = WheelSquares(*(part[start:stop].sum(axis=0) for part in parts))
+    return total.over(stop - start) if mean else total
 
 
 @dataclass(frozen=True)
@@ -207,90 +214,40 @@ def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> 
     return OpenSquares(*modes, *rows)
 
 
-def resting_squares(statistics: EventStatistics, places: Places, turned: Array) -> Array:
-    """Square (M,) of the wheel rates' rounding on every mode, over that of a single row.
-
-    Rounding is white where a wheel moves by more than a step between rows, or passes one step
-    after the other: over a step its mean is nothing. While a wheel *rests*, at a printed value that
-    it does not leave on the other side, the rounding is the same in all rows, and the slow modes
-    have all of it. Mean over wheels of Σ_runs |Φᵀ 1_run|², with runs of one row where nothing
-    rests.
-    """
-    if statistics.steps.wheel_rad_s == 0.0:
-        return np.ones(turned.shape[1])
-    on_modes, stride = places.waves @ turned, places.stride
-    shown = statistics.shown.rate_rad_s
-    total = np.zeros(turned.shape[1])
-    for rates in shown.T:
-        starts = _runs(rates)
-        lengths = np.diff(starts, append=len(rates))
-        # a row on its own stands for ``stride`` rows with roundings of their own
-        own = np.where(lengths == 1, stride, stride**2)
-        total += own @ np.add.reduceat(on_modes, starts) ** 2
-    return np.asarray(total / shown.shape[1])
-
-
-def _runs(rates: Array) -> NDArray[np.intp]:
-    """First rows of the runs that share a rounding: printed values at rest, else every row."""
-    change = np.diff(rates)
-    edges = np.flatnonzero(change != 0.0) + 1
-    bounds = np.concatenate([[0], edges, [len(rates)]])
-    sign = np.sign(change[edges - 1])
-    passes = np.zeros(len(bounds) - 1, dtype=bool)
-    passes[1:-1] = sign[1:] == sign[:-1]
-    single = np.repeat(passes, np.diff(bounds))
-    first = np.zeros(len(rates), dtype=bool)
-    first[bounds[:-1]] = True
-    return np.flatnonzero(first | single)
-
-
 @dataclass(frozen=True)
 class TurnBand:
     """Contrasts of turns over quiet pieces, and what beside the attitude is in their noise.
 
-    Mean squares per contrast: of the wheels' summed noise, of a unit random walk, and per couple of
-    what counters leave open.
+    Mean squares per contrast: of summed white noise, of every wheel's rounding while it rests (W,),
+    of a unit random walk, and per couple of what counters leave open.
     """
 
     contrasts: int
     summed_s2: float
+    rounded_s2: Array
     walked_s3: float
     cut: Array  # (G,) s²
     level: Array  # (G,) s⁴
 
 
-def turn_bands(
-    statistics: EventStatistics, rate_square: float
-) -> tuple[tuple[TurnBand, ...], Array]:
+def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array]:
     """Slopes of the quiet pieces by frequency, then the rest; and their Gram matrices.
 
     Torque noise and what counters leave open are slow, so that slopes are told apart by modes as
-    rows are (:func:`turned_modes`). The latter is in rates and in slopes alike, and would count
-    twice where both say as much: where something fires and rates are so good that slopes would add
-    little, these are left out. ``rate_square`` is the variance of a measured rate, (rad/s)².
-    Returns the bands and (T, 3, 3, A, A).
+    rows are (:func:`turned_modes`). Returns the bands and (T, 3, 3, A, A).
     """
     turns = statistics.turns
     bands: list[TurnBand] = []
     grams: list[Array] = []
-    if turns.pieces > 0 and _adds(statistics, rate_square):
+    if turns.pieces > 0:
         bands, grams = _slope_bands(statistics)
     if turns.contrasts > 0:
         nothing = np.zeros(statistics.counters.weight.shape[1])
-        bands.append(TurnBand(turns.contrasts, turns.summed_s2, turns.walked_s3, nothing, nothing))
+        # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
+        noise = (turns.summed_s2, np.zeros(len(statistics.layout.wheels)), turns.walked_s3)
+        bands.append(TurnBand(turns.contrasts, *noise, nothing, nothing))
         grams.append(turns.gram)
     return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
-
-
-def _adds(statistics: EventStatistics, rate_square: float) -> bool:
-    """Whether nothing fires, or slopes say several times what the rates do by the noise of both."""
-    turns = statistics.turns
-    if len(statistics.layout.thrusters) == 0 or turns.contrasts == 0:
-        return len(statistics.layout.thrusters) == 0
-    turned = statistics.layout.rate
-    attitude_square = float(np.diagonal(turns.gram[0, 0])[turned].mean()) / turns.contrasts
-    by_slopes = float(turns.slope_mode_gram[0, 0]) * rate_square
-    return by_slopes > WORTH_ADDING * statistics.rows * attitude_square
 
 
 def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array]]:
@@ -299,22 +256,46 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     modes = np.tensordot(turns.slope_projection, turned, (0, 0))
     places = Places(turns.slope_time_s, turns.slope_waves, turns.slope_stride)
     left_open = open_squares(statistics, places, turned)
+    rounded, all_rounded = rounded_slopes(turns, turned)
     bands, grams, rest = [], [], turns.slope_gram
     inner = [edge for edge in SLOPE_EDGES if edge < len(walk)]
     for start, stop in pairwise([0, *inner, len(walk)]):
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         walked = float(walk[start:stop].mean())
+        squares = (turns.slope_summed_s2, rounded[start:stop].mean(axis=0), walked)
         noise = left_open.of_modes(start, stop)
-        bands.append(TurnBand(stop - start, turns.slope_summed_s2, walked, *noise))
+        bands.append(TurnBand(stop - start, *squares, *noise))
         grams.append(gram)
         rest = rest - gram
     if (rows := turns.pieces - len(walk)) > 0:
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         walked = float(beyond * turns.slope_mode_gram[0, 0] / rows)
-        bands.append(TurnBand(rows, turns.slope_summed_s2, walked, *left_open.of_rest(rows)))
+        left = np.maximum(all_rounded - rounded.sum(axis=0), 0.0) / rows
+        squares = (turns.slope_summed_s2, left, walked)
+        bands.append(TurnBand(rows, *squares, *left_open.of_rest(rows)))
         grams.append(rest)
     return bands, grams
+
+
+def rounded_slopes(turns: TurnStatistics, turned: Array) -> tuple[Array, Array]:
+    """Squares (M, W) of lasting roundings of wheel rates on every mode of slopes; on all (W,).
+
+    Over that of a single row. A rounding that stays the same in a piece is in its slope |t − t̄|
+    times, and in the next pieces as well while the wheel rests. ``turned`` (1 + cosines, M) makes
+    the modes of the cosines.
+    """
+    on_modes, stride = turns.slope_waves @ turned, turns.slope_stride
+    wheels = turns.slope_resting.shape[1]
+    total, everywhere = np.zeros((turned.shape[1], wheels)), np.zeros(wheels)
+    for j, shown in enumerate(turns.slope_resting.T):
+        size = np.where(np.isfinite(shown), turns.slope_waves[:, 0], 0.0)
+        starts = np.flatnonzero(np.r_[True, shown[1:] != shown[:-1]])  # NaN is unlike any
+        lengths = np.diff(starts, append=len(shown))
+        own = np.where(lengths == 1, stride, stride**2)
+        total[:, j] = own @ np.add.reduceat(size[:, None] * on_modes, starts) ** 2
+        everywhere[j] = stride * float(size @ size)
+    return total, everywhere
 
 
 def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array]:

@@ -41,15 +41,13 @@ class Entries(NamedTuple):
 class SlowBand(NamedTuple):
     """The band of R modes: columns' coordinates on them, and measured wheel rates.
 
-    ``values`` (W,) are the rates' mean squares along the axes ``vectors`` (W, W), rad²/s². The
-    table is a cubic spline's nodes (T,) and coefficients (4, T − 1, 2); none where nothing is said
-    of the wheels' motion.
+    ``square`` (W, W) are the rates' mean products, rad²/s². The table is a cubic spline's nodes
+    (T,) and coefficients (4, T − 1, 2); none where nothing is said of the wheels' motion.
     """
 
     projection: Array  # (3, A', R)
     walk: Array  # (R,) variances of a unit random walk, s
-    values: Array
-    vectors: Array
+    square: Array
     nodes: Array
     coefficients: Array
 
@@ -76,7 +74,7 @@ class Noise(NamedTuple):
 
     wheels: Array  # (n, 3, W) momentum per wheel rate
     beside: Array  # (n, 1 + F, 3, 3) covariance without wheels and torque noise, (N m s)²
-    wheel: Array  # (n, 1 + F) variance of measured wheel rates, rad²/s²
+    wheel: Array  # (n, 1 + F, W) variance of measured wheel rates, rad²/s²
     walk: Array  # (n,) density of torque noise, N² m² s
     turns: Array  # (n, T, 3, 3) covariance of a contrast of integrated columns, (N m s²)²
 
@@ -110,7 +108,7 @@ def normal_equations(
     weights
         (n, B', 3) weight of every entry per axis; those of measured wheel rates are overwritten.
     turned
-        (n, B', 3) the same for integrated columns.
+        (n, T, B', 3) the same for integrated columns, by band.
     noise, entries, slow, fast, turns, placed
         See there.
 
@@ -174,7 +172,7 @@ def normal_equations(
         for i in range(n):
             log_determinant = _invert(noise.turns[i, t], other)
             log_scale[i] -= 0.5 * turns.contrasts[t] * log_determinant
-            _contract(turns.grams[t], entries, turned[i], other, normal[i])
+            _contract(turns.grams[t], entries, turned[i, t], other, normal[i])
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):
@@ -276,39 +274,45 @@ def _see(
 
 @compiled_sums
 def _add_wheels(
-    beside: Array, variance: float, seen: Array, own: Array, out: Array
+    beside: Array, variance: Array, seen: Array, own: Array, out: Array
 ) -> None:  # pragma: no cover - compiled
     """Covariance (3, 3) of a row, with what measured wheel rates put in."""
     for c in range(3):
         for d in range(c + 1):
             value = 0.0
             for j in range(own.shape[1]):
-                value += seen[c, j] * own[d, j]
-            out[c, d] = out[d, c] = beside[c, d] + variance * value
+                value += seen[c, j] * variance[j] * own[d, j]
+            out[c, d] = out[d, c] = beside[c, d] + value
 
 
 @compiled_sums
 def _slow_wheels(
-    band: SlowBand, variance: float, kept: Array
+    band: SlowBand, variance: Array, kept: Array
 ) -> float:  # pragma: no cover - compiled
     """Best linear estimate of the true wheel rates of the slow band, and their own log density.
 
-    Along every principal axis the R measured rates have variance V = S + σ² (docs §3); the matrix
-    is E[S/V]. In slews all is motion, and the density flat.
+    In units of every wheel's own noise, along every principal axis the R measured rates have
+    variance V = S + 1 (docs §3); the matrix is E[S/V]. In slews all is motion, and the density
+    flat.
     """
-    wheels, rows = band.values.size, band.walk.size
+    wheels, rows = variance.size, band.walk.size
     if band.nodes.size == 0:
         kept[:] = np.eye(wheels)
         return 0.0
-    log_total: float = -0.5 * wheels * rows * np.log(variance)
+    log_total, noise = 0.0, np.sqrt(variance)
+    squares, axes = np.empty((wheels, wheels)), np.empty((wheels, wheels))
+    for j in range(wheels):
+        log_total -= 0.5 * rows * np.log(variance[j])
+        for k in range(wheels):
+            squares[j, k] = band.square[j, k] / (noise[j] * noise[k])
+    _diagonalise(squares, axes)
     kept[:] = 0.0
     for a in range(wheels):
-        square = band.values[a] / variance
-        log_density, spread = _looked_up(rows, band.nodes, band.coefficients, square)
+        log_density, spread = _looked_up(rows, band.nodes, band.coefficients, squares[a, a])
         log_total += log_density
         for j in range(wheels):
             for k in range(wheels):
-                kept[j, k] += band.vectors[j, a] * (1.0 - spread) * band.vectors[k, a]
+                kept[j, k] += noise[j] * axes[j, a] * (1.0 - spread) * axes[k, a] / noise[k]
     return log_total
 
 
@@ -337,7 +341,7 @@ def estimated_wheels(
     moments: Array,
     other: Array,
     weights: Array,
-    variance: float,
+    variance: Array,
     kept: Array,
 ) -> float:  # pragma: no cover - compiled
     """Best estimate of the true wheel rates of a fast band, and the log density of the band.
@@ -359,7 +363,7 @@ def estimated_wheels(
     weights
         (3, W) H, momentum per wheel rate.
     variance
-        Variance of measured wheel rates.
+        (W,) of measured wheel rates.
     kept
         (W, W), to be filled with the matrix that takes measured rates to their estimate.
 
@@ -383,14 +387,14 @@ def estimated_wheels(
             for c in range(3):
                 value += by_other[c, j] * weights[c, k]
             precision[j, k] = value
-        precision[j, j] += 1.0 / variance
+        precision[j, j] += 1.0 / variance[j]
     _factor(precision, factor)
     # of unit noise: what both say of the wheels together
     together = np.zeros((wheels, 3 + wheels))
     for j in range(wheels):
         for c in range(3):
             together[j, c] = by_other[c, j]
-        together[j, 3 + j] = 1.0 / variance
+        together[j, 3 + j] = 1.0 / variance[j]
     for column in range(3 + wheels):
         _solve(factor, together[:, column])
     squares, half_way = np.empty((wheels, wheels)), np.empty(3 + wheels)
@@ -407,8 +411,11 @@ def estimated_wheels(
             squares[j, k] = squares[k, j] = value
     axes = np.empty((wheels, wheels))
     _diagonalise(squares, axes)
-    # K = S (S + σ²)⁻¹ for S = X (1/q − 1) Xᵀ, q the spread: well conditioned for any q in 0 … 1
-    log_total: float = -0.5 * rows * (log_other + wheels * np.log(variance))
+    # K = S (S + Σ)⁻¹ for S = X (1/q − 1) Xᵀ, q the spread: well conditioned for any q in 0 … 1;
+    # in units of every wheel's own noise
+    log_total = -0.5 * rows * log_other
+    for j in range(wheels):
+        log_total -= 0.5 * rows * np.log(variance[j])
     inner = np.empty((wheels, wheels))
     for a in range(wheels):
         log_density, spread = _looked_up(rows, nodes, coefficients, squares[a, a])
@@ -416,7 +423,7 @@ def estimated_wheels(
         inner[a, a] = spread
         _solve_transposed(factor, axes[:, a])
         for j in range(wheels):
-            axes[j, a] *= np.sqrt((1.0 - spread) / variance)
+            axes[j, a] *= np.sqrt((1.0 - spread) / variance[j])
     for a in range(wheels):
         for b in range(a + 1):
             value = inner[a, a] if a == b else 0.0
@@ -432,9 +439,11 @@ def estimated_wheels(
             value = 0.0
             for a in range(wheels):
                 value += axes[j, a] * axes[k, a]
-            kept[j, k] = value
-            own += ((1.0 if j == k else 0.0) - value) * moments[3 + k, 3 + j]
-    log_total -= 0.5 * rows * own / variance
+            # back from units of the noise: K = Σ^½ K′ Σ^−½
+            kept[j, k] = value * np.sqrt(variance[j] / variance[k])
+            left = (1.0 if j == k else 0.0) - value
+            own += left * moments[3 + k, 3 + j] / np.sqrt(variance[j] * variance[k])
+    log_total -= 0.5 * rows * own
     return log_total
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cassini_bayes.balance.bands import Band, TurnBand
 from cassini_bayes.balance.physics import Physics
@@ -19,7 +20,7 @@ from cassini_bayes.balance.telemetry_terms import (
     band_covariances,
     covariance_beside_wheels,
     noise_covariance,
-    turn_covariances,
+    turn_noise,
     turn_weights,
     wheel_variance,
 )
@@ -68,10 +69,13 @@ def row_information(
         noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
         total = total + _whitened(event, band, gram, columns, noise, nominal)
     weights = balance_weights(event, physics, _scale(event, mean))
-    weights = turn_weights(event, physics, weights)
-    columns = _columns(event, weights, mean, own_sd, levels, step)
-    noises = turn_covariances(event, physics, parameters, _scale(event, mean))[0]
-    for turn, gram, noise in zip(event.turns, event.reduced.turns, noises, strict=True):
+    by_turn = turn_noise(event, physics, parameters, _scale(event, mean))
+    # how much of both is weighed against each other is no effect of a parameter
+    gain = np.repeat(by_turn.gain[:1], len(weights), axis=0)
+    turned = turn_weights(event, physics, weights, gain)
+    bands_of_turns = zip(event.turns, event.reduced.turns, by_turn.covariance[0], strict=True)
+    for place, (turn, gram, noise) in enumerate(bands_of_turns):
+        columns = _columns(event, turned[:, place], mean, own_sd, levels, step)
         total = total + _of_turns(event, turn, gram, columns, noise, nominal)
     return np.asarray(total)
 
@@ -82,15 +86,16 @@ def _noise_seen(event: TelemetryBalance, parameters: Mapping[str, Array]) -> dic
     Prior means of noise levels are good to a factor only, and what a channel's noise is taken for
     must not exceed all that there is in it.
     """
-    layout, used = event.statistics.layout, event.reduced.columns
-    rate = (used >= layout.rate.start) & (used < layout.rate.stop)
+    layout, reduced = event.statistics.layout, event.reduced
+    rows, contrasts = [band.rows for band in event.fast], [band.contrasts for band in event.turns]
     seen = {}
-    for name, grams, counts in (
-        ("rate_noise_rad_s", event.reduced.grams, [band.rows for band in event.fast]),
-        ("attitude_noise_rad", event.reduced.turns, [band.contrasts for band in event.turns]),
+    for name, columns, grams, counts in (
+        ("rate_noise_rad_s", layout.rate, reduced.grams, rows),
+        ("attitude_noise_rad", layout.turn, reduced.turns, contrasts),
     ):
         if len(grams) > 0:
-            largest = np.sqrt(np.diagonal(grams[-1][0, 0])[rate].mean() / counts[-1])
+            own = _are(event, columns)
+            largest = np.sqrt(np.diagonal(grams[-1][0, 0])[own].mean() / counts[-1])
             seen[name] = np.minimum(parameters[name], largest)
     return seen
 
@@ -108,7 +113,7 @@ def _of_turns(
     size = columns.shape[2]
     weighted = np.einsum("cd,uda->uca", inverse, columns)
     crossed = np.einsum("ucb,cdba->uda", weighted, gram)
-    quiet = _channel_square(event, nominal["attitude_noise_rad"], nominal, band.summed_s2)
+    quiet = _channel_square(event, nominal, band.summed_s2)
     own = np.einsum("uca,a,vca->uv", weighted, band.contrasts * quiet, columns)
     return np.asarray(crossed.reshape(-1, 3 * size) @ flat.T - own)
 
@@ -158,7 +163,7 @@ def _whitened(
     count, size = len(columns), event.reduced.slow.shape[1]
     variance = values[:, None] + nominal["torque_noise_n_m_s05"][0] ** 2 * band.walk  # (3, R)
     modes = event.reduced.slow.reshape(3 * size, -1)
-    quiet = band.rows * _channel_square(event, nominal["rate_noise_rad_s"], nominal, 1.0)
+    quiet = band.rows * _channel_square(event, nominal, 1.0)
     result = np.zeros((count, count))
     for own, axis in zip(variance, vectors.T, strict=True):
         along = (axis[:, None] * columns).reshape(count, -1)
@@ -173,18 +178,21 @@ def _whitened(
     return result
 
 
-def _channel_square(
-    event: TelemetryBalance, rate_noise: Array, nominal: Mapping[str, Array], summed: float
-) -> Array:
+def _channel_square(event: TelemetryBalance, nominal: Mapping[str, Array], summed: float) -> Array:
     """Square (A,) per row that the channels' own noise adds to each scalar column.
 
     Noise that drives a regressor tells nothing; the likelihood's Jacobian sees to the same.
-    ``rate_noise`` is that of the rates' columns, ``summed`` the factor of the wheels' variance.
+    ``summed`` is the factor of what is integrated: of rates and wheels, not of turns.
     """
     layout = event.statistics.layout
-    used = event.reduced.columns
-    square = np.zeros(len(used))
-    square[(used >= layout.rate.start) & (used < layout.rate.stop)] = rate_noise[0] ** 2
-    wheels = (used >= layout.wheel.start) & (used < layout.wheel.stop)
-    square[wheels] = summed * wheel_variance(event, nominal)[0]
+    square = np.zeros(len(event.reduced.columns))
+    square[_are(event, layout.rate)] = summed * nominal["rate_noise_rad_s"][0] ** 2
+    square[_are(event, layout.wheel)] = summed * wheel_variance(event, nominal)[0]
+    square[_are(event, layout.turn)] = nominal["attitude_noise_rad"][0] ** 2
     return square
+
+
+def _are(event: TelemetryBalance, columns: slice) -> NDArray[np.bool_]:
+    """Which of the columns that are left (A',) are some of the layout's."""
+    used = event.reduced.columns
+    return np.asarray((used >= columns.start) & (used < columns.stop))

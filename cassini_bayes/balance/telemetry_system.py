@@ -21,7 +21,7 @@ from cassini_bayes.balance.telemetry_terms import (
     band_covariances,
     band_wheel_variances,
     own_prior,
-    turn_covariances,
+    turn_noise,
     turn_weights,
 )
 from cassini_bayes.computing.arrays import Array
@@ -70,26 +70,25 @@ def event_system(
     weights = balance_weights(event, physics, thrust_n)
     own_mean, sd = own_prior(event, torque_mean, torque_sd)
     own_sd = np.tile(sd, (n, 1))
+    by_turn = turn_noise(event, physics, parameters, thrust_n)
     noise = Noise(
         np.ascontiguousarray(event.wheel_weights(physics)),
         band_covariances(event, physics, parameters, thrust_n),
         band_wheel_variances(event, parameters),
         parameters["torque_noise_n_m_s05"] ** 2,
-        turn_covariances(event, physics, parameters, thrust_n),
+        by_turn.covariance,
     )
     placed = Placed(np.r_[np.full(k, thrust_n), own_mean], _THRUST_SPREAD * thrust_n, own_sd)
     used = np.ascontiguousarray(weights[:, reduced.entries])
-    turned = np.ascontiguousarray(turn_weights(event, physics, weights)[:, reduced.entries])
+    turned = turn_weights(event, physics, weights, by_turn.gain)[:, :, reduced.entries]
     normal, log_scale, kept = normal_equations(
-        used, turned, noise, reduced.places, *event.bands, placed
+        used, np.ascontiguousarray(turned), noise, reduced.places, *event.bands, placed
     )
     channels = 3 + len(event.wheel_places)
     # of the channels' densities: rates and wheels of every row, turns of every contrast
-    by_rate, by_turn = (
-        np.linalg.slogdet(per_unit)[1]
-        for per_unit in (physics.momentum_per_rate, physics.inertia_kg_m2)
-    )
-    log_scale += event.statistics.rows * (by_rate - 0.5 * channels * np.log(2.0 * np.pi))
-    contrasts = sum(band.contrasts for band in event.turns)
-    log_scale += contrasts * (by_turn - 1.5 * np.log(2.0 * np.pi))
+    per_rate = np.linalg.slogdet(physics.momentum_per_rate)[1]
+    log_scale += event.statistics.rows * (per_rate - 0.5 * channels * np.log(2.0 * np.pi))
+    per_turn = np.linalg.slogdet((np.eye(3) + by_turn.gain) @ physics.inertia_kg_m2[:, None])[1]
+    contrasts = np.array([band.contrasts for band in event.turns], dtype=np.float64)
+    log_scale += (per_turn - 1.5 * np.log(2.0 * np.pi)) @ contrasts
     return EventSystem(normal, log_scale, own_sd, own_mean, kept)

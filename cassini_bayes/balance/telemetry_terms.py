@@ -20,6 +20,7 @@ import numpy as np
 from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
+from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
@@ -27,6 +28,7 @@ from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 INITIAL_SD_N_M_S: Final = 10.0
+LEAST_RATE_RAD_S: Final = 1e-9  # noise that no gyro goes below: without any, turns have no say
 SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses about that of all
 
 
@@ -81,7 +83,7 @@ class EventUnknowns:
 class Pattern:
     """Which columns enter which unknown: entries in order of owner (:class:`EventUnknowns`).
 
-    The other fields are places among the entries: by what a thrust acts, and wheel rates.
+    The other fields are places among the entries: by what a thrust acts, wheel rates and turns.
     """
 
     row: Places
@@ -95,6 +97,7 @@ class Pattern:
     members: Array  # (S, K) ones where a thruster is of the couple whose tails may have been cut
     brought: tuple[tuple[int, int, str], ...]  # columns of effects: entry, thruster, name
     wheels: Places  # (W,)
+    turns: Places  # (3,) turns of the attitude
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,7 @@ class TelemetryBalance:
     turns: tuple[TurnBand, ...]
     initial_mean_n_m_s: Array
     spin: Array
+    wheels: WheelSquares  # over all rows
     reduced: Reduced
 
     @property
@@ -158,12 +162,7 @@ class TelemetryBalance:
         """The bands for compiled code."""
         nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
         slow = SlowBand(
-            self.reduced.slow,
-            self.slow.walk,
-            self.slow.values,
-            self.slow.vectors,
-            nodes[0],
-            coefficients[0],
+            self.reduced.slow, self.slow.walk, self.slow.square, nodes[0], coefficients[0]
         )
         fast = FastBands(
             np.ascontiguousarray(self.reduced.grams.transpose(0, 3, 1, 2, 4)),
@@ -215,8 +214,8 @@ def make_balance(
     start = np.linalg.lstsq(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
-    slow, fast, slow_modes, grams = make_bands(statistics)
-    turns, turn_grams = turn_bands(statistics, _rate_square(statistics, fast, grams))
+    slow, fast, slow_modes, grams, of_wheels = make_bands(statistics)
+    turns, turn_grams = turn_bands(statistics)
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
     return TelemetryBalance(
@@ -229,6 +228,7 @@ def make_balance(
         turns=turns,
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
+        wheels=of_wheels,
         reduced=Reduced(
             everything,
             np.arange(slow_modes.shape[1]),
@@ -243,14 +243,6 @@ def make_balance(
     )
 
 
-def _rate_square(statistics: EventStatistics, fast: Sequence[Band], grams: Array) -> float:
-    """Mean square of the measured rates in the fastest band: their noise, or somewhat more."""
-    rate = statistics.layout.rate
-    if not fast:
-        return float(np.diagonal(statistics.gram[0, 0])[rate].mean()) / statistics.rows
-    return float(np.diagonal(grams[-1][0, 0])[rate].mean()) / fast[-1].rows
-
-
 def without_idle_columns(
     event: TelemetryBalance, physics: Physics, thrust_n: float
 ) -> TelemetryBalance:
@@ -261,6 +253,7 @@ def without_idle_columns(
     """
     pattern = event.pattern
     used = np.any(balance_weights(event, physics, thrust_n) != 0.0, axis=(0, 2))
+    used[pattern.turns] = len(event.turns) > 0  # without weight in rows
     entries = np.flatnonzero(used)
     # in the order in which the unknowns need them: inner products are symmetric
     columns, first = np.unique(pattern.row[entries], return_index=True)
@@ -331,7 +324,7 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         entries.append([*range(first, first + 9), count, *own, *added.values()])
     entries += [[column] for column in range(layout.torque.stop)]
     entries += [[layout.cut.start + place] for place in cuts]
-    measured = [*range(layout.rate.start, layout.wheel.stop)]
+    measured = [*range(layout.rate.start, layout.turn.stop)]
     torque = range(layout.torque.start, layout.torque.stop)
     entries.append([*measured, *torque, *_owned(layout, "").values()])
     start = np.cumsum([0, *map(len, entries)]).astype(np.int64)
@@ -351,7 +344,8 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         lost_by=places[:, 1],
         members=members,
         brought=tuple(brought),
-        wheels=start[-2] + np.arange(len(measured) - len(layout.wheels), len(measured)),
+        wheels=start[-2] + 4 + np.arange(len(layout.wheels)),
+        turns=start[-2] + 4 + len(layout.wheels) + np.arange(3),
     )
 
 
@@ -394,23 +388,43 @@ def noise_covariance(
     """
     wheels = event.wheel_weights(physics)
     left = wheels if kept is None else wheels @ kept
-    noise = wheel_variance(event, parameters)[:, None, None]
+    noise = wheel_variance(event, parameters)[:, None, :]
     other = covariance_beside_wheels(event, physics, parameters)
-    return np.asarray(other + noise * left @ np.swapaxes(wheels, -1, -2))
+    return np.asarray(other + (left * noise) @ np.swapaxes(wheels, -1, -2))
 
 
 def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Variance (n,) of a measured wheel rate, its rounding included, rad²/s²."""
-    noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
-    return np.asarray(noise**2 + event.statistics.steps.wheel_rad_s**2 / 12.0)
+    """Variance (n, W) of a measured wheel rate, its rounding included, rad²/s²."""
+    return _wheel_variances(event, parameters, event.wheels)
+
+
+def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Variance (n,) of a measured body rate, its rounding included, rad²/s²."""
+    rounding = event.statistics.steps.rate_rad_s**2 / 12.0
+    return np.asarray(parameters["rate_noise_rad_s"] ** 2 + rounding)
 
 
 def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Variance (n, 1 + F) of measured wheel rates in every band, rad²/s²: rounding is not white."""
-    noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
-    resting = np.array([band.resting for band in (event.slow, *event.fast)])
-    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0 * resting
-    return np.ascontiguousarray(noise[:, None] ** 2 + rounding)
+    """Variance (n, 1 + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
+    each = [_wheel_variances(event, parameters, b.wheels) for b in (event.slow, *event.fast)]
+    return np.ascontiguousarray(np.stack(each, axis=1))
+
+
+def _wheel_variances(
+    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
+) -> Array:
+    """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
+    noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
+    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
+    share = _lasting_share(event, parameters)
+    white = (noise**2 + rounding) * squares.moving + squares.seen
+    return np.asarray(white + rounding * share[:, None] * squares.lasting)
+
+
+def _lasting_share(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Share (n,) of the rounding of wheel rates that lasts; without steps there is none."""
+    step, noise = event.statistics.steps.wheel_rad_s, parameters["wheel_noise_rpm"]
+    return lasting_share(noise * RAD_S_PER_RPM / step) if step > 0.0 else np.zeros_like(noise)
 
 
 def covariance_beside_wheels(
@@ -418,8 +432,7 @@ def covariance_beside_wheels(
 ) -> Array:
     """Covariance (n, 3, 3) of what rates and attitudes put into a row, (N m s)²."""
     by_rate = physics.momentum_per_rate
-    rounding = event.statistics.steps.rate_rad_s**2 / 12.0
-    rate = (parameters["rate_noise_rad_s"] ** 2 + rounding)[:, None, None]
+    rate = rate_variance(event, parameters)[:, None, None]
     attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
     return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * event.spin)
 
@@ -437,25 +450,63 @@ def band_covariances(
     return np.ascontiguousarray(white[:, None] + np.stack(each, axis=1))
 
 
-def turn_covariances(
+@dataclass(frozen=True)
+class TurnNoise:
+    """What turns of quiet pieces say once the rows are known, by band (n, T, 3, 3).
+
+    ``gain`` is Q = D A⁻¹, of the covariance D of what rates and turns see alike and that A of the
+    gyro's own noise; ``covariance``, (N m s²)², is that of the balance of the turns with Q times
+    the momentum by which turns and gyro differ (:func:`turn_weights`).
+    """
+
+    gain: Array
+    covariance: Array
+
+
+def turn_noise(
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
+) -> TurnNoise:
+    """Noise of the turns of quiet pieces, given the rows.
+
+    A contrast of the integrated rows has the noise a + d, of the gyro and of all that is shared;
+    that of the turns θ + d. Given the former, the latter is θ + d − A-weighted guess of d: its
+    balance plus Q times turn less gyro has the covariance
+
+        (1 + Q) I Σ_θ Iᵀ (1 + Q)ᵀ + D + Q D,      Q = D A⁻¹
+
+    (docs/topics/telemetry-likelihood.md §5).
+    """
+    shared = _shared_turn_covariances(event, physics, parameters, thrust_n)
+    inertia, by_rate = physics.inertia_kg_m2, physics.momentum_per_rate
+    rate = np.maximum(rate_variance(event, parameters), LEAST_RATE_RAD_S**2)[:, None, None]
+    of_gyro = rate * by_rate @ np.swapaxes(by_rate, -1, -2)
+    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
+    of_turns = (attitude * inertia @ np.swapaxes(inertia, -1, -2))[:, None]
+    summed = np.array([band.summed_s2 for band in event.turns])[:, None, None]
+    gain = shared @ np.linalg.inv(of_gyro)[:, None] / summed
+    more = np.eye(3) + gain
+    covariance = more @ of_turns @ np.swapaxes(more, -1, -2) + more @ shared
+    return TurnNoise(gain, np.ascontiguousarray(covariance))
+
+
+def _shared_turn_covariances(
     event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
 ) -> Array:
-    """Covariance (n, T, 3, 3) of a contrast of the integrated balance by band, (N m s²)²."""
-    wheels, inertia = event.wheel_weights(physics), physics.inertia_kg_m2
-    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
-    by_attitude = attitude * inertia @ np.swapaxes(inertia, -1, -2)
-    by_wheels = wheel_variance(event, parameters)[:, None, None] * (
-        wheels @ np.swapaxes(wheels, -1, -2)
-    )
+    """Covariance (n, T, 3, 3) of what is in integrated rows and in turns alike, (N m s²)²."""
+    wheels = event.wheel_weights(physics)
+    white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
+    noise = _wheel_variances(event, parameters, white)
+    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
+    lasting = rounding * _lasting_share(event, parameters)[:, None]
     by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
     each = [
-        by_attitude
-        + band.summed_s2 * by_wheels
+        (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])
+        @ np.swapaxes(wheels, -1, -2)
         + band.walked_s3 * by_torque
         + _open_covariance(event, physics, thrust_n, band.cut, band.level)
         for band in event.turns
     ]
-    return np.ascontiguousarray(np.array(each).reshape(-1, *by_attitude.shape).swapaxes(0, 1))
+    return np.array(each).reshape(-1, *by_torque.shape).swapaxes(0, 1)
 
 
 def _open_covariance(
@@ -487,18 +538,26 @@ def close_share(physics: Physics, n: int) -> Array:
     return np.asarray(np.clip(np.broadcast_to(physics.close_share, (n,)), 0.0, 1.0))
 
 
-def turn_weights(event: TelemetryBalance, physics: Physics, weights: Array) -> Array:
-    """Weights (n, B, 3) for integrated columns: turns of the body need no gyro."""
-    result, n = weights.copy(), len(weights)
+def turn_weights(event: TelemetryBalance, physics: Physics, weights: Array, gain: Array) -> Array:
+    """Weights (n, T, B, 3) for integrated columns, at the gains (n, T, 3, 3) of the bands.
+
+    Turns of the body need no gyro; where rates and turns err alike, by which both differ from each
+    other tells the error of each: (1 + Q) I Θ − Q I (∫ω_m dt − ∫b dt)/(1 + s) + all else.
+    """
+    n, bands = gain.shape[:2]
+    result = np.repeat(weights[:, None], bands, axis=1)
     first = event.pattern.start[event.unknowns.measured]
-    inertia = np.broadcast_to(physics.inertia_kg_m2, (n, 3, 3))
-    result[:, first : first + 3] = np.swapaxes(inertia, -1, -2)
-    result[:, first + 3] = 0.0
+    # in rows they are those of the gyro's momentum, per rate and per its bias
+    of_gyro = weights[:, None, first : first + 4]
+    result[:, :, first : first + 4] = -of_gyro @ np.swapaxes(gain, -1, -2)
+    inertia = np.broadcast_to(physics.inertia_kg_m2, (n, 3, 3))[:, None]
+    turned = inertia + gain @ inertia
+    result[:, :, event.pattern.turns] = np.swapaxes(turned, -1, -2)
     return result
 
 
 def _measured_weights(event: TelemetryBalance, physics: Physics, wheels: Array) -> Array:
-    """Weights of the measured momentum's entries: rates, constant, wheels, torque, extra columns.
+    """Weights of the measured momentum's entries, in their order; turns have none in rows.
 
     What a steady torque or an effect's own column puts in is taken off the measured momentum.
     """
@@ -512,6 +571,7 @@ def _measured_weights(event: TelemetryBalance, physics: Physics, wheels: Array) 
             np.swapaxes(by_rate, -1, -2),
             -shift[..., 0][:, None],
             np.swapaxes(wheels, -1, -2),
+            np.zeros((n, 3, 3)),
             np.repeat(torque[:, :, None], 3, axis=2),
             *(weight[:, None] for weight in extra),
         ],

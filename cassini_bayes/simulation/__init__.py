@@ -24,6 +24,7 @@ from cassini_bayes.simulation.telemetry import (
     totals_row,
 )
 from cassini_bayes.simulation.truth import (
+    TORQUE_NOISE,
     Truth,
     check_complete,
     required_parameters,
@@ -33,6 +34,7 @@ from cassini_bayes.simulation.truth import (
 
 __all__ = [
     "EFFECTS",
+    "TORQUE_NOISE",
     "ChosenEffect",
     "Effect",
     "EffectRequest",

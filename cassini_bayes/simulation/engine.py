@@ -115,7 +115,11 @@ def event_duration_s(plan: Plan, cycle_s: float) -> float:
 
 
 def simulate_motion(
-    plan: Plan, steps: Steps, start_rng: Generator, knowledge_rng: Generator
+    plan: Plan,
+    steps: Steps,
+    start_rng: Generator,
+    knowledge_rng: Generator,
+    torque_rng: Generator,
 ) -> Motion:
     """Integrate one event.
 
@@ -125,8 +129,8 @@ def simulate_motion(
         The event with all its effects.
     steps
         Time grid.
-    start_rng, knowledge_rng
-        Draw the start within the dead-band, and the controllers' knowledge errors.
+    start_rng, knowledge_rng, torque_rng
+        Draw the start within the dead-band, the controllers' knowledge errors, and torque noise.
     """
     cycle = steps.step_s * steps.per_cycle
     duration = event_duration_s(plan, cycle)
@@ -160,6 +164,7 @@ def simulate_motion(
         steps.per_record,
         body,
         external_torque(plan),
+        _torque_noise(plan, n_cycles + 1, cycle, torque_rng),
         wheel_loop(plan),
         make_thrusters(plan),
         rcs_law(plan, body),
@@ -204,6 +209,13 @@ def _start_state(plan: Plan, body: kernel.Body, rng: Generator) -> Array:
     attitude = turned(base, error)
     wheels = np.array(plan.event.from_rpm) / RPM_PER_RAD_S
     return np.concatenate([attitude, rate, wheels, np.zeros(len(eta_dot)), eta_dot])
+
+
+def _torque_noise(plan: Plan, n_cycles: int, cycle_s: float, rng: Generator) -> Array:
+    """White torque (n, 3), N m, constant in a control cycle: a² Δt of momentum squared in each."""
+    if plan.torque_noise_n_m_s05 == 0.0:
+        return np.zeros((n_cycles, 3))
+    return plan.torque_noise_n_m_s05 / math.sqrt(cycle_s) * rng.standard_normal((n_cycles, 3))
 
 
 def _knowledge(plan: Plan, n_cycles: int, rng: Generator) -> tuple[Array, Array]:

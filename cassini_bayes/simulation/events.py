@@ -12,7 +12,7 @@ from cassini_bayes.simulation.plan import Plan, frozen_mapping
 from cassini_bayes.simulation.settings import EventSettings, Scenario
 from cassini_bayes.simulation.streams import stream
 from cassini_bayes.simulation.telemetry import Telemetry, observe, record_interval_s
-from cassini_bayes.simulation.truth import Truth
+from cassini_bayes.simulation.truth import TORQUE_NOISE, Truth
 from cassini_bayes.spacecraft import Spacecraft
 
 
@@ -51,6 +51,7 @@ def make_plan(
         propulsion=scenario.propulsion,
         start=event.start or scenario.start,
         appendages=scenario.appendage,
+        torque_noise_n_m_s05=parameters[TORQUE_NOISE] if scenario.torque_noise else 0.0,
     )
     duration = event_duration_s(plan, scenario.cycle_s)
     plan = replace(plan, event=event.model_copy(update={"duration_s": duration}))
@@ -60,12 +61,13 @@ def make_plan(
 
 
 def simulate_plan(plan: Plan, scenario: Scenario, seed: int) -> SimulatedEvent:
-    """Integrate a plan and sample it; start, knowledge and every channel have their own streams."""
+    """Integrate a plan and sample it; whatever is random has a stream of its own."""
     record = record_interval_s(scenario.telemetry)
     motion = simulate_motion(
         plan,
         Steps.of(scenario.step_s, scenario.cycle_s, record),
         stream(seed, plan.event.id, "start"),
         stream(seed, plan.event.id, "knowledge"),
+        stream(seed, plan.event.id, "torque noise"),
     )
     return SimulatedEvent(plan, motion, observe(plan, motion, scenario.telemetry, seed))

@@ -743,6 +743,7 @@ def advance(
     steps_per_record: int,
     body: Body,
     torque: Torque,
+    torque_noise_n_m: Array,
     loop: WheelLoop,
     thrusters: Thrusters,
     rcs: RcsLaw,
@@ -759,7 +760,8 @@ def advance(
 
     Thrust is integrated exactly over every step and enters as its mean, so no impulse is lost
     whatever the step; the rows of the ``_knowledge`` arrays are the errors with which the
-    controllers know attitude and rate, one row per control cycle.
+    controllers know attitude and rate, those of ``torque_noise_n_m`` an external torque in body
+    axes beside ``torque``, one row per control cycle each.
     """
     n_thrusters = thrusters.thrust_n.shape[0]
     n_wheels = body.axes.shape[1]
@@ -795,7 +797,9 @@ def advance(
         leaking = leaking or thrusters.leak_n[k] > 0.0
     disturbed = torque.width_s > 0.0
     for axis in range(3):
-        disturbed = disturbed or torque.steady_n_m[axis] != 0.0
+        disturbed = disturbed or torque.steady_n_m[axis] != 0.0 or torque_noise_n_m[0, axis] != 0.0
+    steady = np.zeros(3)
+    acting = Torque(steady, torque.peak_n_m, torque.centre_s, torque.width_s)
 
     for i in range(n_steps + 1):
         time = i * step
@@ -804,6 +808,7 @@ def advance(
             control_error(rwa, time, target, y, error)
             cycle = i // steps_per_cycle
             for axis in range(3):
+                steady[axis] = torque.steady_n_m[axis] + torque_noise_n_m[cycle, axis]
                 old_error[axis], old_rate[axis] = seen_error[axis], seen_rate[axis]
                 seen_error[axis] = error[axis] + attitude_knowledge_rad[cycle, axis]
                 seen_rate[axis] = (
@@ -869,13 +874,13 @@ def advance(
             force[:] = 0.0
         for axis in range(4):
             before[axis] = y[axis]
-        runge_kutta_step(time, step, y, thrust_torque, motor, body, torque, loop, rk_work, scratch)
+        runge_kutta_step(time, step, y, thrust_torque, motor, body, acting, loop, rk_work, scratch)
         if not (thrusting or disturbed):
             continue
 
         for axis in range(4):
             middle[axis] = before[axis] + y[axis]
-        external_torque(torque, time + 0.5 * step, total)
+        external_torque(acting, time + 0.5 * step, total)
         for axis in range(3):
             total[axis] += thrust_torque[axis]
         to_inertial(middle, total, inertial)

@@ -85,6 +85,7 @@ class Plan:
     warmup_deficit: Mapping[str, float] = field(default_factory=frozen_mapping)
     warmup_time_s: float = 1.0
     impulse_offset_s: float = 0.0
+    torque_noise_n_m_s05: float = 0.0  # momentum gained from white torque noise in 1 s, 1 σ an axis
     torque_pulse: TorquePulse = TorquePulse()
     surge: Surge = Surge()
     plume: Mapping[str, float] = field(default_factory=frozen_mapping)

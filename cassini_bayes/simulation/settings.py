@@ -215,10 +215,14 @@ class EffectRequest(Table):
 
 
 class Scenario(Table):
-    """A whole scenario file; ``step_s`` is the integrator's fixed step."""
+    """A whole scenario file; ``step_s`` is the integrator's fixed step.
+
+    With ``torque_noise`` a white torque acts, of the density ``torque_noise_n_m_s05`` of the truth.
+    """
 
     spacecraft: SpacecraftSettings
     truth: TruthTable = Field(default_factory=dict)
+    torque_noise: Flag = False
     step_s: Positive = 0.005
     cycle_s: Positive = 0.125
     rcs: RcsSettings = RcsSettings()

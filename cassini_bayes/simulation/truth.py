@@ -13,6 +13,7 @@ from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.spacecraft import Spacecraft
 
 FORMAT: Final = 1
+TORQUE_NOISE: Final = "torque_noise_n_m_s05"  # where a scenario wants it
 DEFAULTS: Final[Mapping[str, float]] = {
     **{f"external_torque_{axis}_n_m": 0.0 for axis in "xyz"},
     **{f"rate_bias_{axis}_rad_s": 0.0 for axis in "xyz"},

@@ -16,12 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.reduction import ChannelSteps
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import ScenarioFile, scenario_of
-from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 from cassini_bayes.studies.scenario import draw_wheel_rates
 
 NOISE: Final = (
@@ -146,22 +144,15 @@ def scenario_under(
         "rate_every_s": every,
         "wheel_every_s": every,
         "counter_every_s": counters,
-        # these two are rounded once torque noise is in them: :func:`printed_steps`
-        "wheel_resolution_rpm": 0.0,
-        "rate_resolution_rad_s": 0.0,
+        "wheel_resolution_rpm": WHEEL_STEPS[condition.wheel_step],
+        "rate_resolution_rad_s": RATES[condition.rates][2],
         "on_time_resolution_s": COUNTER_STEPS[condition.counter_step],
     }
+    document["torque_noise"] = True
     document["event"] = _events(document["event"], condition.events)
     document["effect"] = [dict(effect) for effect in effects]
     draw_wheel_rates(document["event"], rng)
     return scenario_of(document, scenario.parent, str(scenario))
-
-
-def printed_steps(condition: Condition) -> ChannelSteps:
-    """Steps of the rates and wheel rates that telemetry shows under a condition."""
-    return ChannelSteps(
-        RATES[condition.rates][2], WHEEL_STEPS[condition.wheel_step] * RAD_S_PER_RPM
-    )
 
 
 def _events(events: list[dict[str, Any]], mix: str) -> list[dict[str, Any]]:

@@ -27,7 +27,6 @@ from cassini_bayes.studies.conditions import (
     LEVELS,
     beliefs_under,
     draw_condition,
-    printed_steps,
     scenario_under,
     with_known_noise,
 )
@@ -79,9 +78,7 @@ class ConditionTrials:
             priors = with_known_noise(priors, truth)
         ranks, pareto_k = np.full(len(SCALARS), np.nan), np.nan
         try:
-            steps = printed_steps(condition)
-            events = [reduced_simulation(e, priors, rng, steps=steps) for e in flight.events]
-            model = build_model(events, priors)
+            model = build_model([reduced_simulation(e, priors) for e in flight.events], priors)
             z, pareto_k, _ = posterior_draws(partial(log_posterior, model), model, rng)
             drawn = flat_draws(model, z, rng)
             for place, name in enumerate(SCALARS):

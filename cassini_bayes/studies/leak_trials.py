@@ -32,7 +32,6 @@ from cassini_bayes.studies.scenario import (
     simulate_file,
     simulated_samples,
 )
-from cassini_bayes.studies.telemetry_calibration import with_torque_noise
 
 MODULE: Final = "studies.leak_trials"
 """Whose code, with all that it imports, a trial runs through."""
@@ -78,6 +77,7 @@ def fly_trial(
     own = copy.deepcopy(dict(document))
     own["event"] = [event for event in own["event"] if event["id"] == EVENT]
     draw_wheel_rates(own["event"], rng)
+    own["torque_noise"] = True
     own["truth"] = {"mass_kg": 2380.0, **{n: priors.parameters[n].mean for n in NOISE}}
     names = priors.spacecraft.thruster_names(priors.branch)
     size = float(np.exp(rng.uniform(np.log(SIZES_N[0]), np.log(SIZES_N[-1]))))
@@ -95,7 +95,6 @@ def fly_trial(
         file = scenario_of(own)
     event = simulate_file(file, seed, truth=truth).events[0]
     samples, thrusters = simulated_samples(event)
-    samples = with_torque_noise(samples, event, rng)
     residual = residual_of(samples, thrusters, event.plan.wheel_numbers, priors)
     tracks = (Odds(residual).track(), *(threshold_track(residual, w) for w in WINDOWS_S))
     return Trial(size, thruster, start, residual.first_s + residual.time_s, tracks)

@@ -25,6 +25,7 @@ from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors, read_priors
 from cassini_bayes.simulation import (
+    TORQUE_NOISE,
     Effect,
     ScenarioFile,
     SimulatedEvent,
@@ -177,7 +178,8 @@ def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> T
 
 def _check_truth(file: ScenarioFile, truth: Truth) -> None:
     table = file.scenario.spacecraft
-    needed = required_parameters(file.spacecraft, table.branch, table.wheels)
+    needed = [*required_parameters(file.spacecraft, table.branch, table.wheels)]
+    needed += [TORQUE_NOISE] if file.scenario.torque_noise else []
     check_complete(truth, needed, [event.id for event in file.scenario.event], file.where)
 
 

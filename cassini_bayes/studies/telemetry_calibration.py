@@ -15,12 +15,9 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from cassini_bayes.balance.physics import physics_of
-from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.statistics.columns import direction_cosines
-from cassini_bayes.balance.statistics.reduction import ChannelSteps
+from cassini_bayes.balance.statistics import reduce_chunks
+from cassini_bayes.balance.statistics.reduction import Preparation
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
@@ -35,7 +32,6 @@ from cassini_bayes.results.ranks import rank
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
-from cassini_bayes.simulation.arrays import prime_wheels
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
 from cassini_bayes.studies.scenario import (
     Simulation,
@@ -45,7 +41,7 @@ from cassini_bayes.studies.scenario import (
 )
 
 LogDensity = Any
-Control = Literal["none", "balance-residual", "pulse-blind"]
+Control = Literal["none", "balance-residual", "pulse-blind", "rounding-ignored", "cuts-ignored"]
 
 TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
@@ -54,7 +50,6 @@ RANK_DRAWS: Final = 999
 EFFORTS: Final = ((15.0, 1, 2_500), (6.0, 3, 6_000), (5.0, 4, 12_000))
 # Some forty autocorrelation times of several hundred walkers: enough for 999 draws.
 CHAIN_STEPS: Final = 300
-TAKEOVER_S: Final = 30.0
 MODULE: Final = "studies.telemetry_calibration"
 """Whose code, with all that it imports, a repetition runs through."""
 
@@ -100,6 +95,19 @@ CONTROLS: Final = (
         label="control: rows during pulses kept",
         control="pulse-blind",
     ),
+    replace(
+        VARIANTS[0],
+        name="rounding-ignored",
+        label="control: counters of 10 ms taken as exact",
+        telemetry={"on_time_resolution_s": 0.01},
+        control="rounding-ignored",
+    ),
+    replace(
+        VARIANTS[0],
+        name="cuts-ignored",
+        label="control: no pulse taken to cut the one before",
+        control="cuts-ignored",
+    ),
 )
 
 
@@ -142,6 +150,8 @@ class TelemetryCampaign:
     def priors(self) -> Priors:
         """The priors file, with the variant's own wheel noise."""
         priors = read_priors(self.priors_path)
+        if self.variant.control == "cuts-ignored":
+            priors = priors.with_fixed(CLOSE_SHARE, 0.0)
         if self.variant.wheel_noise_rpm is None:
             return priors
         narrow = Distribution("lognorm", {"s": 0.3, "scale": self.variant.wheel_noise_rpm})
@@ -152,7 +162,7 @@ class TelemetryCampaign:
         rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
         priors = self.priors()
         simulation = self.simulate(priors, rng)
-        model = model_of(simulation, self.variant, priors, rng)
+        model = model_of(simulation, self.variant, priors)
         z, pareto_k, by_chain = posterior_draws(log_density_of(model, self.variant), model, rng)
         drawn = flat_draws(model, z, rng)
         truth = flat_truth(simulation)
@@ -164,6 +174,7 @@ class TelemetryCampaign:
         path = Path(self.scenario_path)
         document = read_toml(path, "a scenario file")
         document["telemetry"] |= self.variant.telemetry
+        document["torque_noise"] = True
         document["event"] = [e for e in document["event"] if e["id"] in self.variant.events]
         draw_wheel_rates(document["event"], rng)
         scenario = scenario_of(document, path.parent, str(path))
@@ -180,96 +191,40 @@ def _walked(priors: Priors, fires: bool) -> tuple[str, ...]:
     return priors.space(telemetry_parameters(shared, priors.wheels, fires=fires)).names
 
 
-def model_of(
-    simulation: Simulation, variant: Variant, priors: Priors, rng: np.random.Generator
-) -> Model:
+def model_of(simulation: Simulation, variant: Variant, priors: Priors) -> Model:
     """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
     guard_s = 0.0 if variant.control == "pulse-blind" else None
-    events = [reduced_simulation(event, priors, rng, guard_s) for event in simulation.events]
+    exact = variant.control == "rounding-ignored"
+    events = [
+        reduced_simulation(event, priors, guard_s, exact_counters=exact)
+        for event in simulation.events
+    ]
     return build_model(events, priors)
 
 
 def reduced_simulation(
     event: SimulatedEvent,
     priors: Priors,
-    rng: np.random.Generator | None = None,
     guard_s: float | None = None,
-    steps: ChannelSteps | None = None,
+    *,
+    exact_counters: bool = False,
 ) -> ReducedEvent:
     """A simulated event as a model takes it.
 
-    With ``rng`` the telemetry gets its torque noise first, and then it is rounded to ``steps``;
-    ``guard_s`` replaces the guard time.
+    ``guard_s`` replaces the guard time; ``exact_counters`` takes the counters at their word,
+    whatever they are rounded to.
     """
     samples, thrusters = simulated_samples(event)
-    if rng is not None:
-        samples = with_torque_noise(samples, event, rng)
-    if steps is not None:
-        samples = replace(
-            samples,
-            rate_rad_s=_rounded(samples.rate_rad_s, steps.rate_rad_s),
-            wheel_rad_s=_rounded(samples.wheel_rad_s, steps.wheel_rad_s),
-        )
     sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
     if guard_s is not None:
         sampling = replace(sampling, guard_s=guard_s)
     declared, wheels = event.plan.event, event.plan.wheel_numbers
-    return reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
-
-
-def _rounded(values: Array, step: float) -> Array:
-    return np.asarray(step * np.round(values / step)) if step > 0.0 else values
-
-
-def with_torque_noise(samples: Samples, event: SimulatedEvent, rng: np.random.Generator) -> Samples:
-    """Telemetry with the momentum of a white torque in it, as much as is true.
-
-    The simulation knows no such torque. Its momentum, conserved in inertial axes, goes to the
-    body's rates first, from where the wheels take it over with the controller's time constant.
-    """
-    plan = event.plan
-    density = plan.parameters["torque_noise_n_m_s05"]
-    values = {name: np.asarray(value) for name, value in plan.parameters.items()}
-    physics = physics_of(prime_wheels(plan), "", values, fires=False)
-    # no channel is slower than the attitude, which is sampled whenever wheels are
-    known = np.isfinite(samples.attitude[:, 0])
-    to_body = direction_cosines(samples.attitude[known])
-    steps = np.sqrt(np.diff(samples.time_s[known], prepend=samples.time_s[0]))
-    kicks = density * steps[:, None] * rng.standard_normal((len(steps), 3))
-    inertial = np.cumsum(np.einsum("nab,na->nb", to_body, kicks), axis=0)
-    momentum = np.full((len(samples), 3), np.nan)
-    momentum[known] = np.einsum("nab,nb->na", to_body, inertial)
-    by_wheels = np.full_like(momentum, np.nan)
-    by_wheels[known] = _taken_over(momentum[known], steps**2 / TAKEOVER_S)
-    wheels = by_wheels @ np.linalg.pinv(physics.wheel_weights).T
-    rates = (momentum - by_wheels) @ np.linalg.inv(physics.inertia_kg_m2).T
-    return replace(
-        samples,
-        attitude=_turned(samples, rates),
-        rate_rad_s=samples.rate_rad_s + rates,
-        wheel_rad_s=samples.wheel_rad_s + wheels,
-    )
-
-
-def _turned(samples: Samples, rates: Array) -> Array:
-    """Attitudes (n, 4) of a body that has also turned at these rates (n, 3), which are small."""
-    known = np.flatnonzero(np.isfinite(samples.attitude[:, 0]))
-    steps = np.diff(samples.time_s[known])[:, None]
-    gained = 0.5 * steps * (rates[known[1:]] + rates[known[:-1]])
-    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(gained, axis=0)])
-    attitude = samples.attitude.copy()
-    before = Rotation.from_quat(attitude[known])
-    attitude[known] = (before * Rotation.from_rotvec(angle)).as_quat()
-    return attitude
-
-
-def _taken_over(momentum: Array, steps: Array) -> Array:
-    """A first-order lag of momentum (n, 3); ``steps`` (n,) are times between rows over τ."""
-    taken = np.zeros_like(momentum)
-    for i, share in enumerate(-np.expm1(-steps)):
-        before = taken[i - 1] if i > 0 else np.zeros(3)
-        taken[i] = before + share * (momentum[i] - before)
-    return taken
+    reduced = reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
+    if not exact_counters:
+        return reduced
+    known, prepared = reduced.statistics, Preparation(reduced.statistics.steps)
+    given = (known.event_id, known.kind, (samples,), known.layout, sampling)
+    return replace(reduced, statistics=reduce_chunks(*given, prepared=prepared))
 
 
 def log_density_of(model: Model, variant: Variant) -> LogDensity:

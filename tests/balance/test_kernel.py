@@ -52,7 +52,7 @@ def equations(
     ``turns``: rows (m, 3, 2) of integrated columns and the variance of their noise, by band.
     """
     modes = np.random.default_rng(2).standard_normal((3, 2, 4))
-    slow = SlowBand(modes, np.ones(4), np.ones(1), np.eye(1), np.zeros(0), np.zeros((4, 0, 2)))
+    slow = SlowBand(modes, np.ones(4), np.eye(1), np.zeros(0), np.zeros((4, 0, 2)))
     fast = FastBands(
         np.zeros((0, 3, 3, 2, 2)),
         np.zeros(0),
@@ -68,11 +68,12 @@ def equations(
     )
     by_turns = np.array([variance * np.eye(3) for _, variance in turns]).reshape(1, -1, 3, 3)
     noise = Noise(
-        np.ones((1, 3, 1)), beside[None, None], np.full((1, 1), 1e-12), np.zeros(1), by_turns
+        np.ones((1, 3, 1)), beside[None, None], np.full((1, 1, 1), 1e-12), np.zeros(1), by_turns
     )
     placed = Placed(np.zeros(1), 1.0, np.full((1, 1), own_sd))
     weights = np.ones((1, 2, 3))
-    return kernel.normal_equations(weights, 2.0 * weights, noise, entries, slow, fast, band, placed)
+    turned = np.repeat(2.0 * weights[:, None], len(turns), axis=1)
+    return kernel.normal_equations(weights, turned, noise, entries, slow, fast, band, placed)
 
 
 def test_inner_products_of_modes_are_the_sums_written_out() -> None:

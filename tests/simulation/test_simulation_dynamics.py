@@ -70,6 +70,20 @@ def test_momentum_change_is_the_integral_of_thruster_torque() -> None:
     assert np.abs(motion.angular_impulse_n_m_s[-1]).max() > 10.0
 
 
+def test_torque_noise_is_a_random_walk_of_momentum() -> None:
+    """Gained momentum has the variance a² t and independent steps; what is gained is conserved."""
+    density, ends, halves = 1e-3, [], []
+    for seed in range(30):
+        motion = run(make_plan(TUMBLE, torque_noise_n_m_s05=density), seed=seed, record_s=1.0)
+        assert relative_drift(motion) < 1e-6
+        halves.append(motion.angular_impulse_n_m_s[48])
+        ends.append(motion.angular_impulse_n_m_s[-1] - halves[-1])
+    # 90 values each: relative standard error of a variance 0.15, of a correlation 0.11
+    assert np.var(halves) == pytest.approx(density**2 * 48.0, rel=0.45)
+    assert np.var(ends) == pytest.approx(density**2 * 48.0, rel=0.45)
+    assert abs(np.corrcoef(np.ravel(halves), np.ravel(ends))[0, 1]) < 0.33
+
+
 def test_the_accumulated_impulse_is_that_of_the_logged_pulses() -> None:
     """The impulse follows from pulse log, thrust curve and attitude, written down independently."""
     motion = run(make_plan({**BIAS, "to_rpm": (-918.0, 1300.0, 229.0)}))

@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cassini_bayes.balance.physics import physics_of
 from cassini_bayes.results.ranks import Ranks
-from cassini_bayes.studies.scenario import simulated_samples
 from cassini_bayes.studies.telemetry_calibration import (
     CONTROLS,
     VARIANTS,
@@ -17,7 +15,6 @@ from cassini_bayes.studies.telemetry_calibration import (
     flat_draws,
     flat_truth,
     model_of,
-    with_torque_noise,
 )
 from cassini_bayes.studies.telemetry_campaign import FULL, QUICK, judge
 
@@ -102,28 +99,3 @@ def test_the_judgement_is_over_all_variants_together() -> None:
     assert not bad.passed
     failing = bad.table[bad.table["p_envelope_holm"] <= 0.01]
     assert list(failing["variant"] + failing["parameter"]) == ["onec"]
-
-
-def test_torque_noise_walks_in_inertial_axes() -> None:
-    """Wheels and body gain the momentum of a white torque, of variance density² t together."""
-    campaign = TelemetryCampaign(SCENARIO, PRIORS, 4, VARIANTS[2])
-    priors = campaign.priors().with_fixed("torque_noise_n_m_s05", 1e-3)
-    event = campaign.simulate(priors, np.random.default_rng(3)).events[0]
-    samples, _ = simulated_samples(event)
-    physics = physics_of(
-        event.plan.spacecraft,
-        "",
-        {name: np.asarray(value) for name, value in event.plan.parameters.items()},
-        fires=False,
-    )
-    weights = physics.wheel_weights[:, [0, 1, 3]]
-    end, half = [], []
-    for seed in range(200):
-        noisy = with_torque_noise(samples, event, np.random.default_rng(seed))
-        gained = (noisy.wheel_rad_s - samples.wheel_rad_s) @ weights.T
-        gained += (noisy.rate_rad_s - samples.rate_rad_s) @ physics.inertia_kg_m2
-        end.append(gained[-1])
-        half.append(gained[len(gained) // 4])
-    # 600 values: relative standard error of a variance 0.058
-    assert np.var(end) == pytest.approx(1e-6 * samples.time_s[-1], rel=0.24)
-    assert np.var(half) == pytest.approx(0.25e-6 * samples.time_s[-1], rel=0.24)

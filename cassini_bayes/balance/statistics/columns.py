@@ -5,10 +5,11 @@ In body axes at time t, with R(t, t') the rotation from body axes at t' to those
     I ω + H_w = R(t, 0) h0 + Σ_k F_k Σ_j q_kj ∫ R(t, t') e_j ds_k + Σ_j τ_j ∫ R(t, t') e_j dt'
 
 (paper 000 eqs. 4-7 and 15-17 in inertial form). Scalar columns stand for one column per axis:
-ω_x, ω_y, ω_z, 1, ρ_1 … ρ_W. Vector columns have three components at each time: R e_j for the
-initial momentum, ∫R e_j dt for a steady torque, ∫R e_j ds_k for thruster k. The effective on-time s
-depends on the pulse parameters: three columns hold its value at the reference parameters and its
-derivatives with respect to τ_r and τ_f there (exact in τ_f for ``first_order``).
+ω_x, ω_y, ω_z, 1, ρ_1 … ρ_W, and the turns of the attitude, which only the balance integrated over
+quiet pieces has (:mod:`.turns`; zero in rows). Vector columns have three components at each time:
+R e_j for the initial momentum, ∫R e_j dt for a steady torque, ∫R e_j ds_k for thruster k. The
+effective on-time s depends on the pulse parameters: three columns hold its value at the reference
+parameters and its derivatives with respect to τ_r and τ_f there (exact in τ_f for ``first_order``).
 """
 
 from __future__ import annotations
@@ -125,6 +126,7 @@ class Layout:
             *(f"rate:{axis}" for axis in AXES),
             "one",
             *(f"wheel:{number}" for number in self.wheels),
+            *(f"turn:{axis}" for axis in AXES),
             *(
                 f"cut:{self.thrusters[couple[0]]}:{part}"
                 for couple in self.couples
@@ -170,9 +172,14 @@ class Layout:
         return slice(len(self.vector) + 4, len(self.vector) + 4 + len(self.wheels))
 
     @property
+    def turn(self) -> slice:
+        """The turns of the attitude, in integrated columns alone."""
+        return slice(self.wheel.stop, self.wheel.stop + 3)
+
+    @property
     def cut(self) -> slice:
         """Pairs of pulses that may be close together, :data:`CUT_COLUMNS` per couple."""
-        return slice(self.wheel.stop, self.wheel.stop + CUT_COLUMNS * len(self.couples))
+        return slice(self.turn.stop, self.turn.stop + CUT_COLUMNS * len(self.couples))
 
     @property
     def pulse_count(self) -> slice:
@@ -345,6 +352,7 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
             context.rate_rad_s,
             np.ones((n, 1)),
             context.wheel_rad_s,
+            np.zeros((n, 3)),
             cuts[index],
             context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0)),
             *(extra.values(context)[:, None] for extra in sampling.extra),
@@ -495,8 +503,10 @@ def quarter_of(time_s: Array, duration_s: float) -> NDArray[np.intp]:
 def effective_increments(on_time: Array, pulses: Array, sampling: Sampling) -> Array:
     """Effective on-time of every counter interval and its derivatives, (m, K, 3).
 
-    Intervals in a row with firing belong together: a pulse may run from one into the next. They
+    An interval in which no pulse begins goes on with the last pulse of the one before: both
     share the mean width of their pulses, and their effective on-time in proportion to on-time.
+    Where pulses begin they are taken by themselves: the mean width of more of them would hide how
+    unlike they are, and short ones deliver less than in proportion.
     on_time, pulses (m, K) are the increments of the counters.
     """
     firing = (on_time > 0) | (pulses > 0)
@@ -505,7 +515,8 @@ def effective_increments(on_time: Array, pulses: Array, sampling: Sampling) -> A
         rows = np.flatnonzero(firing[:, k])
         if len(rows) == 0:
             continue
-        run = np.concatenate([[0], np.cumsum(np.diff(rows) > 1)])
+        begins = (np.diff(rows) > 1) | (pulses[rows[1:], k] > 0)
+        run = np.concatenate([[0], np.cumsum(begins)])
         seconds = np.bincount(run, on_time[rows, k])
         # a run without a start goes on from before the first reading
         count = np.maximum(np.bincount(run, pulses[rows, k]), 1.0)

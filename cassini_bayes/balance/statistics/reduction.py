@@ -38,7 +38,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512
-_FORMAT: Final = 6
+_FORMAT: Final = 7
 BLOCK_ROWS: Final = 4_096
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -77,7 +77,8 @@ class TurnStatistics:
     Of the ``pieces`` slopes: ``slope_gram`` (3, 3, A, A), and with the cosines m = 0 … M of the
     momentum ``slope_projection`` (1 + M, 3, A) and ``slope_mode_gram`` (1 + M, 1 + M);
     ``slope_time_s`` (r,) and ``slope_waves`` (r, 1 + M) are evenly thinned times of the pieces and
-    the cosines there, the first of them |t − t̄|, each for ``slope_stride`` pieces. Of the
+    the cosines there, the first of them |t − t̄|, and ``slope_resting`` (r, W) the wheel rates that
+    stay the same in them, else NaN; each stands for ``slope_stride`` pieces. Of the
     ``contrasts`` that are left: ``gram``. The others are mean squares per slope or contrast
     (:class:`cassini_bayes.balance.statistics.turns.Turned`).
     """
@@ -88,6 +89,7 @@ class TurnStatistics:
     slope_mode_gram: Array
     slope_time_s: Array
     slope_waves: Array
+    slope_resting: Array
     slope_stride: int
     slope_summed_s2: float
     contrasts: int
@@ -376,7 +378,7 @@ class _Turns:
         self._rule: PieceRule | None = None
         self._waiting: list[Rows] = []
         self._before = 0  # rows of the piece before, by which a corner at the first row shows
-        self._places = Thinned()  # (p, 1 + waves) times, and cosines there
+        self._places = Thinned()  # (p, 1 + waves + W) times, cosines there, resting wheels
         self._pieces, self._contrasts = 0, 0
         self._slopes = _Inner(
             np.zeros((size, size)), np.zeros((waves, size)), np.zeros((waves, waves))
@@ -405,7 +407,7 @@ class _Turns:
         found = turned(rows, self._layout, ends, self._sampling.duration_s)
         slopes, waves = found.slopes, found.waves
         self._slopes.gather(_Inner(slopes.T @ slopes, waves.T @ slopes, waves.T @ waves))
-        self._places.add(np.concatenate([found.time_s[:, None], waves], axis=1))
+        self._places.add(np.concatenate([found.time_s[:, None], waves, found.resting], axis=1))
         self._pieces += len(slopes)
         self._rest += found.rest.T @ found.rest
         self._contrasts += found.contrasts
@@ -419,7 +421,8 @@ class _Turns:
         slope_gram, columns = _by_axes(self._slopes.columns, self._layout)
         counts = np.maximum([self._pieces, self._contrasts, self._contrasts], 1)
         by_slope, by_contrast, walked = (self._squares / counts).tolist()
-        places = np.concatenate([np.zeros((0, SLOPE_WAVES + 2)), *self._places.kept])
+        width = SLOPE_WAVES + 2 + len(self._layout.wheels)
+        places = np.concatenate([np.zeros((0, width)), *self._places.kept])
         return TurnStatistics(
             self._pieces,
             slope_gram,
@@ -427,7 +430,8 @@ class _Turns:
             np.ascontiguousarray(np.stack([self._slopes.mixed[:, own] for own in columns], axis=1)),
             self._slopes.modes,
             places[:, 0].copy(),
-            places[:, 1:].copy(),
+            places[:, 1 : SLOPE_WAVES + 2].copy(),
+            places[:, SLOPE_WAVES + 2 :].copy(),
             self._places.stride,
             by_slope,
             self._contrasts,

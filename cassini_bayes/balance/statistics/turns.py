@@ -1,4 +1,4 @@
-"""Turns of the attitude as measured rates: the momentum balance integrated over quiet pieces.
+"""Turns of the attitude beside those of the gyro: the momentum balance over quiet pieces.
 
 The attitude is measured as well as the rates, and over some seconds its differences are the better
 rate: real records have rates of 2e-5 rad/s and attitudes of 1e-5 rad, so that 32 s of attitudes
@@ -45,7 +45,8 @@ class Turned:
 
     ``slopes`` (p, 3 V + S) are vector columns (axis first) and scalar columns, one row for every
     piece at ``time_s`` (p,); ``waves`` (p, 1 + M) are those of the cosines cos(m π t/T), m = 0 … M,
-    the first of them |t − t̄|. ``rest`` (n, 3 V + S) are the columns without their slopes, at all
+    the first of them |t − t̄|; ``resting`` (p, W) are the wheel rates shown where they stay the same
+    throughout a piece, else NaN. ``rest`` (n, 3 V + S) are the columns without their slopes, at all
     rows of the pieces. The others are sums of squares: of unit white noise of a rate summed up by
     trapezoids (s²), and of a unit random walk since the piece began, integrated (s³).
     """
@@ -53,6 +54,7 @@ class Turned:
     time_s: Array
     slopes: Array
     waves: Array
+    resting: Array
     slopes_summed: float
     rest: Array
     contrasts: int
@@ -135,9 +137,11 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
     vectors = rows.vector.shape[2]
     n = len(rows.time_s)
     flat = np.concatenate([rows.vector.reshape(n, -1), rows.scalar], axis=1)
-    rate = slice(layout.rate.start + 2 * vectors, layout.rate.stop + 2 * vectors)
+    turn = slice(layout.turn.start + 2 * vectors, layout.turn.stop + 2 * vectors)
+    wheel = slice(layout.wheel.start + 2 * vectors, layout.wheel.stop + 2 * vectors)
     order = np.arange(SLOPE_WAVES + 1)
     times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, len(order)))]
+    resting = [np.zeros((0, len(layout.wheels)))]
     rest = [np.zeros((0, flat.shape[1]))]
     contrasts, slopes_summed, rest_summed, rest_walked = 0, 0.0, 0.0, 0.0
     for start, stop in pairwise(ends):
@@ -146,13 +150,15 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
         time = rows.time_s[start:stop]
         own = _integral(time, flat[start:stop])
         turns = turns_between(rows.cosines[start:stop])
-        own[:, rate] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
+        own[:, turn] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
         cosines = _integral(time, np.cos(np.pi / duration_s * time[:, None] * order))
         summed = _integral(time, np.eye(len(time)))
         walked = summed @ (np.sqrt(np.diff(time)) * np.tri(len(time), len(time) - 1, -1))
         ramp = time - time.mean()
         ramp /= np.linalg.norm(ramp)
         times.append(time.mean())
+        shown = flat[start:stop, wheel]
+        resting.append(np.where(np.ptp(shown, axis=0) == 0.0, shown[:1], np.nan))
         slopes.append(ramp[None] @ own)
         waves.append(ramp[None] @ cosines)
         rest.append(_without_slope(own, ramp))
@@ -164,6 +170,7 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
         np.array(times),
         np.concatenate(slopes),
         np.concatenate(waves),
+        np.concatenate(resting),
         slopes_summed,
         np.concatenate(rest),
         contrasts,

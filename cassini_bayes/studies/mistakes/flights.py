@@ -18,7 +18,6 @@ from cassini_bayes.simulation import SimulatedEvent
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 from cassini_bayes.studies.conditions import Condition, beliefs_under, scenario_under
 from cassini_bayes.studies.scenario import simulate_file, simulated_samples
-from cassini_bayes.studies.telemetry_calibration import with_torque_noise
 
 EFFECTS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     {
@@ -67,10 +66,7 @@ def fly(
     file = scenario_under(condition, scenario, priors, rng, hidden)
     believed = beliefs_under(condition, priors)
     flight = simulate_file(file, int(rng.integers(2**62)), priors=believed)
-    events = [
-        recorded(event, with_torque_noise(simulated_samples(event)[0], event, rng))
-        for event in flight.events
-    ]
+    events = [recorded(event, simulated_samples(event)[0]) for event in flight.events]
     return Flight(believed, tuple(events), flight.totals())
 
 

@@ -28,6 +28,7 @@ from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated
 from cassini_bayes.studies.simulation.tables import markdown
 
 WIDTHS_S: Final = (0.007, 0.02, 0.06, 0.125, 0.25, 0.5, 0.75)
+STREAMS: Final = ("start", "knowledge", "torque noise")
 SHAPES: Final = ("rectangular", "first_order", "first_order_held", "published_2005")
 ORDER_STEPS_S: Final = (2.0, 1.0, 0.5)
 FINEST_STEP_S: Final = 0.0625
@@ -98,7 +99,7 @@ def integrator_orders(file: ScenarioFile) -> tuple[float, ...]:
         )
         plan = make_plan(scenario, file.spacecraft, event, draw_truth(file, 1))
         steps = Steps.of(step, scenario.cycle_s, scenario.cycle_s)
-        motion = simulate_motion(plan, steps, stream(1, "start"), stream(1, "knowledge"))
+        motion = simulate_motion(plan, steps, *(stream(1, use) for use in STREAMS))
         ends.append(np.concatenate([motion.attitude[-1], motion.rate_rad_s[-1]]))
     errors = [float(np.linalg.norm(end - ends[-1])) for end in ends[:-1]]
     return tuple(math.log2(a / b) for a, b in itertools.pairwise(errors))
@@ -131,7 +132,7 @@ def speed(file: ScenarioFile) -> float:
     best = math.inf
     for _ in range(6):
         began = time.process_time()
-        motion = simulate_motion(plan, steps, stream(1, "start"), stream(1, "knowledge"))
+        motion = simulate_motion(plan, steps, *(stream(1, use) for use in STREAMS))
         best = min(best, time.process_time() - began)
     return motion.duration_s / best
 

@@ -1,0 +1,140 @@
+"""Rounded wheel rates: where a wheel rests its rounding lasts, elsewhere it is noise of every row.
+
+A wheel that passes one printed value after the other has a rounding that is another in every row:
+white noise of Δ²/12 beside that of the measurement. While a wheel rests, the rounding is the same
+in all rows. How much a reading scatters then depends on where between two printed values the wheel
+is, which is not known, but the scatter itself is seen. So rows at rest have the variance that they
+show, and one lasting error on top (docs/topics/telemetry-likelihood.md §11).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassini_bayes.computing.arrays import Array, Flags
+
+_HARMONICS: Final = 64  # of a sawtooth: the rest has less than a percent of its square
+WINDOW: Final = 8  # rows on either side; a wheel that gains a step between their means moves
+
+
+@dataclass(frozen=True)
+class WheelSquares:
+    """Mean squares of the noise of W measured wheel rates over some modes or rows.
+
+    The variance of a wheel is σ² ``moving`` + ``seen`` + Δ²/12 (``moving`` + b ``lasting``): σ is
+    the noise of the measurement, Δ the step and b the share of the rounding that lasts at that
+    noise.
+    """
+
+    moving: Array  # (W,) rows in which it moves
+    seen: Array  # (W,) rad²/s², what rows at rest scatter
+    lasting: Array  # (W,) of a rounding that lasts, over that of a single row
+
+    def __sub__(self, other: WheelSquares) -> WheelSquares:
+        """What is left of sums of squares; rounding of the arithmetic leaves no less than none."""
+        return WheelSquares(
+            *(
+                np.maximum(a - b, 0.0)
+                for a, b in (
+                    (self.moving, other.moving),
+                    (self.seen, other.seen),
+                    (self.lasting, other.lasting),
+                )
+            )
+        )
+
+    def over(self, count: float) -> WheelSquares:
+        """Means over so many modes or rows of what are sums."""
+        return WheelSquares(self.moving / count, self.seen / count, self.lasting / count)
+
+
+@dataclass(frozen=True)
+class Rests:
+    """Where one wheel rests, by row (r,).
+
+    ``starts`` are the first rows of stretches that share a rounding, every row in which the wheel
+    moves being one of its own; ``variance`` (r,) is what a row at rest scatters, in steps squared.
+    """
+
+    moving: Flags
+    variance: Array
+    starts: NDArray[np.intp]
+
+
+def rests(levels: Array) -> Rests:
+    """Where a wheel whose printed rates are whole numbers (r,) of steps rests.
+
+    It moves where it gains a step over the window, or passes through a printed value: comes from
+    one side and leaves on the other, for good. Readings that change to and fro are one stretch at
+    rest, and scatter by half the mean square of their differences.
+    """
+    rows = len(levels)
+    total = np.concatenate([[0.0], np.cumsum(levels)])
+    at = np.arange(rows)
+    before, after = np.maximum(at - WINDOW, 0), np.minimum(at + WINDOW, rows)
+    mean_before = (total[at] - total[before]) / np.maximum(at - before, 1)
+    mean_after = (total[after] - total[at]) / (after - at)
+    moving = (np.abs(mean_after - mean_before) > 1.0) & (at > before)
+    change = np.diff(levels)
+    edges = np.flatnonzero(change) + 1
+    came, left = edges[:-1], edges[1:]
+    passed = np.sign(change[came - 1]) == np.sign(change[left - 1])
+    # noise to either side of a value is no passage
+    passed &= np.abs(mean_after[left] - mean_before[came]) > 1.0
+    for first, last in zip(came[passed], left[passed], strict=True):
+        moving[first:last] = True
+    # a stretch ends where a value is passed, and at rows that move
+    stays = np.ones(rows, dtype=bool)
+    stays[came[passed]] = stays[left[passed]] = stays[0] = False
+    stays &= ~moving & ~np.concatenate([[True], moving[:-1]])
+    starts = np.flatnonzero(~stays)
+    lengths = np.diff(starts, append=rows)
+    jumps = np.where(stays, np.diff(levels, prepend=levels[:1]) ** 2, 0.0)
+    scatter = np.add.reduceat(jumps, starts) / np.maximum(2.0 * (lengths - 1), 1.0)
+    moving = moving | np.repeat(lengths == 1, lengths)
+    return Rests(moving, np.where(moving, 0.0, np.repeat(scatter, lengths)), starts)
+
+
+def lasting_share(noise: Array) -> Array:
+    """Share (n,) of the square of a rounding that lasts while a wheel rests.
+
+    ``noise`` (n,) is that of the measurement, σ/Δ. It dithers: of a rate that rests at a phase x of
+    the step the mean of what is printed is off by
+    Σ_k (−1)^k Δ/(π k) exp(−2 π² k² σ²/Δ²) sin 2 π k x (the characteristic function of the noise at
+    whole turns), and only that lasts. Over all phases its square is Δ²/12 times
+    6/π² Σ exp(−4 π² k² σ²/Δ²)/k²: all of it without noise, 15 % at σ = 0.19 Δ.
+    """
+    order = np.arange(1, _HARMONICS + 1)
+    faded = np.exp(-((2.0 * np.pi * order * noise[:, None]) ** 2))
+    return np.asarray(6.0 / np.pi**2 * (faded / order**2).sum(axis=1))
+
+
+def wheel_squares(
+    rates: Array, step: float, on_modes: Array, stride: int
+) -> tuple[WheelSquares, WheelSquares]:
+    """Sums of squares of the noise of wheel rates (r, W): on every mode (M, W), on all rows (W,).
+
+    ``on_modes`` (r, M) are the modes at these rows, each of which stands for ``stride`` rows.
+    """
+    modes, wheels, rows = on_modes.shape[1], rates.shape[1], stride * len(rates)
+    if step == 0.0:
+        none = np.zeros(wheels)
+        everywhere = WheelSquares(np.full(wheels, float(rows)), none, none)
+        return WheelSquares(*(np.tile(s, (modes, 1)) for s in (none + 1.0, none, none))), everywhere
+    square = on_modes**2
+    on, over = np.zeros((3, modes, wheels)), np.zeros((3, wheels))
+    for j, own in enumerate(rates.T):
+        found = rests(np.round(own / step))
+        lengths = np.diff(found.starts, append=len(own))
+        together = np.add.reduceat(on_modes, found.starts) ** 2
+        at_rest = np.where(lengths > 1, stride**2, 0.0)
+        by_row = np.stack([found.moving.astype(np.float64), step**2 * found.variance])
+        on[:2, :, j] = stride * by_row @ square
+        on[2, :, j] = at_rest @ together
+        over[:2, j] = stride * by_row.sum(axis=1)
+        over[2, j] = stride * lengths[lengths > 1].sum()
+    return WheelSquares(*on), WheelSquares(*over)

@@ -1,0 +1,93 @@
+"""Rounded wheel rates: where wheels rest, what they scatter there, and what of a rounding lasts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from cassini_bayes.balance.rounded_wheels import (
+    WheelSquares,
+    lasting_share,
+    rests,
+    wheel_squares,
+)
+from cassini_bayes.computing.arrays import Array
+
+ROWS = 4_000
+
+
+def printed(speed: float, noise: float, rng: np.random.Generator, phase: float = 0.0) -> Array:
+    """Whole steps shown of a wheel at ``phase`` that gains ``speed`` steps a row."""
+    return np.asarray(np.round(phase + speed * np.arange(ROWS) + noise * rng.standard_normal(ROWS)))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.2, 0.6])
+def test_a_driven_wheel_moves_and_a_still_one_rests(noise: float) -> None:
+    """Three steps a row pass every value; none at all never does, whatever the noise."""
+    rng = np.random.default_rng(1)
+    assert rests(printed(3.0, noise, rng)).moving.mean() > 0.999
+    assert rests(printed(0.0, 0.1, rng, phase=0.2)).moving.mean() == 0.0
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.2, 0.4, 0.5])
+def test_a_wheel_at_rest_has_the_scatter_that_it_shows(phase: float) -> None:
+    """A fair share of readings of the next value is its own variance p (1 − p), at any phase."""
+    levels = printed(0.0, 0.2, np.random.default_rng(2), phase)
+    found = rests(levels)
+    assert found.moving.mean() < 0.02
+    # ten draws from the binomial's scatter
+    assert found.variance.mean() == pytest.approx(levels.var(), abs=0.02)
+
+
+def test_a_slow_staircase_passes_its_values() -> None:
+    """Without noise every tread is left on the other side: its error has a mean of nothing."""
+    assert rests(printed(0.02, 0.0, np.random.default_rng(3))).moving[100:-100].all()
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.12, 0.2, 0.3])
+def test_the_share_that_lasts_is_that_of_simulated_readings(noise: float) -> None:
+    """Mean error of a resting reading over all phases: its square by quadrature over the noise."""
+    phase = (np.arange(200) + 0.5) / 200 - 0.5
+    above = norm.cdf((phase[:, None] - np.arange(-3.5, 4.0)) / noise)  # what is printed exceeds it
+    shown = above.sum(axis=1) - 4.0
+    wanted = 12.0 * np.mean((shown - phase) ** 2)
+    assert lasting_share(np.array([noise]))[0] == pytest.approx(wanted, abs=0.003)
+
+
+def test_squares_on_modes_are_those_of_simulated_errors() -> None:
+    """Resting wheels of all phases: the mean square of their errors on modes, slow and fast.
+
+    Summing over modes gives all rows.
+    """
+    rng, noise, rows = np.random.default_rng(4), 0.15, 128
+    modes, _ = np.linalg.qr(rng.standard_normal((rows, rows)))
+    modes[:, 0] = 1.0
+    modes, _ = np.linalg.qr(modes)
+    phases = rng.uniform(-0.5, 0.5, 1_000)
+    true = np.broadcast_to(phases, (rows, len(phases)))
+    shown = np.round(true + noise * rng.standard_normal(true.shape))
+    actual = ((modes.T @ (shown - true)) ** 2).mean(axis=1)
+    on, over = wheel_squares(shown, 1.0, modes, 1)
+    share = lasting_share(np.array([noise]))[0]
+
+    def variance(squares: WheelSquares) -> Array:
+        lasting = (squares.moving + share * squares.lasting) / 12.0
+        return np.asarray((noise**2 * squares.moving + squares.seen + lasting).mean(axis=-1))
+
+    expected = variance(on)
+    # 1,000 squares of about a normal: 4.5 %, and the coarse form of what flickers
+    assert expected[0] == pytest.approx(actual[0], rel=0.25)
+    assert expected[1:].mean() == pytest.approx(actual[1:].mean(), rel=0.1)
+    assert actual[0] > 10.0 * actual[1:].mean()
+    assert expected.sum() == pytest.approx(float(variance(over)), rel=0.02)
+
+
+def test_without_steps_noise_is_white() -> None:
+    """No rounding: every row has the noise alone, on every mode."""
+    rates = np.random.default_rng(5).standard_normal((50, 3))
+    on, over = wheel_squares(rates, 0.0, np.eye(50)[:, :7], 2)
+    assert np.all(on.moving == 1.0)
+    assert np.all(over.moving == 100.0)
+    assert not np.concatenate([on.seen, on.lasting]).any()
+    assert not over.lasting.any()
