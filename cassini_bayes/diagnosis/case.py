@@ -58,12 +58,27 @@ H = TypeVar("H", bound=Hypothesis)
 
 
 @dataclass(frozen=True)
+class Beginning(Generic[H]):
+    """A cause that acts from an event on, with the probability of that, given the cause.
+
+    ``event`` is empty where it acts throughout. ``weighed`` is the cause from there on, by itself;
+    None where only its linear score was looked at.
+    """
+
+    event: str
+    probability: float
+    weighed: Weighed[H] | None
+
+
+@dataclass(frozen=True)
 class Weighed(Generic[H]):
     """A hypothesis with its evidence, and posterior draws where it was sampled.
 
     ``z`` (n, d) are draws with ``log_weights`` (n,), normalised. ``unsure`` is by how many nats the
     evidence may be short where it is Laplace's. ``remainder`` is what the hypothesis leaves of
-    telemetry, where that was looked at.
+    telemetry, where that was looked at. A cause that may begin with several events has
+    ``beginnings``: it stands here as it begins most likely, and the sum over all of them, with
+    their prior probabilities, adds ``summed`` (nats) to its log evidence.
     """
 
     hypothesis: H
@@ -76,6 +91,13 @@ class Weighed(Generic[H]):
     proposal: Proposal | None = None  # that the draws came from
     unsure: float = 0.0
     remainder: Remainder | None = None
+    beginnings: tuple[Beginning[H], ...] = ()
+    summed: float = 0.0
+
+    @property
+    def begins(self) -> Beginning[H] | None:
+        """The likeliest of its beginnings; None where there is no choice."""
+        return max(self.beginnings, key=lambda b: b.probability, default=None)
 
     @property
     def name(self) -> str:
@@ -89,8 +111,8 @@ class Weighed(Generic[H]):
 
     @property
     def net_evidence(self) -> float:
-        """Log evidence less what a search before the fit cost (nats)."""
-        return self.log_evidence - self.hypothesis.log_penalty
+        """Log evidence, over all beginnings, less what a search before the fit cost (nats)."""
+        return self.log_evidence + self.summed - self.hypothesis.log_penalty
 
     @property
     def score(self) -> float:

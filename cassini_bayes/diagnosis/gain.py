@@ -149,7 +149,10 @@ def predicted_balance(
     z = mode.point + rng.standard_normal((DRAWS, len(mode.point))) @ mode.factor.T
     prior = others.model.thrust_prior
     level = draw_thrusts(prior, collapse(others.model, z).thrusts, rng).level_n
-    system = whole.model.totals_rows.at(whole.model.points(z)).system
+    points, term = whole.model.points(z), whole.model.totals_rows
+    system, factor = term.at(points).system, term.thrust_factor(points)
+    if factor is not None:
+        level = level + prior.shift_at(points.parameters, points.common_n, factor)[:, place]
     design = system.design[:, place, :3]
     residual = system.target[:, place, :3] - (design @ level[..., None])[..., 0]
     noise = system.covariance[:, place, :3, :3] + system.torque_covariance[place, :3, :3]

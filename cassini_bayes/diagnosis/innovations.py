@@ -102,11 +102,15 @@ def linearise(
         smooth = smoothed(rows, terms.statistics.layout) if smooth_channels else rows
         centre = _columns(terms, rows, weights[0])
         k = terms.pattern.thrusters
-        mean = np.concatenate([np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m])
+        changed = term.thrust_factor(located) if k else None
+        moved = np.ones((len(points), k)) if changed is None else changed[:, 0]
+        mean = np.concatenate([thrust * moved[0], terms.initial_mean_n_m_s, model.torque_mean_n_m])
         unknown = centre[:, :, :-1]
         at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
         target = centre[:, :, -1] - unknown @ at
-        slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
+        slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at)
+        slopes += unknown[:, :, :k] @ (thrust * (moved[1 : 1 + d] - moved[1 + d :]).T)
+        slopes /= 2.0 * _STEP
         rest = unknown[:, :, k:]
         shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
         individual = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
@@ -117,6 +121,56 @@ def linearise(
         factors.append(factor)
     shared_width = d + (levels.shape[1] if levels.size else 0)
     return _stacked(targets, blocks, own_precision, factors, shared_width), factors
+
+
+def effect_columns(
+    base: Hypothesis, z: Array, extended: Sequence[tuple[Hypothesis, Array]]
+) -> list[Array]:
+    """What effects add to the whitened rows of every telemetry event, (3 n, S), at z (d,).
+
+    Parameters
+    ----------
+    base
+        The hypothesis without them, of which z is a point.
+    extended
+        It with an effect more, and values (s, k) of that effect's coordinates; S is the sum of s.
+    """
+    model, thrust = base.model, base.model.thrust_prior.common_mean_n
+    located = model.points(z[None])
+    points = [
+        own.model.points(np.column_stack([np.tile(z, (len(values), 1)), values]))
+        for own, values in extended
+    ]
+    found = []
+    for place, term in enumerate(model.telemetry):
+        terms, rows = term.balance, term.event.usable_rows
+        physics = term.physics(located)
+        weights = balance_weights(terms, physics, thrust)
+        own = [own.model.telemetry[place] for own, _ in extended]
+        after = [
+            balance_weights(terms, t.physics(at), thrust) for t, at in zip(own, points, strict=True)
+        ]
+        k = terms.pattern.thrusters
+        factors = [t.thrust_factor(at) for t, at in zip(own, points, strict=True)] if k else []
+        shift = [
+            np.zeros((at.n, k)) if factor is None else thrust * (factor[:, 0] - 1.0)
+            for factor, at in zip(factors, points, strict=True)
+        ]
+        mean = [np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m]
+        at = np.concatenate([*mean, np.zeros(len(terms.pattern.cuts))])
+        added = _slopes(
+            terms,
+            smoothed(rows, terms.statistics.layout),
+            np.concatenate(after) - weights,
+            at,
+        )
+        if k:
+            added += thrust_columns(base, z, place) @ np.concatenate(shift).T
+        noise = noise_covariance(terms, physics, located.parameters)[0]
+        inverse = np.linalg.inv(np.linalg.cholesky(noise))
+        white = np.einsum("ab,nbs->nas", inverse, added)
+        found.append(white.reshape(-1, added.shape[2]))
+    return found
 
 
 def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) -> Array:

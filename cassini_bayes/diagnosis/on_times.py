@@ -310,7 +310,11 @@ def _fly(
     physics = physics_of(spacecraft, branch, parameters, modifiers)
     level = parameters[COMMON] - data.thrust_centre_n
     departures = level[:, None] + data.thrust_sd_n["thrust_individual_n"] * z[:, space.dimension :]
-    thrust = data.thrust_n[:, None] + departures[:, None, :] + nudge.force_n
+    mean = (
+        data.thrust_n[:, None]
+        * np.broadcast_to(physics.thrust_factor, (len(z), data.thrusters))[:, None, :]
+    )
+    thrust = mean + departures[:, None, :] + nudge.force_n
     torque = physics.arms_m[:, None] * (thrust * _per_second(data, physics))[:, :, None, :]
     steps = np.einsum("esw,naw->nesa", data.steps_rad_s, physics.wheel_weights)
     between = np.asarray(nudge.momentum_n_m_s - _steady(data, physics))
@@ -327,7 +331,7 @@ def _per_second(data: OnTimes, physics: Physics) -> Array:
     """Effective per commanded second of every thruster (n, 1, K), at equally wide pulses."""
     rate = data.pulses_per_second
     seconds = PULSE_SHAPES["first_order"].effective_time(1.0 / rate, *physics.tau_s)[..., None]
-    factor = rate * (seconds * physics.thrust_factor + np.asarray(physics.impulse_offset_s))
+    factor = rate * (seconds + np.asarray(physics.impulse_offset_s))
     return np.asarray(np.maximum(factor, LEAST_FACTOR) * np.ones(data.thrusters))[:, None, :]
 
 

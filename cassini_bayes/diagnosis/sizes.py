@@ -15,6 +15,8 @@ from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
 from cassini_bayes.diagnosis.unresolved import timed
 from cassini_bayes.model.posterior import TORQUES
 
+LEAST_SHARE: Final = 1e-3
+"""Probability of a beginning, below which it changes no digit of a size."""
 SUMMARY_DRAWS: Final = 2_000
 """Of a Laplace approximation: the ends of a 90 % interval scatter by 0.05 standard deviations."""
 
@@ -38,6 +40,24 @@ def size_draws(
         for key, share in effect.form_error:
             values[key] = values[key] * (1.0 + share * rng.standard_normal(len(z)))
     return values, weights
+
+
+def mixed_size_draws(
+    weighed: Weighed[Hypothesis], rng: np.random.Generator
+) -> tuple[dict[str, Array], Array]:
+    """The same over the events that a cause may begin with, each with its probability."""
+    each = [
+        (own.probability, size_draws(own.weighed, rng))
+        for own in weighed.beginnings
+        if own.weighed is not None and own.probability > LEAST_SHARE
+    ]
+    if not each:
+        return size_draws(weighed, rng)
+    keys = each[0][1][0]
+    return (
+        {key: np.concatenate([values[key] for _, (values, _) in each]) for key in keys},
+        np.concatenate([share * weights / weights.sum() for share, (_, weights) in each]),
+    )
 
 
 def effect_draws(

@@ -19,6 +19,7 @@ import pandas as pd
 
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.terms import Points, Term
 from cassini_bayes.model.thrusts import ThrustPrior
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK
@@ -117,9 +118,13 @@ def _parts(model: Model, unknowns: Unknowns) -> Iterator[tuple[int, Places, Arra
     points = model.points(_steps(model))
     slopes = _level_slopes(model)
     for term, events in zip(model.terms, model.events_of_term, strict=True):
+        own = _effect_slopes(model, term, points)
         for event, part in term.at(points).expected_information(unknowns, events.start, STEP):
-            if slopes.size and model.events[event].fires:
-                part = _with_levels(part, slopes, model.thrust_prior)
+            if model.events[event].fires:
+                if slopes.size:
+                    part = _with_levels(part, slopes, model.thrust_prior)
+                if own is not None:
+                    part = _with_levels(part, own[event - events.start], model.thrust_prior)
             yield event, unknowns.of_event(event), part
 
 
@@ -138,6 +143,18 @@ def _level_slopes(model: Model) -> Array:
     offset = prior.offset_at(points.parameters, points.common_n)
     levels = points.common_n[:, None] + (np.zeros(len(prior.shared)) if offset is None else offset)
     return np.asarray((levels[1 : d + 1] - levels[d + 1 :]).T / (2.0 * STEP))
+
+
+def _effect_slopes(model: Model, term: Term, points: Points) -> Array | None:
+    """Change (E, K, d) of the mean thrusts of a term's events with sizes of effects; None without.
+
+    ``points`` are those of :func:`_steps`.
+    """
+    factor, d = term.thrust_factor(points), model.space.dimension
+    if factor is None or not factor.shape[1]:
+        return None
+    shift = model.thrust_prior.shift_at(points.parameters, points.common_n, factor)
+    return np.asarray(np.moveaxis(shift[1 : d + 1] - shift[d + 1 :], 0, -1) / (2.0 * STEP))
 
 
 def _with_levels(information: Array, slopes: Array, prior: ThrustPrior) -> Array:

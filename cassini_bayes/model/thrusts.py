@@ -69,6 +69,12 @@ class ThrustPrior:
             return None
         return self.chained.levels_n(parameters) - common_n[:, None]
 
+    def shift_at(self, parameters: Parameters, common_n: Array, factor: Array) -> Array:
+        """What factors (n, E, K) on the mean thrusts add to them, N; no spread changes."""
+        offset = self.offset_at(parameters, common_n)
+        mean = common_n[:, None] if offset is None else common_n[:, None] + offset
+        return np.asarray((factor - 1.0) * mean[:, None, :])
+
 
 def thrust_prior_of(priors: Priors, thrusters: int) -> ThrustPrior:
     """The thrusts' prior; its parameters must be normal or fixed, the common level may be walked.
@@ -192,7 +198,8 @@ class ThrustDraws:
 
     thrust_n: Array  # (n, E, K)
     common_n: Array  # (n,) the common level
-    level_n: Array  # (n, K) common + individual: a thruster's level over all events
+    level_n: Array  # (n, K) common + individual: a thruster's level over all events, no effects
+    shift_n: Array | float = 0.0  # (n, E, K) what effects add to the mean thrusts
 
 
 @dataclass(frozen=True)
@@ -200,7 +207,8 @@ class CollapsedThrusts:
     """Conditional normal of the thrusts at a batch of points, by its factors.
 
     Coordinates are the events' own ξ_e (p of them) and the shared η (q); all have N(0, 1) priors.
-    Levels are counted from ``centre_n`` (n, K) or, without an earlier fit, (n, 1).
+    Levels are counted from the common one and an earlier fit's ``offset_n``, thrusts from levels
+    and ``shift_n``.
     """
 
     log_likelihood: Array  # (n,)
@@ -211,19 +219,26 @@ class CollapsedThrusts:
     shared_shift: Array  # (n, q) shared_factor⁻¹ ν_η
     common_n: Array  # (n,)
     offset_n: Array | None  # (n, K), or (n, E, K)
+    shift_n: Array | None = None  # (n, E, K)
 
 
 def collapse_thrusts(
-    prior: ThrustPrior, information: ThrustInformation, common_n: Array, offset_n: Array | None
+    prior: ThrustPrior,
+    information: ThrustInformation,
+    common_n: Array,
+    offset_n: Array | None,
+    shift_n: Array | None = None,
 ) -> CollapsedThrusts:
     """Integrate the thrusts out of the information of all events.
 
     Thrust is S η + L ξ_e beyond the mean level, so ξ_e is eliminated with the Cholesky factor of
     1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S (Rasmussen & Williams 2006,
-    eqs. A.9-A.12).
+    eqs. A.9-A.12). ``offset_n`` is that of the mean levels from the common one, ``shift_n`` what
+    effects add to the mean thrusts of single events.
     """
-    if offset_n is not None:
-        information = information.about(offset_n)
+    for moved in (offset_n, shift_n):
+        if moved is not None:
+            information = information.about(moved)
     own, shared = prior.own, prior.shared
     matrix, vector = information.matrix, information.vector
     by_shared = _times(matrix, shared)
@@ -259,6 +274,7 @@ def collapse_thrusts(
         shared_shift=shared_shift,
         common_n=common_n,
         offset_n=offset_n,
+        shift_n=shift_n,
     )
 
 
@@ -299,10 +315,12 @@ def draw_thrusts(
     level = common[:, None] + shared @ prior.shared.T
     if collapsed.offset_n is not None:
         level = level + collapsed.offset_n
+    shift = np.zeros((n, n_events, 1)) if collapsed.shift_n is None else collapsed.shift_n
     return ThrustDraws(
-        thrust_n=level[:, None, :] + own @ prior.own.T,
+        thrust_n=level[:, None, :] + shift + own @ prior.own.T,
         common_n=_draw_common(prior, common, level, rng),
         level_n=level,
+        shift_n=shift,
     )
 
 
@@ -350,13 +368,32 @@ def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Arr
     mean = common + departures + levels
     if collapsed.offset_n is not None:
         mean = mean + _each_event(collapsed.offset_n)
+    if collapsed.shift_n is not None:
+        mean = mean + collapsed.shift_n
     return mean, (spread**2).sum(-1) + (response**2).sum(-1)
 
 
 def prior_thrusts(
+    prior: ThrustPrior,
+    parameters: Parameters,
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+    factor: Array | None = None,
+) -> ThrustDraws:
+    """Thrusts drawn from their prior, for ``shape`` = (draws n, events E).
+
+    ``factor`` (n, E, K) is that of effects on the mean thrusts.
+    """
+    drawn = _prior_thrusts(prior, parameters, shape, rng)
+    if factor is None:
+        return drawn
+    shift = prior.shift_at(parameters, prior.common_at(parameters, shape[0]), factor)
+    return replace(drawn, thrust_n=drawn.thrust_n + shift, shift_n=shift)
+
+
+def _prior_thrusts(
     prior: ThrustPrior, parameters: Parameters, shape: tuple[int, int], rng: np.random.Generator
 ) -> ThrustDraws:
-    """Thrusts drawn from their prior, for ``shape`` = (draws n, events E)."""
     n, thrusters = shape[0], len(prior.shared)
     common = prior.common_at(parameters, n)
     if not thrusters:
@@ -376,7 +413,7 @@ def prior_thrusts(
 
 def thrust_log_prior(prior: ThrustPrior, parameters: Parameters, draws: ThrustDraws) -> Array:
     """Log prior density (n,) of drawn thrusts: common level, thrusters' levels, departures."""
-    departure = draws.thrust_n - draws.level_n[:, None, :]
+    departure = draws.thrust_n - draws.shift_n - draws.level_n[:, None, :]
     if prior.chained is not None:
         departures = draws.level_n - prior.chained.levels_n(parameters)
         level = np.asarray(np.linalg.solve(prior.shared, departures.T).T, dtype=np.float64)

@@ -214,7 +214,9 @@ def reduced_simulation(
     if guard_s is not None:
         sampling = replace(sampling, guard_s=guard_s)
     declared, wheels = event.plan.event, event.plan.wheel_numbers
-    return reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
+    return reduce_samples(
+        declared.id, declared.kind, wheels, thrusters, samples, sampling, declared.epoch
+    )
 
 
 def _rounded(values: Array, step: float) -> Array:

@@ -1,0 +1,278 @@
+"""From which event on a cause acts: which beginnings can matter, and their sum.
+
+A cause acts in all events or from a later one on. Every beginning is a hypothesis of its own with
+its share of the cause's prior probability (``throughout`` of ``effects/causes.toml``); the cause's
+evidence is their sum (docs/topics/criticism.md §1). Few of them can matter. About the baseline's
+mode rows are linear: with X their columns, P the prior's precision, G = XᵀX + P, m the prior's
+mean, and M_e what an effect of some size adds to event e, an effect from event o on has
+
+    A = Σ Xₑᵀ Mₑ,   b = Σ Mₑᵀ yₑ − Aᵀ G⁻¹ (Xᵀ y + P m),   I = Σ Mₑᵀ Mₑ − Aᵀ G⁻¹ A,   e ≥ o,
+
+and gains ½ bᵀ I⁻¹ b at most: sums over e ≥ o are cumulative, so all beginnings of all causes cost
+one pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.special import logsumexp
+
+from cassini_bayes.balance.linearised import Linear
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import Beginning, Weighed
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend
+from cassini_bayes.diagnosis.innovations import effect_columns
+from cassini_bayes.effects.effect import Effect, Remainder, onsets
+from cassini_bayes.effects.registry import Odds
+
+Candidate = Weighed[Hypothesis]
+SIZES: Final = (-1.2, 1.0)
+"""Standard normals at which the columns of an effect are taken: one on each side of nothing, and
+both on the one side where it has one."""
+LEAST_GAIN: Final = 5.0
+"""Nats of a beginning that is searched for: what gains less is as its linear score says (that of
+``search.NEAR_GAIN``)."""
+BEHIND_NATS: Final = 10.0  # of the best, as for draws: less is a probability below 5e-5
+BEHIND_SHARE: Final = 0.15
+"""Of the best gain more, by which linear gains may be off: judgement, they were within a tenth on
+losses of 10 to 40 %."""
+MOST: Final = 24  # beginnings searched for at once: judgement, two seconds of the search
+FLAT: Final = 1e-6  # of I, and of its largest eigenvalue: below, no information
+STEP: Final = 1e-3  # standard normals, for slopes, as in innovations
+
+
+@dataclass(frozen=True)
+class Beginnings:
+    """Some causes (C,) and the events (E,) that they may begin with, in order of time.
+
+    ``gains`` (C, E) are the most that they gain by their linear model from every event on, nats.
+    """
+
+    effects: tuple[Effect, ...]
+    order: tuple[str, ...]
+    odds: Odds
+    gains: Array
+
+    @classmethod
+    def of(
+        cls,
+        full: Hypothesis,
+        z: Array,
+        remainder: Remainder | None,
+        effects: Sequence[Effect],
+        events: Events,
+    ) -> Beginnings:
+        """Beginnings of causes beside a hypothesis with the mode z (d,), and what it leaves."""
+        odds, order = events.catalogue.odds, events.in_order
+        gains = np.zeros((len(effects), 1))
+        if len(order) > 1 and odds.throughout < 1.0 and effects:
+            linear = None if remainder is None else remainder.linear
+            gains = linear_gains(full, z, linear, effects, order)
+        return cls(tuple(effects), order[: gains.shape[1]], odds, gains)
+
+    def likely(self) -> list[Effect]:
+        """Every cause throughout, and from such events on as may come near the best."""
+        return [self._from(c, 0) for c in range(len(self.effects))] + self._later(
+            self._due(float(self.gains.max(initial=0.0)))
+        )
+
+    def missed(self, gained: float) -> list[Effect]:
+        """Further ones, where the best has gained less than its linear model says (nats)."""
+        before = self._due(float(self.gains.max(initial=0.0)))
+        return self._later([place for place in self._due(gained) if place not in before])
+
+    def _due(self, best: float) -> list[tuple[int, int]]:
+        later, throughout = self.gains[:, 1:], self.gains[:, :1]
+        bar = best - BEHIND_NATS - BEHIND_SHARE * max(best, 0.0)
+        near = (later > max(bar, LEAST_GAIN)) & (later > throughout - BEHIND_NATS)
+        best_first = np.argsort(-later[near], kind="stable")[:MOST]
+        return [(int(c), int(o) + 1) for c, o in np.argwhere(near)[best_first]]
+
+    def _later(self, places: Sequence[tuple[int, int]]) -> list[Effect]:
+        return [self._from(c, o) for c, o in places]
+
+    def _from(self, c: int, o: int) -> Effect:
+        """A cause from an event on, with its share of the prior probability."""
+        effect, share = self.effects[c], self.odds.of_onsets(len(self.order))[o]
+        onset = (None, *onsets(self.order))[o]
+        probability = share * effect.prior_probability
+        return replace(effect, onset=onset, prior_probability=probability)
+
+    def summed(self, weighed: Sequence[Candidate]) -> list[Candidate]:
+        """Hypotheses in order, the beginnings of each cause as one.
+
+        What was not searched for and gains little has the evidence that the linear gains give it
+        beside that throughout; what gains more was too far behind to be searched for.
+        """
+        if len(self.order) < 2:
+            return list(weighed)
+        gains = dict(zip((effect.name for effect in self.effects), self.gains, strict=True))
+        by_cause: dict[str, list[Candidate]] = {}
+        for own in weighed:
+            by_cause.setdefault(own.hypothesis.causes[-1] if own.is_cause else own.name, []).append(
+                own
+            )
+        return [
+            self._sum(own, gains[cause]) if cause in gains else own[0]
+            for cause, own in by_cause.items()
+        ]
+
+    def _sum(self, own: Sequence[Candidate], gains: Array) -> Candidate:
+        by_event = {begins_with(weighed): weighed for weighed in own}
+        throughout, shares = by_event[""], self.odds.of_onsets(len(self.order))
+        events, scores = ("", *self.order[1:]), []
+        for event, share, gain in zip(events, shares, gains, strict=True):
+            if event in by_event:
+                scores.append(by_event[event].score)
+            elif gain < LEAST_GAIN:
+                ratio = float(np.log(share / shares[0]))
+                scores.append(throughout.score + ratio + float(gain - gains[0]))
+            else:
+                scores.append(-np.inf)
+        total = float(logsumexp(scores))
+        best = max(own, key=lambda weighed: weighed.score)
+        prior = throughout.hypothesis.prior_probability / shares[0]
+        return replace(
+            best,
+            hypothesis=replace(best.hypothesis, prior_probability=prior),
+            summed=total - float(np.log(prior)) - best.net_evidence,
+            beginnings=tuple(
+                Beginning(event, float(np.exp(score - total)), by_event.get(event))
+                for event, score in zip(events, scores, strict=True)
+            ),
+        )
+
+
+def begins_with(weighed: Candidate) -> str:
+    """Id of the event that the last effect of a hypothesis begins with; empty throughout."""
+    onset = weighed.hypothesis.effects[-1].onset
+    return "" if onset is None else onset.event
+
+
+def linear_gains(
+    full: Hypothesis,
+    z: Array,
+    linear: Linear | None,
+    effects: Sequence[Effect],
+    order: Sequence[str],
+) -> Array:
+    """Most that some causes gain from every event on by their linear model, nats (C, E).
+
+    Parameters
+    ----------
+    full
+        The hypothesis without them, with all columns, of which z (d,) is the mode.
+    linear
+        Its telemetry rows about z, with what counters leave open; None without telemetry.
+    effects
+        The causes.
+    order
+        Ids of its events in order of time.
+    """
+    tried = [_sizes(len(effect.parameters)) for effect in effects]
+    extended = [(extend(full, [effect]), own) for effect, own in zip(effects, tried, strict=True)]
+    added = effect_columns(full, z, extended)
+    if full.model.totals:
+        linear, of_rows = _with_totals(full, z, extended, linear)
+        added = [*of_rows, *added]
+    assert linear is not None  # there are events
+    mean = np.zeros(len(linear.precision))
+    mean[: len(z)] = -z
+    factor = cho_factor(linear.gram(), lower=True)
+    fitted = cho_solve(factor, linear.columns.T @ linear.target + linear.precision * mean)
+    place = {name: i for i, name in enumerate(full.model.event_ids)}
+    across, square, along = 0.0, 0.0, 0.0
+    told = []
+    for name in reversed(order):
+        own, part = added[place[name]], linear.parts[place[name]]
+        columns = linear.columns[part]
+        across = across + columns.T @ own
+        square = square + own.T @ own
+        along = along + own.T @ linear.target[part]
+        matrix = square - across.T @ cho_solve(factor, across)
+        told.append((matrix, along - across.T @ fitted))
+    starts = np.cumsum([0, *(len(own) for own in tried)])
+    return np.array(
+        [
+            [_gain(matrix[a:c, a:c], b[a:c], len(e.parameters)) for matrix, b in told[::-1]]
+            for e, a, c in zip(effects, starts[:-1], starts[1:], strict=True)
+        ]
+    )
+
+
+def _sizes(parameters: int) -> Array:
+    """Values (s, k) of an effect's coordinates: along each of them."""
+    return np.concatenate([size * np.eye(parameters) for size in SIZES])
+
+
+def _gain(matrix: Array, vector: Array, parameters: int) -> float:
+    """½ bᵀ I⁻¹ b of several parameters; of one, that of its best size, which keeps its sign."""
+    if parameters == 1:
+        along = np.diagonal(matrix)
+        used = along > FLAT
+        gains = 0.5 * np.maximum(vector[used], 0.0) ** 2 / along[used]
+        return float(gains.max(initial=0.0))
+    values, vectors = np.linalg.eigh(matrix)
+    used = values > FLAT * max(1.0, values[-1])
+    return float(0.5 * ((vectors.T @ vector)[used] ** 2 / values[used]).sum())
+
+
+def _with_totals(
+    full: Hypothesis,
+    z: Array,
+    extended: Sequence[tuple[Hypothesis, Array]],
+    telemetry: Linear | None,
+) -> tuple[Linear, list[Array]]:
+    """The rows with those of totals before them, and what effects add to these, (3, S) each."""
+    model, d = full.model, len(z)
+    prior, term = model.thrust_prior, model.totals_rows
+    points = np.vstack([z, z + STEP * np.eye(d), z - STEP * np.eye(d)])
+    system = term.at(model.points(points)).system
+    left = _unexplained(full, points)
+    slopes = (left[1 + d :] - left[1 : 1 + d]) / (2.0 * STEP)
+    effects = np.concatenate(
+        [
+            left[0] - _unexplained(own, np.column_stack([np.tile(z, (len(values), 1)), values]))
+            for own, values in extended
+        ]
+    )
+    targets, shared, departures, added = [], [], [], []
+    for row in range(len(term.rows)):
+        noise = (system.covariance[0, row] + system.torque_covariance[row])[:3, :3]
+        inverse = np.linalg.inv(np.linalg.cholesky(noise))
+        design = system.design[0, row, :3]
+        targets.append(inverse @ left[0, row])
+        shared.append(inverse @ np.column_stack([slopes[:, row].T, design @ prior.shared]))
+        departures.append(inverse @ design @ prior.own)
+        added.append(inverse @ effects[:, row].T)
+    width, own = shared[0].shape[1], block_diag(*departures)
+    rows = np.concatenate([np.concatenate(shared), own], axis=1)
+    counts, precision = (1,) * len(targets), np.ones(rows.shape[1])
+    if telemetry is None:
+        return Linear(np.concatenate(targets), rows, precision, counts), added
+    columns = np.zeros((len(rows) + len(telemetry.target), own.shape[1] + len(telemetry.precision)))
+    columns[: len(rows), :width] = rows[:, :width]
+    columns[: len(rows), len(telemetry.precision) :] = own
+    columns[len(rows) :, : len(telemetry.precision)] = telemetry.columns
+    return Linear(
+        np.concatenate([*targets, telemetry.target]),
+        columns,
+        np.concatenate([telemetry.precision, np.ones(own.shape[1])]),
+        (*counts, *telemetry.rows),
+    ), added
+
+
+def _unexplained(hypothesis: Hypothesis, points: Array) -> Array:
+    """Momentum (n, E, 3) of totals rows that the mean thrusts at points (n, d) do not explain."""
+    model, term = hypothesis.model, hypothesis.model.totals_rows
+    located = model.points(points)
+    system, factor = term.at(located).system, term.thrust_factor(located)
+    mean = model.thrust_prior.common_mean_n
+    thrust = np.full((1, 1, system.design.shape[-1]), mean) if factor is None else mean * factor
+    return np.asarray((system.target - (system.design @ thrust[..., None])[..., 0])[..., :3])
