@@ -25,6 +25,8 @@ Log = Callable[[str], None]
 Work = Callable[[], Any]
 NONE: Final = "none"
 UNKNOWN: Final = "unknown"
+LEAST_SHARE: Final = 1e-3
+"""Probability of a beginning below which it changes no digit of a size or a score."""
 TRUSTED_K: Final = 0.7
 """Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
 
@@ -93,6 +95,18 @@ class Weighed(Generic[H]):
     remainder: Remainder | None = None
     beginnings: tuple[Beginning[H], ...] = ()
     summed: float = 0.0
+
+    @property
+    def searched(self) -> tuple[tuple[str, float, Weighed[H]], ...]:
+        """Events of its beginnings that have some probability, with that and the cause from there.
+
+        Only those that were searched for.
+        """
+        return tuple(
+            (own.event, own.probability, own.weighed)
+            for own in self.beginnings
+            if own.weighed is not None and own.probability > LEAST_SHARE
+        )
 
     @property
     def begins(self) -> Beginning[H] | None:

@@ -112,7 +112,11 @@ def linearise(
         slopes += unknown[:, :, :k] @ (thrust * (moved[1 : 1 + d] - moved[1 + d :]).T)
         slopes /= 2.0 * _STEP
         rest = unknown[:, :, k:]
-        shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
+        shared = (
+            np.concatenate([slopes, unknown[:, :, :k] @ (moved[0][:, None] * levels)], axis=2)
+            if k
+            else slopes
+        )
         individual = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
         sd = _own_sd(terms, model.torque_sd_n_m)
         blocks.append((shared, np.concatenate([individual, rest], axis=2)))

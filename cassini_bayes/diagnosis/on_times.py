@@ -91,6 +91,7 @@ class OnTimes:
     thrust_sd_n: Mapping[str, float]
     pulses_per_second: float
     beliefs: Beliefs
+    order: tuple[str, ...] = ()  # of the events in time
 
     @property
     def thrusters(self) -> int:
@@ -172,6 +173,7 @@ def read_on_times(events: Sequence[TotalsEvent], priors: Priors, beliefs: Belief
         thrust_sd_n=dict(zip(THRUSTS, priors.normal(THRUSTS)[1], strict=True)),
         pulses_per_second=beliefs.moments("pulses_per_second")[0],
         beliefs=beliefs,
+        order=in_order_of_time(events),
     )
 
 
@@ -262,6 +264,14 @@ class Flown:
     on_time_s: Array
     fired: Fired | None = None
 
+    def where(self, acts: Flags, other: Flown) -> Flown:
+        """These, and in the events (E,) where it acts, the others."""
+        mine, theirs = self.fired, other.fired
+        on_time = np.where(acts[:, None], other.on_time_s, self.on_time_s)
+        if mine is None or theirs is None:
+            return Flown(on_time, theirs if mine is None else mine)
+        return Flown(on_time, theirs)
+
 
 def hypothesis(
     data: OnTimes, effects: tuple[Effect, ...] = (), prior_probability: float = 1.0
@@ -275,8 +285,15 @@ def hypothesis(
         (*base.blocks, *("effect" for _ in added)),
     )
 
+    begun = tuple(e for e in effects if e.onset is None)
+    later = [e for e in effects if e.onset is not None]
+
     def flown(z: Array, nudge: Nudge) -> Flown:
-        return _fly(data, effects, space, z, nudge)
+        found = _fly(data, begun, space, z, nudge)
+        if later:
+            acts = np.array([later[0].acts_in(name) for name in data.event_ids])
+            found = found.where(acts, _fly(data, effects, space, z, nudge))
+        return found
 
     return OnTimeHypothesis(
         "+".join(effect.name for effect in effects) or NONE,

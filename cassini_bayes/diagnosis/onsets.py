@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
@@ -104,7 +104,7 @@ class Beginnings:
         probability = share * effect.prior_probability
         return replace(effect, onset=onset, prior_probability=probability)
 
-    def summed(self, weighed: Sequence[Candidate]) -> list[Candidate]:
+    def summed(self, weighed: Sequence[Weighed[Any]]) -> list[Weighed[Any]]:
         """Hypotheses in order, the beginnings of each cause as one.
 
         What was not searched for and gains little has the evidence that the linear gains give it
@@ -113,7 +113,7 @@ class Beginnings:
         if len(self.order) < 2:
             return list(weighed)
         gains = dict(zip((effect.name for effect in self.effects), self.gains, strict=True))
-        by_cause: dict[str, list[Candidate]] = {}
+        by_cause: dict[str, list[Weighed[Any]]] = {}
         for own in weighed:
             by_cause.setdefault(own.hypothesis.causes[-1] if own.is_cause else own.name, []).append(
                 own
@@ -123,7 +123,7 @@ class Beginnings:
             for cause, own in by_cause.items()
         ]
 
-    def _sum(self, own: Sequence[Candidate], gains: Array) -> Candidate:
+    def _sum(self, own: Sequence[Weighed[Any]], gains: Array) -> Weighed[Any]:
         by_event = {begins_with(weighed): weighed for weighed in own}
         throughout, shares = by_event[""], self.odds.of_onsets(len(self.order))
         events, scores = ("", *self.order[1:]), []
@@ -149,7 +149,14 @@ class Beginnings:
         )
 
 
-def begins_with(weighed: Candidate) -> str:
+def throughout_of(weighed: Candidate) -> Candidate:
+    """A cause that may begin with several events, as it acts throughout."""
+    own = weighed.beginnings[0].weighed
+    assert own is not None  # it is searched for whatever else is
+    return own
+
+
+def begins_with(weighed: Weighed[Any]) -> str:
     """Id of the event that the last effect of a hypothesis begins with; empty throughout."""
     onset = weighed.hypothesis.effects[-1].onset
     return "" if onset is None else onset.event
@@ -175,40 +182,76 @@ def linear_gains(
     order
         Ids of its events in order of time.
     """
-    tried = [_sizes(len(effect.parameters)) for effect in effects]
-    extended = [(extend(full, [effect]), own) for effect, own in zip(effects, tried, strict=True)]
+    extended = [(extend(full, [effect]), sizes_tried(effect)) for effect in effects]
     added = effect_columns(full, z, extended)
     if full.model.totals:
         linear, of_rows = _with_totals(full, z, extended, linear)
         added = [*of_rows, *added]
     assert linear is not None  # there are events
+    place = {name: i for i, name in enumerate(full.model.event_ids)}
+    in_time = [place[name] for name in order]
     mean = np.zeros(len(linear.precision))
     mean[: len(z)] = -z
-    factor = cho_factor(linear.gram(), lower=True)
-    fitted = cho_solve(factor, linear.columns.T @ linear.target + linear.precision * mean)
-    place = {name: i for i, name in enumerate(full.model.event_ids)}
-    across, square, along = 0.0, 0.0, 0.0
+    told = told_from_each(
+        [linear.columns[linear.parts[i]] for i in in_time],
+        [linear.target[linear.parts[i]] for i in in_time],
+        [added[i] for i in in_time],
+        linear.precision,
+        mean,
+    )
+    return gains_of(told, effects)
+
+
+def told_from_each(
+    columns: Sequence[Array],
+    target: Sequence[Array],
+    added: Sequence[Array],
+    precision: Array,
+    mean: Array,
+) -> list[tuple[Array, Array]]:
+    """I (S, S) and b (S,) of effects that act from every event on.
+
+    Parameters
+    ----------
+    columns, target
+        Whitened columns (m_e, p) and target (m_e,) of every event, in order of time.
+    added
+        What effects add to the target, (m_e, S).
+    precision, mean
+        Of the unknowns' prior, (p,).
+    """
+    gram, seen = np.diag(precision), precision * mean
+    for own, y in zip(columns, target, strict=True):
+        kept = np.flatnonzero(np.any(own, axis=0))
+        gram[np.ix_(kept, kept)] += own[:, kept].T @ own[:, kept]
+        seen[kept] += own[:, kept].T @ y
+    factor = cho_factor(gram, lower=True)
+    fitted = cho_solve(factor, seen)
+    size = added[0].shape[1]
+    across, square, along = np.zeros((len(mean), size)), np.zeros((size, size)), np.zeros(size)
     told = []
-    for name in reversed(order):
-        own, part = added[place[name]], linear.parts[place[name]]
-        columns = linear.columns[part]
-        across = across + columns.T @ own
-        square = square + own.T @ own
-        along = along + own.T @ linear.target[part]
+    for own, y, effect in zip(columns[::-1], target[::-1], added[::-1], strict=True):
+        across = across + own.T @ effect
+        square, along = square + effect.T @ effect, along + effect.T @ y
         matrix = square - across.T @ cho_solve(factor, across)
         told.append((matrix, along - across.T @ fitted))
-    starts = np.cumsum([0, *(len(own) for own in tried)])
+    return told[::-1]
+
+
+def gains_of(told: Sequence[tuple[Array, Array]], effects: Sequence[Effect]) -> Array:
+    """Gains (C, E) of causes whose columns were taken at :func:`sizes_tried`."""
+    ends = np.cumsum([0, *(len(sizes_tried(effect)) for effect in effects)])
     return np.array(
         [
-            [_gain(matrix[a:c, a:c], b[a:c], len(e.parameters)) for matrix, b in told[::-1]]
-            for e, a, c in zip(effects, starts[:-1], starts[1:], strict=True)
+            [_gain(matrix[a:c, a:c], b[a:c], len(effect.parameters)) for matrix, b in told]
+            for effect, a, c in zip(effects, ends[:-1], ends[1:], strict=True)
         ]
     )
 
 
-def _sizes(parameters: int) -> Array:
+def sizes_tried(effect: Effect) -> Array:
     """Values (s, k) of an effect's coordinates: along each of them."""
-    return np.concatenate([size * np.eye(parameters) for size in SIZES])
+    return np.concatenate([size * np.eye(len(effect.parameters)) for size in SIZES])
 
 
 def _gain(matrix: Array, vector: Array, parameters: int) -> float:

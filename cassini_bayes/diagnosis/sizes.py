@@ -15,8 +15,6 @@ from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
 from cassini_bayes.diagnosis.unresolved import timed
 from cassini_bayes.model.posterior import TORQUES
 
-LEAST_SHARE: Final = 1e-3
-"""Probability of a beginning, below which it changes no digit of a size."""
 SUMMARY_DRAWS: Final = 2_000
 """Of a Laplace approximation: the ends of a 90 % interval scatter by 0.05 standard deviations."""
 
@@ -46,11 +44,7 @@ def mixed_size_draws(
     weighed: Weighed[Hypothesis], rng: np.random.Generator
 ) -> tuple[dict[str, Array], Array]:
     """The same over the events that a cause may begin with, each with its probability."""
-    each = [
-        (own.probability, size_draws(own.weighed, rng))
-        for own in weighed.beginnings
-        if own.weighed is not None and own.probability > LEAST_SHARE
-    ]
+    each = [(share, size_draws(own, rng)) for _, share, own in weighed.searched]
     if not each:
         return size_draws(weighed, rng)
     keys = each[0][1][0]

@@ -49,7 +49,7 @@ class Draws:
                 thrusts.thrust_n[places],
                 thrusts.common_n[places],
                 thrusts.level_n[places],
-                np.asarray(thrusts.shift_n)[places] if np.ndim(thrusts.shift_n) else 0.0,
+                np.asarray(thrusts.factor)[places] if np.ndim(thrusts.factor) else 1.0,
             ),
             tuple({name: values[places] for name, values in own.items()} for own in self.own),
         )
@@ -65,7 +65,7 @@ def draw(model: Model, z: Array, rng: np.random.Generator) -> Draws:
             np.concatenate([part.thrust_n for part in thrusts]),
             np.concatenate([part.common_n for part in thrusts]),
             np.concatenate([part.level_n for part in thrusts]),
-            np.concatenate([np.asarray(part.shift_n) for part in thrusts]),
+            np.concatenate([np.asarray(part.factor) for part in thrusts]),
         ),
         tuple(_joined(batches) for batches in zip(*own, strict=True)),
     )
@@ -139,13 +139,13 @@ def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array |
         for term in model.terms:
             at = term.at(points)
             if term.events[0].fires:
-                left = at.information.without_own(model.thrust_prior.own).about(offset)
                 factor = term.thrust_factor(points)
+                moved = offset
                 if factor is not None:
-                    left = left.about(
-                        model.thrust_prior.shift_at(points.parameters, points.common_n, factor)
-                    )
-                parts.append(left.constant)
+                    each = factor * level_n[rows, None, :]
+                    moved = each - points.common_n[:, None, None]
+                own = model.thrust_prior.own
+                parts.append(at.information.without_own(own).about(moved).constant)
             else:
                 parts.append(at.log_likelihood[:, None])
         for i, term in enumerate(model.totals):

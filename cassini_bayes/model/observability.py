@@ -124,7 +124,10 @@ def _parts(model: Model, unknowns: Unknowns) -> Iterator[tuple[int, Places, Arra
                 if slopes.size:
                     part = _with_levels(part, slopes, model.thrust_prior)
                 if own is not None:
-                    part = _with_levels(part, own[event - events.start], model.thrust_prior)
+                    factor, each = own
+                    place = event - events.start
+                    prior = model.thrust_prior.scaled(factor[place])
+                    part = _with_levels(part, each[place], prior)
             yield event, unknowns.of_event(event), part
 
 
@@ -145,16 +148,18 @@ def _level_slopes(model: Model) -> Array:
     return np.asarray((levels[1 : d + 1] - levels[d + 1 :]).T / (2.0 * STEP))
 
 
-def _effect_slopes(model: Model, term: Term, points: Points) -> Array | None:
-    """Change (E, K, d) of the mean thrusts of a term's events with sizes of effects; None without.
+def _effect_slopes(model: Model, term: Term, points: Points) -> tuple[Array, Array] | None:
+    """Factors (E, K) of effects on levels in a term's events, and the means' slopes (E, K, d).
 
-    ``points`` are those of :func:`_steps`.
+    None without such effects; ``points`` are those of :func:`_steps`.
     """
     factor, d = term.thrust_factor(points), model.space.dimension
     if factor is None or not factor.shape[1]:
         return None
-    shift = model.thrust_prior.shift_at(points.parameters, points.common_n, factor)
-    return np.asarray(np.moveaxis(shift[1 : d + 1] - shift[d + 1 :], 0, -1) / (2.0 * STEP))
+    prior = model.thrust_prior
+    mean = prior.mean_at(points.parameters, points.common_n)[0]
+    slopes = np.moveaxis(factor[1 : d + 1] - factor[d + 1 :], 0, -1) / (2.0 * STEP)
+    return factor[0], np.asarray(mean[:, None] * slopes)
 
 
 def _with_levels(information: Array, slopes: Array, prior: ThrustPrior) -> Array:

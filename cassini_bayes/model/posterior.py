@@ -352,14 +352,14 @@ def collapse(model: Model, z: Array) -> Collapsed:
         ThrustInformation.joined([term.information for term in terms]),
         common,
         prior.offset_at(points.parameters, common),
-        None if factor is None else prior.shift_at(points.parameters, common, factor),
+        factor,
     )
     constant = sum(term.log_likelihood for term in terms)
     return Collapsed(np.asarray(constant + thrusts.log_likelihood), thrusts, terms)
 
 
 def thrust_factor(model: Model, points: Points) -> Array | None:
-    """Factors (n, E', K) of effects on the mean thrusts of all events that fire; None without."""
+    """Factors (n, E', K) of effects on the levels in all events that fire; None without."""
     factors = [term.thrust_factor(points) for term in model.terms]
     if not model.fires or all(factor is None for factor in factors):
         return None

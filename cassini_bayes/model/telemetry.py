@@ -102,7 +102,7 @@ class TelemetryTerm:
         return TelemetryAt(self, points)
 
     def thrust_factor(self, points: Points) -> Array | None:
-        """Factors (n, 1, K) of effects on the mean thrusts; (n, 0, K) where nothing fires."""
+        """Factors (n, 1, K) of effects on the levels; (n, 0, K) where nothing fires."""
         factor = self.physics(points).thrust_factor
         if not np.ndim(factor):
             return None
@@ -312,7 +312,7 @@ class TelemetryAt:
         factor = self.term.thrust_factor(self.points)
         thrust = np.full(self.term.balance.pattern.thrusters, prior.common_mean_n)
         if factor is not None and self.term.event.fires:
-            thrust = thrust * factor[0, 0]
+            thrust, prior = thrust * factor[0, 0], prior.scaled(factor[0, 0])
         mean = np.concatenate([thrust, self.system.own_mean])
         total = row_information(
             self.term.balance,

@@ -133,7 +133,7 @@ class TotalsTerm:
         return tuple(modifier for modifier, acts in each if acts[row])
 
     def thrust_factor(self, points: Points) -> Array | None:
-        """Factors (n, E, K) of effects on the mean thrusts of the rows."""
+        """Factors (n, E, K) of effects on the levels in the rows."""
         factors = [points.physics(modifiers).thrust_factor for modifiers in self._sets]
         if not any(np.ndim(factor) for factor in factors):
             return None
@@ -290,11 +290,13 @@ class TotalsAt:
         d = unknowns.walked.stop
         at_common = system.target - prior.common_mean_n * system.design.sum(-1)
         walked = -(at_common[1 : d + 1] - at_common[d + 1 :]) / (2.0 * step)
+        factor = self.term.thrust_factor(self.points)
         for i in range(len(self.term.event_ids)):
             design = system.design[0, i]
             torque = system.torque_design[i] * shared.torque_sd_n_m
+            levels = prior.scaled(None if factor is None else factor[0, i]).shared
             columns = np.concatenate(
-                [walked[:, i].T, design @ prior.shared, design @ prior.own, torque], axis=1
+                [walked[:, i].T, design @ levels, design @ prior.own, torque], axis=1
             )
             white = np.linalg.solve(np.linalg.cholesky(system.covariance[0, i]), columns)
             yield first + i, white.T @ white
