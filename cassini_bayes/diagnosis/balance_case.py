@@ -43,7 +43,7 @@ from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
 from cassini_bayes.diagnosis.separation import separating_measurement
-from cassini_bayes.diagnosis.sizes import mixed_size_draws, summarised
+from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
@@ -219,7 +219,7 @@ class BalanceCase(Case[Hypothesis]):
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From draws with what counters leave open (:mod:`cassini_bayes.diagnosis.sizes`)."""
-        return summarised(*mixed_size_draws(weighed, rng))
+        return summarised(*mixed(size_draws, weighed, rng))
 
     def held_out(
         self, weighed: Candidate, rng: np.random.Generator, log: Log = silent

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
+from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.modes import Mode
@@ -139,6 +140,19 @@ class Weighed(Generic[H]):
         if self.log_weights is None:
             return float("nan")
         return 1.0 / float((np.exp(self.log_weights) ** 2).sum())
+
+
+def over_beginnings(weighed: Weighed[H], change: Callable[[Weighed[H], float], float]) -> float:
+    """Change (nats) of a cause's evidence, summed over its beginnings, from that of each.
+
+    ``change`` gets one of them and its probability given the cause. Those that were not searched
+    for keep theirs.
+    """
+    if not weighed.beginnings:
+        return change(weighed, 1.0)
+    kept = max(1.0 - sum(share for _, share, _ in weighed.searched), LEAST_SHARE**2)
+    changes = [np.log(share) + change(own, share) for _, share, own in weighed.searched]
+    return float(logsumexp([np.log(kept), *changes]))
 
 
 @dataclass(frozen=True)

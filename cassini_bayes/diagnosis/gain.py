@@ -31,7 +31,7 @@ from cassini_bayes.diagnosis.hypotheses import (
 )
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode, maximise, mode_near
-from cassini_bayes.diagnosis.onsets import throughout_of
+from cassini_bayes.diagnosis.onsets import without_event
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
 from cassini_bayes.effects.effect import Effect, onsets
 from cassini_bayes.model.posterior import collapse
@@ -85,22 +85,19 @@ def taught(events: Events, weighed: Weighed[Hypothesis], event: str) -> list[Tau
         return [Taught(mode.log_evidence, hypothesis, mode, own, weighed.mode.point)]
     order = events.in_order
     shares = events.catalogue.odds.of_onsets(len(order))
-    acting = [frozenset(order[first:]) - {event} for first in range(len(order))]
-    place = {name: i for i, name in enumerate(("", *order[1:]))}
-    members = {acting[place[name]]: own for name, _, own in weighed.searched}
-    if frozenset() in members:  # where the others do not see it, it may act throughout as well
-        members.setdefault(acting[0], throughout_of(weighed))
+    fits: dict[int, tuple[Hypothesis, Mode]] = {}
     found = []
-    for seen, member in members.items():
-        hypothesis, mode = fitted_to(others, member)
-        for first in (first for first, alike in enumerate(acting) if alike == seen):
-            whole = member.hypothesis
-            if whole.effects[-1].acts_in(event) != (event in order[first:]):
-                *before, last = whole.effects
-                onset = (None, *onsets(order))[first]
-                whole = built(events, member.name, (*before, replace(last, onset=onset)))
-            score = mode.log_evidence + float(np.log(shares[first]))
-            found.append(Taught(score, hypothesis, mode, whole, member.mode.point))
+    for first, own in without_event(weighed, order, event):
+        if id(own) not in fits:
+            fits[id(own)] = fitted_to(others, own)
+        hypothesis, mode = fits[id(own)]
+        whole = own.hypothesis
+        if whole.effects[-1].acts_in(event) != (event in order[first:]):
+            *before, last = whole.effects
+            onset = (None, *onsets(order))[first]
+            whole = built(events, own.name, (*before, replace(last, onset=onset)))
+        score = mode.log_evidence + float(np.log(shares[first]))
+        found.append(Taught(score, hypothesis, mode, whole, own.mode.point))
     return found
 
 

@@ -19,13 +19,14 @@ import numpy as np
 
 from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
 from cassini_bayes.balance.totals_terms import hold_rate_covariance
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.diagnosis.case import NONE
 from cassini_bayes.diagnosis.gauss_newton import Model
 from cassini_bayes.effects.controller import Fired
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import CYCLE_S, Features, expected_minor
@@ -264,14 +265,6 @@ class Flown:
     on_time_s: Array
     fired: Fired | None = None
 
-    def where(self, acts: Flags, other: Flown) -> Flown:
-        """These, and in the events (E,) where it acts, the others."""
-        mine, theirs = self.fired, other.fired
-        on_time = np.where(acts[:, None], other.on_time_s, self.on_time_s)
-        if mine is None or theirs is None:
-            return Flown(on_time, theirs if mine is None else mine)
-        return Flown(on_time, theirs)
-
 
 def hypothesis(
     data: OnTimes, effects: tuple[Effect, ...] = (), prior_probability: float = 1.0
@@ -285,14 +278,14 @@ def hypothesis(
         (*base.blocks, *("effect" for _ in added)),
     )
 
-    begun = tuple(e for e in effects if e.onset is None)
-    later = [e for e in effects if e.onset is not None]
+    acting = np.array([[effect.acts_in(name) for effect in effects] for name in data.event_ids])
+    together, which = np.unique(acting, axis=0, return_inverse=True)
 
     def flown(z: Array, nudge: Nudge) -> Flown:
-        found = _fly(data, begun, space, z, nudge)
-        if later:
-            acts = np.array([later[0].acts_in(name) for name in data.event_ids])
-            found = found.where(acts, _fly(data, effects, space, z, nudge))
+        each = [_fly(data, _some(effects, acts), space, z, nudge) for acts in together]
+        found = each[0]
+        for i, other in enumerate(each[1:], 1):
+            found = found.where(which == i, other)
         return found
 
     return OnTimeHypothesis(
@@ -306,6 +299,10 @@ def hypothesis(
             space.dimension + data.thrusters,
         ),
     )
+
+
+def _some(effects: Sequence[Effect], acts: Flags) -> tuple[Effect, ...]:
+    return tuple(effect for effect, is_there in zip(effects, acts, strict=True) if is_there)
 
 
 def parameters_at(space: ParameterSpace, z: Array) -> dict[str, Array]:
@@ -327,11 +324,8 @@ def _fly(
     physics = physics_of(spacecraft, branch, parameters, modifiers)
     level = parameters[COMMON] - data.thrust_centre_n
     departures = level[:, None] + data.thrust_sd_n["thrust_individual_n"] * z[:, space.dimension :]
-    mean = (
-        data.thrust_n[:, None]
-        * np.broadcast_to(physics.thrust_factor, (len(z), data.thrusters))[:, None, :]
-    )
-    thrust = mean + departures[:, None, :] + nudge.force_n
+    factor = np.broadcast_to(physics.thrust_factor, departures.shape)[:, None, :]
+    thrust = factor * (data.thrust_n[:, None] + departures[:, None, :]) + nudge.force_n
     torque = physics.arms_m[:, None] * (thrust * _per_second(data, physics))[:, :, None, :]
     steps = np.einsum("esw,naw->nesa", data.steps_rad_s, physics.wheel_weights)
     between = np.asarray(nudge.momentum_n_m_s - _steady(data, physics))

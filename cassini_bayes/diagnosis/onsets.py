@@ -24,7 +24,7 @@ from scipy.special import logsumexp
 
 from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import Beginning, Weighed
+from cassini_bayes.diagnosis.case import Beginning, H, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend
 from cassini_bayes.diagnosis.innovations import effect_columns
@@ -149,11 +149,21 @@ class Beginnings:
         )
 
 
-def throughout_of(weighed: Candidate) -> Candidate:
-    """A cause that may begin with several events, as it acts throughout."""
-    own = weighed.beginnings[0].weighed
-    assert own is not None  # it is searched for whatever else is
-    return own
+def without_event(
+    weighed: Weighed[H], order: Sequence[str], event: str
+) -> list[tuple[int, Weighed[H]]]:
+    """Places in time from which on a cause may act by all events but one, and the cause by these.
+
+    Beginnings that differ only in whether it acts in that event are one to the others, which cannot
+    tell them apart; where they do not see it at all it may act throughout as well.
+    """
+    acting = [frozenset(order[first:]) - {event} for first in range(len(order))]
+    place = {name: first for first, name in enumerate(("", *order[1:]))}
+    members = {acting[place[name]]: own for name, _, own in weighed.searched}
+    throughout = weighed.beginnings[0].weighed
+    if frozenset() in members and throughout is not None:
+        members.setdefault(acting[0], throughout)
+    return [(first, members[seen]) for first, seen in enumerate(acting) if seen in members]
 
 
 def begins_with(weighed: Weighed[Any]) -> str:

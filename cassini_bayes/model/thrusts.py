@@ -238,8 +238,8 @@ def collapse_thrusts(
 
     Thrust is S η + L ξ_e beyond the mean level, so ξ_e is eliminated with the Cholesky factor of
     1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S (Rasmussen & Williams 2006,
-    eqs. A.9-A.12). ``offset_n`` is that of the mean levels from the common one, ``factor`` (n, E, K)
-    that of effects on the levels: S is then theirs event by event.
+    eqs. A.9-A.12). ``offset_n`` is that of the mean levels from the common one, ``factor``
+    (n, E, K) that of effects on the levels: S is then theirs event by event.
     """
     if offset_n is not None:
         information = information.about(offset_n)
