@@ -87,17 +87,17 @@ def taught(events: Events, weighed: Weighed[Hypothesis], event: str) -> list[Tau
     shares = events.catalogue.odds.of_onsets(len(order))
     fits: dict[int, tuple[Hypothesis, Mode]] = {}
     found = []
-    for first, own in without_event(weighed, order, event):
-        if id(own) not in fits:
-            fits[id(own)] = fitted_to(others, own)
-        hypothesis, mode = fits[id(own)]
-        whole = own.hypothesis
+    for first, member in without_event(weighed, order, event):
+        if id(member) not in fits:
+            fits[id(member)] = fitted_to(others, member)
+        hypothesis, mode = fits[id(member)]
+        whole = member.hypothesis
         if whole.effects[-1].acts_in(event) != (event in order[first:]):
             *before, last = whole.effects
             onset = (None, *onsets(order))[first]
-            whole = built(events, own.name, (*before, replace(last, onset=onset)))
+            whole = built(events, member.name, (*before, replace(last, onset=onset)))
         score = mode.log_evidence + float(np.log(shares[first]))
-        found.append(Taught(score, hypothesis, mode, whole, own.mode.point))
+        found.append(Taught(score, hypothesis, mode, whole, member.mode.point))
     return found
 
 

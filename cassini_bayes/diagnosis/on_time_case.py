@@ -97,8 +97,8 @@ class OnTimeCase(Case[OnTimeHypothesis]):
             if i % 10 == 0:
                 log(f"on-times: cause {i + 1} of {len(likely)}")
         gained = max(w.log_evidence for w in weighed) - none.log_evidence
-        for effect in beginnings.missed(gained):
-            weighed.append(self._fitted((effect,), none.mode.point))
+        missed = beginnings.missed(gained)
+        weighed += [self._fitted((effect,), none.mode.point) for effect in missed]
         unknown = self._unknown(none)
         best = max(w.log_evidence for w in (*weighed, unknown))
         near = [i for i, w in enumerate(weighed) if w.log_evidence > best - NEAR_NATS]

@@ -265,6 +265,28 @@ class Flown:
     on_time_s: Array
     fired: Fired | None = None
 
+    def where(self, acts: Flags, other: Flown) -> Flown:
+        """These, and in the events (E,) where it acts, the others."""
+        mine, theirs = self.fired, other.fired
+        on_time = np.where(acts[:, None], other.on_time_s, self.on_time_s)
+        one = mine or theirs
+        if one is None:
+            return Flown(on_time)
+        # without a doubted firing logic nothing is left to its chance
+        nothing = Fired(
+            0.0 * one.on_time_s, 0.0 * one.opposing_s, 0.0 * one.common_s, 0.0 * one.alone
+        )
+        mine, theirs = mine or nothing, theirs or nothing
+        return Flown(
+            on_time,
+            Fired(
+                np.where(acts[:, None], theirs.on_time_s, mine.on_time_s),
+                np.where(acts[:, None], theirs.opposing_s, mine.opposing_s),
+                np.where(acts, theirs.common_s, mine.common_s),
+                np.where(acts[:, None], theirs.alone, mine.alone),
+            ),
+        )
+
 
 def hypothesis(
     data: OnTimes, effects: tuple[Effect, ...] = (), prior_probability: float = 1.0
