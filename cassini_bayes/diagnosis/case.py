@@ -111,8 +111,9 @@ class Weighed(Generic[H]):
 
     @property
     def begins(self) -> Beginning[H] | None:
-        """The likeliest of its beginnings; None where there is no choice."""
-        return max(self.beginnings, key=lambda b: b.probability, default=None)
+        """The likeliest of its beginnings that were searched for; None where there is no choice."""
+        likely = (own for own in self.beginnings if own.weighed is not None)
+        return max(likely, key=lambda own: own.probability, default=None)
 
     @property
     def name(self) -> str:

@@ -147,29 +147,22 @@ def effect_columns(
     ]
     found = []
     for place, term in enumerate(model.telemetry):
-        terms, rows = term.balance, term.event.usable_rows
+        terms, k = term.balance, term.balance.pattern.thrusters
         physics = term.physics(located)
-        weights = balance_weights(terms, physics, thrust)
-        own = [own.model.telemetry[place] for own, _ in extended]
-        after = [
-            balance_weights(terms, t.physics(at), thrust) for t, at in zip(own, points, strict=True)
-        ]
-        k = terms.pattern.thrusters
-        factors = [t.thrust_factor(at) for t, at in zip(own, points, strict=True)] if k else []
-        shift = [
-            np.zeros((at.n, k)) if factor is None else thrust * (factor[:, 0] - 1.0)
-            for factor, at in zip(factors, points, strict=True)
-        ]
-        mean = [np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m]
-        at = np.concatenate([*mean, np.zeros(len(terms.pattern.cuts))])
+        weights, shifts = [], []
+        for (own, _), at in zip(extended, points, strict=True):
+            with_effect = own.model.telemetry[place]
+            weights.append(balance_weights(terms, with_effect.physics(at), thrust))
+            factor = with_effect.thrust_factor(at) if k else None
+            shifts.append(np.zeros((at.n, k)) if factor is None else thrust * (factor[:, 0] - 1.0))
+        mean = (np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m)
         added = _slopes(
             terms,
-            smoothed(rows, terms.statistics.layout),
-            np.concatenate(after) - weights,
-            at,
+            smoothed(term.event.usable_rows, terms.statistics.layout),
+            np.concatenate(weights) - balance_weights(terms, physics, thrust),
+            np.concatenate([*mean, np.zeros(len(terms.pattern.cuts))]),
         )
-        if k:
-            added += thrust_columns(base, z, place) @ np.concatenate(shift).T
+        added += thrust_columns(base, z, place) @ np.concatenate(shifts).T
         noise = noise_covariance(terms, physics, located.parameters)[0]
         inverse = np.linalg.inv(np.linalg.cholesky(noise))
         white = np.einsum("ab,nbs->nas", inverse, added)
