@@ -48,7 +48,6 @@ from cassini_bayes.diagnosis.on_times import (
 )
 from cassini_bayes.diagnosis.onsets import (
     Beginnings,
-    gains_of,
     sizes_tried,
     told_from_each,
     without_event,
@@ -108,29 +107,29 @@ class OnTimeCase(Case[OnTimeHypothesis]):
 
     def _beginnings(self, none: Candidate, effects: Sequence[Effect]) -> Beginnings:
         """Events that causes may begin with, and what they gain linearised about the baseline."""
-        data, odds, z = self.data, self.catalogue.odds, none.mode.point
-        if len(data.order) < 2 or odds.throughout == 1.0 or not effects:
-            return Beginnings(tuple(effects), data.order[:1], odds, np.zeros((len(effects), 1)))
-        fitted = linearised(data.printed_s, none.hypothesis.model, z)
-        place = len(z) - data.thrusters
-        added = []
-        for effect in effects:
-            tried = sizes_tried(effect)
-            same = np.tile(z, (len(tried), 1))
-            points = np.concatenate([same[:, :place], tried, same[:, place:]], axis=1)
-            added.append(hypothesis(data, (effect,)).model.forward(points) - fitted.mean)
-        everything = np.concatenate(added)  # (S, E, U)
-        in_time = [data.event_ids.index(name) for name in data.order]
-        whiten = [np.linalg.inv(np.linalg.cholesky(fitted.noise[i])) for i in in_time]
-        pairs = list(zip(in_time, whiten, strict=True))
-        told = told_from_each(
-            [white @ fitted.slope[i] for i, white in pairs],
-            [white @ (data.printed_s[i] - fitted.mean[i]) for i, white in pairs],
-            [white @ everything[:, i].T for i, white in pairs],
-            np.ones(len(z)),
-            -z,
-        )
-        return Beginnings(tuple(effects), data.order, odds, gains_of(told, effects))
+        data, z = self.data, none.mode.point
+
+        def tell() -> list[tuple[Array, Array]]:
+            fitted = linearised(data.printed_s, none.hypothesis.model, z)
+            place = len(z) - data.thrusters
+            added = []
+            for effect in effects:
+                tried = sizes_tried(effect)
+                same = np.tile(z, (len(tried), 1))
+                points = np.concatenate([same[:, :place], tried, same[:, place:]], axis=1)
+                added.append(hypothesis(data, (effect,)).model.forward(points) - fitted.mean)
+            everything = np.concatenate(added)  # (S, E, U)
+            in_time = [data.event_ids.index(name) for name in data.order]
+            white = {i: np.linalg.inv(np.linalg.cholesky(fitted.noise[i])) for i in in_time}
+            return told_from_each(
+                [white[i] @ fitted.slope[i] for i in in_time],
+                [white[i] @ (data.printed_s[i] - fitted.mean[i]) for i in in_time],
+                [white[i] @ everything[:, i].T for i in in_time],
+                np.ones(len(z)),
+                -z,
+            )
+
+        return Beginnings.told(effects, data.order, self.catalogue.odds, tell)
 
     def _fitted(self, effects: tuple[Effect, ...], start: Array | None = None) -> Candidate:
         """A hypothesis fitted from ``start``, the place of another that lacks its last effects."""

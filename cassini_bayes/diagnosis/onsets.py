@@ -14,13 +14,14 @@ one pass.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtr, ndtri
 
 from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.computing.arrays import Array
@@ -30,11 +31,14 @@ from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend
 from cassini_bayes.diagnosis.innovations import effect_columns
 from cassini_bayes.effects.effect import Effect, Remainder, onsets
 from cassini_bayes.effects.registry import Odds
+from cassini_bayes.model.mission.losses import log_bayes_single
 
 Candidate = Weighed[Hypothesis]
 SIZES: Final = (-1.2, 1.0)
 """Standard normals at which the columns of an effect are taken: one on each side of nothing, and
 both on the one side where it has one."""
+HALF_NORMAL: Final = tuple(float(ndtri(0.5 + 0.5 * ndtr(abs(size)))) for size in SIZES)
+"""Scales of a half normal that the longer of two columns of an effect with one side is at."""
 LEAST_GAIN: Final = 5.0
 """Nats of a beginning that is searched for: what gains less is as its linear score says (that of
 ``search.NEAR_GAIN``)."""
@@ -51,13 +55,39 @@ STEP: Final = 1e-3  # standard normals, for slopes, as in innovations
 class Beginnings:
     """Some causes (C,) and the events (E,) that they may begin with, in order of time.
 
-    ``gains`` (C, E) are the most that they gain by their linear model from every event on, nats.
+    ``gains`` (C, E) are the most that they gain by their linear model from every event on, and
+    ``factors`` (C, E) its log Bayes factors against none of them, nats.
     """
 
     effects: tuple[Effect, ...]
     order: tuple[str, ...]
     odds: Odds
     gains: Array
+    factors: Array
+
+    @classmethod
+    def told(
+        cls,
+        effects: Sequence[Effect],
+        order: Sequence[str],
+        odds: Odds,
+        tell: Callable[[], Sequence[tuple[Array, Array]]],
+    ) -> Beginnings:
+        """Beginnings by what effects at :func:`sizes_tried` are told from every event on.
+
+        ``tell`` (as :func:`told_from_each`) is asked where there is a choice.
+        """
+        if len(order) < 2 or odds.throughout == 1.0 or not effects:
+            nothing = np.zeros((len(effects), 1))
+            return cls(tuple(effects), tuple(order[:1]), odds, nothing, nothing)
+        told = tell()
+        ends = np.cumsum([0, *(len(sizes_tried(effect)) for effect in effects)])
+        own = [
+            [(matrix[a:c, a:c], vector[a:c]) for matrix, vector in told] for a, c in pairwise(ends)
+        ]
+        gains = np.array([[_gain(*one) for one in each] for each in own])
+        factors = np.array([[_log_bayes(*one) for one in each] for each in own])
+        return cls(tuple(effects), tuple(order), odds, gains, factors)
 
     @classmethod
     def of(
@@ -69,12 +99,13 @@ class Beginnings:
         events: Events,
     ) -> Beginnings:
         """Beginnings of causes beside a hypothesis with the mode z (d,), and what it leaves."""
-        odds, order = events.catalogue.odds, events.in_order
-        gains = np.zeros((len(effects), 1))
-        if len(order) > 1 and odds.throughout < 1.0 and effects:
+        order = events.in_order
+
+        def tell() -> list[tuple[Array, Array]]:
             linear = None if remainder is None else remainder.linear
-            gains = linear_gains(full, z, linear, effects, order)
-        return cls(tuple(effects), order[: gains.shape[1]], odds, gains)
+            return linear_model(full, z, linear, effects, order)
+
+        return cls.told(effects, order, events.catalogue.odds, tell)
 
     def likely(self) -> list[Effect]:
         """Every cause throughout, and from such events on as may come near the best."""
@@ -107,32 +138,32 @@ class Beginnings:
     def summed(self, weighed: Sequence[Weighed[Any]]) -> list[Weighed[Any]]:
         """Hypotheses in order, the beginnings of each cause as one.
 
-        What was not searched for and gains little has the evidence that the linear gains give it
+        What was not searched for and gains little has the evidence that the linear model gives it
         beside that throughout; what gains more was too far behind to be searched for.
         """
         if len(self.order) < 2:
             return list(weighed)
-        gains = dict(zip((effect.name for effect in self.effects), self.gains, strict=True))
+        place = {effect.name: c for c, effect in enumerate(self.effects)}
         by_cause: dict[str, list[Weighed[Any]]] = {}
         for own in weighed:
             by_cause.setdefault(own.hypothesis.causes[-1] if own.is_cause else own.name, []).append(
                 own
             )
         return [
-            self._sum(own, gains[cause]) if cause in gains else own[0]
+            self._sum(own, place[cause]) if cause in place else own[0]
             for cause, own in by_cause.items()
         ]
 
-    def _sum(self, own: Sequence[Weighed[Any]], gains: Array) -> Weighed[Any]:
+    def _sum(self, own: Sequence[Weighed[Any]], c: int) -> Weighed[Any]:
         by_event = {begins_with(weighed): weighed for weighed in own}
         throughout, shares = by_event[""], self.odds.of_onsets(len(self.order))
         events, scores = ("", *self.order[1:]), []
-        for event, share, gain in zip(events, shares, gains, strict=True):
+        for o, (event, share) in enumerate(zip(events, shares, strict=True)):
             if event in by_event:
                 scores.append(by_event[event].score)
-            elif gain < LEAST_GAIN:
-                ratio = float(np.log(share / shares[0]))
-                scores.append(throughout.score + ratio + float(gain - gains[0]))
+            elif self.gains[c, o] < LEAST_GAIN:
+                ratio = float(np.log(share / shares[0]) + self.factors[c, o] - self.factors[c, 0])
+                scores.append(throughout.score + ratio)
             else:
                 scores.append(-np.inf)
         total = float(logsumexp(scores))
@@ -172,14 +203,14 @@ def begins_with(weighed: Weighed[Any]) -> str:
     return "" if onset is None else onset.event
 
 
-def linear_gains(
+def linear_model(
     full: Hypothesis,
     z: Array,
     linear: Linear | None,
     effects: Sequence[Effect],
     order: Sequence[str],
-) -> Array:
-    """Most that some causes gain from every event on by their linear model, nats (C, E).
+) -> list[tuple[Array, Array]]:
+    """I and b of some causes, at :func:`sizes_tried` each, from every event on.
 
     Parameters
     ----------
@@ -202,14 +233,13 @@ def linear_gains(
     in_time = [place[name] for name in order]
     mean = np.zeros(len(linear.precision))
     mean[: len(z)] = -z
-    told = told_from_each(
+    return told_from_each(
         [linear.columns[linear.parts[i]] for i in in_time],
         [linear.target[linear.parts[i]] for i in in_time],
         [added[i] for i in in_time],
         linear.precision,
         mean,
     )
-    return gains_of(told, effects)
 
 
 def told_from_each(
@@ -248,25 +278,14 @@ def told_from_each(
     return told[::-1]
 
 
-def gains_of(told: Sequence[tuple[Array, Array]], effects: Sequence[Effect]) -> Array:
-    """Gains (C, E) of causes whose columns were taken at :func:`sizes_tried`."""
-    ends = np.cumsum([0, *(len(sizes_tried(effect)) for effect in effects)])
-    return np.array(
-        [
-            [_gain(matrix[a:c, a:c], b[a:c], len(effect.parameters)) for matrix, b in told]
-            for effect, a, c in zip(effects, ends[:-1], ends[1:], strict=True)
-        ]
-    )
-
-
 def sizes_tried(effect: Effect) -> Array:
     """Values (s, k) of an effect's coordinates: along each of them."""
     return np.concatenate([size * np.eye(len(effect.parameters)) for size in SIZES])
 
 
-def _gain(matrix: Array, vector: Array, parameters: int) -> float:
+def _gain(matrix: Array, vector: Array) -> float:
     """½ bᵀ I⁻¹ b of several parameters; of one, that of its best size, which keeps its sign."""
-    if parameters == 1:
+    if len(vector) == len(SIZES):
         along = np.diagonal(matrix)
         used = along > FLAT
         gains = 0.5 * np.maximum(vector[used], 0.0) ** 2 / along[used]
@@ -274,6 +293,31 @@ def _gain(matrix: Array, vector: Array, parameters: int) -> float:
     values, vectors = np.linalg.eigh(matrix)
     used = values > FLAT * max(1.0, values[-1])
     return float(0.5 * ((vectors.T @ vector)[used] ** 2 / values[used]).sum())
+
+
+def _log_bayes(matrix: Array, vector: Array) -> float:
+    """Log Bayes factor of an effect against none, nats, its sizes normal or half normal.
+
+    A size has one side where its two columns point the same way: the longer one is then so many
+    scales of a half normal. Else a scale is the difference of both over that of the standard
+    normals.
+    """
+    k = len(vector) // len(SIZES)
+    per_scale, sided = np.zeros((len(vector), k)), np.zeros(k, dtype=bool)
+    for i in range(k):
+        low, high = i, k + i
+        sided[i] = matrix[low, high] > 0.0
+        if sided[i]:
+            longer = max(low, high, key=lambda place: matrix[place, place])
+            per_scale[longer, i] = 1.0 / HALF_NORMAL[longer == high]
+        else:
+            per_scale[[low, high], i] = np.array([-1.0, 1.0]) / (SIZES[1] - SIZES[0])
+    inner, along = per_scale.T @ matrix @ per_scale, per_scale.T @ vector
+    if k == 1 and sided[0]:
+        return float(log_bayes_single(along[0], np.maximum(inner[0, 0], 0.0), 1.0))
+    values, vectors = np.linalg.eigh(inner)
+    grown = 1.0 + np.maximum(values, 0.0)
+    return float(0.5 * ((vectors.T @ along) ** 2 / grown - np.log(grown)).sum())
 
 
 def _with_totals(

@@ -91,17 +91,14 @@ def test_a_loss_between_events_is_named_with_its_thruster_onset_and_size() -> No
 
 def test_its_record_and_its_words_say_when() -> None:
     """Record, sentence and held-out gain; the residuals of events held out get smaller."""
-    events, _ = late()
-    only = replace(events.catalogue, effects=(events.catalogue.effect(Z3),))
-    record = diagnose(
-        BalanceCase(replace(events, catalogue=only)), np.random.default_rng(1), pairs=False
-    ).record
+    events = flown(SIX[:4], SIX[2:4], (Z3,))
+    record = diagnose(BalanceCase(events), np.random.default_rng(1), pairs=False).record
     cause = record["causes"][0]
-    assert cause["onset"]["event"] == "bias-4"
+    assert cause["onset"]["event"] == "bias-3"
     assert sum(cause["onset"]["probabilities"].values()) == pytest.approx(1.0)
-    assert list(cause["onset"]["probabilities"]) == ["throughout", *SIX[1:]]
+    assert list(cause["onset"]["probabilities"]) == ["throughout", *SIX[1:4]]
     assert "of its thrust" in cause["says"]
-    assert cause["says"].endswith("from bias-4 on (probability 0.99)")
+    assert cause["says"].endswith("from bias-3 on (probability 0.99)")
     assert record["causes"][1]["onset"] is None
     assert record["gain"]["verdict"] == "gain"
 
@@ -201,7 +198,7 @@ def test_only_what_can_matter_is_searched() -> None:
     """Beginnings far behind the best, or with little gain, are not."""
     effects = tuple(prepare((), TOTALS_PRIORS, three()).catalogue.effects[:2])
     gains = np.array([[10.0, 100.0, 60.0], [1.0, 4.0, 99.0]])
-    beginnings = Beginnings(effects, ("a", "b", "c"), Odds(0.5, 0.45, 0.05, 0.5), gains)
+    beginnings = Beginnings(effects, ("a", "b", "c"), Odds(0.5, 0.45, 0.05, 0.5), gains, gains)
     likely = [e for e in beginnings.likely() if e.onset is not None]
     named = [(e.name, e.onset.event) for e in likely if e.onset is not None]
     assert named == [(effects[0].name, "b"), (effects[1].name, "c")]
