@@ -86,7 +86,7 @@ class Beginnings:
             [(matrix[a:c, a:c], vector[a:c]) for matrix, vector in told] for a, c in pairwise(ends)
         ]
         gains = np.array([[_gain(*one) for one in each] for each in own])
-        factors = np.array([[_log_bayes(*one) for one in each] for each in own])
+        factors = np.array([[log_bayes(*one) for one in each] for each in own])
         return cls(tuple(effects), tuple(order), odds, gains, factors)
 
     @classmethod
@@ -295,7 +295,7 @@ def _gain(matrix: Array, vector: Array) -> float:
     return float(0.5 * ((vectors.T @ vector)[used] ** 2 / values[used]).sum())
 
 
-def _log_bayes(matrix: Array, vector: Array) -> float:
+def log_bayes(matrix: Array, vector: Array) -> float:
     """Log Bayes factor of an effect against none, nats, its sizes normal or half normal.
 
     A size has one side where its two columns point the same way: the longer one is then so many
