@@ -270,7 +270,10 @@ def _said(case: Case[H], weighed: Weighed[H], sizes: Mapping[str, Size]) -> str 
     if begins is None or (not begins.event and begins.probability > SURE):
         return said
     when = f"from {begins.event} on" if begins.event else THROUGHOUT
-    return f"{said}, {when} (probability {min(begins.probability, MOST_SAID):.2g})"
+    sure = begins.probability > MOST_SAID
+    return (
+        f"{said}, {when} (probability {f'> {MOST_SAID}' if sure else f'{begins.probability:.2f}'})"
+    )
 
 
 def _runner_up(

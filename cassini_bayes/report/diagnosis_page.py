@@ -130,7 +130,7 @@ def _beginnings(cause: Record) -> str:
         return MISSING
     likely = sorted(onset["probabilities"].items(), key=lambda item: -item[1])
     shown = [item for item in likely if item[1] > LEAST_BEGINNING][:MOST_NAMED]
-    return ", ".join(f"{event} {probability_words(share)}" for event, share in shown)
+    return ", ".join(f"{event} ({probability_words(share)})" for event, share in shown)
 
 
 def _cause_table(causes: Sequence[Record], record: Record) -> Table:

@@ -105,7 +105,7 @@ def test_its_record_and_its_words_say_when() -> None:
     assert sum(cause["onset"]["probabilities"].values()) == pytest.approx(1.0)
     assert list(cause["onset"]["probabilities"]) == ["throughout", *SIX[1:4]]
     assert "of its thrust" in cause["says"]
-    assert cause["says"].endswith("from bias-3 on (probability 0.99)")
+    assert cause["says"].endswith("from bias-3 on (probability > 0.99)")
     assert record["causes"][1]["onset"] is None
     assert record["gain"]["verdict"] == "gain"
 
