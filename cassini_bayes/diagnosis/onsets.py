@@ -40,13 +40,13 @@ both on the one side where it has one."""
 HALF_NORMAL: Final = tuple(float(ndtri(0.5 + 0.5 * ndtr(abs(size)))) for size in SIZES)
 """Scales of a half normal that the longer of two columns of an effect with one side is at."""
 LEAST_GAIN: Final = 5.0
-"""Nats of a beginning that is searched for: what gains less is as its linear score says (that of
+"""Nats of a beginning that is searched for: what gains less is as its linear model says (as
 ``search.NEAR_GAIN``)."""
 BEHIND_NATS: Final = 10.0  # of the best, as for draws: less is a probability below 5e-5
 BEHIND_SHARE: Final = 0.15
-"""Of the best gain more, by which linear gains may be off: judgement, they were within a tenth on
-losses of 10 to 40 %."""
-MOST: Final = 24  # beginnings searched for at once: judgement, two seconds of the search
+"""Of the best gain more, by which linear gains may be off: judgement. Where the best turns out to
+gain less than that, more beginnings are searched for (:meth:`Beginnings.missed`)."""
+MOST: Final = 24  # beginnings searched for at once: judgement, half as many as there are causes
 FLAT: Final = 1e-6  # of I, and of its largest eigenvalue: below, no information
 STEP: Final = 1e-3  # standard normals, for slopes, as in innovations
 
