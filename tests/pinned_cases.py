@@ -429,7 +429,9 @@ def on_time_evidence(name: str) -> Array:
 def on_time_left_out() -> Array:
     """The second bias predicted from the others: means and covariance (U, 1 + U)."""
     model = on_time_model("firing_logic").model
-    mean, covariance = predict_left_out(on_times().printed_s, model, 1, np.zeros(model.dimension))
+    mean, covariance, _ = predict_left_out(
+        on_times().printed_s, model, 1, np.zeros(model.dimension)
+    )
     return np.column_stack([mean, covariance])
 
 

@@ -202,11 +202,10 @@ def delta_v_columns(
 def on_time_weights(sampling: Sampling, physics: Physics, n: int, k: int) -> Array:
     """Weights (n, K, 4 K) that make each thruster's effective on-time out of the columns."""
     pulse = np.broadcast_to(pulse_weights(sampling, physics), (n, 3))
-    factor = np.broadcast_to(physics.thrust_factor, (n, k))
     offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
     weights = np.zeros((n, k, 4 * k))
     for thruster in range(k):
         first = 4 * thruster
-        weights[:, thruster, first : first + 3] = factor[:, thruster, None] * pulse
+        weights[:, thruster, first : first + 3] = pulse
         weights[:, thruster, first + 3] = offset[:, thruster]
     return weights

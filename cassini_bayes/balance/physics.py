@@ -39,9 +39,10 @@ DELTA_V_NOISE: Final = ("delta_v_noise_m_s", "delta_v_resolution_m_s")
 class Physics:
     """Quantities of the momentum balance; leading axes ``...`` are the batch of points.
 
-    A thruster's impulse is F_k (thrust_factor_k s_k + impulse_offset_k × pulses); measured rates
-    are (1 + rate_scale) ω + rate_bias. ``extra`` names further columns of telemetry (built by the
-    same name in the reduction) with their weights in the momentum that goes in.
+    A thruster's impulse is F_k (s_k + impulse_offset_k × pulses), and ``thrust_factor`` is that of
+    its level, about which F_k scatters as its prior says (docs/topics/criticism.md §2). Measured
+    rates are (1 + rate_scale) ω + rate_bias. ``extra`` names further columns of telemetry (built by
+    the same name in the reduction) with their weights in the momentum that goes in.
     """
 
     inertia_kg_m2: Array  # (..., 3, 3) with the stationary wheels
@@ -50,7 +51,7 @@ class Physics:
     arms_m: Array  # (..., 3, K) torque per newton; no thrusters: K = 0
     tau_s: tuple[Array, Array, Array]  # delay, rise, fall, each (...)
     close_share: Array | float = 0.0  # (...) of pulses within a second, a control cycle apart
-    thrust_factor: Array | float = 1.0  # (..., K)
+    thrust_factor: Array | float = 1.0  # (..., K) of the thrusters' levels
     impulse_offset_s: Array | float = 0.0  # (..., K) on-time added per pulse
     steady_torque_n_m: Array | float = 0.0  # (..., 3) beyond the collapsed external torque
     rate_bias_rad_s: Array | float = 0.0  # (..., 3)

@@ -590,18 +590,16 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
         pulse = pulse_weights(event.sampling, physics)
         lost = lost_per_cut_s(physics, event.sampling.control_cycle_s)
-        factor = np.broadcast_to(physics.thrust_factor, (n, k))
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
-        strength = factor[:, :, None] * pulse[:, None, :]
-        fired = arm[..., :, None] * strength[..., None, :]
+        fired = arm[..., :, None] * pulse[:, None, None, :]
         weights[:, pattern.fired] = fired.reshape(n, 9 * k, 1)
         weights[:, pattern.pulses] = offset[:, :, None] * arm
         share = close_share(physics, n)
         weights[:, pattern.lost] = -(share * lost)[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
             if name in physics.extra:
-                on_time = factor[:, thruster] * np.asarray(physics.extra[name])
+                on_time = np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
         per_unit = thrust_n * lost[:, None] * cut_unit(event.statistics, pattern.cuts, share)
         weights[:, tails : tails + len(pattern.cuts)] = per_unit[..., None] * (

@@ -6,8 +6,8 @@ three rows, M ΔV = Σ_k d_k F_k s_k (paper 000 App. D; paper 001 eq. 22).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -24,7 +24,7 @@ from cassini_bayes.balance.totals_terms import (
     wheel_momentum,
     wheel_rounding_covariance,
 )
-from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.spacecraft.pulses import PulseShape, effective_on_time
 
 NOISE: Final = (
@@ -59,11 +59,42 @@ class TotalsSystem:
     target: Array  # (n, E, R), less the mean external torque's share
     covariance: Array  # (n, E, R, R) of the noise
     torque_covariance: Array  # (E, R, R) of the external torque's departure from its mean
-    arms_m: Array  # (..., 3, K)
+    arms_m: Array  # (..., E, 3, K), or (..., 1, 3, K)
     stretch: Array  # (n, E, K) effective over commanded on-time; 1 where a thruster did not fire
     response: Array  # (E, K, 3)
     jacobian: ResponseJacobian  # at the reference thrust
-    reference_n: float
+    reference_n: Array  # (..., E, K), broadcastable
+
+    @classmethod
+    def of_rows(cls, systems: Sequence[TotalsSystem], which: Places) -> TotalsSystem:
+        """Every row (E,) out of the system, by its number, whose effects act in it."""
+        if len(systems) == 1:
+            return systems[0]
+
+        def rows(values: Sequence[Array], tail: int) -> Array:
+            rest = (slice(None),) * tail
+            shape = np.broadcast_shapes(*(v.shape for v in values), (len(which), *(1,) * tail))
+            joined = np.empty(shape)
+            for i, value in enumerate(values):
+                joined[(..., which == i, *rest)] = np.broadcast_to(value, shape)[
+                    (..., which == i, *rest)
+                ]
+            return joined
+
+        return replace(
+            systems[0],
+            design=rows([s.design for s in systems], 2),
+            target=rows([s.target for s in systems], 1),
+            covariance=rows([s.covariance for s in systems], 2),
+            arms_m=rows([s.arms_m for s in systems], 2),
+            stretch=rows([s.stretch for s in systems], 1),
+            jacobian=ResponseJacobian(
+                rows([s.jacobian.value for s in systems], 0),
+                rows([s.jacobian.gradient for s in systems], 1),
+                rows([s.jacobian.hessian for s in systems], 2),
+            ),
+            reference_n=rows([s.reference_n for s in systems], 1),
+        )
 
     def residual(self, thrust_n: Array, torque_departure_n_m: Array) -> Array:
         """Thruster impulse plus external torque minus the wheels' change, (n, E, R).
@@ -77,7 +108,7 @@ class TotalsSystem:
     def response_matrix(self, thrust_n: Array) -> Array:
         """M = ∂(momentum)/∂(responding on-times) at thrusts (n, E, K) → (n, E, 3, 3), N m."""
         rows = self.stretch[..., :, None] * self.response
-        return np.asarray((self.arms_m[..., None, :, :] * thrust_n[..., None, :]) @ rows)
+        return np.asarray((self.arms_m * thrust_n[..., None, :]) @ rows)
 
     def log_jacobian(self, thrust_n: Array) -> Array:
         """Exact log |det M| (n, E) at thrusts (n, E, K)."""
@@ -110,7 +141,8 @@ def totals_system(
     parameters
         Noise levels, and with ΔV the mass factor: name → (n,) array.
     thrust_n
-        Thrust about which the response Jacobian is expanded, and which scales rounded on-times.
+        Mean thrust without effects: the response Jacobian is expanded about what the physics makes
+        of it, and it scales rounded on-times.
     torque_mean, torque_sd
         (3,) prior of a row's steady torque, N m.
     """
@@ -148,7 +180,10 @@ def totals_system(
         )
     fired = stack.on_time_s > 0
     stretch = np.where(fired, effective / np.where(fired, stack.on_time_s, 1.0), 1.0)
-    reference = np.full((n_events, n_thrusters), thrust_n)
+    factor = np.broadcast_to(
+        physics.thrust_factor, (*np.shape(physics.thrust_factor)[:-1], n_thrusters)
+    )
+    reference = thrust_n * factor[..., None, :]
     torque = torque_design * torque_sd
     return TotalsSystem(
         design=design,
@@ -156,11 +191,11 @@ def totals_system(
         target=target - torque_design @ torque_mean,
         covariance=covariance,
         torque_covariance=np.asarray(torque @ np.swapaxes(torque, -1, -2)),
-        arms_m=arms,
+        arms_m=arms[..., None, :, :],
         stretch=np.broadcast_to(stretch, (*batch, n_events, n_thrusters)),
         response=stack.response,
-        jacobian=response_jacobian(arms, stretch, stack.response, reference),
-        reference_n=thrust_n,
+        jacobian=response_jacobian(arms[..., None, :, :], stretch, stack.response, reference),
+        reference_n=reference,
     )
 
 
@@ -173,8 +208,6 @@ def _effective_on_time(balance: TotalsBalance, physics: Physics) -> Array:
         stack.pulses,
         *(np.asarray(tau)[..., None, None] for tau in physics.tau_s),
     )
-    if np.ndim(physics.thrust_factor):
-        effective = np.asarray(physics.thrust_factor)[..., None, :] * effective
     if np.ndim(physics.impulse_offset_s):
         effective = effective + np.asarray(physics.impulse_offset_s)[..., None, :] * stack.pulses
     return effective

@@ -241,14 +241,13 @@ def response_jacobian(
     R the response directions and stretch = ∂s/∂u = s/u at fixed mean pulse width. With
     P = diag(stretch) R M⁻¹ Q: ∂logJ/∂F_k = P_kk and ∂²logJ/∂F_k∂F_l = −P_kl P_lk.
 
-    lever_arms (..., 3, K), stretch (..., E, K), response (E, K, 3), thrust_n (..., E, K) or
+    lever_arms (..., E, 3, K), stretch (..., E, K), response (E, K, 3), thrust_n (..., E, K), or
     broadcastable. Derivation: docs/topics/totals-likelihood.md.
     """
     rows = stretch[..., :, None] * response
-    columns = lever_arms[..., None, :, :]
-    matrix = (columns * thrust_n[..., None, :]) @ rows
+    matrix = (lever_arms * thrust_n[..., None, :]) @ rows
     _, value = np.linalg.slogdet(matrix)
-    spread = np.broadcast_to(columns, (*matrix.shape[:-1], columns.shape[-1]))
+    spread = np.broadcast_to(lever_arms, (*matrix.shape[:-1], lever_arms.shape[-1]))
     projector = rows @ np.linalg.solve(matrix, spread)
     gradient = np.diagonal(projector, axis1=-2, axis2=-1)
     return ResponseJacobian(value, gradient, -projector * np.swapaxes(projector, -1, -2))

@@ -37,12 +37,13 @@ from cassini_bayes.diagnosis.hypotheses import (
 from cassini_bayes.diagnosis.innovations import innovations
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.nuisances import Trade, bent, traded
+from cassini_bayes.diagnosis.onsets import Beginnings
 from cassini_bayes.diagnosis.overlay import Overlay, overlays
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
 from cassini_bayes.diagnosis.separation import separating_measurement
-from cassini_bayes.diagnosis.sizes import size_draws, summarised
+from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
@@ -117,7 +118,8 @@ class BalanceCase(Case[Hypothesis]):
         start = _unknown_start(none, unknown, base)
         remainder = innovations(full, base.point) if events.telemetry else None
         direct = [effect for effect in events.catalogue.effects if not effect.needs_search]
-        hypotheses = [compact(extend(full, [effect])) for effect in direct]
+        beginnings = Beginnings.of(full, base.point, remainder, direct, events)
+        hypotheses = [compact(extend(full, [effect])) for effect in beginnings.likely()]
         to_find = [] if remainder is None else _to_find(events, remainder)
         first = [partial(find_mode, unknown.log_density, unknown.dimension, start)]
         (unknown_mode, *settled_by), near = _side_by_side(
@@ -130,6 +132,11 @@ class BalanceCase(Case[Hypothesis]):
         ]
         floor = unknown_mode.log_evidence - MARGIN_NATS
         causes = weigh_extensions(hypotheses, near, base, log, workers, floor)
+        gained = max((c.log_evidence for c in causes), default=floor) - base.log_evidence
+        further = [compact(extend(full, [effect])) for effect in beginnings.missed(gained)]
+        if further:
+            _, near = _side_by_side([], further, base, silent, workers)
+            causes += weigh_extensions(further, near, base, log, workers, floor)
         if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
             log(
                 "no cause mends a baseline that bent: searched from the centre of the prior, "
@@ -143,7 +150,7 @@ class BalanceCase(Case[Hypothesis]):
                 weighed.append(
                     self._settled(replace(effect, search_result=settled), (), base, best)
                 )
-        return _sampled_near_best(weighed, rng, workers)
+        return beginnings.summed(_sampled_near_best(weighed, rng, workers))
 
     def _settled(
         self, effect: Effect, beside: Sequence[Effect], base: Mode, best: float
@@ -170,20 +177,26 @@ class BalanceCase(Case[Hypothesis]):
     ) -> list[Candidate]:
         """By searches from the first cause's mode, by draws for what could be the best pair."""
         (effect,) = first.hypothesis.effects
+        prior = self.events.catalogue.effect(effect.name).prior_probability
+        effect = replace(effect, prior_probability=prior)
         events = self.events.with_columns_of([effect])
         full = extend(none_hypothesis(events), [effect])
         base = first.mode
         if not base.is_whole:
             base = with_whole_curvature(first.hypothesis, base)
         others = [e for e in events.catalogue.effects if e.name != effect.name]
-        pairs = [compact(extend(full, [e])) for e in others if not e.needs_search]
+        direct = [e for e in others if not e.needs_search]
+        remainder = innovations(first.hypothesis, base.point) if events.telemetry else None
+        beginnings = Beginnings.of(full, base.point, remainder, direct, events)
+        pairs = [compact(extend(full, [e])) for e in beginnings.likely()]
         to_find = []
-        if events.telemetry and any(e.needs_search for e in others):
-            remainder = innovations(first.hypothesis, base.point)
+        if remainder is not None and any(e.needs_search for e in others):
             to_find = [(e, work) for e, work in _to_find(events, remainder) if e in others]
         settled_by, near = _side_by_side(
             [work for _, work in to_find], pairs, base, silent, workers, SECOND_CAUSE_NATS
         )
+        # pairs have the first cause's likeliest beginning; others count for them as for it alone
+        least -= first.summed
         weighed = weigh_extensions(pairs, near, base, silent, workers, least)
         for (e, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None and _could_gain(settled, SECOND_CAUSE_NATS):
@@ -192,7 +205,8 @@ class BalanceCase(Case[Hypothesis]):
         reach = [e.net_evidence + e.unsure + CONFOUNDED_NATS for e in weighed]
         bar = max([least, *(e.net_evidence for e in weighed)])
         which = [i for i, e in enumerate(reach) if e > bar]
-        return with_draws(weighed, which, FEW_DRAWS, rng, workers)
+        drawn = beginnings.summed(with_draws(weighed, which, FEW_DRAWS, rng, workers))
+        return [replace(pair, summed=pair.summed + first.summed) for pair in drawn]
 
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
         """With as many draws as the best causes have."""
@@ -205,7 +219,7 @@ class BalanceCase(Case[Hypothesis]):
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From draws with what counters leave open (:mod:`cassini_bayes.diagnosis.sizes`)."""
-        return summarised(*size_draws(weighed, rng))
+        return summarised(*mixed(size_draws, weighed, rng))
 
     def held_out(
         self, weighed: Candidate, rng: np.random.Generator, log: Log = silent

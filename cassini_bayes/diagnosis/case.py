@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
+from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.modes import Mode
@@ -25,6 +26,8 @@ Log = Callable[[str], None]
 Work = Callable[[], Any]
 NONE: Final = "none"
 UNKNOWN: Final = "unknown"
+LEAST_SHARE: Final = 1e-3
+"""Probability of a beginning below which it changes no digit of a size or a score."""
 TRUSTED_K: Final = 0.7
 """Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
 
@@ -58,12 +61,27 @@ H = TypeVar("H", bound=Hypothesis)
 
 
 @dataclass(frozen=True)
+class Beginning(Generic[H]):
+    """A cause that acts from an event on, with the probability of that, given the cause.
+
+    ``event`` is empty where it acts throughout. ``weighed`` is the cause from there on, by itself;
+    None where only its linear score was looked at.
+    """
+
+    event: str
+    probability: float
+    weighed: Weighed[H] | None
+
+
+@dataclass(frozen=True)
 class Weighed(Generic[H]):
     """A hypothesis with its evidence, and posterior draws where it was sampled.
 
     ``z`` (n, d) are draws with ``log_weights`` (n,), normalised. ``unsure`` is by how many nats the
     evidence may be short where it is Laplace's. ``remainder`` is what the hypothesis leaves of
-    telemetry, where that was looked at.
+    telemetry, where that was looked at. A cause that may begin with several events has
+    ``beginnings``: it stands here as it begins most likely, and the sum over all of them, with
+    their prior probabilities, adds ``summed`` (nats) to its log evidence.
     """
 
     hypothesis: H
@@ -76,6 +94,26 @@ class Weighed(Generic[H]):
     proposal: Proposal | None = None  # that the draws came from
     unsure: float = 0.0
     remainder: Remainder | None = None
+    beginnings: tuple[Beginning[H], ...] = ()
+    summed: float = 0.0
+
+    @property
+    def searched(self) -> tuple[tuple[str, float, Weighed[H]], ...]:
+        """Events of its beginnings that have some probability, with that and the cause from there.
+
+        Only those that were searched for.
+        """
+        return tuple(
+            (own.event, own.probability, own.weighed)
+            for own in self.beginnings
+            if own.weighed is not None and own.probability > LEAST_SHARE
+        )
+
+    @property
+    def begins(self) -> Beginning[H] | None:
+        """The likeliest of its beginnings that were searched for; None where there is no choice."""
+        likely = (own for own in self.beginnings if own.weighed is not None)
+        return max(likely, key=lambda own: own.probability, default=None)
 
     @property
     def name(self) -> str:
@@ -89,8 +127,8 @@ class Weighed(Generic[H]):
 
     @property
     def net_evidence(self) -> float:
-        """Log evidence less what a search before the fit cost (nats)."""
-        return self.log_evidence - self.hypothesis.log_penalty
+        """Log evidence, over all beginnings, less what a search before the fit cost (nats)."""
+        return self.log_evidence + self.summed - self.hypothesis.log_penalty
 
     @property
     def score(self) -> float:
@@ -103,6 +141,19 @@ class Weighed(Generic[H]):
         if self.log_weights is None:
             return float("nan")
         return 1.0 / float((np.exp(self.log_weights) ** 2).sum())
+
+
+def over_beginnings(weighed: Weighed[H], change: Callable[[Weighed[H], float], float]) -> float:
+    """Change (nats) of a cause's evidence, summed over its beginnings, from that of each.
+
+    ``change`` gets one of them and its probability given the cause. Those that were not searched
+    for keep theirs.
+    """
+    if not weighed.beginnings:
+        return change(weighed, 1.0)
+    kept = max(1.0 - sum(share for _, share, _ in weighed.searched), LEAST_SHARE**2)
+    changes = [np.log(share) + change(own, share) for _, share, own in weighed.searched]
+    return float(logsumexp([np.log(kept), *changes]))
 
 
 @dataclass(frozen=True)

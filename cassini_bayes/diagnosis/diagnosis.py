@@ -20,6 +20,9 @@ WIDTHS: Final = (0.5, 2.0)  # of the effects' priors, which are good to a factor
 LEAST_PROBABILITY: Final = 1e-6
 """Of a cause, below which its size and its probability at other widths are not written: nobody
 reads them, and sizes of fifty causes take as long as their searches."""
+THROUGHOUT: Final = "throughout"
+SURE: Final = 0.95  # probability that a cause acts in all events, above which it is not said
+MOST_SAID: Final = 0.99  # probability of an onset: more digits are not worth reading
 SIGNIFICANT: Final = 0.05  # p-value below which a model is called discrepant still
 Drawing = Callable[[Any], Sequence[Any]]
 PARTS: Final = 4  # in which the records of causes are made: work for up to four processes
@@ -226,7 +229,8 @@ def _cause_records(
             "parameters": {
                 key: _size_record(size, case.kinds.unit(w.name, key)) for key, size in sizes.items()
             },
-            "says": _said(case, w.name, sizes),
+            "says": _said(case, w, sizes),
+            "onset": _onset_record(w),
             "confounded_with": list(verdict.confounded_with(w.name)) if is_shown else [],
             "log_evidence_se": w.log_evidence_se,
             "effective_draws": w.effective_draws,
@@ -242,15 +246,34 @@ def _size_record(size: Size, unit: str) -> dict[str, Any]:
     return {"mean": size.mean, "sd": size.sd, "hdi_90": list(size.interval), "unit": unit}
 
 
-def _said(case: Case[H], name: str, sizes: Mapping[str, Size]) -> str | None:
-    """What the sizes of a cause mean, in words; None without sizes."""
+def _onset_record(weighed: Weighed[H]) -> dict[str, Any] | None:
+    """The event that a cause most likely begins with, null throughout, and all probabilities."""
+    begins = weighed.begins
+    if begins is None:
+        return None
+    return {
+        "event": begins.event or None,
+        "probability": begins.probability,
+        "probabilities": {own.event or THROUGHOUT: own.probability for own in weighed.beginnings},
+    }
+
+
+def _said(case: Case[H], weighed: Weighed[H], sizes: Mapping[str, Size]) -> str | None:
+    """What the sizes of a cause mean and when it begins, in words; None without sizes."""
     if not sizes:
         return None
     stated = {
-        key: Stated(size.mean, size.sd, *size.interval, case.kinds.unit(name, key))
+        key: Stated(size.mean, size.sd, *size.interval, case.kinds.unit(weighed.name, key))
         for key, size in sizes.items()
     }
-    return case.kinds.says(name, stated)
+    said, begins = case.kinds.says(weighed.name, stated), weighed.begins
+    if begins is None or (not begins.event and begins.probability > SURE):
+        return said
+    when = f"from {begins.event} on" if begins.event else THROUGHOUT
+    sure = begins.probability > MOST_SAID
+    return (
+        f"{said}, {when} (probability {f'> {MOST_SAID}' if sure else f'{begins.probability:.2f}'})"
+    )
 
 
 def _runner_up(

@@ -10,6 +10,7 @@ from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds, standard
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors
 
@@ -36,6 +37,11 @@ class Events:
     def ids(self) -> tuple[str, ...]:
         """Of all events."""
         return tuple(event.id for event in self.all)
+
+    @property
+    def in_order(self) -> tuple[str, ...]:
+        """Ids in order of time."""
+        return in_order_of_time(self.all)
 
     def without(self, event: str) -> Events:
         """The events with one left out."""

@@ -110,8 +110,13 @@ def evidence_with_noise(y: Array, fitted: Fit, sizes: Array) -> Array:
     return np.asarray(-0.5 * (turned**2 / variance + np.log(variance) + LOG_2PI).sum(-1))
 
 
-def predict_left_out(y: Array, model: Model, event: int, start: Array) -> tuple[Array, Array]:
-    """Mean (U,) and covariance (U, U) of one event, from a fit of the others, linearised afresh."""
+def predict_left_out(
+    y: Array, model: Model, event: int, start: Array
+) -> tuple[Array, Array, float]:
+    """Mean (U,) and covariance (U, U) of one event, from a fit of the others, linearised afresh.
+
+    And the log evidence of the others.
+    """
     others = np.delete(np.arange(len(y)), event)
     taught = Model(
         lambda z: model.forward(z)[:, others], lambda z: model.noise(z)[others], model.dimension
@@ -119,7 +124,8 @@ def predict_left_out(y: Array, model: Model, event: int, start: Array) -> tuple[
     fitted = fit(y[others], taught, start)
     mean, slope = _linearise(model.forward, fitted.mode)
     gradient = slope[event]
-    return mean[event], gradient @ fitted.covariance @ gradient.T + model.noise(fitted.mode)[event]
+    covariance = gradient @ fitted.covariance @ gradient.T + model.noise(fitted.mode)[event]
+    return mean[event], covariance, fitted.log_evidence
 
 
 def importance_draws(

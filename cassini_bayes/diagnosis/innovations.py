@@ -102,13 +102,21 @@ def linearise(
         smooth = smoothed(rows, terms.statistics.layout) if smooth_channels else rows
         centre = _columns(terms, rows, weights[0])
         k = terms.pattern.thrusters
-        mean = np.concatenate([np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m])
+        changed = term.thrust_factor(located) if k else None
+        moved = np.ones((len(points), k)) if changed is None else changed[:, 0]
+        mean = np.concatenate([thrust * moved[0], terms.initial_mean_n_m_s, model.torque_mean_n_m])
         unknown = centre[:, :, :-1]
         at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
         target = centre[:, :, -1] - unknown @ at
-        slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at) / (2.0 * _STEP)
+        slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at)
+        slopes += unknown[:, :, :k] @ (thrust * (moved[1 : 1 + d] - moved[1 + d :]).T)
+        slopes /= 2.0 * _STEP
         rest = unknown[:, :, k:]
-        shared = np.concatenate([slopes, unknown[:, :, :k] @ levels], axis=2) if k else slopes
+        shared = (
+            np.concatenate([slopes, unknown[:, :, :k] @ (moved[0][:, None] * levels)], axis=2)
+            if k
+            else slopes
+        )
         individual = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
         sd = _own_sd(terms, model.torque_sd_n_m)
         blocks.append((shared, np.concatenate([individual, rest], axis=2)))
@@ -117,6 +125,49 @@ def linearise(
         factors.append(factor)
     shared_width = d + (levels.shape[1] if levels.size else 0)
     return _stacked(targets, blocks, own_precision, factors, shared_width), factors
+
+
+def effect_columns(
+    base: Hypothesis, z: Array, extended: Sequence[tuple[Hypothesis, Array]]
+) -> list[Array]:
+    """What effects add to the whitened rows of every telemetry event, (3 n, S), at z (d,).
+
+    Parameters
+    ----------
+    base
+        The hypothesis without them, of which z is a point.
+    extended
+        It with an effect more, and values (s, k) of that effect's coordinates; S is the sum of s.
+    """
+    model, thrust = base.model, base.model.thrust_prior.common_mean_n
+    located = model.points(z[None])
+    points = [
+        own.model.points(np.column_stack([np.tile(z, (len(values), 1)), values]))
+        for own, values in extended
+    ]
+    found = []
+    for place, term in enumerate(model.telemetry):
+        terms, k = term.balance, term.balance.pattern.thrusters
+        physics = term.physics(located)
+        weights, shifts = [], []
+        for (own, _), at in zip(extended, points, strict=True):
+            with_effect = own.model.telemetry[place]
+            weights.append(balance_weights(terms, with_effect.physics(at), thrust))
+            factor = with_effect.thrust_factor(at) if k else None
+            shifts.append(np.zeros((at.n, k)) if factor is None else thrust * (factor[:, 0] - 1.0))
+        mean = (np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m)
+        added = _slopes(
+            terms,
+            smoothed(term.event.usable_rows, terms.statistics.layout),
+            np.concatenate(weights) - balance_weights(terms, physics, thrust),
+            np.concatenate([*mean, np.zeros(len(terms.pattern.cuts))]),
+        )
+        added += thrust_columns(base, z, place) @ np.concatenate(shifts).T
+        noise = noise_covariance(terms, physics, located.parameters)[0]
+        inverse = np.linalg.inv(np.linalg.cholesky(noise))
+        white = np.einsum("ab,nbs->nas", inverse, added)
+        found.append(white.reshape(-1, added.shape[2]))
+    return found
 
 
 def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) -> Array:

@@ -8,7 +8,7 @@ sampling where it matters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -26,6 +26,7 @@ from cassini_bayes.diagnosis.case import (
     Ranking,
     Size,
     Weighed,
+    over_beginnings,
     silent,
 )
 from cassini_bayes.diagnosis.gauss_newton import (
@@ -45,11 +46,17 @@ from cassini_bayes.diagnosis.on_times import (
     hypothesis,
     parameters_at,
 )
+from cassini_bayes.diagnosis.onsets import (
+    Beginnings,
+    sizes_tried,
+    told_from_each,
+    without_event,
+)
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
 from cassini_bayes.diagnosis.separation import separating_measurement
-from cassini_bayes.diagnosis.sizes import effect_draws, summarised
+from cassini_bayes.diagnosis.sizes import effect_draws, mixed, summarised
 from cassini_bayes.effects.catalogue import Catalogue
-from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.effect import Effect, onsets
 from cassini_bayes.effects.registry import Kinds
 
 Candidate = Weighed[OnTimeHypothesis]
@@ -83,16 +90,46 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         effects = self.catalogue.effects
         none = self._fitted(())
         weighed = [none]
-        for i, effect in enumerate(effects):
+        beginnings = self._beginnings(none, effects)
+        for i, effect in enumerate(likely := beginnings.likely()):
             weighed.append(self._fitted((effect,), none.mode.point))
             if i % 10 == 0:
-                log(f"on-times: cause {i + 1} of {len(effects)}")
+                log(f"on-times: cause {i + 1} of {len(likely)}")
+        gained = max(w.log_evidence for w in weighed) - none.log_evidence
+        missed = beginnings.missed(gained)
+        weighed += [self._fitted((effect,), none.mode.point) for effect in missed]
         unknown = self._unknown(none)
         best = max(w.log_evidence for w in (*weighed, unknown))
         near = [i for i, w in enumerate(weighed) if w.log_evidence > best - NEAR_NATS]
         for i in sorted(near, key=lambda i: -weighed[i].log_evidence)[:MOST_NEAR]:
             weighed[i] = self._sampled(weighed[i], rng)
-        return [*weighed, unknown]
+        return [*beginnings.summed(weighed), unknown]
+
+    def _beginnings(self, none: Candidate, effects: Sequence[Effect]) -> Beginnings:
+        """Events that causes may begin with, and what they gain linearised about the baseline."""
+        data, z = self.data, none.mode.point
+
+        def tell() -> list[tuple[Array, Array]]:
+            fitted = linearised(data.printed_s, none.hypothesis.model, z)
+            place = len(z) - data.thrusters
+            added = []
+            for effect in effects:
+                tried = sizes_tried(effect)
+                same = np.tile(z, (len(tried), 1))
+                points = np.concatenate([same[:, :place], tried, same[:, place:]], axis=1)
+                added.append(hypothesis(data, (effect,)).model.forward(points) - fitted.mean)
+            everything = np.concatenate(added)  # (S, E, U)
+            in_time = [data.event_ids.index(name) for name in data.order]
+            white = {i: np.linalg.inv(np.linalg.cholesky(fitted.noise[i])) for i in in_time}
+            return told_from_each(
+                [white[i] @ fitted.slope[i] for i in in_time],
+                [white[i] @ (data.printed_s[i] - fitted.mean[i]) for i in in_time],
+                [white[i] @ everything[:, i].T for i in in_time],
+                np.ones(len(z)),
+                -z,
+            )
+
+        return Beginnings.told(effects, data.order, self.catalogue.odds, tell)
 
     def _fitted(self, effects: tuple[Effect, ...], start: Array | None = None) -> Candidate:
         """A hypothesis fitted from ``start``, the place of another that lacks its last effects."""
@@ -146,14 +183,19 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         self, width: float, verdict: Ranking[OnTimeHypothesis], _: np.random.Generator
     ) -> Mapping[str, float]:
         """Fits anew of causes near the best; what sampling added to their evidence is kept."""
+
+        def change(cause: Candidate, _: float) -> float:
+            effects = tuple(effect.scaled(width) for effect in cause.hypothesis.effects)
+            other = self._fitted(effects, cause.mode.point)
+            return other.log_evidence - cause.mode.log_evidence
+
         best = max(cause.log_evidence for cause in verdict.weighed)
         scores = {NONE: verdict.named(NONE).score}
         for effect in self.catalogue.effects:
             cause = verdict.named(effect.name)
-            if cause.log_evidence > best - FAR_NATS:
-                other = self._fitted((effect.scaled(width),), cause.mode.point)
-                cause = replace(cause, log_evidence=_corrected(other, cause))
             scores[effect.name] = cause.score
+            if cause.log_evidence > best - FAR_NATS:
+                scores[effect.name] += over_beginnings(cause, change)
         return scores | {UNKNOWN: verdict.named(UNKNOWN).score}
 
     def pairs(
@@ -161,9 +203,14 @@ class OnTimeCase(Case[OnTimeHypothesis]):
     ) -> list[Candidate]:
         """By linearisation."""
         (effect,) = first.hypothesis.effects
+        prior = self.catalogue.effect(effect.name).prior_probability
+        effect = replace(effect, prior_probability=prior)
         others = [other for other in self.catalogue.effects if other.name != effect.name]
         fitted = [self._fitted((effect, other), first.mode.point) for other in others]
-        return [replace(other, log_evidence=_corrected(other, first)) for other in fitted]
+        return [
+            replace(other, log_evidence=_corrected(other, first), summed=first.summed)
+            for other in fitted
+        ]
 
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
         """With importance draws."""
@@ -176,7 +223,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From importance draws, or those of the linear form."""
-        return summarised(*self.size_draws(weighed, rng))
+        return summarised(*mixed(self.size_draws, weighed, rng))
 
     def size_draws(
         self, weighed: Candidate, rng: np.random.Generator
@@ -199,20 +246,42 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         self, weighed: Candidate, _: np.random.Generator, log: Log = silent
     ) -> HeldOut | None:
         """Every event predicted from the others."""
-        y, model = self.data.printed_s, weighed.hypothesis.model
+        y = self.data.printed_s
         if len(y) < LEAST_PIECES:
             return None
         scores, residuals, sds = [], [], []
         for event, name in enumerate(self.event_ids):
             log(f"{weighed.name}: {name} held out")
-            mean, covariance = predict_left_out(y, model, event, weighed.mode.point)
-            scores.append(normal_log_density(y[event], mean, covariance)[0])
+            ways = [
+                (np.log(share), *predict_left_out(y, own.hypothesis.model, event, own.mode.point))
+                for share, own in self._ways(weighed, name)
+            ]
+            known = np.array([share + evidence for share, _, _, evidence in ways])
+            known -= logsumexp(known)
+            own_scores = [normal_log_density(y[event], mean, cov)[0] for _, mean, cov, _ in ways]
+            scores.append(float(logsumexp(known + own_scores)))
+            means = np.array([mean for _, mean, _, _ in ways])
+            variances = np.array([np.diagonal(cov) for _, _, cov, _ in ways])
+            mean = np.exp(known) @ means
             residuals.append(y[event] - mean)
-            sds.append(np.sqrt(np.diagonal(covariance)))
+            sds.append(np.sqrt(np.exp(known) @ (variances + (means - mean) ** 2)))
         residual, half_width = np.array(residuals), WITHIN * np.array(sds)
         inside = float((np.abs(residual) <= half_width).mean())
         rmse = float(np.sqrt((residual**2).mean()))
         return HeldOut(np.array(scores), rmse, inside, residual, half_width)
+
+    def _ways(self, weighed: Candidate, event: str) -> list[tuple[float, Candidate]]:
+        """Every way in which a hypothesis may begin by all events but one, with its prior share."""
+        if not weighed.beginnings:
+            return [(1.0, weighed)]
+        order = self.data.order
+        shares, each = self.catalogue.odds.of_onsets(len(order)), (None, *onsets(order))
+        found = []
+        for first, own in without_event(weighed, order, event):
+            effects = tuple(replace(e, onset=each[first]) for e in own.hypothesis.effects)
+            moved = hypothesis(self.data, effects, own.hypothesis.prior_probability)
+            found.append((shares[first], replace(own, hypothesis=moved)))
+        return found
 
     def rmse(self, weighed: Candidate) -> float:
         """Of printed less predicted on-times at the mode, s."""

@@ -19,13 +19,14 @@ import numpy as np
 
 from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
 from cassini_bayes.balance.totals_terms import hold_rate_covariance
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.diagnosis.case import NONE
 from cassini_bayes.diagnosis.gauss_newton import Model
 from cassini_bayes.effects.controller import Fired
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import CYCLE_S, Features, expected_minor
@@ -91,6 +92,7 @@ class OnTimes:
     thrust_sd_n: Mapping[str, float]
     pulses_per_second: float
     beliefs: Beliefs
+    order: tuple[str, ...] = ()  # of the events in time
 
     @property
     def thrusters(self) -> int:
@@ -172,6 +174,7 @@ def read_on_times(events: Sequence[TotalsEvent], priors: Priors, beliefs: Belief
         thrust_sd_n=dict(zip(THRUSTS, priors.normal(THRUSTS)[1], strict=True)),
         pulses_per_second=beliefs.moments("pulses_per_second")[0],
         beliefs=beliefs,
+        order=in_order_of_time(events),
     )
 
 
@@ -262,6 +265,28 @@ class Flown:
     on_time_s: Array
     fired: Fired | None = None
 
+    def where(self, acts: Flags, other: Flown) -> Flown:
+        """These, and in the events (E,) where it acts, the others."""
+        mine, theirs = self.fired, other.fired
+        on_time = np.where(acts[:, None], other.on_time_s, self.on_time_s)
+        one = mine or theirs
+        if one is None:
+            return Flown(on_time)
+        # without a doubted firing logic nothing is left to its chance
+        nothing = Fired(
+            0.0 * one.on_time_s, 0.0 * one.opposing_s, 0.0 * one.common_s, 0.0 * one.alone
+        )
+        mine, theirs = mine or nothing, theirs or nothing
+        return Flown(
+            on_time,
+            Fired(
+                np.where(acts[:, None], theirs.on_time_s, mine.on_time_s),
+                np.where(acts[:, None], theirs.opposing_s, mine.opposing_s),
+                np.where(acts, theirs.common_s, mine.common_s),
+                np.where(acts[:, None], theirs.alone, mine.alone),
+            ),
+        )
+
 
 def hypothesis(
     data: OnTimes, effects: tuple[Effect, ...] = (), prior_probability: float = 1.0
@@ -275,8 +300,15 @@ def hypothesis(
         (*base.blocks, *("effect" for _ in added)),
     )
 
+    acting = np.array([[effect.acts_in(name) for effect in effects] for name in data.event_ids])
+    together, which = np.unique(acting, axis=0, return_inverse=True)
+
     def flown(z: Array, nudge: Nudge) -> Flown:
-        return _fly(data, effects, space, z, nudge)
+        each = [_fly(data, _some(effects, acts), space, z, nudge) for acts in together]
+        found = each[0]
+        for i, other in enumerate(each[1:], 1):
+            found = found.where(which == i, other)
+        return found
 
     return OnTimeHypothesis(
         "+".join(effect.name for effect in effects) or NONE,
@@ -289,6 +321,10 @@ def hypothesis(
             space.dimension + data.thrusters,
         ),
     )
+
+
+def _some(effects: Sequence[Effect], acts: Flags) -> tuple[Effect, ...]:
+    return tuple(effect for effect, is_there in zip(effects, acts, strict=True) if is_there)
 
 
 def parameters_at(space: ParameterSpace, z: Array) -> dict[str, Array]:
@@ -310,7 +346,8 @@ def _fly(
     physics = physics_of(spacecraft, branch, parameters, modifiers)
     level = parameters[COMMON] - data.thrust_centre_n
     departures = level[:, None] + data.thrust_sd_n["thrust_individual_n"] * z[:, space.dimension :]
-    thrust = data.thrust_n[:, None] + departures[:, None, :] + nudge.force_n
+    factor = np.broadcast_to(physics.thrust_factor, departures.shape)[:, None, :]
+    thrust = factor * (data.thrust_n[:, None] + departures[:, None, :]) + nudge.force_n
     torque = physics.arms_m[:, None] * (thrust * _per_second(data, physics))[:, :, None, :]
     steps = np.einsum("esw,naw->nesa", data.steps_rad_s, physics.wheel_weights)
     between = np.asarray(nudge.momentum_n_m_s - _steady(data, physics))
@@ -327,7 +364,7 @@ def _per_second(data: OnTimes, physics: Physics) -> Array:
     """Effective per commanded second of every thruster (n, 1, K), at equally wide pulses."""
     rate = data.pulses_per_second
     seconds = PULSE_SHAPES["first_order"].effective_time(1.0 / rate, *physics.tau_s)[..., None]
-    factor = rate * (seconds * physics.thrust_factor + np.asarray(physics.impulse_offset_s))
+    factor = rate * (seconds + np.asarray(physics.impulse_offset_s))
     return np.asarray(np.maximum(factor, LEAST_FACTOR) * np.ones(data.thrusters))[:, None, :]
 
 

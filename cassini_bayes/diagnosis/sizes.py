@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import TRUSTED_K, Size, Weighed
+from cassini_bayes.diagnosis.case import TRUSTED_K, H, Size, Weighed
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
 from cassini_bayes.diagnosis.unresolved import timed
 from cassini_bayes.model.posterior import TORQUES
 
+SizeDraws = Callable[[Weighed[H], np.random.Generator], tuple[dict[str, Array], Array]]
 SUMMARY_DRAWS: Final = 2_000
 """Of a Laplace approximation: the ends of a 90 % interval scatter by 0.05 standard deviations."""
 
@@ -38,6 +39,20 @@ def size_draws(
         for key, share in effect.form_error:
             values[key] = values[key] * (1.0 + share * rng.standard_normal(len(z)))
     return values, weights
+
+
+def mixed(
+    drawn: SizeDraws[H], weighed: Weighed[H], rng: np.random.Generator
+) -> tuple[dict[str, Array], Array]:
+    """Draws of sizes over the events that a cause may begin with, each with its probability."""
+    each = [(share, drawn(own, rng)) for _, share, own in weighed.searched]
+    if not each:
+        return drawn(weighed, rng)
+    keys = each[0][1][0]
+    return (
+        {key: np.concatenate([values[key] for _, (values, _) in each]) for key in keys},
+        np.concatenate([share * weights / weights.sum() for share, (_, weights) in each]),
+    )
 
 
 def effect_draws(

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed
+from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed, over_beginnings
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import mode_near
@@ -30,8 +30,17 @@ def change_of_evidence(
 ) -> float:
     """Change (nats) of a cause's log evidence with priors wider by a factor.
 
-    Zero for causes whose evidence was not sampled, further than ten nats from the best.
+    Zero for causes whose evidence was not sampled, further than ten nats from the best. A cause
+    that may begin with several events changes by the mean over them.
     """
+    return over_beginnings(
+        weighed, lambda own, share: _change(events, own, share * probability, width)
+    )
+
+
+def _change(
+    events: Events, weighed: Weighed[Hypothesis], probability: float, width: float
+) -> float:
     if weighed.z is None or not weighed.hypothesis.effects:
         return 0.0
     log_weights = reweighted(weighed, width)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from cassini_bayes.effects.changes import AXES
-from cassini_bayes.effects.effect import Effect, EffectParameter, Kind
+from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, Onset, onsets
 from cassini_bayes.effects.registry import Kinds, Odds, Unknown, standard
 from cassini_bayes.effects.tables import ParameterTable, Table
 from cassini_bayes.errors import InputError
@@ -100,29 +100,35 @@ def named_effects(
     inputs: Sequence[str],
     kinds: Kinds | None = None,
     where: str = "effects",
+    order: Sequence[str] = (),
 ) -> tuple[Effect, ...]:
     """Effects by name, to be fitted: their parameters have the names that they have in a fit.
 
     Parameters
     ----------
     names
-        Kind, and the target behind a colon where it has one: ``thruster_leak:z3``.
+        Kind, and the target behind a colon where it has one: ``thruster_leak:z3``. With
+        ``@EVENT`` behind it acts from that event on.
     priors, wheels, inputs, kinds
         As for :func:`read_catalogue`.
     where
         What gave the names, for messages.
+    order
+        Ids of the events in order of time.
 
     Raises
     ------
     InputError
         A name twice; one that there is not, with the nearest; an effect that such events cannot
-        show, that departs from a parameter without prior, or that has to be searched for first.
+        show, that departs from a parameter without prior, or that has to be searched for first; an
+        event that is none of these, or the first.
     """
     if not names:
         return ()
     catalogue = read_catalogue(priors, wheels, inputs, kinds)
     chosen: list[Effect] = []
-    for name in names:
+    for given in names:
+        name, _, event = given.partition("@")
         if name in (effect.name for effect in chosen):
             raise InputError(where, "every effect once", f"{name!r} twice", "leave one out")
         if name not in catalogue.names:
@@ -135,7 +141,8 @@ def named_effects(
                 f"{name!r}, for which a search comes first",
                 "use cassini-bayes diagnose --then-fit",
             )
-        chosen.append(effect.as_fitted())
+        onset = _onset(given, event, order, where) if "@" in given else None
+        chosen.append(replace(effect.as_fitted(), onset=onset))
     taken = set(known_parameters(priors.spacecraft))
     for spec in (spec for effect in chosen for spec in effect.specs):
         if spec.name in taken:
@@ -147,6 +154,21 @@ def named_effects(
             )
         taken.add(spec.name)
     return tuple(chosen)
+
+
+def _onset(given: str, event: str, order: Sequence[str], where: str) -> Onset:
+    """The onset that a name gives behind its ``@``."""
+    found = {onset.event: onset for onset in onsets(order)}
+    if event in found:
+        return found[event]
+    raise InputError(
+        where,
+        "behind @ an event of this fit, but not the first in time",
+        repr(given),
+        "leave @ and what follows out: it acts in all events"
+        if event in order[:1]
+        else nearest(event, list(found)),
+    )
 
 
 def _not_there(

@@ -165,12 +165,26 @@ class EffectParameter:
 
 
 @dataclass(frozen=True)
+class Onset:
+    """From which event on an effect acts: the id of the first one, and of all in which it does."""
+
+    event: str
+    events: frozenset[str]
+
+
+def onsets(order: Sequence[str]) -> tuple[Onset, ...]:
+    """Every onset after the first event, for ids in order of time."""
+    return tuple(Onset(order[i], frozenset(order[i:])) for i in range(1, len(order)))
+
+
+@dataclass(frozen=True)
 class Effect:
     """A cause: a kind of effect on one target, with the priors of its size.
 
     ``form_error`` is the standard deviation, by the name of a size and as a share of it, of what
     the term's form leaves out, ``source`` where its priors come from. ``search_result`` is what a
-    search before the fit settled, where the kind has one and it was made.
+    search before the fit settled, where the kind has one and it was made. With an ``onset`` it acts
+    from one event on, without throughout.
     """
 
     kind: Kind
@@ -180,11 +194,16 @@ class Effect:
     form_error: tuple[tuple[str, float], ...] = ()
     search_result: SearchResult | None = None
     source: str = ""
+    onset: Onset | None = None
 
     @property
     def name(self) -> str:
         """Kind, and the target behind a colon where there is one."""
         return f"{self.kind.name}:{self.target}" if self.target else self.kind.name
+
+    def acts_in(self, event: str) -> bool:
+        """Whether it acts in an event of this id."""
+        return self.onset is None or event in self.onset.events
 
     @property
     def needs_search(self) -> bool:
@@ -194,8 +213,9 @@ class Effect:
     @property
     def specs(self) -> tuple[ParameterSpec, ...]:
         """Unit and meaning of its parameters."""
+        begins = "" if self.onset is None else f", from {self.onset.event} on"
         return tuple(
-            ParameterSpec(p.name, p.unit, EFFECT_BLOCK, f"{self.name}: {p.key}{_role(p)}")
+            ParameterSpec(p.name, p.unit, EFFECT_BLOCK, f"{self.name}: {p.key}{_role(p)}{begins}")
             for p in self.parameters
         )
 

@@ -67,11 +67,21 @@ KINDS: Final[tuple[Kind, ...]] = (
 
 @dataclass(frozen=True)
 class Odds:
-    """Prior probabilities of no cause, of all catalogued causes together, of something else."""
+    """Prior probabilities of no cause, of all catalogued causes together, of something else.
+
+    ``throughout`` is that of a cause to act in all events and not from a later one on.
+    """
 
     none: float
     catalogued: float
     unknown: float
+    throughout: float = 1.0
+
+    def of_onsets(self, events: int) -> tuple[float, ...]:
+        """Probabilities that a cause acts from the first, second, … of some events on."""
+        if events < 2:
+            return (1.0,)
+        return (self.throughout, *(events - 1) * ((1.0 - self.throughout) / (events - 1),))
 
 
 @dataclass(frozen=True)
@@ -235,7 +245,15 @@ def _odds(causes: Mapping[str, Any], where: Place) -> Odds:
         raise InputError(
             str(where), "three probabilities that add up to 1", f"{total:g}", "mend the table"
         )
-    return Odds(none, catalogued, unknown)
+    throughout = finite_number(str(where / "throughout"), causes["throughout"])
+    if not 0.0 < throughout <= 1.0:
+        raise InputError(
+            str(where / "throughout"),
+            "a probability above 0",
+            f"{throughout:g}",
+            "give 1 where no cause may begin later than the first event",
+        )
+    return Odds(none, catalogued, unknown, throughout)
 
 
 def _unknown(unknown: Mapping[str, Any], where: Place) -> Unknown:

@@ -10,7 +10,7 @@ import numpy as np
 from cassini_bayes.balance.computed_delta_v import event_channel_log_likelihood
 from cassini_bayes.balance.physics import Parameters, delta_v_variance
 from cassini_bayes.computing.arrays import Array, Places
-from cassini_bayes.model.posterior import Collapsed, Model, collapse
+from cassini_bayes.model.posterior import Collapsed, Model, collapse, thrust_factor
 from cassini_bayes.model.terms import TORQUE, TermDraws
 from cassini_bayes.model.thrusts import ThrustDraws, draw_thrusts, prior_thrusts
 
@@ -46,7 +46,10 @@ class Draws:
                 for name, values in self.parameters.items()
             },
             ThrustDraws(
-                thrusts.thrust_n[places], thrusts.common_n[places], thrusts.level_n[places]
+                thrusts.thrust_n[places],
+                thrusts.common_n[places],
+                thrusts.level_n[places],
+                np.asarray(thrusts.factor)[places] if np.ndim(thrusts.factor) else 1.0,
             ),
             tuple({name: values[places] for name, values in own.items()} for own in self.own),
         )
@@ -62,6 +65,7 @@ def draw(model: Model, z: Array, rng: np.random.Generator) -> Draws:
             np.concatenate([part.thrust_n for part in thrusts]),
             np.concatenate([part.common_n for part in thrusts]),
             np.concatenate([part.level_n for part in thrusts]),
+            np.concatenate([np.asarray(part.factor) for part in thrusts]),
         ),
         tuple(_joined(batches) for batches in zip(*own, strict=True)),
     )
@@ -84,7 +88,8 @@ def draw_prior(model: Model, n: int, rng: np.random.Generator) -> Draws:
     """Everything drawn from its prior, before any data."""
     parameters = model.space.to_parameters(model.space.sample(rng, n))
     shape = (n, len(model.fired_ids))
-    thrusts = prior_thrusts(model.thrust_prior, parameters, shape, rng)
+    factor = thrust_factor(model, model.points_at(parameters, n))
+    thrusts = prior_thrusts(model.thrust_prior, parameters, shape, rng, factor)
     normals = rng.standard_normal((n, len(model.event_ids), 3))
     torque = model.torque_mean_n_m + model.torque_sd_n_m * normals
     own = tuple(
@@ -134,8 +139,13 @@ def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array |
         for term in model.terms:
             at = term.at(points)
             if term.events[0].fires:
+                factor = term.thrust_factor(points)
+                moved = offset
+                if factor is not None:
+                    each = factor * level_n[rows, None, :]
+                    moved = each - points.common_n[:, None, None]
                 own = model.thrust_prior.own
-                parts.append(at.information.without_own(own).about(offset).constant)
+                parts.append(at.information.without_own(own).about(moved).constant)
             else:
                 parts.append(at.log_likelihood[:, None])
         for i, term in enumerate(model.totals):

@@ -11,6 +11,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -110,6 +111,7 @@ class ReducedEvent:
     delta_v: DeltaVStatistics | None = None  # of a measured velocity change
     accelerometer: AccelerometerStatistics | None = None
     channels: ChannelMap | None = None  # of telemetry whose columns are not ours
+    epoch: datetime | None = None  # of the first row, where it is known
 
     @property
     def id(self) -> str:
@@ -278,6 +280,7 @@ def reduce_samples(
     thrusters: Sequence[str],
     samples: Samples,
     sampling: Sampling,
+    epoch: datetime | None = None,
 ) -> ReducedEvent:
     """Reduce telemetry that is in memory, as from a simulation."""
     layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples)
@@ -297,7 +300,7 @@ def reduce_samples(
         pulses=tuple(gained[1].tolist()),
         mends=(),
     )
-    return ReducedEvent(statistics, sampling, reading, rows, "memory")
+    return ReducedEvent(statistics, sampling, reading, rows, "memory", epoch=epoch)
 
 
 def reduce_event(
@@ -376,6 +379,7 @@ def reduce_event(
         _delta_v(event, rows, sampling),
         _accelerometer(event, rows, sampling),
         event.channels,
+        event.epoch,
     )
 
 

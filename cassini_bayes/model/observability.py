@@ -19,6 +19,7 @@ import pandas as pd
 
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.posterior import Model
+from cassini_bayes.model.terms import Points, Term
 from cassini_bayes.model.thrusts import ThrustPrior
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK
@@ -119,9 +120,16 @@ def _parts(model: Model, unknowns: Unknowns) -> Iterator[tuple[int, Places, Arra
     points = model.points(_steps(model))
     slopes = _level_slopes(model)
     for term, events in zip(model.terms, model.events_of_term, strict=True):
+        own = _effect_slopes(model, term, points)
         for event, part in term.at(points).expected_information(unknowns, events.start, STEP):
-            if slopes.size and model.events[event].fires:
-                part = _with_levels(part, slopes, model.thrust_prior)
+            if model.events[event].fires:
+                if slopes.size:
+                    part = _with_levels(part, slopes, model.thrust_prior)
+                if own is not None:
+                    factor, each = own
+                    place = event - events.start
+                    prior = model.thrust_prior.scaled(factor[place])
+                    part = _with_levels(part, each[place], prior)
             yield event, unknowns.of_event(event), part
 
 
@@ -140,6 +148,20 @@ def _level_slopes(model: Model) -> Array:
     offset = prior.offset_at(points.parameters, points.common_n)
     levels = points.common_n[:, None] + (np.zeros(len(prior.shared)) if offset is None else offset)
     return np.asarray((levels[1 : d + 1] - levels[d + 1 :]).T / (2.0 * STEP))
+
+
+def _effect_slopes(model: Model, term: Term, points: Points) -> tuple[Array, Array] | None:
+    """Factors (E, K) of effects on levels in a term's events, and the means' slopes (E, K, d).
+
+    None without such effects; ``points`` are those of :func:`_steps`.
+    """
+    factor, d = term.thrust_factor(points), model.space.dimension
+    if factor is None or not factor.shape[1]:
+        return None
+    prior = model.thrust_prior
+    mean = prior.mean_at(points.parameters, points.common_n)[0]
+    slopes = np.moveaxis(factor[1 : d + 1] - factor[d + 1 :], 0, -1) / (2.0 * STEP)
+    return factor[0], np.asarray(mean[:, None] * slopes)
 
 
 def _with_levels(information: Array, slopes: Array, prior: ThrustPrior) -> Array:

@@ -241,8 +241,31 @@ def with_effects(model: Model, effects: Sequence[Effect]) -> Model:
         model,
         space=space,
         specs={**model.specs, **specs},
-        totals=tuple(replace(t, modifiers=(*t.modifiers, *added)) for t in model.totals),
-        telemetry=tuple(replace(t, modifiers=(*t.modifiers, *in_rows)) for t in model.telemetry),
+        totals=tuple(
+            replace(
+                term,
+                modifiers=(*term.modifiers, *added),
+                acting=(
+                    *term.acting,
+                    *(tuple(effect.acts_in(row) for row in term.event_ids) for effect in effects),
+                ),
+            )
+            for term in model.totals
+        ),
+        telemetry=tuple(
+            replace(
+                term,
+                modifiers=(
+                    *term.modifiers,
+                    *(
+                        modifier
+                        for modifier, effect in zip(in_rows, effects, strict=True)
+                        if effect.acts_in(term.id)
+                    ),
+                ),
+            )
+            for term in model.telemetry
+        ),
         effects=(*model.effects, *effects),
     )
 
@@ -323,14 +346,31 @@ def collapse(model: Model, z: Array) -> Collapsed:
     points = model.points(z)
     terms = tuple(term.at(points) for term in model.terms)
     prior, common = model.thrust_prior, points.common_n
+    factor = thrust_factor(model, points)
     thrusts = collapse_thrusts(
         prior,
         ThrustInformation.joined([term.information for term in terms]),
         common,
         prior.offset_at(points.parameters, common),
+        factor,
     )
     constant = sum(term.log_likelihood for term in terms)
     return Collapsed(np.asarray(constant + thrusts.log_likelihood), thrusts, terms)
+
+
+def thrust_factor(model: Model, points: Points) -> Array | None:
+    """Factors (n, E', K) of effects on the levels in all events that fire; None without."""
+    factors = [term.thrust_factor(points) for term in model.terms]
+    if not model.fires or all(factor is None for factor in factors):
+        return None
+    thrusters = len(model.thrust_prior.shared)
+    return np.concatenate(
+        [
+            np.ones((points.n, fired.stop - fired.start, thrusters)) if factor is None else factor
+            for factor, fired in zip(factors, model.fired_of_term, strict=True)
+        ],
+        axis=1,
+    )
 
 
 def log_likelihood(model: Model, z: Array) -> Array:

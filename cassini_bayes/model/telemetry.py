@@ -101,6 +101,14 @@ class TelemetryTerm:
         """The event at n points."""
         return TelemetryAt(self, points)
 
+    def thrust_factor(self, points: Points) -> Array | None:
+        """Factors (n, 1, K) of effects on the levels; (n, 0, K) where nothing fires."""
+        factor = self.physics(points).thrust_factor
+        if not np.ndim(factor):
+            return None
+        whole = np.broadcast_to(factor, (points.n, np.shape(factor)[-1]))[:, None]
+        return whole if self.event.fires else whole[:, :0]
+
     def draw_prior(self, torque_n_m: Array, rng: np.random.Generator) -> TermDraws:
         """The initial momentum from its prior; of tails nothing is known beforehand."""
         normals = rng.standard_normal((len(torque_n_m), 3))
@@ -301,12 +309,11 @@ class TelemetryAt:
         """Of the rows' balance, and of a measured velocity change."""
         shared, d = self.points.shared, unknowns.walked.stop
         prior = shared.thrust_prior
-        mean = np.concatenate(
-            [
-                np.full(self.term.balance.pattern.thrusters, prior.common_mean_n),
-                self.system.own_mean,
-            ]
-        )
+        factor = self.term.thrust_factor(self.points)
+        thrust = np.full(self.term.balance.pattern.thrusters, prior.common_mean_n)
+        if factor is not None and self.term.event.fires:
+            thrust, prior = thrust * factor[0, 0], prior.scaled(factor[0, 0])
+        mean = np.concatenate([thrust, self.system.own_mean])
         total = row_information(
             self.term.balance,
             self.physics,

@@ -154,6 +154,9 @@ class Term(Protocol):
     def at(self, points: Points) -> TermAt:
         """The term at n points."""
 
+    def thrust_factor(self, points: Points) -> Array | None:
+        """Factors (n, E', K) of effects on the levels in the events that fire, if any."""
+
     def draw_prior(self, torque_n_m: Array, rng: np.random.Generator) -> TermDraws:
         """Its own unknowns from their priors, with the torques (n, E, 3) already drawn."""
 

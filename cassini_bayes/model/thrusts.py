@@ -69,6 +69,17 @@ class ThrustPrior:
             return None
         return self.chained.levels_n(parameters) - common_n[:, None]
 
+    def mean_at(self, parameters: Parameters, common_n: Array) -> Array:
+        """Mean levels (n, K) or, where they are all the common one, (n, 1)."""
+        offset = self.offset_at(parameters, common_n)
+        return common_n[:, None] if offset is None else common_n[:, None] + offset
+
+    def scaled(self, factor: Array | None) -> ThrustPrior:
+        """With effects' factors (…, E, K) on the levels: departures keep their widths."""
+        if factor is None:
+            return self
+        return replace(self, shared=factor[..., None] * self.shared)
+
 
 def thrust_prior_of(priors: Priors, thrusters: int) -> ThrustPrior:
     """The thrusts' prior; its parameters must be normal or fixed, the common level may be walked.
@@ -192,7 +203,8 @@ class ThrustDraws:
 
     thrust_n: Array  # (n, E, K)
     common_n: Array  # (n,) the common level
-    level_n: Array  # (n, K) common + individual: a thruster's level over all events
+    level_n: Array  # (n, K) common + individual: a thruster's level over all events, no effects
+    factor: Array | float = 1.0  # (n, E, K) of effects on the levels
 
 
 @dataclass(frozen=True)
@@ -200,7 +212,8 @@ class CollapsedThrusts:
     """Conditional normal of the thrusts at a batch of points, by its factors.
 
     Coordinates are the events' own ξ_e (p of them) and the shared η (q); all have N(0, 1) priors.
-    Levels are counted from ``centre_n`` (n, K) or, without an earlier fit, (n, 1).
+    Levels are counted from the common one and an earlier fit's ``offset_n``; thrusts are
+    ``factor`` times these and their departures.
     """
 
     log_likelihood: Array  # (n,)
@@ -211,20 +224,29 @@ class CollapsedThrusts:
     shared_shift: Array  # (n, q) shared_factor⁻¹ ν_η
     common_n: Array  # (n,)
     offset_n: Array | None  # (n, K), or (n, E, K)
+    factor: Array | None = None  # (n, E, K)
 
 
 def collapse_thrusts(
-    prior: ThrustPrior, information: ThrustInformation, common_n: Array, offset_n: Array | None
+    prior: ThrustPrior,
+    information: ThrustInformation,
+    common_n: Array,
+    offset_n: Array | None,
+    factor: Array | None = None,
 ) -> CollapsedThrusts:
     """Integrate the thrusts out of the information of all events.
 
     Thrust is S η + L ξ_e beyond the mean level, so ξ_e is eliminated with the Cholesky factor of
     1 + LᵀGL and η with that of 1 + Sᵀ Σ_e [G − GL(1 + LᵀGL)⁻¹LᵀG] S (Rasmussen & Williams 2006,
-    eqs. A.9-A.12).
+    eqs. A.9-A.12). ``offset_n`` is that of the mean levels from the common one, ``factor``
+    (n, E, K) that of effects on the levels: S is then theirs event by event.
     """
     if offset_n is not None:
         information = information.about(offset_n)
-    own, shared = prior.own, prior.shared
+    if factor is not None:
+        mean = common_n[:, None] if offset_n is None else common_n[:, None] + offset_n
+        information = information.about((factor - 1.0) * mean[:, None, :])
+    own, shared = prior.own, prior.scaled(factor).shared
     matrix, vector = information.matrix, information.vector
     by_shared = _times(matrix, shared)
     own_precision = _times(np.swapaxes(_times(matrix, own), -1, -2), own)
@@ -259,6 +281,7 @@ def collapse_thrusts(
         shared_shift=shared_shift,
         common_n=common_n,
         offset_n=offset_n,
+        factor=factor,
     )
 
 
@@ -299,10 +322,12 @@ def draw_thrusts(
     level = common[:, None] + shared @ prior.shared.T
     if collapsed.offset_n is not None:
         level = level + collapsed.offset_n
+    factor = np.ones((n, n_events, 1)) if collapsed.factor is None else collapsed.factor
     return ThrustDraws(
-        thrust_n=level[:, None, :] + own @ prior.own.T,
+        thrust_n=factor * level[:, None, :] + own @ prior.own.T,
         common_n=_draw_common(prior, common, level, rng),
         level_n=level,
+        factor=factor,
     )
 
 
@@ -331,7 +356,7 @@ def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Arr
     This is the estimate, and the noise-only variance, that a fit with all nuisances held at these
     points would report; its change with them is the consider-style contribution of each nuisance.
     """
-    own, shared = prior.own, prior.shared
+    own, shared = prior.own, prior.scaled(collapsed.factor).shared
     shared_inverse = np.linalg.inv(collapsed.shared_factor)
     shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
     own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.own_factor), -1, -2)
@@ -347,16 +372,34 @@ def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Arr
     else:
         levels = (shared @ shared_mean[:, None, :, None])[..., 0]
     departures = own_mean @ own.T if own.ndim == 2 else (own @ own_mean[..., None])[..., 0]
-    mean = common + departures + levels
-    if collapsed.offset_n is not None:
-        mean = mean + _each_event(collapsed.offset_n)
+    centre = common if collapsed.offset_n is None else common + _each_event(collapsed.offset_n)
+    if collapsed.factor is not None:
+        centre = collapsed.factor * centre
+    mean = centre + departures + levels
     return mean, (spread**2).sum(-1) + (response**2).sum(-1)
 
 
 def prior_thrusts(
+    prior: ThrustPrior,
+    parameters: Parameters,
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+    factor: Array | None = None,
+) -> ThrustDraws:
+    """Thrusts drawn from their prior, for ``shape`` = (draws n, events E).
+
+    ``factor`` (n, E, K) is that of effects on the levels.
+    """
+    drawn = _prior_thrusts(prior, parameters, shape, rng)
+    if factor is None:
+        return drawn
+    moved = (factor - 1.0) * drawn.level_n[:, None, :]
+    return replace(drawn, thrust_n=drawn.thrust_n + moved, factor=factor)
+
+
+def _prior_thrusts(
     prior: ThrustPrior, parameters: Parameters, shape: tuple[int, int], rng: np.random.Generator
 ) -> ThrustDraws:
-    """Thrusts drawn from their prior, for ``shape`` = (draws n, events E)."""
     n, thrusters = shape[0], len(prior.shared)
     common = prior.common_at(parameters, n)
     if not thrusters:
@@ -376,7 +419,7 @@ def prior_thrusts(
 
 def thrust_log_prior(prior: ThrustPrior, parameters: Parameters, draws: ThrustDraws) -> Array:
     """Log prior density (n,) of drawn thrusts: common level, thrusters' levels, departures."""
-    departure = draws.thrust_n - draws.level_n[:, None, :]
+    departure = draws.thrust_n - draws.factor * draws.level_n[:, None, :]
     if prior.chained is not None:
         departures = draws.level_n - prior.chained.levels_n(parameters)
         level = np.asarray(np.linalg.solve(prior.shared, departures.T).T, dtype=np.float64)

@@ -37,7 +37,7 @@ from cassini_bayes.balance.totals_system import (
     totals_system,
 )
 from cassini_bayes.balance.totals_terms import TotalsStack, stack_events
-from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.terms import (
@@ -73,6 +73,7 @@ class TotalsTerm:
     delta_v: DeltaVUse
     computed: ComputedDeltaV | None  # ΔV computed on board, where events have it
     modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
+    acting: tuple[tuple[bool, ...], ...] = ()  # of every modifier: in which rows
     density_name: str = "totals"
     most_points: int = ALL_POINTS
 
@@ -103,16 +104,42 @@ class TotalsTerm:
 
     def at(self, points: Points) -> TotalsAt:
         """The balances at n points."""
-        shared, physics = points.shared, points.physics(self.modifiers)
-        system = totals_system(
-            self.balance,
-            physics,
-            points.parameters,
-            shared.thrust_prior.common_mean_n,
-            shared.torque_mean_n_m,
-            shared.torque_sd_n_m,
-        )
-        return TotalsAt(self, points, system)
+        shared = points.shared
+        systems = [
+            totals_system(
+                self.balance,
+                points.physics(modifiers),
+                points.parameters,
+                shared.thrust_prior.common_mean_n,
+                shared.torque_mean_n_m,
+                shared.torque_sd_n_m,
+            )
+            for modifiers in self._sets
+        ]
+        return TotalsAt(self, points, TotalsSystem.of_rows(systems, self._set_of_row))
+
+    @cached_property
+    def _sets(self) -> tuple[tuple[Modifier, ...], ...]:
+        """Sets of effects that act together in some row."""
+        return tuple(dict.fromkeys(self._of_row(row) for row in range(len(self.rows))))
+
+    @cached_property
+    def _set_of_row(self) -> Places:
+        """Which of these acts in every row, (E,)."""
+        return np.array([self._sets.index(self._of_row(row)) for row in range(len(self.rows))])
+
+    def _of_row(self, row: int) -> tuple[Modifier, ...]:
+        each = zip(self.modifiers, self.acting, strict=True)
+        return tuple(modifier for modifier, acts in each if acts[row])
+
+    def thrust_factor(self, points: Points) -> Array | None:
+        """Factors (n, E, K) of effects on the levels in the rows."""
+        factors = [points.physics(modifiers).thrust_factor for modifiers in self._sets]
+        if not any(np.ndim(factor) for factor in factors):
+            return None
+        shape = (points.n, len(points.shared.thrust_prior.shared))
+        whole = [np.broadcast_to(factor, shape) for factor in factors]
+        return np.stack([whole[i] for i in self._set_of_row], axis=1)
 
     def draw_prior(self, torque_n_m: Array, rng: np.random.Generator) -> TermDraws:
         """Constants of the on-board ΔV from their prior."""
@@ -195,13 +222,10 @@ class TotalsAt:
         log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
         rows = factor.shape[-1]
         jacobian = system.jacobian
-        shift = (common - system.reference_n)[..., None, None]
-        tilt = jacobian.gradient + shift * jacobian.hessian.sum(-1)
-        tilt_value = (
-            jacobian.value
-            + shift[..., 0] * jacobian.gradient.sum(-1)
-            + 0.5 * shift[..., 0] ** 2 * jacobian.hessian.sum((-2, -1))
-        )
+        shift = common[..., None, None] - system.reference_n
+        bent = (jacobian.hessian @ shift[..., None])[..., 0]
+        tilt = jacobian.gradient + bent
+        tilt_value = jacobian.value + (shift * (jacobian.gradient + 0.5 * bent)).sum(-1)
         gram = np.swapaxes(white, -1, -2) @ white
         return ThrustInformation(
             matrix=gram[..., :-1, :-1] - jacobian.hessian,
@@ -266,11 +290,13 @@ class TotalsAt:
         d = unknowns.walked.stop
         at_common = system.target - prior.common_mean_n * system.design.sum(-1)
         walked = -(at_common[1 : d + 1] - at_common[d + 1 :]) / (2.0 * step)
+        factor = self.term.thrust_factor(self.points)
         for i in range(len(self.term.event_ids)):
             design = system.design[0, i]
             torque = system.torque_design[i] * shared.torque_sd_n_m
+            levels = prior.scaled(None if factor is None else factor[0, i]).shared
             columns = np.concatenate(
-                [walked[:, i].T, design @ prior.shared, design @ prior.own, torque], axis=1
+                [walked[:, i].T, design @ levels, design @ prior.own, torque], axis=1
             )
             white = np.linalg.solve(np.linalg.cholesky(system.covariance[0, i]), columns)
             yield first + i, white.T @ white

@@ -16,6 +16,7 @@ from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import ReducedEvent, store_reduction
 from cassini_bayes.model.gather import read_reference
+from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -126,7 +127,8 @@ def effects_of(
     wheels = sorted({number for event in events for number in event.wheels})
     inputs = ["totals" if isinstance(event, TotalsEvent) else "telemetry" for event in events]
     given = tuple(dict.fromkeys(inputs))
-    return named_effects(run.model.effects, priors, wheels, given, kinds, "model.effects")
+    order = in_order_of_time(events)
+    return named_effects(run.model.effects, priors, wheels, given, kinds, "model.effects", order)
 
 
 def file_of(base: Path, reference: str) -> str:

@@ -13,6 +13,7 @@ from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model import posterior
 from cassini_bayes.model.gather import EventLike, PathLike, gather
+from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.model.posterior import Event, Model
 from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -98,7 +99,8 @@ def model_of(
     given = [effect for effect in effects if not isinstance(effect, str)]
     wheels = sorted({number for event in events for number in event.wheels})
     inputs = ["totals" if isinstance(event, TotalsEvent) else "telemetry" for event in events]
-    named = named_effects(names, priors, wheels, tuple(dict.fromkeys(inputs)), kinds)
+    shown, order = tuple(dict.fromkeys(inputs)), in_order_of_time(events)
+    named = named_effects(names, priors, wheels, shown, kinds, order=order)
     return posterior.build_model(
         events, priors, pulse_shape=pulse_shape, delta_v=delta_v, effects=(*given, *named)
     )

@@ -24,7 +24,8 @@ from cassini_bayes.report.templating import address_of, rendered
 
 Record = Mapping[str, Any]
 LEAST_SHOWN: Final = 0.001  # probability of a cause in the first table; others are folded
-MOST_NAMED: Final = 3  # confounded causes in a cell
+MOST_NAMED: Final = 3  # confounded causes in a cell, and events that one may begin with
+LEAST_BEGINNING: Final = 0.05  # probability of such an event: judgement, less is not read
 
 
 def render_diagnosis(
@@ -122,6 +123,16 @@ def _fold_words(folded: Sequence[Record], nothing: Sequence[str]) -> str:
     return f"{count} other{'' if count == 1 else 's'}, each below {LEAST_SHOWN:g} in probability"
 
 
+def _beginnings(cause: Record) -> str:
+    """The events that a cause may begin with, likeliest first, each with its probability."""
+    onset = cause.get("onset")
+    if onset is None:
+        return MISSING
+    likely = sorted(onset["probabilities"].items(), key=lambda item: -item[1])
+    shown = [item for item in likely if item[1] > LEAST_BEGINNING][:MOST_NAMED]
+    return ", ".join(f"{event} ({probability_words(share)})" for event, share in shown)
+
+
 def _cause_table(causes: Sequence[Record], record: Record) -> Table:
     widths = record["sensitivity"]
     return _table(
@@ -130,6 +141,7 @@ def _cause_table(causes: Sequence[Record], record: Record) -> Table:
             "probability",
             "log Bayes factor (nats)",
             "what it says",
+            "acts from",
             "cannot be told from",
             "probability at half / double prior width",
         ),
@@ -139,6 +151,7 @@ def _cause_table(causes: Sequence[Record], record: Record) -> Table:
                 Cell(probability_words(cause["probability"]), "n"),
                 Cell(_signed(cause["log_bayes_factor"], ",.1f"), "n"),
                 cause.get("says") or MISSING,
+                _beginnings(cause),
                 _names(cause["confounded_with"]),
                 Cell(" / ".join(_share(widths[w], cause["name"]) for w in widths), "n"),
             )

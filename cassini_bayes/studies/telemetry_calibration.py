@@ -219,7 +219,9 @@ def reduced_simulation(
     if guard_s is not None:
         sampling = replace(sampling, guard_s=guard_s)
     declared, wheels = event.plan.event, event.plan.wheel_numbers
-    reduced = reduce_samples(declared.id, declared.kind, wheels, thrusters, samples, sampling)
+    reduced = reduce_samples(
+        declared.id, declared.kind, wheels, thrusters, samples, sampling, declared.epoch
+    )
     if not exact_counters:
         return reduced
     known, prepared = reduced.statistics, Preparation(reduced.statistics.steps)

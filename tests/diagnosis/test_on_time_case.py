@@ -18,6 +18,7 @@ from cassini_bayes.diagnosis.on_times import OnTimeHypothesis, hypothesis, read_
 from cassini_bayes.diagnosis.score import Gain
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
+from cassini_bayes.effects.effect import onsets
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.prediction.beliefs import read_beliefs
@@ -63,10 +64,14 @@ def catalogue() -> Catalogue:
     return replace(whole, effects=effects)
 
 
-def flown(name: str, values: dict[str, float], seed: int) -> OnTimeCase:
-    """The case with on-times drawn from a hypothesis, its effect at the given values."""
+def flown(name: str, values: dict[str, float], seed: int, begins: int = 0) -> OnTimeCase:
+    """The case with on-times drawn from a hypothesis, its effect at the given values.
+
+    It acts from the event of that place in time on.
+    """
     rng = np.random.default_rng(seed)
-    effects = tuple(e for e in catalogue().effects if e.name == name)
+    onset = (None, *onsets(case().data.order))[begins]
+    effects = tuple(replace(e, onset=onset) for e in catalogue().effects if e.name == name)
     own = hypothesis(case().data, effects)
     z = 0.5 * rng.standard_normal(own.model.dimension)
     for place, walked in enumerate(own.space.names):
@@ -139,13 +144,15 @@ def test_a_left_out_event_is_predicted_by_the_conditional_normal() -> None:
     rng = np.random.default_rng(4)
     model, offset, slope, noise = linear(rng)
     y = offset + rng.standard_normal(offset.shape)
-    mean, covariance = predict_left_out(y, model, 1, np.zeros(4))
+    mean, covariance, evidence = predict_left_out(y, model, 1, np.zeros(4))
     whole, own, rest = dense(slope, noise), [2, 3], [0, 1, 4, 5]
     gain = whole[np.ix_(own, rest)] @ np.linalg.inv(whole[np.ix_(rest, rest)])
     np.testing.assert_allclose(mean, offset[1] + gain @ (y - offset).ravel()[rest], atol=1e-8)
     np.testing.assert_allclose(
         covariance, whole[np.ix_(own, own)] - gain @ whole[np.ix_(rest, own)], atol=1e-8
     )
+    others = multivariate_normal(offset.ravel()[rest], whole[np.ix_(rest, rest)])
+    assert evidence == pytest.approx(others.logpdf(y.ravel()[rest]))
 
 
 def test_the_baseline_is_the_ideal_calculation() -> None:
@@ -209,6 +216,26 @@ def test_a_hidden_tail_off_is_named_as_a_group() -> None:
     assert first in group
     assert group <= {first, *verdict.confounded_with(first)}
     assert "firing_logic" not in verdict.confounded_with(first)
+
+
+@pytest.mark.statistical
+def test_a_thrust_that_sinks_between_events_begins_there() -> None:
+    """All thrusters at 60 % in the last two of four events: named with the third, size and gain;
+    without that event the others leave its side open.
+    """
+    own = flown("thrust_scale", {"thrust_factor": 0.6}, 14, begins=2)
+    verdict = verdict_on(own)
+    order = own.data.order
+    assert "thrust_scale" in {verdict.best.name, *verdict.confounded_with(verdict.best.name)}
+    found = verdict.named("thrust_scale")
+    assert found.begins is not None
+    assert (found.begins.event, found.begins.probability > 0.9) == (order[2], True)
+    assert {b.event for b in found.beginnings} == {"", *order[1:]}
+    size = own.sizes(found, np.random.default_rng(1))["thrust_factor"]
+    assert abs(size.mean - 0.6) < 3.0 * size.sd
+    assert size.sd < 0.1
+    gain = held_out(own, verdict, "thrust_scale").gain_over(held_out(own, verdict, "none"))
+    assert gain.nats > 0.0
 
 
 @pytest.mark.statistical

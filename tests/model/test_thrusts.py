@@ -11,6 +11,7 @@ from totals_cases import flight, plain_log_likelihood, point
 
 from cassini_bayes.balance.totals_system import TotalsSystem
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model import (
     Model,
@@ -22,7 +23,7 @@ from cassini_bayes.model import (
     log_likelihood,
     log_posterior,
 )
-from cassini_bayes.model.thrusts import collapse_thrusts, draw_thrusts
+from cassini_bayes.model.thrusts import collapse_thrusts, draw_thrusts, thrust_log_prior
 from cassini_bayes.priors.reader import Priors
 
 
@@ -38,13 +39,42 @@ def system_at(model: Model, z: Array) -> TotalsSystem:
     return model.totals_rows.at(model.points(z)).system
 
 
-def dense_thrust_prior(model: Model) -> tuple[Array, Array]:
-    """Mean and covariance of all events' thrusts stacked, written out densely."""
+def dense_thrust_prior(model: Model, factor: Array | None = None) -> tuple[Array, Array]:
+    """Mean and covariance of all events' thrusts stacked, written out densely.
+
+    ``factor`` (E, K) is that of effects on the levels; departures of events do not know of it.
+    """
     linear, n_events = model.thrust_prior, len(model.totals_rows.stack.event_ids)
     shared = linear.shared @ linear.shared.T
     own = linear.own @ linear.own.T
-    covariance = np.kron(np.ones((n_events, n_events)), shared) + np.kron(np.eye(n_events), own)
-    return np.full(len(covariance), linear.common_mean_n), covariance
+    scale = np.ones(n_events * len(shared)) if factor is None else factor.reshape(-1)
+    levels = scale[:, None] * np.kron(np.ones((n_events, n_events)), shared) * scale
+    covariance = levels + np.kron(np.eye(n_events), own)
+    return scale * linear.common_mean_n, covariance
+
+
+def dense_log_likelihood(model: Model, z: Array, factor: Array | None = None) -> float:
+    """The collapsed likelihood at z (1, d) by one dense integral over all thrusts."""
+    system = system_at(model, z)
+    mean, prior = dense_thrust_prior(model, factor)
+    n_events, k = model.totals_rows.stack.on_time_s.shape
+    size = n_events * k
+    precision, linear_term = np.linalg.inv(prior), np.linalg.solve(prior, mean)
+    constant = -0.5 * mean @ linear_term - 0.5 * np.linalg.slogdet(2 * np.pi * prior)[1]
+    for e in range(n_events):
+        at = slice(e * k, (e + 1) * k)
+        noise = system.covariance[0, e] + system.torque_covariance[e]
+        design, target = system.design[0, e], system.target[0, e]
+        gradient, hessian = system.jacobian.gradient[0, e], system.jacobian.hessian[0, e]
+        base = mean[at]
+        precision[at, at] += design.T @ np.linalg.solve(noise, design) - hessian
+        linear_term[at] += design.T @ np.linalg.solve(noise, target) + gradient - hessian @ base
+        constant += -0.5 * target @ np.linalg.solve(noise, target)
+        constant += -0.5 * np.linalg.slogdet(2 * np.pi * noise)[1]
+        constant += system.jacobian.value[0, e] - gradient @ base + 0.5 * base @ hessian @ base
+    integral = constant + 0.5 * linear_term @ np.linalg.solve(precision, linear_term)
+    integral += 0.5 * size * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(precision)[1]
+    return float(integral)
 
 
 def test_collapsed_likelihood_equals_dense_gaussian_integral(
@@ -54,26 +84,60 @@ def test_collapsed_likelihood_equals_dense_gaussian_integral(
     _, _, model = case
     rng = np.random.default_rng(1)
     for z in 0.5 * model.space.sample(rng, 5):
-        system = system_at(model, z[None])
-        mean, prior = dense_thrust_prior(model)
-        n_events, k = model.totals_rows.stack.on_time_s.shape
-        size = n_events * k
-        precision, linear_term = np.linalg.inv(prior), np.linalg.solve(prior, mean)
-        constant = -0.5 * mean @ linear_term - 0.5 * np.linalg.slogdet(2 * np.pi * prior)[1]
-        for e in range(n_events):
-            at = slice(e * k, (e + 1) * k)
-            noise = system.covariance[0, e] + system.torque_covariance[e]
-            design, target = system.design[0, e], system.target[0, e]
-            gradient, hessian = system.jacobian.gradient[0, e], system.jacobian.hessian[0, e]
-            base = mean[at]
-            precision[at, at] += design.T @ np.linalg.solve(noise, design) - hessian
-            linear_term[at] += design.T @ np.linalg.solve(noise, target) + gradient - hessian @ base
-            constant += -0.5 * target @ np.linalg.solve(noise, target)
-            constant += -0.5 * np.linalg.slogdet(2 * np.pi * noise)[1]
-            constant += system.jacobian.value[0, e] - gradient @ base + 0.5 * base @ hessian @ base
-        integral = constant + 0.5 * linear_term @ np.linalg.solve(precision, linear_term)
-        integral += 0.5 * size * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(precision)[1]
-        assert log_likelihood(model, z[None])[0] == pytest.approx(integral, rel=1e-8)
+        found = log_likelihood(model, z[None])[0]
+        assert found == pytest.approx(dense_log_likelihood(model, z[None]), rel=1e-8)
+
+
+@pytest.mark.parametrize("name", ["thruster_degraded:z3", "thrust_scale"])
+def test_a_factor_scales_levels_from_its_onset_on_and_no_departures(name: str) -> None:
+    """Dense integral: levels times the factor in later rows, departures as wide as before.
+
+    Negative control: departures scaled as well, as they were, give another density.
+    """
+    events, priors = flight()
+    ids = [event.id for event in events]
+    (effect,) = named_effects([f"{name}@{ids[5]}"], priors, priors.wheels, ["totals"], order=ids)
+    model = build_model(events, priors, delta_v="ignore", effects=[effect])
+    rng = np.random.default_rng(3)
+    for z in 0.5 * model.space.sample(rng, 3):
+        value = float(model.space.to_parameters(z[None])[effect.parameters[0].name][0])
+        factor = np.ones((len(events), len(model.thrusters)))
+        factor[5:, slice(None) if name == "thrust_scale" else model.thrusters.index("z3")] = value
+        found = log_likelihood(model, z[None])[0]
+        assert found == pytest.approx(dense_log_likelihood(model, z[None], factor), rel=1e-8)
+        # with the same density of the rows in scaled thrusts F' = f F
+        wide = replace(model.thrust_prior, own=factor[:, :, None] * model.thrust_prior.own)
+        scaled = replace(model, thrust_prior=wide)
+        assert abs(log_likelihood(scaled, z[None])[0] - found) > 1e-3
+
+
+def test_thrusts_with_a_factor_are_drawn_as_they_are_delivered() -> None:
+    """About the level before the onset, about the factor times it after: prior draws, their
+    density, and posterior draws against the conditional moments.
+    """
+    events, priors = flight()
+    ids = [event.id for event in events]
+    name = f"thruster_degraded:z3@{ids[5]}"
+    (effect,) = named_effects([name], priors, priors.wheels, ["totals"], order=ids)
+    model = build_model(events, priors, delta_v="ignore", effects=[effect])
+    rng, n = np.random.default_rng(4), 2_000
+    k, size = model.thrusters.index("z3"), effect.parameters[0].name
+    drawn = draw_prior(model, n, rng)
+    level, factor = drawn.thrusts.level_n[:, k], np.asarray(drawn.parameters[size])
+    before = drawn.thrusts.thrust_n[:, 4, k] - level
+    after = drawn.thrusts.thrust_n[:, 5, k] - factor * level
+    own = float(np.sqrt((model.thrust_prior.own[k] ** 2).sum()))
+    assert [before.std(), after.std()] == pytest.approx([own, own], rel=0.1)
+    assert abs(after.mean()) < 5.0 * own / np.sqrt(n)
+    log_prior = thrust_log_prior(model.thrust_prior, drawn.parameters, drawn.thrusts)
+    flat = thrust_log_prior(
+        model.thrust_prior, drawn.parameters, replace(drawn.thrusts, factor=1.0)
+    )
+    assert log_prior.mean() > flat.mean() + 0.5  # a loss is no departure of the event
+    z = np.zeros((n, model.space.dimension))
+    mean, variance = conditional_thrusts(model, z[:1])
+    delivered = draw(model, z, rng).thrusts.thrust_n
+    assert (np.abs(delivered.mean(0) - mean[0]) < 5.0 * np.sqrt(variance[0] / n)).all()
 
 
 def test_collapsed_likelihood_equals_plain_likelihood_by_bayes_identity() -> None:

@@ -134,6 +134,42 @@ def test_names_that_cannot_be_fitted_are_one_line(
     assert "\n" not in str(caught.value)
 
 
+def test_an_effect_is_fitted_from_an_event_on() -> None:
+    """Behind @: the bias does not know of a gyro error that begins with the slews, which do."""
+    flown, order = events("bias", "slews"), ("bias", "slews")
+    named = partial(named_effects, priors=priors(), wheels=WHEELS, inputs=["telemetry"])
+    (later,), (always,) = named(["rate_bias:y@slews"], order=order), named(["rate_bias:y"])
+    assert later.parameters == always.parameters
+    assert "from slews on" in later.specs[0].meaning
+    model, whole, plain = (
+        build_model(flown, priors(), effects=own) for own in ((later,), (always,), ())
+    )
+    z = 0.3 * np.random.default_rng(4).standard_normal((2, model.space.dimension))
+    parts = [[t.at(m.points(z)).log_likelihood for t in m.telemetry] for m in (model, whole)]
+    assert parts[0][1] == pytest.approx(parts[1][1], rel=1e-12)
+    (bias, _), (bias_whole, _) = model.telemetry, whole.telemetry
+    own = bias.at(model.points(z)).information.constant
+    assert own == pytest.approx(
+        plain.telemetry[0].at(plain.points(z[:, :-1])).information.constant, rel=1e-9
+    )
+    assert own != pytest.approx(bias_whole.at(whole.points(z)).information.constant, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("tail_off@slew", "did you mean 'slews'"),
+        ("tail_off@bias", "it acts in all events"),
+        ("tail_off@", "behind @ an event of this fit"),
+    ],
+)
+def test_an_onset_that_is_none_is_one_line(name: str, told: str) -> None:
+    """No event of the fit, with the nearest; the first one; nothing."""
+    with pytest.raises(InputError, match=told) as caught:
+        named_effects([name], priors(), WHEELS, ["telemetry"], order=("bias", "slews"))
+    assert "\n" not in str(caught.value)
+
+
 def test_a_departure_of_a_fixed_parameter_is_refused() -> None:
     """It has no width to count from."""
     fixed = priors().with_fixed("cm_x_m", 0.13)
