@@ -10,8 +10,8 @@ from typing import Any, Final, Generic
 
 import numpy as np
 
-from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Log, Shown, Size, Weighed, Work, silent
+from cassini_bayes.diagnosis.crew import ALONE, Crew
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
 from cassini_bayes.effects.wording import Stated
@@ -23,6 +23,16 @@ reads them, and sizes of fifty causes take as long as their searches."""
 SIGNIFICANT: Final = 0.05  # p-value below which a model is called discrepant still
 Drawing = Callable[[Any], Sequence[Any]]
 PARTS: Final = 4  # in which the records of causes are made: work for up to four processes
+KEPT: Final[Mapping[str, Any]] = {
+    "causes": list,
+    "width": dict,
+    "baseline score": HeldOut | None,
+    "score": HeldOut | None,
+    "p": float | None,
+    "extended p": float | None,
+    "runner-up": dict,
+}
+"""Types of the measures that are kept, by name without its number; figures are drawn again."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,7 @@ def diagnose(
     measure_gain: bool = True,
     pairs: bool = True,
     log: Log = silent,
-    workers: int = 1,
+    workers: Crew = ALONE,
     drawing: Drawing = undrawn,
 ) -> Diagnosis[H]:
     """Show, name, extend and measure; returns everything for JSON and report.
@@ -76,7 +86,8 @@ def diagnose(
     log
         Told how far it got.
     workers
-        Processes among which causes and measures are shared out; the result does not depend on it.
+        Share out causes and measures and keep what is finished, all but what is drawn and what it
+        shows; the result does not depend on them.
     drawing
         Draws what is shown (:class:`.Shown`) and the curves as soon as they are there, in the
         process that has made them.
@@ -108,7 +119,8 @@ def diagnose(
         work["drafts"] = partial(case.drafts, verdict.unknown)
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
-    results = in_processes(lambda part: part(), work.values(), workers)
+    kinds = [KEPT.get(name.rstrip(" .0123456789")) for name in work]
+    results = workers.results("measures and figures", list(work.values()), kinds)
     measured = dict(zip(work, results, strict=True))
     drawn = []
     for name in ("shown", "curves"):

@@ -9,12 +9,16 @@ from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.effects.catalogue import read_catalogue
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.recorded_totals import is_bias, recorded_totals
 from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.json_file import read_json
+from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
@@ -28,16 +32,22 @@ from cassini_bayes.results.record import Fit
 
 FIT_DRAWS = 2_000
 RESOLVED: Final = "resolved.toml"
-"""What a run was resolved to, beside its fit."""
+"""What a run or a diagnosis was resolved to, in its folder."""
+DIAGNOSED: Final = "diagnosis.json"
+"""In the folder above the fit of a diagnosis's extended model."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Wheel biases of a fit as totals, its priors, and the model of those totals."""
+    """Wheel biases of a fit as totals, its priors, and the model of those totals.
+
+    ``within`` are effects of the fit that act within an event: totals do not have them.
+    """
 
     events: tuple[TotalsEvent, ...]
     priors: Priors
     model: Model
+    within: tuple[str, ...] = ()
 
 
 def read_sources(
@@ -46,16 +56,19 @@ def read_sources(
     priors: Path | None = None,
     source: str | None = None,
     accept: Sequence[str] = (),
+    own_effects: Sequence[Path] = (),
 ) -> Sources:
     """Read what a fit was made of.
 
-    A run folder says it itself (``resolved.toml``, with digests in ``provenance.json``); for a
-    ``fit.nc`` that stands alone, or whose files have moved, name them.
+    A run folder says it itself (``resolved.toml``, with digests in ``provenance.json``), and that
+    of a diagnosis for the fit of its extended model; for a ``fit.nc`` that stands alone, or whose
+    files have moved, name them. Effects that were fitted by name are in the model.
 
     Raises
     ------
     InputError
-        The fit is missing, or its events or priors cannot be found unchanged.
+        The fit is missing, or its events or priors cannot be found unchanged; an effect of its that
+        no file given has.
     """
     if not exists(fit):
         raise InputError(
@@ -64,18 +77,14 @@ def read_sources(
             "no such file",
             "make one: cassini-bayes run RUN.toml",
         )
-    resolved = _resolved(fit.parent)
-    record = str(fit.parent / RESOLVED)
+    home = record_folder(fit)
+    resolved = _resolved(home)
+    record = str(home / RESOLVED)
     model_table = resolved.get("model", {})
     if not isinstance(model_table, dict):
         raise InputError(f"{record}: model", "a table", repr(model_table), "run the fit again")
-    if effects := _names(model_table, "effects", f"{record}: model"):
-        raise InputError(
-            str(fit),
-            "a fit of the standard physics",
-            f"one with effects {', '.join(effects)}",
-            "predict from a fit without [model] effects: predictions do not have them",
-        )
+    is_run = home == fit.parent and bool(resolved)
+    names = _names(model_table, "effects", f"{record}: model") if is_run else extended_by(fit)
     priors_path = priors or locate(fit, resolved.get("priors"), "--priors")
     read = read_priors(priors_path)
     references = (
@@ -106,13 +115,50 @@ def read_sources(
             f"none of {', '.join(references)} is one",
             "predict from a fit of wheel biases: they show how thrusters are fired",
         )
+    files = [*own_effects, *map(Path, _names(resolved, "own_effects", record))]
+    effects = fitted_effects(names, read, found, list(dict.fromkeys(files)))
     model = build_model(
         found,
         read,
         pulse_shape=str(model_table.get("pulse_shape", "first_order")),
         delta_v=model_table.get("delta_v", "as-declared"),
+        effects=[effect for effect in effects if not effect.needs_search],
     )
-    return Sources(found, read, model)
+    within = tuple(effect.name for effect in effects if is_within(effect))
+    return Sources(found, read, model, within)
+
+
+def record_folder(fit: Path) -> Path:
+    """The folder that says what a ``fit.nc`` was made of: its own, or that of its diagnosis."""
+    above = fit.parent.parent
+    is_extended = not exists(fit.parent / RESOLVED) and exists(above / DIAGNOSED)
+    return above if is_extended else fit.parent
+
+
+def extended_by(fit: Path) -> list[str]:
+    """Causes that a diagnosis has extended the model of a fit by; none of any other fit."""
+    causes = str(read_groups(fit, {}, "a fit.nc of this package")[1].get("causes", ""))
+    return [name for name in causes.split("+") if name not in ("", "none", "unknown")]
+
+
+def fitted_effects(
+    names: Sequence[str], priors: Priors, events: Sequence[TotalsEvent], files: Sequence[Path]
+) -> tuple[Effect, ...]:
+    """The effects of a fit by name, whatever data showed them.
+
+    Raises
+    ------
+    InputError
+        A name that neither the package nor a file has.
+    """
+    wheels = sorted({number for event in events for number in event.wheels})
+    catalogue = read_catalogue(priors, wheels, ("telemetry", "totals"), read_kinds(files))
+    return tuple(catalogue.effect(name).as_fitted() for name in names)
+
+
+def is_within(effect: Effect) -> bool:
+    """Whether an effect acts on the rows of an event, so that totals do not have it."""
+    return effect.kind.columns is not None or effect.kind.search is not None
 
 
 def _recorded(references: Sequence[str], priors: Priors) -> tuple[TotalsEvent, ...]:
@@ -163,7 +209,7 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
         raise InputError(
             str(fit), f"{option}, as no resolved.toml lies beside it", "none", f"name {option}"
         )
-    digests = _digests(fit.parent)
+    digests = _digests(record_folder(fit))
     for base in (fit.parent.parent, Path(), fit.parent):
         path = base / name
         if priors is not None and is_event_folder(path):
