@@ -116,9 +116,7 @@ def totals_system(
     """
     stack = balance.stack
     axes, inertias, arms = physics.wheel_axes, physics.wheel_inertia_kg_m2, physics.arms_m
-    effective = effective_on_times(
-        balance.pulse_shape, physics, stack.on_time_s, stack.pulses
-    )
+    effective = effective_on_times(balance.pulse_shape, physics, stack.on_time_s, stack.pulses)
     start = wheel_momentum(axes, inertias, stack.wheel_start_rad_s)
     end = wheel_momentum(axes, inertias, stack.wheel_end_rad_s)
     covariance = (

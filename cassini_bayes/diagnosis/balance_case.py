@@ -334,11 +334,11 @@ def _side_by_side(
     (nats) do not matter.
     """
     near = [partial(newton_search, hypothesis, base, worth) for hypothesis in hypotheses]
-    work = [*modes, *(search for _, search in to_find), *near]
+    work: list[Work] = [*modes, *(search for _, search in to_find), *near]
     found = (_found(effect.kind.search) for effect, _ in to_find)
     kinds = [*(Mode for _ in modes), *found, *(ModeSearch for _ in near)]
     # importance draws need ArviZ, whose import takes most of a second
-    results = workers.results(what, work, kinds, arviz)
+    results: list[Any] = workers.results(what, work, kinds, arviz)
     first = len(modes) + len(to_find)
     return results[:first], results[first:]
 

@@ -28,6 +28,7 @@ from cassini_bayes.diagnosis.case import (
     Weighed,
     silent,
 )
+from cassini_bayes.diagnosis.crew import Crew
 from cassini_bayes.diagnosis.gauss_newton import (
     Fit,
     Model,
@@ -38,7 +39,6 @@ from cassini_bayes.diagnosis.gauss_newton import (
     normal_log_density,
     predict_left_out,
 )
-from cassini_bayes.diagnosis.crew import Crew
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.on_times import (
     OnTimeHypothesis,

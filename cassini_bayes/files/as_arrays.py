@@ -70,7 +70,9 @@ def value_of(kind: Any, arrays: Mapping[str, NDArray[np.generic]], name: str = "
         return tuple(value_of(one, arrays, f"{name}.{place}") for place, one in places)
     if is_dataclass(kind) and isinstance(kind, type):
         hints = get_type_hints(kind)
-        return kind(**{f.name: value_of(hints[f.name], arrays, f"{name}.{f.name}") for f in fields(kind)})
+        return kind(
+            **{f.name: value_of(hints[f.name], arrays, f"{name}.{f.name}") for f in fields(kind)}
+        )
     if (get_origin(kind) or kind) in _RECORDS:
         return json.loads(str(arrays[name]))
     return arrays[name].item() if kind in _SCALARS else arrays[name]

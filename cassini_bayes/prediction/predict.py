@@ -199,9 +199,7 @@ def _momentum_noise(
     return np.asarray((factor @ normals[0][..., None])[..., 0] - torque * duration_s[:, None])
 
 
-def on_times_of(
-    learned: Learned, solver: PairSolver, impulse: Array, drawn: FiringDraws
-) -> Array:
+def on_times_of(learned: Learned, solver: PairSolver, impulse: Array, drawn: FiringDraws) -> Array:
     """On-times (n, K): opposing sides, the shared thruster alone, the rest one-sidedly."""
     layout, n = learned.layout, learned.size
     a, b = layout.ring_axes

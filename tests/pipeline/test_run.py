@@ -155,7 +155,7 @@ def test_force_replaces_runs_only(tmp_path: Path) -> None:
     other.mkdir()
     (other / "chapter.tex").write_text("years of work")
     for force in (True, False):
-        with pytest.raises(InputError, match="only replaces runs"):
+        with pytest.raises(InputError, match="only replaces a run"):
             prepare_folder(other, force=force, resume=False)
         with pytest.raises(InputError, match="a file"):
             prepare_folder(other / "chapter.tex", force=force, resume=False)

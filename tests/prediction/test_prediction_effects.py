@@ -1,24 +1,23 @@
-"""Predictions from fits with effects: what the effects do to the fit they do to the planned bias."""
+"""Predictions from fits with effects: what these do to the fit they do to the planned bias."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tomli_w
-from prediction_cases import SIZE, beliefs, flights
+from prediction_cases import SIZE, beliefs, flights, physics
 from totals_cases import B_BRANCH, FLIGHT
 
 import cassini_bayes as cb
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.model import Model, build_model, draw
-from cassini_bayes.model.totals import software_of
+from cassini_bayes.model import Model, build_model
 from cassini_bayes.pipeline.predictions import PlanResult
 from cassini_bayes.prediction.learning import Learned, learn
-from cassini_bayes.prediction.physics import Physics
 from cassini_bayes.prediction.predict import Prediction, predict
 from cassini_bayes.prediction.requests import request_of
 from cassini_bayes.prediction.sources import fitted_effects, read_sources
@@ -31,6 +30,7 @@ from cassini_bayes.studies.closed_loop import simulate_request
 
 BIAS = "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"
 PULSES = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
+LEAK, FACTOR = "thruster_leak_z3_leak_n", "thruster_degraded_z4_thrust_factor"
 STILL = frozenset({"rates at the ends", "thrust of the event"})
 
 
@@ -40,21 +40,14 @@ def model_with(*names: str) -> Model:
     return build_model(events, priors, effects=fitted_effects(names, priors, events, ()))
 
 
-def learned_with(name: str, sizes: Mapping[str, float]) -> Learned:
-    """What the eight events teach where an effect is known to have these sizes, by parameter."""
+def learned_with(sizes: Mapping[str, float], *names: str) -> Learned:
+    """What the eight events teach where effects are known to have these sizes, by parameter."""
     events, _ = flights()
-    model = model_with(name)
-    rng = np.random.default_rng(3)
-    draws = draw(model, 0.3 * rng.standard_normal((SIZE, model.space.dimension)), rng)
-    known = {key: np.full(SIZE, value) for key, value in sizes.items()}
-    assert set(known) <= set(draws.parameters)
-    physics = Physics(
-        {**draws.parameters, **model.idle, **known},
-        draws.thrusts.thrust_n,
-        draws.thrusts.level_n,
-        software_of(draws.own[0]),
-    )
-    return learn(model, events, physics, beliefs(), np.random.default_rng(4), SIZE)
+    model, known = model_with(*names), physics()
+    sized = {**known.parameters, **{key: np.full(SIZE, value) for key, value in sizes.items()}}
+    assert set(model.space.names) <= set(sized)
+    drawn = replace(known, parameters=sized, _balances={})
+    return learn(model, events, drawn, beliefs(), np.random.default_rng(4), SIZE)
 
 
 def predicted(learned: Learned) -> Prediction:
@@ -64,8 +57,8 @@ def predicted(learned: Learned) -> Prediction:
 
 def balance(learned: Learned, found: Prediction) -> tuple[Array, Array, Array]:
     """Lever arms (n, 3, K), impulse over arm (n, K) and what the wheels ask (n, 3), by hand."""
-    event, physics, craft = flights()[0][0], learned.physics, learned.model.spacecraft
-    values = {k: np.broadcast_to(v, (SIZE,)) for k, v in physics.parameters.items()}
+    event, drawn, craft = flights()[0][0], learned.physics, learned.model.spacecraft
+    values = {k: np.broadcast_to(v, (SIZE,)) for k, v in drawn.parameters.items()}
     rate = learned.pulses.coefficients[:, :1]
     times = (values[name][:, None] for name in PULSES)
     shape = learned.model.totals_rows.pulse_shape
@@ -76,12 +69,12 @@ def balance(learned: Learned, found: Prediction) -> tuple[Array, Array, Array]:
     places = [[w.number for w in craft.wheels].index(n) for n in event.wheels]
     change = (event.rwa_end_rpm - event.rwa_start_rpm) * RAD_S_PER_RPM
     arms = lever_arms(craft, learned.model.branch, values)
-    return arms, (physics.level_n + moved) * effective, weights[:, :, places] @ change
+    return arms, (drawn.level_n + moved) * effective, weights[:, :, places] @ change
 
 
 def test_thrusters_make_up_for_a_leak() -> None:
     """Σ q F s + q_z3 F_leak D = ΔH: without the leak's part the balance is off by newton metres."""
-    known = learned_with("thruster_leak:z3", {"thruster_leak_z3_leak_n": 5e-3})
+    known = learned_with({LEAK: 5e-3}, "thruster_leak:z3")
     found = predicted(known)
     arms, impulse, wanted = balance(known, found)
     given = (arms @ impulse[..., None])[..., 0]
@@ -92,8 +85,7 @@ def test_thrusters_make_up_for_a_leak() -> None:
 
 def test_a_weak_thruster_fires_longer() -> None:
     """Its impulse counts by its factor: the balance closes with it and not without."""
-    factor = "thruster_degraded_z4_thrust_factor"
-    known = learned_with("thruster_degraded:z4", {factor: 0.75})
+    known = learned_with({FACTOR: 0.75}, "thruster_degraded:z4")
     found = predicted(known)
     arms, impulse, wanted = balance(known, found)
     weak = np.where(np.array(known.model.thrusters) == "z4", 0.75, 1.0)
@@ -104,11 +96,9 @@ def test_a_weak_thruster_fires_longer() -> None:
 
 def test_an_effect_of_no_size_changes_no_prediction() -> None:
     """A leak of zero and a factor of one: draws of the standard physics, to rounding."""
-    none = predicted(learned_with("thruster_leak:z3", {"thruster_leak_z3_leak_n": 0.0}))
-    other = predicted(
-        learned_with("thruster_degraded:z4", {"thruster_degraded_z4_thrust_factor": 1.0})
-    )
-    np.testing.assert_allclose(none.on_time_s, other.on_time_s, atol=1e-9)
+    none = learned_with({LEAK: 0.0, FACTOR: 1.0}, "thruster_leak:z3", "thruster_degraded:z4")
+    standard = learned_with({})
+    np.testing.assert_allclose(predicted(none).on_time_s, predicted(standard).on_time_s, atol=1e-9)
 
 
 @pytest.fixture(scope="module")
