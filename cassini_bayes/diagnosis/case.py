@@ -205,6 +205,11 @@ class Case(ABC, Generic[H]):
         del unknown
         return ()
 
+    def visible(self, verdict: Ranking[H]) -> list[dict[str, Any]]:
+        """From which size on every cause would have been named, what is seen best first."""
+        del verdict
+        return []
+
     @abstractmethod
     def separation(self, one: str, other: str) -> str:
         """The measurement that would tell two causes apart."""

@@ -31,6 +31,7 @@ KEPT: Final[Mapping[str, Any]] = {
     "p": float | None,
     "extended p": float | None,
     "runner-up": dict,
+    "visible": list,
 }
 """Types of the measures that are kept, by name without its number; figures are drawn again."""
 
@@ -117,6 +118,8 @@ def diagnose(
     work["curves"] = partial(_then, drawing, partial(case.curves, verdict.unknown, of_curves))
     if verdict.best.name == UNKNOWN:
         work["drafts"] = partial(case.drafts, verdict.unknown)
+    if verdict.best is none:
+        work["visible"] = partial(case.visible, verdict)
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
     kinds = [KEPT.get(name.rstrip(" .0123456789")) for name in work]
@@ -171,6 +174,7 @@ def _record(
         "closure": list(shown.closure),
         "causes": [cause for part in range(PARTS) for cause in measured[f"causes {part}"]],
         "runner_up": measured.get("runner-up"),
+        "visible": measured.get("visible", []),
         "drafts": [draft.record for draft in measured.get("drafts", ())],
         "extended": {
             "causes": list(extended.hypothesis.causes or [extended.name] * (extended is not none)),
