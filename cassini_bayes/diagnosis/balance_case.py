@@ -46,7 +46,7 @@ from cassini_bayes.diagnosis.sizes import size_draws, summarised
 from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
-from cassini_bayes.diagnosis.visible import visible_records, visible_sizes
+from cassini_bayes.diagnosis.visible import visible_record
 from cassini_bayes.diagnosis.widths import change_of_evidence
 from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
 from cassini_bayes.effects.registry import Kinds
@@ -281,9 +281,9 @@ class BalanceCase(Case[Hypothesis]):
             return ()
         return drafted(self.events, unknown)
 
-    def visible(self, verdict: Ranking[Hypothesis]) -> list[dict[str, Any]]:
+    def visible(self, none: Candidate, cause: Candidate) -> dict[str, Any] | None:
         """Of causes of one size (:mod:`.visible`)."""
-        return visible_records(visible_sizes(verdict), self.kinds)
+        return visible_record(none, cause, self.kinds)
 
     def separation(self, one: str, other: str) -> str:
         """What the kinds say, or events that fire other thrusters."""

@@ -205,10 +205,10 @@ class Case(ABC, Generic[H]):
         del unknown
         return ()
 
-    def visible(self, verdict: Ranking[H]) -> list[dict[str, Any]]:
-        """From which size on every cause would have been named, what is seen best first."""
-        del verdict
-        return []
+    def visible(self, none: Weighed[H], cause: Weighed[H]) -> dict[str, Any] | None:
+        """From which size on a cause would have been named; None of what has no one size."""
+        del none, cause
+        return None
 
     @abstractmethod
     def separation(self, one: str, other: str) -> str:

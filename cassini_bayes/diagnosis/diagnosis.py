@@ -119,7 +119,8 @@ def diagnose(
     if verdict.best.name == UNKNOWN:
         work["drafts"] = partial(case.drafts, verdict.unknown)
     if verdict.best is none:
-        work["visible"] = partial(case.visible, verdict)
+        for part in range(PARTS):
+            work[f"visible {part}"] = partial(_visible, case, verdict, part)
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
     kinds = [KEPT.get(name.rstrip(" .0123456789")) for name in work]
@@ -174,7 +175,10 @@ def _record(
         "closure": list(shown.closure),
         "causes": [cause for part in range(PARTS) for cause in measured[f"causes {part}"]],
         "runner_up": measured.get("runner-up"),
-        "visible": measured.get("visible", []),
+        "visible": sorted(
+            (row for part in range(PARTS) for row in measured.get(f"visible {part}", [])),
+            key=lambda row: (row["size"] or np.inf) / row["prior_width"],
+        ),
         "drafts": [draft.record for draft in measured.get("drafts", ())],
         "extended": {
             "causes": list(extended.hypothesis.causes or [extended.name] * (extended is not none)),
@@ -252,6 +256,12 @@ def _cause_records(
     each = list(zip(verdict.weighed, verdict.log_probabilities.tolist(), generators, strict=True))
     edges = np.linspace(0, len(each), PARTS + 1).astype(int)
     return [record(*cause) for cause in each[edges[part] : edges[part + 1]]]
+
+
+def _visible(case: Case[H], verdict: Verdict[H], part: int) -> list[dict[str, Any]]:
+    """One part of the sizes from which causes would have been named."""
+    rows = (case.visible(verdict.none, weighed) for weighed in verdict.weighed[part::PARTS])
+    return [row for row in rows if row is not None]
 
 
 def _size_record(size: Size, unit: str) -> dict[str, Any]:

@@ -13,14 +13,13 @@ its prior odds into :data:`ODDS`; 1.28 σ more, and nine of ten such flights com
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import NONE, Ranking
+from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import LOG_2_PI, LogDensity, Mode, maximise
 from cassini_bayes.effects.effect import Effect, EffectParameter
@@ -59,25 +58,25 @@ class Visible:
     prior_width: float
 
 
-def visible_sizes(verdict: Ranking[Hypothesis]) -> list[tuple[Effect, Visible]]:
-    """Of every cause of one size that was weighed, what is seen best first.
+def visible_record(
+    none: Weighed[Hypothesis], cause: Weighed[Hypothesis], kinds: Kinds
+) -> dict[str, Any] | None:
+    """A row of the record, what it says in words with it; None of what has no one size.
 
-    Causes of several sizes at once, and those that a search comes before, have no one number.
+    That are pairs, causes of several sizes at once, those that a search comes before, and those
+    whose prior is neither normal nor half-normal.
     """
-    none = verdict.named(NONE)
-    found = []
-    for weighed in verdict.weighed:
-        effects = weighed.hypothesis.effects
-        if len(effects) != 1 or effects[0].kind.search is not None:
-            continue
-        (effect,) = effects
-        if len(effect.parameters) != 1 or prior_width(effect.parameters[0]) is None:
-            continue
-        nats = np.log(ODDS * none.hypothesis.prior_probability / effect.prior_probability)
-        seen = visible_size(weighed.hypothesis.log_density, none.mode, effect, float(nats))
-        if seen is not None:
-            found.append((effect, seen))
-    return sorted(found, key=lambda pair: (pair[1].size or np.inf) / pair[1].prior_width)
+    effects = cause.hypothesis.effects
+    if len(effects) != 1 or len(effects[0].parameters) != 1 or effects[0].kind.search is not None:
+        return None
+    (effect,) = effects
+    nats = np.log(ODDS * none.hypothesis.prior_probability / effect.prior_probability)
+    seen = visible_size(cause.hypothesis.log_density, none.mode, effect, float(nats))
+    if seen is None:
+        return None
+    size = said(effect, seen)
+    words = None if size is None else kinds.says(effect.name, {seen.parameter: size})
+    return {**vars(seen), "says": words}
 
 
 def prior_width(parameter: EffectParameter) -> float | None:
@@ -177,13 +176,3 @@ def said(effect: Effect, visible: Visible) -> AtLeast | None:
     return AtLeast(
         no_effect(parameter), visible.size, sides(parameter), visible.unit, parameter.is_departure
     )
-
-
-def visible_records(found: Sequence[tuple[Effect, Visible]], kinds: Kinds) -> list[dict[str, Any]]:
-    """Rows of the record, what they say in words among them."""
-    rows = []
-    for effect, visible in found:
-        size = said(effect, visible)
-        words = None if size is None else kinds.says(effect.name, {visible.parameter: size})
-        rows.append({**vars(visible), "says": words})
-    return rows

@@ -110,6 +110,7 @@ class ReducedEvent:
     delta_v: DeltaVStatistics | None = None  # of a measured velocity change
     accelerometer: AccelerometerStatistics | None = None
     channels: ChannelMap | None = None  # of telemetry whose columns are not ours
+    recording: TelemetryEvent | None = None  # that was reduced
 
     @property
     def id(self) -> str:
@@ -376,6 +377,7 @@ def reduce_event(
         _delta_v(event, rows, sampling),
         _accelerometer(event, rows, sampling),
         event.channels,
+        event,
     )
 
 

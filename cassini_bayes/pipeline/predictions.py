@@ -40,7 +40,12 @@ from cassini_bayes.prediction.requests import (
     parse_rates,
     read_requests,
 )
-from cassini_bayes.prediction.sources import Sources, is_within, learn_from_fit, read_sources
+from cassini_bayes.prediction.sources import (
+    Sources,
+    learn_from_fit,
+    read_sources,
+    sources_of,
+)
 from cassini_bayes.prediction.summary import INTERVAL, as_csv, as_dictionary, as_text, lines
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
@@ -358,16 +363,7 @@ def _sources(
 ) -> tuple[Sources, Path | FitResult]:
     """What a fit was made of, and where its draws are."""
     if isinstance(fit, FitResult) and fit.path is None:
-        model = fit.model
-        if model.telemetry or not model.totals:
-            raise InputError(
-                "fit",
-                "a fit with a folder, or one of totals rows alone",
-                "a fit of telemetry in memory, whose counters are not kept",
-                'fit with folder="…", then predict from that',
-            )
-        within = tuple(effect.name for effect in model.effects if is_within(effect))
-        return Sources(model.totals_rows.rows, model.priors, model, within), fit
+        return sources_of(fit.model), fit
     path = fit.path if isinstance(fit, FitResult) else Path(fit)
     assert path is not None
     file = path / FIT_FILE if path.is_dir() else path

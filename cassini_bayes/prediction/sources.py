@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,7 @@ from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.recorded_totals import is_bias, recorded_totals
-from cassini_bayes.events.telemetry import read_event
+from cassini_bayes.events.telemetry import TelemetryEvent, read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.netcdf import read_groups
@@ -24,6 +24,7 @@ from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.event_reduction import check_rows, is_event_folder
 from cassini_bayes.model.posterior import Model, build_model
+from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
@@ -107,25 +108,62 @@ def read_sources(
         check_rows(table, read, name, policy)
     printed = tuple(event for table in tables.values() for event in table)
     refuse_duplicates([(event.id, content_of_totals(event)) for event in printed], policy)
-    found = (*printed, *_recorded(references, read))
+    folders = (Path(name) for name in references if is_event_folder(Path(name)))
+    recordings = [read_event(folder, read.spacecraft) for folder in folders]
+    files = [*own_effects, *map(Path, _names(resolved, "own_effects", record))]
+    each = [*(event.wheels for event in printed), *(event.wheels for event in recordings)]
+    wheels = {number for own in each for number in own}
+    effects = fitted_effects(names, read, wheels, list(dict.fromkeys(files)))
+    pulse_shape = str(model_table.get("pulse_shape", "first_order"))
+    delta_v = model_table.get("delta_v", "as-declared")
+    return _of_biases(str(fit), printed, recordings, read, effects, pulse_shape, delta_v)
+
+
+def sources_of(model: Model) -> Sources:
+    """What a fit in memory was made of, from its model.
+
+    Raises
+    ------
+    InputError
+        No wheel bias among its events.
+    """
+    rows = tuple(row for term in model.totals for row in term.rows)
+    recordings = [term.event.recording for term in model.telemetry if term.event.recording]
+    delta_v: DeltaVUse = model.totals[0].delta_v if model.totals else "as-declared"
+    shapes = [term.pulse_shape for term in model.totals]
+    shapes += [term.event.sampling.pulse_shape for term in model.telemetry]
+    name = shapes[0].name
+    return _of_biases("fit", rows, recordings, model.priors, model.effects, name, delta_v)
+
+
+def _of_biases(
+    fit: str,
+    rows: Sequence[TotalsEvent],
+    recordings: Sequence[TelemetryEvent],
+    priors: Priors,
+    effects: Sequence[Effect],
+    pulse_shape: str,
+    delta_v: DeltaVUse,
+) -> Sources:
+    """Totals rows and recorded wheel biases; slews and burns teach no firing logic."""
+    recorded = (recorded_totals(own, priors.spacecraft) for own in recordings if is_bias(own))
+    found = (*rows, *recorded)
     if not found:
         raise InputError(
-            str(fit),
+            fit,
             "a fit with wheel biases among its events",
-            f"none of {', '.join(references)} is one",
+            f"none of {', '.join(own.id for own in recordings)} is one",
             "predict from a fit of wheel biases: they show how thrusters are fired",
         )
-    files = [*own_effects, *map(Path, _names(resolved, "own_effects", record))]
-    effects = fitted_effects(names, read, found, list(dict.fromkeys(files)))
     model = build_model(
         found,
-        read,
-        pulse_shape=str(model_table.get("pulse_shape", "first_order")),
-        delta_v=model_table.get("delta_v", "as-declared"),
+        priors,
+        pulse_shape=pulse_shape,
+        delta_v=delta_v,
         effects=[effect for effect in effects if not effect.needs_search],
     )
     within = tuple(effect.name for effect in effects if is_within(effect))
-    return Sources(found, read, model, within)
+    return Sources(found, priors, model, within)
 
 
 def record_folder(fit: Path) -> Path:
@@ -142,7 +180,7 @@ def extended_by(fit: Path) -> list[str]:
 
 
 def fitted_effects(
-    names: Sequence[str], priors: Priors, events: Sequence[TotalsEvent], files: Sequence[Path]
+    names: Sequence[str], priors: Priors, wheels: Collection[int], files: Sequence[Path]
 ) -> tuple[Effect, ...]:
     """The effects of a fit by name, whatever data showed them.
 
@@ -151,21 +189,14 @@ def fitted_effects(
     InputError
         A name that neither the package nor a file has.
     """
-    wheels = sorted({number for event in events for number in event.wheels})
-    catalogue = read_catalogue(priors, wheels, ("telemetry", "totals"), read_kinds(files))
+    inputs = ("telemetry", "totals")
+    catalogue = read_catalogue(priors, sorted(wheels), inputs, read_kinds(files))
     return tuple(catalogue.effect(name).as_fitted() for name in names)
 
 
 def is_within(effect: Effect) -> bool:
     """Whether an effect acts on the rows of an event, so that totals do not have it."""
     return effect.kind.columns is not None or effect.kind.search is not None
-
-
-def _recorded(references: Sequence[str], priors: Priors) -> tuple[TotalsEvent, ...]:
-    """Totals of the wheel biases among recordings; slews and burns teach no firing logic."""
-    folders = (Path(name) for name in references if is_event_folder(Path(name)))
-    events = (read_event(folder, priors.spacecraft) for folder in folders)
-    return tuple(recorded_totals(event, priors.spacecraft) for event in events if is_bias(event))
 
 
 def learn_from_fit(

@@ -30,6 +30,7 @@ from cassini_bayes.studies.closed_loop import simulate_request
 
 BIAS = "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"
 PULSES = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
+WHEELS = (1, 2, 4)
 LEAK, FACTOR = "thruster_leak_z3_leak_n", "thruster_degraded_z4_thrust_factor"
 STILL = frozenset({"rates at the ends", "thrust of the event"})
 
@@ -37,7 +38,7 @@ STILL = frozenset({"rates at the ends", "thrust of the event"})
 def model_with(*names: str) -> Model:
     """The totals model of the eight events with some effects."""
     events, priors = flights()
-    return build_model(events, priors, effects=fitted_effects(names, priors, events, ()))
+    return build_model(events, priors, effects=fitted_effects(names, priors, WHEELS, ()))
 
 
 def learned_with(sizes: Mapping[str, float], *names: str) -> Learned:
