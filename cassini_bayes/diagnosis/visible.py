@@ -76,7 +76,8 @@ def visible_record(
         return None
     size = said(effect, seen)
     words = None if size is None else kinds.says(effect.name, {seen.parameter: size})
-    return {**vars(seen), "says": words}
+    thruster = effect.target if effect.target in cause.hypothesis.model.thrusters else None
+    return {**vars(seen), "thruster": thruster, "says": words}
 
 
 def prior_width(parameter: EffectParameter) -> float | None:

@@ -167,18 +167,18 @@ def _cause_p_value(record: Record, best: Record) -> list[str]:
 
 
 def _visible(record: Record) -> list[str]:
-    """From which size on causes would have been named: of each kind the target least seen."""
+    """From which size on causes would have been named: of each kind the target least seen.
+
+    Faults of thrusters come first, then what is seen best.
+    """
+    seen = [row for row in record.get("visible", []) if row["says"] is not None]
     hardest: dict[str, str] = {}
-    for row in record.get("visible", []):
-        if row["says"] is not None:
-            hardest[row["cause"].partition(":")[0]] = row["says"]
+    for row in sorted(seen, key=lambda row: row["thruster"] is None):
+        hardest[row["cause"].partition(":")[0]] = row["says"]
     if not hardest:
         return []
     named = "; ".join(list(hardest.values())[:MOST_NAMED])
-    return [
-        "These data would have shown it, at odds of nine to one and in nine of ten such flights, "
-        f"had there been one of: {named}."
-    ]
+    return [f"Nine of ten such flights would have shown, at odds of nine to one: {named}."]
 
 
 def _runner_up(record: Record) -> list[str]:
