@@ -129,4 +129,4 @@ def test_what_would_have_been_seen_is_a_table_with_a_place_in_the_contents() -> 
     assert "Z3 leaks 3 µN or more of thrust without command" in text
     assert "no size that its prior allows (leak_n)" in text
     assert 'href="#visible"' in text
-    assert "visible" not in render_diagnosis(whole("none"), [PICTURE], "made up")
+    assert 'id="visible"' not in render_diagnosis(whole("none"), [PICTURE], "made up")
