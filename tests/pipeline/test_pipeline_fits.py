@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from event_cases import PRIORS, priors, simulated
-from prediction_cases import write_run_folder
 from run_cases import command
 
 import cassini_bayes as cb
@@ -115,24 +114,6 @@ def test_arviz_takes_it(data: Any) -> None:
             found = az.psens(data, component=component, var_names=["tau_fall_s"])
             assert np.isfinite(float(found))
         corner().corner(data, var_names=["thrust_common_n", "tau_fall_s"])
-
-
-def test_arviz_takes_a_fit_of_totals(tmp_path: Path) -> None:
-    """The same six on a fit of the eight flight biases; every bias has its k̂."""
-    az = arviz()
-    run = write_run_folder(tmp_path).parent
-    (run / "provenance.json").unlink()
-    own = cb.read_fit(run).to_arviz()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert np.isfinite(az.summary(own, var_names=["thrust_n"])["mean"]).all()
-        az.plot_trace(own, var_names=["tau_fall_s"])
-        az.plot_ppc(own, var_names=["on_time_s"], num_pp_samples=3)
-        assert az.loo(own, pointwise=True).pareto_k.sizes == {"event": 8}
-        for component in ("prior", "likelihood"):
-            found = az.psens(own, component=component, var_names=["tau_fall_s"])
-            assert np.isfinite(float(found))
-        corner().corner(own, var_names=["thrust_common_n", "tau_fall_s"])
 
 
 def test_the_event_is_the_unit_of_leaving_one_out(again: FitResult, data: Any) -> None:

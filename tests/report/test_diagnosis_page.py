@@ -122,6 +122,7 @@ def test_what_would_have_been_seen_is_a_table_with_a_place_in_the_contents() -> 
         "size": 3e-6,
         "sd": 5e-7,
         "prior_width": 3e-5,
+        "thruster": "z3",
         "says": "Z3 leaks 3 µN or more of thrust without command",
     }
     hidden = {**row, "cause": "center_of_mass:y", "size": None, "sd": None, "says": None}
