@@ -35,7 +35,7 @@ class Crew:
     processes: int = 1
     store: CheckpointStore | None = None
     progress: Progress = untold
-    _stages: Iterator[int] = field(default_factory=count, repr=False, compare=False)
+    _stages: Iterator[int] = field(default_factory=count, init=False, repr=False, compare=False)
 
     def results(
         self,

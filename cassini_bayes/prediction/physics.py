@@ -49,7 +49,7 @@ class Physics:
     level_n: Array
     software: Array
     _balances: dict[tuple[Modifier, ...], BalancePhysics] = field(
-        default_factory=dict, repr=False, compare=False
+        default_factory=dict, init=False, repr=False, compare=False
     )
 
     @property

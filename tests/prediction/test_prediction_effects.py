@@ -47,7 +47,7 @@ def learned_with(sizes: Mapping[str, float], *names: str) -> Learned:
     model, known = model_with(*names), physics()
     sized = {**known.parameters, **{key: np.full(SIZE, value) for key, value in sizes.items()}}
     assert set(model.space.names) <= set(sized)
-    drawn = replace(known, parameters=sized, _balances={})
+    drawn = replace(known, parameters=sized)
     return learn(model, events, drawn, beliefs(), np.random.default_rng(4), SIZE)
 
 
