@@ -41,7 +41,7 @@ from cassini_bayes.pipeline.provenance import (
     refuse_other_run,
 )
 from cassini_bayes.pipeline.run import prepare_folder
-from cassini_bayes.prediction.sources import DIAGNOSED, RESOLVED
+from cassini_bayes.prediction.sources import DIAGNOSED, EXTENDED, RESOLVED
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
@@ -54,7 +54,6 @@ INTERVAL: Final = "shortest 90 %"
 DEFAULT_SEED: Final = 1
 CHECKPOINT: Final = "checkpoint"
 PROVENANCE: Final = "provenance.json"
-EXTENDED: Final = "extended"
 WRITTEN: Final = (
     PROVENANCE,
     CHECKPOINT,

@@ -41,6 +41,7 @@ from cassini_bayes.prediction.requests import (
     read_requests,
 )
 from cassini_bayes.prediction.sources import (
+    EXTENDED,
     Sources,
     learn_from_fit,
     read_sources,
@@ -260,7 +261,8 @@ def predict(
     Parameters
     ----------
     fit
-        A fit, a run's folder or its ``fit.nc``.
+        A fit, a run's folder or its ``fit.nc``; the folder of a diagnosis whose extended model was
+        sampled.
     bias
         ``"rwa1: -1118 -> 626, rwa2: 1290 -> 1300, …"`` in rev/min, the path of a CSV of biases, or
         requests.
@@ -367,6 +369,8 @@ def _sources(
     path = fit.path if isinstance(fit, FitResult) else Path(fit)
     assert path is not None
     file = path / FIT_FILE if path.is_dir() else path
+    extended = path / EXTENDED / FIT_FILE
+    file = extended if not file.exists() and extended.exists() else file
     sources = read_sources(
         file,
         None if events is None else str(events),

@@ -36,6 +36,8 @@ RESOLVED: Final = "resolved.toml"
 """What a run or a diagnosis was resolved to, in its folder."""
 DIAGNOSED: Final = "diagnosis.json"
 """In the folder above the fit of a diagnosis's extended model."""
+EXTENDED: Final = "extended"
+"""Where that fit is, in the diagnosis's folder."""
 
 
 @dataclass(frozen=True)

@@ -145,3 +145,19 @@ def test_effects_that_nothing_has_are_named(run: Path, tmp_path: Path) -> None:
     found = cb.predict(run, BIAS)
     with pytest.raises(InputError, match="one with thruster_leak:z3, thrust_warmup"):
         simulate_request(found.learned, found.predictions[0].request, 1, 1)
+
+
+def test_the_extended_fit_of_a_diagnosis_says_its_causes_itself(tmp_path: Path) -> None:
+    """Events and priors are those of the diagnosis's folder, the causes an attribute of the fit."""
+    model, rng = model_with("thruster_leak:z3"), np.random.default_rng(6)
+    z = 0.3 * rng.standard_normal((1, SIZE, model.space.dimension))
+    own = {"seed": 6, "causes": "thruster_leak:z3"}
+    (tmp_path / "extended").mkdir()
+    save_fit(build_fit(model, z, np.zeros((1, SIZE)), rng, own, 50), tmp_path / "extended/fit.nc")
+    table = {"events": [str(FLIGHT)], "priors": str(B_BRANCH), "source": "flight"}
+    (tmp_path / "resolved.toml").write_text(tomli_w.dumps(table))
+    (tmp_path / "diagnosis.json").write_text("{}")
+    found = cb.predict(tmp_path, BIAS)
+    assert [effect.name for effect in found.learned.model.effects] == ["thruster_leak:z3"]
+    same = cb.predict(tmp_path / "extended", BIAS)
+    np.testing.assert_array_equal(same.predictions[0].on_time_s, found.predictions[0].on_time_s)
