@@ -110,7 +110,7 @@ def made_up_review(
     nuisances = _nuisances(fit)
     review = Review(
         name="made_up",
-        model=cast(Any, SimpleNamespace(telemetry=())),
+        model=cast(Any, SimpleNamespace(telemetry=(), effects=())),
         priors=cast(Any, None),
         fit=fit,
         z=np.zeros((0, 0)),

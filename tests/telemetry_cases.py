@@ -361,9 +361,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
     return float(log_density - 0.5 * size * np.log(2.0 * np.pi)) + constant
 
 
-def joint_of_slews(
-    model: Model, parameters: Mapping[str, float], *, shared: bool = True
-) -> float:
+def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: bool = True) -> float:
     """Log density of rates, wheels and turns of slews without torque noise, as one normal.
 
     The noise of measured wheels is in the balance of rows and, summed up, in that of turns; unless

@@ -120,3 +120,22 @@ def test_the_comparison_quotes_the_vision() -> None:
 def test_the_readme_is_short() -> None:
     """What, two commands, a picture, a page of use, links."""
     assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= README_LINES
+
+
+def test_what_the_comparison_excludes_stands_in_the_vision() -> None:
+    """Every thing of theirs is here, or its row quotes the line that excludes it, word by word."""
+    page = (DOCS / "topics" / "comparison.md").read_text("utf-8")
+    vision = " ".join((ROOT / "VISION.md").read_text("utf-8").split())
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in page.splitlines()
+        if line.startswith("|") and not line.startswith(("| theirs", "| ---"))
+    ]
+    assert len(rows) > 60
+    for theirs, here in rows:
+        assert theirs
+        assert here
+        quotes = re.findall("“([^”]+)”", here) if "VISION" in here else []
+        assert bool(quotes) == ("excluded" in here or "VISION" in here), theirs
+        for quote in quotes:
+            assert quote in vision, quote

@@ -148,7 +148,7 @@ def totals_system(
     """
     stack = balance.stack
     axes, inertias, arms = physics.wheel_axes, physics.wheel_inertia_kg_m2, physics.arms_m
-    effective = _effective_on_time(balance, physics)
+    effective = effective_on_times(balance.pulse_shape, physics, stack.on_time_s, stack.pulses)
     start = wheel_momentum(axes, inertias, stack.wheel_start_rad_s)
     end = wheel_momentum(axes, inertias, stack.wheel_end_rad_s)
     covariance = (
@@ -162,7 +162,7 @@ def totals_system(
         )
     )
     design = thruster_columns(arms, effective)
-    target = end - start - _steady_impulse(stack, physics)
+    target = end - start - steady_impulse(physics, stack.duration_s)
     batch = np.broadcast_shapes(
         design.shape[:-3],
         target.shape[:-2],
@@ -199,25 +199,29 @@ def totals_system(
     )
 
 
-def _effective_on_time(balance: TotalsBalance, physics: Physics) -> Array:
-    """Effective on-time of every thruster and event, (..., E, K) s."""
-    stack = balance.stack
-    effective = effective_on_time(
-        balance.pulse_shape,
-        stack.on_time_s,
-        stack.pulses,
-        *(np.asarray(tau)[..., None, None] for tau in physics.tau_s),
-    )
+def effective_on_times(
+    pulse_shape: PulseShape, physics: Physics, on_time_s: Array, pulses: Array
+) -> Array:
+    """Impulse over thrust of every thruster and event, (..., E, K) s, effects included.
+
+    s_k + o_k × pulses, with s the pulse shape's effective on-time and o the on-time that an effect
+    adds to a pulse. on_time_s and pulses (..., E, K).
+    """
+    tau_s = (np.asarray(tau)[..., None, None] for tau in physics.tau_s)
+    effective = effective_on_time(pulse_shape, on_time_s, pulses, *tau_s)
     if np.ndim(physics.impulse_offset_s):
-        effective = effective + np.asarray(physics.impulse_offset_s)[..., None, :] * stack.pulses
+        effective = effective + np.asarray(physics.impulse_offset_s)[..., None, :] * pulses
     return effective
 
 
-def _steady_impulse(stack: TotalsStack, physics: Physics) -> Array | float:
-    """Angular impulse (..., E, 3) of a steady torque beyond the collapsed one, N m s."""
+def steady_impulse(physics: Physics, duration_s: Array) -> Array | float:
+    """Angular impulse (..., E, 3) of a steady torque beyond the collapsed one, N m s.
+
+    duration_s (..., E) of the events; 0 without such a torque.
+    """
     if not np.ndim(physics.steady_torque_n_m):
         return 0.0
-    return np.asarray(physics.steady_torque_n_m)[..., None, :] * stack.duration_s[:, None]
+    return np.asarray(physics.steady_torque_n_m)[..., None, :] * duration_s[..., None]
 
 
 def _with_delta_v_rows(

@@ -86,8 +86,8 @@ def main() -> None:
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
             typer.echo(
-                "stopped; a run or fit goes on with the same command and --resume, a campaign with "
-                "the same command",
+                "stopped; a run, fit or diagnosis goes on with the same command and --resume, a "
+                "campaign with the same command",
                 err=True,
             )
         raise

@@ -19,6 +19,7 @@ from cassini_bayes.cli.options import (
     OwnSeed,
     PriorsFile,
     Quiet,
+    Resume,
     Source,
     Strict,
 )
@@ -45,6 +46,7 @@ def diagnose_command(
     leave_out: LeaveOut = False,
     strict: Strict = False,
     force: Force = False,
+    resume: Resume = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -52,8 +54,6 @@ def diagnose_command(
     from cassini_bayes.pipeline.diagnoses import diagnose
     from cassini_bayes.report.diagnosis import diagnosis_json
 
-    if (out / "diagnosis.json").exists() and not force:
-        raise InputError(str(out), "a new folder", "an existing diagnosis", "add --force")
     reporter = ConsoleReporter(quiet)
     if then_fit:
         refuse_estimates(events)
@@ -66,18 +66,19 @@ def diagnose_command(
         accept=accept or [],
         leave_out=leave_out,
         seed=DEFAULT_SEED if seed is None else seed,
+        folder=out,
+        force=force,
+        resume=resume,
         log=reporter.say,
-        draw=True,
+        progress=reporter.count,
+        command=["cassini-bayes", *sys.argv[1:]],
     )
-    result.record["command"] = ["cassini-bayes", *sys.argv[1:]]
-    reporter.say("figures and report")
-    page = result.report(out)
     if then_fit:
-        result.fit(out / "extended", log=reporter.say)
+        result.fit(log=reporter.say)
     if as_json:
         typer.echo(diagnosis_json(result.record).rstrip())
     elif not quiet:
-        typer.echo("\n".join([*result.sentences, str(page)]))
+        typer.echo("\n".join([*result.sentences, str(out / "report.html")]))
     findings = result.record["findings"]
     for sentence in findings:
         typer.echo(f"warning: {sentence}", err=True)

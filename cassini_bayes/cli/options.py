@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 from rich.console import Console
+from rich.control import Control
+from rich.segment import ControlType
 
 from cassini_bayes.files.checks import LARGEST_SEED
 
@@ -59,6 +61,9 @@ Effects = Annotated[
 ]
 
 
+PLAIN_S: Final = 2.0  # between lines of progress where there is no terminal to overwrite them in
+
+
 class ConsoleReporter:
     """Progress on standard error: a live line in a terminal, plain lines elsewhere."""
 
@@ -66,10 +71,17 @@ class ConsoleReporter:
         self._console = Console(stderr=True, quiet=quiet, highlight=False, soft_wrap=True)
         self._began = time.monotonic()
         self._first: dict[str, tuple[float, int]] = {}
+        self._counted = -math.inf
 
-    def say(self, text: str) -> None:
-        """A line with the seconds since the start."""
-        self._console.print(f"[{time.monotonic() - self._began:6.1f} s] {text}", markup=False)
+    def say(self, text: str, *, stays: bool = True) -> None:
+        """A line with the seconds since the start; in a terminal it may make way for the next."""
+        if self._console.is_terminal and not self._console.quiet:
+            self._console.control(
+                Control((ControlType.ERASE_IN_LINE, 2), ControlType.CARRIAGE_RETURN)
+            )
+        end = "\n" if stays or not self._console.is_terminal else "\r"
+        line = f"[{time.monotonic() - self._began:6.1f} s] {text}"
+        self._console.print(line, markup=False, end=end)
 
     def progress(self, report: ProgressReport) -> None:
         """Steps done, steps and time left, and what is still missing."""
@@ -84,11 +96,20 @@ class ConsoleReporter:
             self.say(f"step {report.step}: stop rule met")
 
     def count(self, what: str, done: int, total: int) -> None:
-        """Repetitions done of a campaign, and the time left."""
+        """What is done of a stage or campaign, and the time left.
+
+        A live line in a terminal; elsewhere the first, the last, and one every few seconds.
+        """
         now = time.monotonic()
+        is_plain = not self._console.is_terminal
+        if is_plain and what in self._first and done < total and now < self._counted + PLAIN_S:
+            return
+        self._counted = now
         if what not in self._first:
             self._first[what] = (now, done)
         since, already = self._first[what]
         left = (total - done) * (now - since) / (done - already) if done > already else float("nan")
         rest = f", {left:.0f} s left" if left == left else ""
-        self.say(f"{what}: {done} of {total}{rest}")
+        self.say(f"{what}: {done} of {total}{rest}", stays=done == total)
+        if done == total:
+            del self._first[what]  # the next stage of that name has a time of its own

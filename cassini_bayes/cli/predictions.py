@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import Accept, Json, Quiet, Seed
+from cassini_bayes.cli.options import Accept, Effects, Json, Quiet, Seed
 
 if TYPE_CHECKING:
     from cassini_bayes.pipeline.predictions import PredictionResult
@@ -50,6 +50,7 @@ def predict_command(
     ] = None,
     events: Events = None,
     priors: PriorsFile = None,
+    effects: Effects = None,
     accept: Accept = None,
     seed: Seed = 1,
     as_json: Json = False,
@@ -66,6 +67,7 @@ def predict_command(
         quaternion=quaternion,
         events=events,
         priors=priors,
+        own_effects=effects or (),
         accept=accept or [],
         seed=seed,
     )
@@ -111,6 +113,7 @@ def plan_command(
     out: Annotated[Path | None, typer.Option("--out", help="Folder for plan.csv, figure.")] = None,
     events: Events = None,
     priors: PriorsFile = None,
+    effects: Effects = None,
     accept: Accept = None,
     seed: Seed = 1,
     as_json: Json = False,
@@ -131,6 +134,7 @@ def plan_command(
         top=top,
         events=events,
         priors=priors,
+        own_effects=effects or (),
         accept=accept or [],
         seed=seed,
     )

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, get_type_hints
 
 import numpy as np
 
 from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
-from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import Case, Log, Ranking, Shown, Size, Weighed, Work, silent
 from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests, strongest
+from cassini_bayes.diagnosis.crew import ALONE, Crew
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.drafts import Draft, drafted
 from cassini_bayes.diagnosis.events import Events
@@ -47,6 +47,7 @@ from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
+from cassini_bayes.diagnosis.visible import visible_record
 from cassini_bayes.diagnosis.widths import change_of_evidence
 from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
 from cassini_bayes.effects.registry import Kinds
@@ -107,12 +108,13 @@ class BalanceCase(Case[Hypothesis]):
         """Of reading the events."""
         return self.events.findings
 
-    def weigh(self, rng: np.random.Generator, log: Log, workers: int) -> list[Candidate]:
+    def weigh(self, rng: np.random.Generator, log: Log, workers: Crew = ALONE) -> list[Candidate]:
         """Evidence by searches from the baseline's mode, by draws near the best."""
         events = self.events
         full = none_hypothesis(events)
         none = compact(full)
-        base = find_mode(none.log_density, none.dimension)
+        at_centre = partial(find_mode, none.log_density, none.dimension)
+        (base,) = workers.results("", [at_centre], Mode)
         log(f"none: log evidence {base.log_evidence:.1f}")
         unknown = compact(unknown_hypothesis(events))
         start = _unknown_start(none, unknown, base)
@@ -123,7 +125,7 @@ class BalanceCase(Case[Hypothesis]):
         to_find = [] if remainder is None else _to_find(events, remainder)
         first = [partial(find_mode, unknown.log_density, unknown.dimension, start)]
         (unknown_mode, *settled_by), near = _side_by_side(
-            [*first, *(work for _, work in to_find)], hypotheses, base, log, workers
+            first, to_find, hypotheses, base, "searches for causes", workers
         )
         log(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
         weighed = [
@@ -135,7 +137,8 @@ class BalanceCase(Case[Hypothesis]):
         gained = max((c.log_evidence for c in causes), default=floor) - base.log_evidence
         further = [compact(extend(full, [effect])) for effect in beginnings.missed(gained)]
         if further:
-            _, near = _side_by_side([], further, base, silent, workers)
+            what = "searches for further beginnings"
+            _, near = _side_by_side((), (), further, base, what, workers)
             causes += weigh_extensions(further, near, base, log, workers, floor)
         if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
             log(
@@ -147,20 +150,20 @@ class BalanceCase(Case[Hypothesis]):
         for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:
                 best = max(w.log_evidence for w in weighed)
-                weighed.append(
-                    self._settled(replace(effect, search_result=settled), (), base, best)
-                )
+                found = replace(effect, search_result=settled)
+                weighed.append(self._settled(found, (), base, best, workers))
         return beginnings.summed(_sampled_near_best(weighed, rng, workers))
 
     def _settled(
-        self, effect: Effect, beside: Sequence[Effect], base: Mode, best: float
+        self, effect: Effect, beside: Sequence[Effect], base: Mode, best: float, workers: Crew
     ) -> Candidate:
         """An effect as its search has settled it, beside other effects or alone."""
         effects = [*beside, effect]
         events = self.events.with_columns_of(effects)
         hypothesis = compact(extend(none_hypothesis(events), effects))
-        near = [newton_search(hypothesis, base)]
-        (weighed,) = weigh_extensions([hypothesis], near, base, silent, floor=best - MARGIN_NATS)
+        near = workers.results("", [partial(newton_search, hypothesis, base)], ModeSearch)
+        least = best - MARGIN_NATS
+        (weighed,) = weigh_extensions([hypothesis], near, base, silent, workers, least)
         return weighed
 
     def scores_at(
@@ -173,7 +176,7 @@ class BalanceCase(Case[Hypothesis]):
         }
 
     def pairs(
-        self, first: Candidate, least: float, rng: np.random.Generator, workers: int
+        self, first: Candidate, least: float, rng: np.random.Generator, workers: Crew
     ) -> list[Candidate]:
         """By searches from the first cause's mode, by draws for what could be the best pair."""
         (effect,) = first.hypothesis.effects
@@ -192,16 +195,16 @@ class BalanceCase(Case[Hypothesis]):
         to_find = []
         if remainder is not None and any(e.needs_search for e in others):
             to_find = [(e, work) for e, work in _to_find(events, remainder) if e in others]
-        settled_by, near = _side_by_side(
-            [work for _, work in to_find], pairs, base, silent, workers, SECOND_CAUSE_NATS
-        )
+        what = "searches for a second cause"
+        settled_by, near = _side_by_side((), to_find, pairs, base, what, workers, SECOND_CAUSE_NATS)
         # pairs have the first cause's likeliest beginning; others count for them as for it alone
         least -= first.summed
         weighed = weigh_extensions(pairs, near, base, silent, workers, least)
         for (e, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None and _could_gain(settled, SECOND_CAUSE_NATS):
                 second = replace(e, search_result=settled)
-                weighed.append(self._settled(second, [effect], base, base.log_evidence))
+                best = base.log_evidence
+                weighed.append(self._settled(second, [effect], base, best, workers))
         reach = [e.net_evidence + e.unsure + CONFOUNDED_NATS for e in weighed]
         bar = max([least, *(e.net_evidence for e in weighed)])
         which = [i for i, e in enumerate(reach) if e > bar]
@@ -293,6 +296,10 @@ class BalanceCase(Case[Hypothesis]):
             return ()
         return drafted(self.events, unknown)
 
+    def visible(self, none: Candidate, cause: Candidate) -> dict[str, Any] | None:
+        """Of causes of one size (:mod:`.visible`)."""
+        return visible_record(none, cause, self.kinds)
+
     def separation(self, one: str, other: str) -> str:
         """The advice of the kinds, or events that fire other thrusters."""
         kinds, priors = self.events.catalogue.kinds, self.events.priors
@@ -318,33 +325,42 @@ def _to_find(events: Events, remainder: Remainder) -> list[tuple[Effect, Work]]:
     return to_find
 
 
+def _found(search: Callable[..., Any] | None) -> Any:
+    """Type of what one of the package's searches before a fit finds; None of an effect of others.
+
+    Nobody knows whether arrays can stand for what these find.
+    """
+    if search is None or not search.__module__.startswith("cassini_bayes."):
+        return None
+    return get_type_hints(search).get("return")
+
+
 def _could_gain(result: SearchResult, nats: float) -> bool:
     return result.log_gain + HOPED_NATS > result.log_looks + nats
 
 
 def _side_by_side(
-    first: Sequence[Work],
+    modes: Sequence[Work],
+    to_find: Sequence[tuple[Effect, Work]],
     hypotheses: Sequence[Hypothesis],
     base: Mode,
-    log: Log,
-    workers: int,
+    what: str,
+    workers: Crew,
     worth: float = -np.inf,
 ) -> tuple[list[Any], list[ModeSearch]]:
-    """Results of some work, and of the causes' searches beside the baseline, shared out together.
+    """Modes, searches before a fit, and the causes' searches beside the baseline, in one stage.
 
-    The work comes first, as it takes as long as many searches. Causes that do not gain ``worth``
+    The former come first, as each takes as long as many searches. Causes that do not gain ``worth``
     (nats) do not matter.
     """
-
-    def progress(count: int) -> None:
-        if count > len(first) and (count - len(first)) % 10 == 0:
-            log(f"{count - len(first)} of {len(hypotheses)} causes weighed")
-
     near = [partial(newton_search, hypothesis, base, worth) for hypothesis in hypotheses]
-    work: list[Work] = [*first, *near]
+    work: list[Work] = [*modes, *(search for _, search in to_find), *near]
+    found = (_found(effect.kind.search) for effect, _ in to_find)
+    kinds = [*(Mode for _ in modes), *found, *(ModeSearch for _ in near)]
     # importance draws need ArviZ, whose import takes most of a second
-    results: list[Any] = in_processes(lambda part: part(), work, workers, progress, arviz)
-    return results[: len(first)], results[len(first) :]
+    results: list[Any] = workers.results(what, work, kinds, arviz)
+    first = len(modes) + len(to_find)
+    return results[:first], results[first:]
 
 
 def _is_bent(mode: Mode) -> bool:
@@ -358,7 +374,7 @@ def _is_mended(causes: Sequence[Candidate], unknown: Mode) -> bool:
 
 
 def _from_centre(
-    causes: Sequence[Candidate], base: Mode, unknown: Mode, workers: int
+    causes: Sequence[Candidate], base: Mode, unknown: Mode, workers: Crew
 ) -> list[Candidate]:
     """Causes searched from the centre of the prior, the best first, until one mends the baseline.
 
@@ -372,7 +388,8 @@ def _from_centre(
         least = best - GAINED_ALIKE * max(best - base.log_evidence, 0.0)
         part = [i for i in order[:TOGETHER] if causes[i].log_evidence >= least]
         order = order[len(part) :]
-        modes = in_processes(lambda i: _higher_from_centre(causes[i]), part, workers)
+        each = [partial(_higher_from_centre, causes[i]) for i in part]
+        modes = workers.results("searches from the centre of the prior", each, Mode | None)
         for i, mode in zip(part, modes, strict=True):
             if mode is not None:
                 candidates[i] = by_laplace(causes[i].hypothesis, mode)
@@ -389,7 +406,7 @@ def _higher_from_centre(weighed: Candidate) -> Mode | None:
 
 
 def _sampled_near_best(
-    weighed: Sequence[Candidate], rng: np.random.Generator, workers: int
+    weighed: Sequence[Candidate], rng: np.random.Generator, workers: Crew
 ) -> list[Candidate]:
     """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
     candidates = list(weighed)

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.crew import Crew
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.effects.effect import Remainder
@@ -199,8 +200,8 @@ class Ranking(Generic[H]):
 class Case(ABC, Generic[H]):
     """Data, and hypotheses on them.
 
-    ``rng`` is used for nothing else, ``workers`` processes share out the work, on which no result
-    depends.
+    ``rng`` is used for nothing else; ``workers`` share out the work and keep what is finished, on
+    which no result depends.
     """
 
     unit: str
@@ -217,7 +218,7 @@ class Case(ABC, Generic[H]):
         return ()
 
     @abstractmethod
-    def weigh(self, rng: np.random.Generator, log: Log, workers: int) -> list[Weighed[H]]:
+    def weigh(self, rng: np.random.Generator, log: Log, workers: Crew) -> list[Weighed[H]]:
         """Evidence of ``none``, ``unknown`` and every cause."""
 
     @abstractmethod
@@ -255,12 +256,17 @@ class Case(ABC, Generic[H]):
         del unknown
         return ()
 
+    def visible(self, none: Weighed[H], cause: Weighed[H]) -> dict[str, Any] | None:
+        """From which size on a cause would have been named; None of what has no one size."""
+        del none, cause
+        return None
+
     @abstractmethod
     def separation(self, one: str, other: str) -> str:
         """The measurement that would tell two causes apart."""
 
     def pairs(
-        self, first: Weighed[H], least: float, rng: np.random.Generator, workers: int
+        self, first: Weighed[H], least: float, rng: np.random.Generator, workers: Crew
     ) -> list[Weighed[H]]:
         """The best cause together with every other; ``least`` is the evidence that counts."""
         del first, least, rng, workers

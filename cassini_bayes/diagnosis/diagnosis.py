@@ -10,8 +10,8 @@ from typing import Any, Final, Generic
 
 import numpy as np
 
-from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Log, Shown, Size, Weighed, Work, silent
+from cassini_bayes.diagnosis.crew import ALONE, Crew
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
 from cassini_bayes.effects.wording import Stated
@@ -26,6 +26,17 @@ MOST_SAID: Final = 0.99  # probability of an onset: more digits are not worth re
 SIGNIFICANT: Final = 0.05  # p-value below which a model is called discrepant still
 Drawing = Callable[[Any], Sequence[Any]]
 PARTS: Final = 4  # in which the records of causes are made: work for up to four processes
+KEPT: Final[Mapping[str, Any]] = {
+    "causes": list,
+    "width": dict,
+    "baseline score": HeldOut | None,
+    "score": HeldOut | None,
+    "p": float | None,
+    "extended p": float | None,
+    "runner-up": dict,
+    "visible": list,
+}
+"""Types of the measures that are kept, by name without its number; figures are drawn again."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +72,7 @@ def diagnose(
     measure_gain: bool = True,
     pairs: bool = True,
     log: Log = silent,
-    workers: int = 1,
+    workers: Crew = ALONE,
     drawing: Drawing = undrawn,
 ) -> Diagnosis[H]:
     """Show, name, extend and measure; returns everything for JSON and report.
@@ -79,7 +90,8 @@ def diagnose(
     log
         Told how far it got.
     workers
-        Processes among which causes and measures are shared out; the result does not depend on it.
+        Share out causes and measures and keep what is finished, all but what is drawn and what it
+        shows; the result does not depend on them.
     drawing
         Draws what is shown (:class:`.Shown`) and the curves as soon as they are there, in the
         process that has made them.
@@ -109,9 +121,13 @@ def diagnose(
     work["curves"] = partial(_then, drawing, partial(case.curves, verdict.unknown, of_curves))
     if verdict.best.name == UNKNOWN:
         work["drafts"] = partial(case.drafts, verdict.unknown)
+    if verdict.best is none:
+        for part in range(PARTS):
+            work[f"visible {part}"] = partial(_visible, case, verdict, part)
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
-    results = in_processes(lambda part: part(), work.values(), workers)
+    kinds = [KEPT.get(name.rstrip(" .0123456789")) for name in work]
+    results = workers.results("measures and figures", list(work.values()), kinds)
     measured = dict(zip(work, results, strict=True))
     drawn = []
     for name in ("shown", "curves"):
@@ -162,6 +178,10 @@ def _record(
         "closure": list(shown.closure),
         "causes": [cause for part in range(PARTS) for cause in measured[f"causes {part}"]],
         "runner_up": measured.get("runner-up"),
+        "visible": sorted(
+            (row for part in range(PARTS) for row in measured.get(f"visible {part}", [])),
+            key=lambda row: (row["size"] or np.inf) / row["prior_width"],
+        ),
         "drafts": [draft.record for draft in measured.get("drafts", ())],
         "extended": {
             "causes": list(extended.hypothesis.causes or [extended.name] * (extended is not none)),
@@ -240,6 +260,12 @@ def _cause_records(
     each = list(zip(verdict.weighed, verdict.log_probabilities.tolist(), generators, strict=True))
     edges = np.linspace(0, len(each), PARTS + 1).astype(int)
     return [record(*cause) for cause in each[edges[part] : edges[part + 1]]]
+
+
+def _visible(case: Case[H], verdict: Verdict[H], part: int) -> list[dict[str, Any]]:
+    """One part of the sizes from which causes would have been named."""
+    rows = (case.visible(verdict.none, weighed) for weighed in verdict.weighed[part::PARTS])
+    return [row for row in rows if row is not None]
 
 
 def _size_record(size: Size, unit: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.diagnosis.case import TRUSTED_K, Case, Log, Ranking, Size, Weighed, silent
+from cassini_bayes.diagnosis.crew import ALONE, Crew
 from cassini_bayes.diagnosis.estimates import EstimateHypothesis, Estimates, Prediction
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import LEAST_PIECES, HeldOut
@@ -63,7 +64,7 @@ class EstimateCase(Case[EstimateHypothesis]):
         """Names of the estimates."""
         return self.names
 
-    def weigh(self, rng: np.random.Generator, log: Log, _: int = 1) -> list[Candidate]:
+    def weigh(self, rng: np.random.Generator, log: Log, _: Crew = ALONE) -> list[Candidate]:
         """Evidence by draws from prior and posterior together."""
         weighed = self.weighed(self.hypotheses(1.0), rng)
         log(f"{len(weighed)} hypotheses weighed")
@@ -136,7 +137,7 @@ class EstimateCase(Case[EstimateHypothesis]):
         return {w.name: w.score for w in weighed}
 
     def pairs(
-        self, first: Candidate, _: float, rng: np.random.Generator, __: int
+        self, first: Candidate, _: float, rng: np.random.Generator, __: Crew
     ) -> list[Candidate]:
         """Weighed as all others are."""
         return self.weighed(self.beside(first.name), rng)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.case import TRUSTED_K, Log, Weighed
+from cassini_bayes.diagnosis.crew import ALONE, Crew
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.search import (
@@ -30,6 +31,7 @@ FEW_DRAWS: Final = 200
 """Of every cause near the best: an evidence good to 0.05 nats at an efficiency of 0.7, where a
 probability of a few percent is all that is asked."""
 FIRST: Final = 2  # searched at once, so that two processes have work
+DRAWN: Final = tuple[Mode, Proposal, ImportanceDraws]
 DOF: Final = 8.0
 """Of the Student-t proposal: judgement, tails wide enough for ridges that bend against draws that
 are lost where they do not."""
@@ -52,7 +54,7 @@ def weigh_extensions(
     searches: Sequence[ModeSearch],
     base: Mode,
     log: Log,
-    workers: int = 1,
+    workers: Crew = ALONE,
     floor: float = -np.inf,
 ) -> list[Candidate]:
     """Extensions of one baseline by Laplace evidence.
@@ -81,7 +83,9 @@ def weigh_extensions(
             log(f"{len(due)} causes {what}")
         for part in (due[:FIRST], due[FIRST:]):
             still = [i for i in worth_continuing(ended, floor) if i in part]
-            for i, result in zip(still, in_processes(search, still, workers), strict=True):
+            each = [partial(search, i) for i in still]
+            found = workers.results(f"causes {what}", each, ModeSearch)
+            for i, result in zip(still, found, strict=True):
                 ended[i] = result
     weighed = [by_laplace(h, at.mode) for h, at in zip(hypotheses, ended, strict=True)]
     return [
@@ -158,12 +162,13 @@ def with_draws(
     which: Sequence[int],
     draws: int,
     rng: np.random.Generator,
-    workers: int,
+    workers: Crew,
 ) -> list[Candidate]:
     """Those named (places) with importance draws, each with a generator of its own."""
     generators = dict(zip(which, rng.spawn(len(which)), strict=True))
     # what is unsure may take long: it goes first, so that the work is shared out evenly
     order = sorted(which, key=lambda i: -weighed[i].unsure)
-    sampled = in_processes(lambda i: _draw(weighed[i], generators[i], draws), order, workers)
+    each = [partial(_draw, weighed[i], generators[i], draws) for i in order]
+    sampled = workers.results(f"{draws} importance draws", each, DRAWN)
     results = dict(zip(order, sampled, strict=True))
     return [_with_draws(w, *results[i]) if i in results else w for i, w in enumerate(weighed)]

@@ -29,6 +29,7 @@ from cassini_bayes.diagnosis.case import (
     over_beginnings,
     silent,
 )
+from cassini_bayes.diagnosis.crew import Crew
 from cassini_bayes.diagnosis.gauss_newton import (
     Fit,
     Model,
@@ -85,7 +86,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         """All events."""
         return self.data.event_ids
 
-    def weigh(self, rng: np.random.Generator, log: Log, _: int) -> list[Candidate]:
+    def weigh(self, rng: np.random.Generator, log: Log, _: Crew) -> list[Candidate]:
         """Evidence by linearisation, by importance draws near the best."""
         effects = self.catalogue.effects
         none = self._fitted(())
@@ -199,7 +200,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         return scores | {UNKNOWN: verdict.named(UNKNOWN).score}
 
     def pairs(
-        self, first: Candidate, _: float, __: np.random.Generator, ___: int
+        self, first: Candidate, _: float, __: np.random.Generator, ___: Crew
     ) -> list[Candidate]:
         """By linearisation."""
         (effect,) = first.hypothesis.effects

@@ -17,6 +17,7 @@ from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.evidence import DOF
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
+from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.results.groups import build_fit
@@ -56,6 +57,7 @@ def fit_extended(
     seed: int,
     log: Callable[[str], None],
     settings: SamplerSettings = SETTINGS,
+    store: CheckpointStore | None = None,
 ) -> pd.DataFrame:
     """Sample the extended model; write ``fit.nc`` and ``summary.csv``.
 
@@ -69,6 +71,8 @@ def fit_extended(
         Where to write; the sampler's seed; a reporter of progress.
     settings
         How to sample, and when to stop; the seed is the one above.
+    store
+        Where blocks of draws are kept: a killed fit goes on from them.
 
     Raises
     ------
@@ -83,7 +87,7 @@ def fit_extended(
     for _ in range(PILOT_ROUNDS):
         proposal = refined(proposal, importance(density_of, proposal, pilot, PILOT_DRAWS))
     log(f"sampling {weighed.name}, {weighed.hypothesis.dimension} dimensions")
-    chains = sample(density_of, proposal, replace(settings, seed=seed))
+    chains = sample(density_of, proposal, replace(settings, seed=seed), store=store)
     z, density = chains.thinned(DRAWS)
     attributes: dict[str, str | float | int] = {
         "created_by": f"cassini_bayes {__version__}",

@@ -13,7 +13,8 @@ from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
 from cassini_bayes.diagnosis.unresolved import timed
-from cassini_bayes.model.posterior import TORQUES
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.model.posterior import TORQUES, Model
 
 SizeDraws = Callable[[Weighed[H], np.random.Generator], tuple[dict[str, Array], Array]]
 SUMMARY_DRAWS: Final = 2_000
@@ -72,18 +73,21 @@ def effect_draws(
 
 def effect_values(hypothesis: Hypothesis, z: Array) -> dict[str, Array]:
     """Sizes (n,) of a hypothesis's effects at z: departures added to the baseline's parameter."""
-    model = hypothesis.model
+    sizes = (sizes_of(hypothesis.model, effect, z) for effect in hypothesis.effects)
+    return {key: values for own in sizes for key, values in own.items()}
+
+
+def sizes_of(model: Model, effect: Effect, z: Array) -> dict[str, Array]:
+    """Sizes (n,) of one effect of a model by key, at walked coordinates z (n, d)."""
     parameters = model.space.to_parameters(z)
     baseline = {**dict(zip(TORQUES, model.torque_mean_n_m, strict=True)), **parameters}
-    sizes: dict[str, Array] = {}
-    for effect in hypothesis.effects:
-        values = effect.values(parameters)
-        for parameter in effect.parameters:
-            if parameter.is_departure and parameter.key in baseline:
-                values[parameter.key] = values[parameter.key] + baseline[parameter.key]
-        setting = effect.setting(model.spacecraft, model.branch)
-        sizes |= effect.kind.report(values, setting) if effect.kind.report else values
-    return sizes
+    values = effect.values(parameters)
+    for parameter in effect.parameters:
+        if parameter.is_departure and parameter.key in baseline:
+            values[parameter.key] = values[parameter.key] + baseline[parameter.key]
+    if effect.kind.report is None:
+        return values
+    return dict(effect.kind.report(values, effect.setting(model.spacecraft, model.branch)))
 
 
 def summarised(values: Mapping[str, Array], weights: Array) -> dict[str, Size]:

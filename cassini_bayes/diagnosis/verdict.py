@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, H, Log, Ranking, Weighed, silent
+from cassini_bayes.diagnosis.crew import ALONE, Crew
 
 SECOND_CAUSE_NATS: Final = 4.0
 """A second cause has to gain: the largest spurious gain in 34 searches of a study before this
@@ -109,7 +110,7 @@ def weigh(
     *,
     pairs: bool = True,
     log: Log = silent,
-    workers: int = 1,
+    workers: Crew = ALONE,
 ) -> Verdict[H]:
     """Weigh ``none``, ``unknown`` and every cause of a case.
 
@@ -124,7 +125,7 @@ def weigh(
     log
         Told how far it got.
     workers
-        Processes among which causes are shared out; the verdict does not depend on it.
+        Share out the causes; the verdict does not depend on them.
     """
     verdict = ranked(case.weigh(rng, log, workers))
     first = verdict.best_cause
@@ -139,7 +140,7 @@ def with_second_cause(
     verdict: Verdict[H],
     first: Weighed[H],
     rng: np.random.Generator,
-    workers: int = 1,
+    workers: Crew = ALONE,
 ) -> Verdict[H]:
     """The verdict with the best pair, if its second cause earns its place, and seconds like it.
 

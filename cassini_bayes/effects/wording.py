@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import floor, isfinite, log10
-from typing import Final
+from math import ceil, floor, isfinite, log10
+from typing import Final, Protocol
 
 TWO_DIGITS: Final = 35
 """Leading two digits of an error up to which both are printed, one beyond: the rule of the Particle
@@ -61,7 +61,48 @@ class Stated:
         return f"{mean} ± {sd}{behind} ({INTERVAL} {low} to {high}{behind})"
 
 
-Sizes = Mapping[str, Stated]
+@dataclass(frozen=True)
+class AtLeast:
+    """A size from which something would have been seen, as a departure from no effect.
+
+    ``null`` is the value without an effect, ``size`` how far from it, ``sides`` the signs that the
+    prior allows. A departure is one from the parameter of that name in the priors file.
+    """
+
+    null: float
+    size: float
+    sides: tuple[float, ...]
+    unit: str = ""
+    is_departure: bool = False
+
+    def said(self, unit: str | None = None, factor: float = 1.0) -> str:
+        """In words, such as ``96 % or less``; unit and factor as for :meth:`Stated.said`.
+
+        The size is rounded away from no effect, so that what is said is not less than what is seen.
+        """
+        name = self.unit if unit is None else unit
+        behind = f" {name}" if name not in ("", "1") else ""
+        size = self.size * abs(factor)
+        decimals = decimals_of(size)
+        size = ceil(size * 10.0**decimals - 1e-9) / 10.0**decimals
+        if self.is_departure:
+            return f"{rounded(size, decimals)}{behind} or more off its prior mean"
+        less, more = (rounded(self.null * factor + sign * size, decimals) for sign in (-1.0, 1.0))
+        if len(self.sides) == 1:
+            return f"{more}{behind} or more" if self.sides[0] > 0.0 else f"{less}{behind} or less"
+        if self.null == 0.0:
+            return f"±{more}{behind} or more"
+        return f"at most {less} or at least {more}{behind}"
+
+
+class Worded(Protocol):
+    """A size that can be said."""
+
+    def said(self, unit: str | None = None, factor: float = 1.0) -> str:
+        """In words, in a unit and with the factor from the table's unit to it."""
+
+
+Sizes = Mapping[str, Worded]
 
 
 def by_keys(name: str, sizes: Sizes) -> str:

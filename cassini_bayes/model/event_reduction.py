@@ -112,6 +112,7 @@ class ReducedEvent:
     accelerometer: AccelerometerStatistics | None = None
     channels: ChannelMap | None = None  # of telemetry whose columns are not ours
     epoch: datetime | None = None  # of the first row, where it is known
+    recording: TelemetryEvent | None = None  # that was reduced
 
     @property
     def id(self) -> str:
@@ -380,6 +381,7 @@ def reduce_event(
         _accelerometer(event, rows, sampling),
         event.channels,
         event.epoch,
+        event,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -10,11 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
+import tomli_w
 import xarray as xr
 
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Case, Log, silent
+from cassini_bayes.diagnosis.crew import Crew, Progress, untold
 from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawing, undrawn
 from cassini_bayes.diagnosis.diagnosis import diagnose as diagnose_case
 from cassini_bayes.diagnosis.estimates import is_estimates
@@ -24,12 +27,21 @@ from cassini_bayes.diagnosis.sizes import size_draws
 from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
-from cassini_bayes.files.storage import digest
+from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.code import code_digest
+from cassini_bayes.files.storage import digest, write_text
 from cassini_bayes.model.event_reduction import is_event_folder
 from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
-from cassini_bayes.pipeline.inputs import file_of
+from cassini_bayes.pipeline.inputs import file_of, paths_of
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
-from cassini_bayes.pipeline.provenance import library_versions
+from cassini_bayes.pipeline.provenance import (
+    library_versions,
+    read_provenance,
+    recorded,
+    refuse_other_run,
+)
+from cassini_bayes.pipeline.run import prepare_folder
+from cassini_bayes.prediction.sources import DIAGNOSED, EXTENDED, RESOLVED
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
@@ -40,6 +52,23 @@ if TYPE_CHECKING:
 
 INTERVAL: Final = "shortest 90 %"
 DEFAULT_SEED: Final = 1
+CHECKPOINT: Final = "checkpoint"
+PROVENANCE: Final = "provenance.json"
+WRITTEN: Final = (
+    PROVENANCE,
+    CHECKPOINT,
+    DIAGNOSED,
+    "discrepancy.csv",
+    "correlation.csv",
+    "figures",
+    "drafts",
+    EXTENDED,
+    "report.html",
+    RESOLVED,
+)
+"""What a diagnosis writes into its folder: all that ``force`` removes, what makes it one last."""
+FOUND_BY: Final = ("diagnosis.read", "diagnosis.diagnosis")
+"""Modules whose code, with all that they import, a diagnosis depends on."""
 _MOST_SHOWN: Final = 5
 
 
@@ -52,6 +81,7 @@ class DiagnosisResult:
 
     diagnosis: Diagnosis[Any]
     seed: int
+    folder: Path | None = None  # where it is written and keeps what it has finished
 
     @property
     def record(self) -> dict[str, Any]:
@@ -158,8 +188,13 @@ class DiagnosisResult:
         }
         return draws_as_inference_data(variables, "posterior")
 
-    def fit(self, folder: PathLike, seed: int | None = None, log: Log = silent) -> pd.DataFrame:
+    def fit(
+        self, folder: PathLike | None = None, seed: int | None = None, log: Log = silent
+    ) -> pd.DataFrame:
         """Sample the extended model with emcee; writes ``fit.nc`` and ``summary.csv``.
+
+        Without a ``folder`` it goes into ``extended`` of the diagnosis's own, where a killed fit
+        goes on from its last block of draws; :func:`predict` takes it there.
 
         Raises
         ------
@@ -169,7 +204,14 @@ class DiagnosisResult:
         if not isinstance(self.diagnosis.case, BalanceCase):
             raise InputError("--then-fit", "telemetry or totals", "printed estimates", "drop it")
         number = self.seed if seed is None else seed
-        return fit_extended(self.diagnosis, Path(folder), number, log)
+        store = None
+        if folder is None:
+            if self.folder is None:
+                raise InputError("folder", "where to write", "nothing", 'add folder="…"')
+            folder = self.folder / EXTENDED
+            identity = read_provenance(self.folder / PROVENANCE).identity
+            store = CheckpointStore(folder / CHECKPOINT, f"{identity} seed {number}")
+        return fit_extended(self.diagnosis, Path(folder), number, log, store=store)
 
     def report(self, folder: PathLike) -> Path:
         """Write ``diagnosis.json``, tables, figures and ``report.html``; returns its path."""
@@ -205,9 +247,13 @@ def diagnose(
     accept: Sequence[str] = (),
     leave_out: bool = False,
     seed: int = DEFAULT_SEED,
+    folder: PathLike | None = None,
+    force: bool = False,
+    resume: bool = False,
     log: Log = silent,
+    progress: Progress = untold,
     workers: int | None = None,
-    draw: bool = False,
+    command: Sequence[str] = ("cassini_bayes.diagnose",),
 ) -> DiagnosisResult:
     """Show what the simulation gets wrong, name the cause, measure what it gains.
 
@@ -230,40 +276,93 @@ def diagnose(
         Whether to hold events out; that takes as many more fits as there are events, twice.
     seed
         Same seed and inputs, same verdict.
-    log
-        Told how far it got.
+    folder
+        Where to write the record, tables, figures and page, and to keep every search, lot of draws
+        and measure as soon as it is finished; then events and priors are named by path. Nothing is
+        written without it.
+    force, resume
+        With ``folder``: replace an earlier diagnosis; go on with one that was stopped. What it
+        finds is bit by bit what it would have found without the stop.
+    log, progress
+        Told of stages; told of a stage's name, how much of it is done, of how much.
     workers
         Processes; one for each core by default. The result does not depend on it.
-    draw
-        Whether to draw the report's figures beside the searches, for a report that follows.
+    command
+        What goes into the record.
 
     Raises
     ------
     InputError
-        Bad data or priors.
+        Bad data or priors; a folder that holds something else; a diagnosis to resume that began
+        with other inputs, settings, code or libraries.
     """
+    given = each_event(events)
+    names = [] if folder is None else [*paths_of(given), *paths_of([priors])]
     kinds = read_kinds([Path(path) for path in own_effects])
     policy = Policy.of(accept, leave_out=leave_out)
-    case = _case(events, priors, kinds, source, policy, log)
+    case = _case(given, priors, kinds, source, policy, log)
+    digests = _digests(given, priors, case)
+    place = None if folder is None else Path(folder)
+    store = None
+    if place is not None:
+        settings = {
+            "events": names[:-1],
+            "priors": names[-1],
+            "own_effects": [os.fspath(path) for path in own_effects],
+            "source": source,
+            "accept": sorted(accept),
+            "leave_out": leave_out,
+            "gain": gain,
+            "seed": seed,
+        }
+        read = {**digests, **kinds.files}
+        store = _opened(place, settings, read, command, force=force, resume=resume)
     processes = cores() if workers is None else workers
     found: Diagnosis[Any] = diagnose_case(
         case,
         np.random.default_rng(seed),
         measure_gain=gain,
         log=log,
-        workers=processes,
-        drawing=_drawing() if draw else undrawn,
+        workers=Crew(processes, store, progress),
+        drawing=undrawn if place is None else _drawing(),
     )
     found.record.update(
         {
             "seed": seed,
-            "command": ["cassini_bayes.diagnose"],
+            "command": list(command),
             "effects": dict(kinds.files),
-            "sha256": _digests(events, priors, case),
+            "sha256": digests,
             "versions": library_versions(),
         }
     )
-    return DiagnosisResult(found, seed)
+    result = DiagnosisResult(found, seed, place)
+    if place is not None:
+        log("figures and report")
+        result.report(place)
+    return result
+
+
+def _opened(
+    folder: Path,
+    settings: Mapping[str, Any],
+    digests: Mapping[str, str],
+    command: Sequence[str],
+    *,
+    force: bool,
+    resume: bool,
+) -> CheckpointStore:
+    """Where a diagnosis keeps what it has finished, in a folder that says what it is of."""
+    depends_on = {"settings": settings, "data": digests, "code": code_digest(*FOUND_BY)}
+    provenance = recorded(depends_on, digests, int(settings["seed"]), command)
+    if resume:
+        refuse_other_run(folder / PROVENANCE, provenance.identity)
+    prepare_folder(
+        folder, force=force, resume=resume, what="diagnosis", result=DIAGNOSED, written=WRITTEN
+    )
+    write_text(folder / RESOLVED, tomli_w.dumps(settings))
+    if not (folder / PROVENANCE).exists():
+        write_text(folder / PROVENANCE, provenance.as_json() + "\n")
+    return CheckpointStore(folder / CHECKPOINT, provenance.identity)
 
 
 def _drawing() -> Drawing:
@@ -272,29 +371,32 @@ def _drawing() -> Drawing:
     return drawings
 
 
-def _digests(
-    events: EventLike | Iterable[EventLike], priors: PriorsLike, case: Case[Any]
-) -> dict[str, str]:
-    """SHA-256 of the files that were read, and of every telemetry event."""
-    given = [event for event in each_event(events) if not isinstance(event, READ)]
+def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -> dict[str, str]:
+    """SHA-256 of the files that were read, of every telemetry event and its channel map."""
+    given = [event for event in events if not isinstance(event, READ)]
     tables = [file_of(Path(), str(name)) for name in given if not is_event_folder(Path(name))]
     files = [str(path) for path in (priors, *tables) if not isinstance(path, Priors)]
     found = {path: digest(Path(path)) for path in files}
     if isinstance(case, BalanceCase):
         telemetry = case.events.telemetry
         found |= {f"event {event.id}": event.digest for event in telemetry if event.digest}
+        maps = {event.id: event.channels for event in telemetry}
+        found |= {f"channels of {name}": own.digest for name, own in maps.items() if own}
+        known = case.events.priors
+        found[f"spacecraft {known.spacecraft.name}"] = known.spacecraft.digest
+        if known.earlier is not None:
+            found[known.earlier.path] = known.earlier.digest
     return found
 
 
 def _case(
-    events: EventLike | Iterable[EventLike],
+    given: Sequence[EventLike],
     priors: PriorsLike,
     kinds: Kinds,
     source: str,
     policy: Policy,
     log: Log,
 ) -> Case[Any]:
-    given = each_event(events)
     paths = [Path(event) for event in given if not isinstance(event, READ)]
     if any(map(is_estimates, paths)):
         if len(paths) < len(given) or isinstance(priors, Priors):

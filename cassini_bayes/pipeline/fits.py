@@ -23,7 +23,7 @@ from cassini_bayes.model.draws import event_log_marginal
 from cassini_bayes.model.gather import EventLike, PathLike, gather
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.totals import SOFTWARE, DeltaVUse
-from cassini_bayes.pipeline.inputs import read_inputs
+from cassini_bayes.pipeline.inputs import paths_of, read_inputs
 from cassini_bayes.pipeline.models import PriorsLike, model_of, priors_of
 from cassini_bayes.pipeline.provenance import read_provenance
 from cassini_bayes.pipeline.run import Reporter, execute, facts_of, write_results
@@ -330,8 +330,8 @@ def fit(
         return _written(run, path.parent, target, own_effects, force, resume, told)
     if folder is not None:
         table = {
-            "events": _paths(events),
-            "priors": _paths([] if priors is None else [priors])[0],
+            "events": paths_of(events),
+            "priors": paths_of([] if priors is None else [priors])[0],
             "source": source,
             "accept": list(accept),
             "leave_out": leave_out,
@@ -424,28 +424,6 @@ def _merged(table: SamplerTable, settings: SamplerSettings, seed: int | None) ->
     if seed is not None:
         changed["seed"] = seed
     return table.model_copy(update=changed)
-
-
-def _paths(given: Any) -> list[str]:
-    """Paths as a run file names them.
-
-    Raises
-    ------
-    InputError
-        Something that is no path: the folder could not say what it was made of.
-    """
-    several = [given] if isinstance(given, str | os.PathLike) else list(given)
-    for one in several:
-        if not isinstance(one, str | os.PathLike):
-            raise InputError(
-                "folder",
-                "events and priors named by their paths, so that the run says what it is of",
-                type(one).__name__,
-                "give paths, or fit without folder and save the result",
-            )
-    if not several:
-        raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
-    return [os.fspath(one) for one in several]
 
 
 def _written(

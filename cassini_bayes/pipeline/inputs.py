@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.effects.effect import Effect
@@ -129,6 +130,28 @@ def effects_of(
     given = tuple(dict.fromkeys(inputs))
     order = in_order_of_time(events)
     return named_effects(run.model.effects, priors, wheels, given, kinds, "model.effects", order)
+
+
+def paths_of(given: Any) -> list[str]:
+    """Paths as the record of a run names them.
+
+    Raises
+    ------
+    InputError
+        Something that is no path: the folder could not say what it was made of.
+    """
+    several = [given] if isinstance(given, str | os.PathLike) else list(given)
+    for one in several:
+        if not isinstance(one, str | os.PathLike):
+            raise InputError(
+                "folder",
+                "events and priors named by their paths, so that it says what it is of",
+                type(one).__name__,
+                "give paths, or leave folder out and save the result",
+            )
+    if not several:
+        raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
+    return [os.fspath(one) for one in several]
 
 
 def file_of(base: Path, reference: str) -> str:

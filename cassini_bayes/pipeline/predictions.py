@@ -40,7 +40,13 @@ from cassini_bayes.prediction.requests import (
     parse_rates,
     read_requests,
 )
-from cassini_bayes.prediction.sources import Sources, learn_from_fit, read_sources
+from cassini_bayes.prediction.sources import (
+    EXTENDED,
+    Sources,
+    learn_from_fit,
+    read_sources,
+    sources_of,
+)
 from cassini_bayes.prediction.summary import INTERVAL, as_csv, as_dictionary, as_text, lines
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
@@ -64,14 +70,10 @@ class PredictionResult:
     learned: Learned
     seed: int
     seconds: float
+    warnings: tuple[str, ...] = ()  # sentences about anything that makes the draws doubtful
 
     def __iter__(self) -> Iterator[Prediction]:
         return iter(self.predictions)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about anything that makes the draws doubtful."""
-        return few_draws(self.learned)
 
     def summary(self) -> pd.DataFrame:
         """One row per bias and scalar: unit, mean, sd, median, central 90 % interval.
@@ -156,11 +158,7 @@ class PlanResult:
     plan: Plan
     learned: Learned
     top: int = 10
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about anything that makes the draws doubtful."""
-        return few_draws(self.learned)
+    warnings: tuple[str, ...] = ()  # sentences about anything that makes the draws doubtful
 
     def summary(self) -> pd.DataFrame:
         """One row per candidate, most informative first: end rates, nats, sd after, cost."""
@@ -212,11 +210,7 @@ class CheapestResult:
     found: CheapestBias
     throughput: tuple[Throughput, ...]
     learned: Learned
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about anything that makes the draws doubtful."""
-        return few_draws(self.learned)
+    warnings: tuple[str, ...] = ()  # sentences about anything that makes the draws doubtful
 
     def as_record(self) -> dict[str, Any]:
         """Everything as plain JSON types."""
@@ -226,14 +220,24 @@ class CheapestResult:
         return cheapest_text(self.found, self.throughput)
 
 
-def few_draws(learned: Learned) -> tuple[str, ...]:
-    """Say so when the weights that join physics and firing logic leave few effective draws."""
-    if learned.effective_draws >= FEW_DRAWS:
-        return ()
-    return (
-        f"physics and firing logic share only {learned.effective_draws:.0f} effective draws: "
-        "intervals are rough; check that the events are like one another",
-    )
+def doubts(learned: Learned, within: Sequence[str]) -> tuple[str, ...]:
+    """Sentences about anything that makes the draws doubtful.
+
+    Few effective draws where the weights join physics and firing logic; effects of the fit that act
+    ``within`` an event, which no prediction has.
+    """
+    said = []
+    if learned.effective_draws < FEW_DRAWS:
+        said.append(
+            f"physics and firing logic share only {learned.effective_draws:.0f} effective draws: "
+            "intervals are rough; check that the events are like one another"
+        )
+    if within:
+        said.append(
+            f"predicted without {', '.join(within)}, which the fit has: it acts from row to row of "
+            "an event, and the totals of a planned one do not have rows"
+        )
+    return tuple(said)
 
 
 def predict(
@@ -245,17 +249,20 @@ def predict(
     quaternion: str | None = None,
     events: PathLike | None = None,
     priors: PathLike | None = None,
+    own_effects: Sequence[PathLike] = (),
     accept: Sequence[str] = (),
     seed: int = 1,
 ) -> PredictionResult:
     """Predict planned wheel biases: on-times, pulses, ΔV, hydrazine, duration.
 
-    Of a fit of telemetry, the recorded wheel biases teach the firing logic as totals rows do.
+    Of a fit of telemetry, the recorded wheel biases teach the firing logic as totals rows do. What
+    effects of the fit do to thrust, arms, wheels and torque they do to the planned bias as well.
 
     Parameters
     ----------
     fit
-        A fit, a run's folder or its ``fit.nc``.
+        A fit, a run's folder or its ``fit.nc``; the folder of a diagnosis whose extended model was
+        sampled.
     bias
         ``"rwa1: -1118 -> 626, rwa2: 1290 -> 1300, …"`` in rev/min, the path of a CSV of biases, or
         requests.
@@ -264,6 +271,8 @@ def predict(
         body, for inertial ΔV too.
     events, priors
         Where the fit's files have moved.
+    own_effects
+        Files of effects that the fit was given.
     accept
         Mistakes in the data that are none.
     seed
@@ -272,16 +281,17 @@ def predict(
     Raises
     ------
     InputError
-        A fit without wheel biases or with effects; files that have moved; an impossible bias.
+        A fit without wheel biases; files that have moved; an impossible bias.
     """
     began = time.perf_counter()
-    sources, draws = _sources(fit, events, priors, accept)
+    sources, draws = _sources(fit, events, priors, accept, own_effects)
     requests = _requests(sources, bias, epoch, branch, quaternion)
     learned = learn_from_fit(draws, sources, seed)
     found = tuple(
         predict_one(learned, request, stream(seed, i)) for i, request in enumerate(requests)
     )
-    return PredictionResult(found, learned, seed, time.perf_counter() - began)
+    warnings = doubts(learned, sources.within)
+    return PredictionResult(found, learned, seed, time.perf_counter() - began, warnings)
 
 
 def plan(
@@ -297,6 +307,7 @@ def plan(
     top: int = 10,
     events: PathLike | None = None,
     priors: PathLike | None = None,
+    own_effects: Sequence[PathLike] = (),
     accept: Sequence[str] = (),
     seed: int = 1,
 ) -> PlanResult | CheapestResult:
@@ -307,7 +318,7 @@ def plan(
 
     Parameters
     ----------
-    fit, events, priors, accept, seed
+    fit, events, priors, own_effects, accept, seed
         As for :func:`predict`.
     quantity
         ``thrust_level_z1_n``, ``tau_fall_s``, ``cm_x_m`` … (:func:`quantities` lists them).
@@ -331,17 +342,18 @@ def plan(
             "neither" if quantity is None else "both",
             "write e.g. --minimise z_throughput",
         )
-    sources, draws = _sources(fit, events, priors, accept)
+    sources, draws = _sources(fit, events, priors, accept, own_effects)
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(draws, sources, seed)
+    warnings = doubts(learned, sources.within)
     if quantity is not None:
         found = planning.plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
-        return PlanResult(found, learned, top)
+        return PlanResult(found, learned, top, warnings)
     assert minimise is not None
     wanted = {} if to is None else parse_rates(to, sources.model.spacecraft, "--to")
     cheapest = cheapest_bias(learned, minimise, wheels, rates, wanted, stream(seed, 0))
     throughput = accumulated_throughput(sources.events, cheapest.prediction, limit)
-    return CheapestResult(cheapest, tuple(throughput), learned)
+    return CheapestResult(cheapest, tuple(throughput), learned, warnings)
 
 
 def _sources(
@@ -349,23 +361,24 @@ def _sources(
     events: PathLike | None,
     priors: PathLike | None,
     accept: Sequence[str],
+    own_effects: Sequence[PathLike],
 ) -> tuple[Sources, Path | FitResult]:
     """What a fit was made of, and where its draws are."""
     if isinstance(fit, FitResult) and fit.path is None:
-        model = fit.model
-        if model.telemetry or not model.totals or model.effects:
-            raise InputError(
-                "fit",
-                "a fit with a folder, or one of totals rows in the standard physics",
-                "a fit of telemetry or with effects, in memory",
-                'fit with folder="…", then predict from that',
-            )
-        return Sources(model.totals_rows.rows, model.priors, model), fit
+        return sources_of(fit.model), fit
     path = fit.path if isinstance(fit, FitResult) else Path(fit)
     assert path is not None
     file = path / FIT_FILE if path.is_dir() else path
-    named = None if events is None else str(events)
-    return read_sources(file, named, None if priors is None else Path(priors), accept=accept), file
+    extended = path / EXTENDED / FIT_FILE
+    file = extended if not file.exists() and extended.exists() else file
+    sources = read_sources(
+        file,
+        None if events is None else str(events),
+        None if priors is None else Path(priors),
+        accept=accept,
+        own_effects=[Path(own) for own in own_effects],
+    )
+    return sources, file
 
 
 def _requests(

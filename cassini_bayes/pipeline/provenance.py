@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cassini_bayes
 from cassini_bayes.errors import InputError
@@ -60,7 +60,6 @@ def provenance_of(
     run: RunFile, digests: Mapping[str, str], spacecraft_digest: str, command: Sequence[str]
 ) -> Provenance:
     """Collect the record of a run before it starts; digests are name → SHA-256 of its inputs."""
-    versions = library_versions()
     depends_on = {
         "data": dict(digests),
         "spacecraft": spacecraft_digest,
@@ -72,13 +71,21 @@ def provenance_of(
         "sampler": run.sampler.model_dump(),
         "draws_per_ensemble": run.output.draws_per_ensemble,
         "code": code_digest(*DRAWN_BY),
-        "libraries": versions,
     }
+    return recorded(depends_on, digests, run.sampler.seed, command)
+
+
+def recorded(
+    depends_on: Mapping[str, Any], digests: Mapping[str, str], seed: int, command: Sequence[str]
+) -> Provenance:
+    """The record of what begins now and depends on some plain JSON, and on the libraries."""
+    versions = library_versions()
+    whole = json.dumps({**depends_on, "libraries": versions}, sort_keys=True)
     return Provenance(
-        identity=hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest(),
+        identity=hashlib.sha256(whole.encode()).hexdigest(),
         versions=versions,
         digests=dict(digests),
-        seed=run.sampler.seed,
+        seed=seed,
         command=tuple(os.fspath(part) for part in command),
         started_utc=datetime.now(UTC).isoformat(timespec="seconds"),
         code_sha256=code_digest("cli"),

@@ -70,13 +70,29 @@ class Outcome:
     verdict: tuple[str, ...] = ()
 
 
-def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
-    """Make the run folder, or refuse: an existing run is never overwritten silently.
+def prepare_folder(
+    folder: Path,
+    *,
+    force: bool,
+    resume: bool,
+    what: str = "run",
+    result: str = "fit.nc",
+    written: Sequence[str] = WRITTEN,
+) -> None:
+    """Make the folder of a run, or refuse: an existing run is never overwritten silently.
 
     ``resume`` wins over ``force``, so the command that began a run goes on with it once
     ``--resume`` is added. What killed writes left behind counts as nothing, and is removed; so does
     a run that ended before its first checkpoint: it holds no draws. Only what runs write is ever
-    removed (:data:`WRITTEN`), a user's own files beside it stay.
+    removed (``written``), a user's own files beside it stay.
+
+    Parameters
+    ----------
+    folder, force, resume
+        The folder, and the options of these names.
+    what, result, written
+        What such a folder is of, the file that ends it, and all that is written there, the file
+        that makes the folder one of these last.
 
     Raises
     ------
@@ -84,32 +100,32 @@ def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
         The run exists and neither ``--force`` nor ``--resume`` was given; ``--resume`` without a
         run; ``--force`` on a folder that is not a run's; a place that cannot be written.
     """
-    is_run = (folder / "resolved.toml").exists()
+    is_run = (folder / written[-1]).exists()
     if resume:
         if not is_run:
             raise InputError(
-                str(folder), "a run to resume", "none there", "start it without --resume"
+                str(folder), f"a {what} to resume", "none there", "start it without --resume"
             )
         remove_leftovers(folder)
         return
     if folder.exists() and not folder.is_dir():
-        raise InputError(str(folder), "a folder for the run", "a file", "choose another --out")
+        raise InputError(str(folder), f"a folder for the {what}", "a file", "choose another --out")
     if folder.is_dir() and not all(map(is_leftover, folder.iterdir())):
         if not is_run:
             raise InputError(
                 str(folder),
-                "a new folder, or an earlier run of this package (with resolved.toml)",
+                f"a new folder, or an earlier {what} of this package (with {written[-1]})",
                 "a folder that holds something else",
-                "--force only replaces runs: choose another --out",
+                f"--force only replaces a {what}: choose another --out",
             )
-        if not force and _holds_draws(folder):
+        if not force and _has_begun(folder, result):
             raise InputError(
                 str(folder),
                 "a new folder",
-                "an existing run",
+                f"an existing {what}",
                 "use --resume to go on with it, --force to start anew, or another --out",
             )
-        for entry in (folder / name for name in WRITTEN):
+        for entry in (folder / name for name in written):
             if entry.is_dir() and not entry.is_symlink():
                 shutil.rmtree(entry)
             else:
@@ -123,9 +139,9 @@ def prepare_folder(folder: Path, *, force: bool, resume: bool) -> None:
         ) from error
 
 
-def _holds_draws(folder: Path) -> bool:
+def _has_begun(folder: Path, result: str) -> bool:
     """Whether a run has got as far as its first checkpoint."""
-    return (folder / "fit.nc").exists() or any((folder / "checkpoint").glob("*.npz"))
+    return (folder / result).exists() or any((folder / "checkpoint").glob("*.npz"))
 
 
 def execute(

@@ -89,6 +89,7 @@ def pair_layout(spacecraft: Spacecraft, branch: str) -> PairLayout:
 class PairSolver:
     """Torques of the pairs at a batch of draws, and the inverse of every choice of three pairs."""
 
+    each: Array  # (n, 3, K) of every thruster per second of commanded on-time: N m
     torque: Array  # (n, 3, 6) N m per second of commanded on-time per second: N m
     inverse: Array  # (n, 8, 3, 3)
 
@@ -106,6 +107,7 @@ class PairSolver:
 
 def pair_solver(arms: Array, force_n: Array, pairs: Array) -> PairSolver:
     """Solver for lever arms (n, 3, K) m and force per commanded second (n, K) N."""
-    torque = np.asarray((arms * force_n[:, None, :]) @ pairs.T)
+    each = np.asarray(arms * force_n[:, None, :])
+    torque = np.asarray(each @ pairs.T)
     inverse = np.linalg.inv(np.stack([torque[:, :, choice] for choice in _CHOICES], axis=1))
-    return PairSolver(torque, np.asarray(inverse))
+    return PairSolver(each, torque, np.asarray(inverse))

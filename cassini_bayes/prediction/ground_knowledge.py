@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.totals_system import effective_on_times
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
@@ -22,7 +23,6 @@ from cassini_bayes.prediction.physics import Physics
 from cassini_bayes.prediction.regressions import Regression, ScalePrior, regress
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
-from cassini_bayes.spacecraft.pulses import effective_on_time
 
 GRAVITY_M_S2: Final = 9.80665
 SECONDS_PER_YEAR: Final = 365.25 * 86400.0
@@ -105,12 +105,9 @@ def hydrazine_regression(
     rows = [row for row, event in enumerate(events) if event.hydrazine_g is not None]
     if not rows:
         return None
-    times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
-    effective = effective_on_time(
-        model.totals_rows.pulse_shape,
-        model.totals_rows.stack.on_time_s,
-        model.totals_rows.stack.pulses,
-        *(np.asarray(value)[..., None, None] for value in times),
+    term = model.totals_rows
+    effective = effective_on_times(
+        term.pulse_shape, physics.balance(model), term.stack.on_time_s, term.stack.pulses
     )
     total, couple = group_impulse(layout, physics.thrust_n[:, rows], effective[..., rows, :])
     grams = np.array([events[row].hydrazine_g for row in rows], dtype=np.float64)

@@ -43,15 +43,9 @@ from cassini_bayes.prediction.ground_knowledge import (
     pulse_regression,
     trend_of,
 )
-from cassini_bayes.prediction.physics import (
-    Physics,
-    Wheels,
-    features_of,
-    solver_of,
-    wheels_of,
-)
+from cassini_bayes.prediction.physics import Physics, demand_of, features_of, solver_of
 from cassini_bayes.prediction.regressions import Regression
-from cassini_bayes.prediction.wheel_profile import WheelManager, segments_rpm
+from cassini_bayes.prediction.wheel_profile import WheelManager
 from cassini_bayes.sampling.warmstart import (
     ImportanceDraws,
     LogDensity,
@@ -179,13 +173,12 @@ def training_features(
     pulses_per_second: float,
 ) -> list[Features]:
     """Features of the fitted events at their own thrusts."""
-    wheels: Wheels = wheels_of(model, physics)
     found = []
     for row, event in enumerate(events):
         solver = solver_of(model, physics, physics.thrust_n[:, row], pulses_per_second)
-        pieces = segments_rpm(manager, event.wheels, event.rwa_start_rpm, event.rwa_end_rpm)
-        changes = wheels.of(model, event.wheels, pieces)
-        found.append(features_of(model, solver, changes, event.duration_s))
+        rates = (event.rwa_start_rpm, event.rwa_end_rpm)
+        demand = demand_of(model, physics, manager, event.wheels, rates, event.duration_s)
+        found.append(features_of(model, solver, demand, event.duration_s))
     return found
 
 

@@ -7,7 +7,7 @@ sampling (leave-one-event-out needs eight posteriors).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -16,7 +16,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.balance.totals_system import NOISE
+from cassini_bayes.balance.physics import Modifier
+from cassini_bayes.balance.physics import Physics as BalancePhysics
+from cassini_bayes.balance.totals_system import NOISE, effective_on_times, steady_impulse
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
@@ -25,34 +27,46 @@ from cassini_bayes.model.posterior import Model, log_posterior
 from cassini_bayes.model.totals import SOFTWARE, software_of
 from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
+from cassini_bayes.prediction.wheel_profile import WheelManager, piece_times_s, segments_rpm
 from cassini_bayes.results.record import Fit
-from cassini_bayes.spacecraft import lever_arms, wheel_axes, wheel_inertias
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 RECORDED: Final = ("rate_rad_s", "rwa_rpm")
 """Channels that a fit of telemetry has observed."""
-NO_CAUSE: Final = "none"
-"""What the fit of a diagnosis is called where nothing extends its model."""
 
 
 @dataclass(frozen=True)
 class Physics:
     """Joint draws of everything a fit infers that a prediction needs; leading axis n.
 
-    ``parameters`` are the walked and fixed ones by name; ``thrust_n`` (n, E, K) of the fitted
-    events, ``level_n`` (n, K) of every thruster over all events, ``software`` (n, 2) factor and
-    on-time per pulse of the on-board ΔV.
+    ``parameters`` are the walked and fixed ones by name, those of effects among them; ``thrust_n``
+    (n, E, K) of the fitted events, ``level_n`` (n, K) of every thruster over all events,
+    ``software`` (n, 2) factor and on-time per pulse of the on-board ΔV.
     """
 
     parameters: Mapping[str, Array | float]
     thrust_n: Array
     level_n: Array
     software: Array
+    _balances: dict[tuple[Modifier, ...], BalancePhysics] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def size(self) -> int:
         """Number of draws."""
         return len(self.level_n)
+
+    def balance(self, model: Model) -> BalancePhysics:
+        """The physics of the momentum balance at every draw, with the effects of the model."""
+        modifiers = model.totals_rows.modifiers
+        if modifiers not in self._balances:
+            each = {
+                name: np.broadcast_to(value, (self.size,))
+                for name, value in self.parameters.items()
+            }
+            self._balances[modifiers] = model.points_at(each, self.size).physics(modifiers)
+        return self._balances[modifiers]
 
     def at(self, index: NDArray[np.int64]) -> Physics:
         """The draws of the given indices."""
@@ -110,19 +124,12 @@ def physics_of_fit(model: Model, fit: Path | Fit, rng: np.random.Generator, size
     """
     needed = {"posterior": ("thrust_common_n",), "observed_data": ("event", "on_time_s")}
     path = fit if isinstance(fit, Path) else Path("fit")
-    groups, attributes = (
-        read_groups(fit, needed, "a fit.nc of this package")
+    groups = (
+        read_groups(fit, needed, "a fit.nc of this package")[0]
         if isinstance(fit, Path)
-        else (fit.groups, fit.attributes)
+        else fit.groups
     )
     posterior = groups["posterior"]
-    if attributes.get("causes", NO_CAUSE) != NO_CAUSE:
-        raise InputError(
-            str(path),
-            "a fit of the standard physics",
-            f"one extended by {attributes['causes']}",
-            "predict from the fit without it: predictions do not have effects",
-        )
     _check_events(model, path, groups["observed_data"])
     chains, draws = posterior["thrust_common_n"].shape
     chosen = np.sort(rng.choice(chains * draws, min(size, chains * draws), False))
@@ -215,23 +222,21 @@ class Wheels:
 
 def wheels_of(model: Model, physics: Physics) -> Wheels:
     """Wheel momentum at every draw."""
-    axes = wheel_axes(model.spacecraft, physics.parameters)
-    inertia = wheel_inertias(model.spacecraft, physics.parameters)
-    weights = axes * inertia[..., None, :] * RAD_S_PER_RPM
+    weights = physics.balance(model).wheel_weights * RAD_S_PER_RPM
     return Wheels(np.broadcast_to(weights, (physics.size, *weights.shape[-2:])))
 
 
 def stretch(model: Model, physics: Physics, pulses_per_second: Array | float) -> Array:
-    """Effective over commanded on-time (n, 1) at a mean width of 1/pulses_per_second."""
-    width = 1.0 / np.asarray(pulses_per_second, dtype=np.float64)
-    times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
-    effective = model.totals_rows.pulse_shape.effective_time(width, *times)
-    return np.asarray(np.broadcast_to(effective / width, (physics.size,)))[:, None]
+    """Impulse over thrust and commanded on-time (n, K) at a mean width of 1/pulses_per_second."""
+    rate = np.broadcast_to(np.asarray(pulses_per_second, dtype=np.float64), (physics.size,))
+    one = np.ones((physics.size, 1, len(model.thrusters)))
+    shape, balance = model.totals_rows.pulse_shape, physics.balance(model)
+    return effective_on_times(shape, balance, one, rate[:, None, None] * one)[:, 0]
 
 
 def arms_of(model: Model, physics: Physics) -> Array:
     """Lever arms (n, 3, K), m."""
-    arms = lever_arms(model.spacecraft, model.branch, physics.parameters)
+    arms = physics.balance(model).arms_m
     return np.broadcast_to(arms, (physics.size, *arms.shape[-2:]))
 
 
@@ -244,12 +249,32 @@ def solver_of(
     return pair_solver(arms_of(model, physics), force, layout.pairs)
 
 
+def demand_of(
+    model: Model,
+    physics: Physics,
+    manager: WheelManager,
+    wheels: tuple[int, ...],
+    ends_rpm: tuple[Array, Array],
+    duration_s: Array | float,
+) -> Array:
+    """Momentum (n, S, 3) that thrusters have to give in each piece of a wheel bias, N m s.
+
+    That is the wheels' change less what a steady torque of the fit's effects gives, which acts all
+    the time. ``ends_rpm`` are the rates (W,) at start and end, ``duration_s`` is (n,) or one.
+    """
+    changes = wheels_of(model, physics).of(model, wheels, segments_rpm(manager, wheels, *ends_rpm))
+    times = piece_times_s(manager, wheels, ends_rpm[1] - ends_rpm[0])
+    lasts = np.broadcast_to(np.asarray(duration_s, dtype=np.float64), (physics.size,))
+    each = lasts[:, None] * np.diff(times) / times[-1]
+    return np.asarray(changes - steady_impulse(physics.balance(model), each))
+
+
 def features_of(
-    model: Model, solver: PairSolver, changes_n_m_s: Array, duration_s: Array | float
+    model: Model, solver: PairSolver, demand_n_m_s: Array, duration_s: Array | float
 ) -> Features:
-    """Features of the firing model from the momentum changes (n, S, 3) of the wheels."""
+    """Features of the firing model from the momentum (n, S, 3) that is asked of thrusters."""
     layout = pair_layout(model.spacecraft, model.branch)
-    pairs = solver.on_times(changes_n_m_s).sum(1)
+    pairs = solver.on_times(demand_n_m_s).sum(1)
     plus, minus = pairs[:, 0::2], pairs[:, 1::2]
     lesser, demand = np.minimum(plus, minus), plus + minus
     a, b = layout.ring_axes

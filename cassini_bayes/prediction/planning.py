@@ -32,6 +32,7 @@ from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.physics import (
     Physics,
     arms_of,
+    demand_of,
     features_of,
     solver_of,
     stretch,
@@ -39,8 +40,7 @@ from cassini_bayes.prediction.physics import (
 )
 from cassini_bayes.prediction.predict import on_times_of
 from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
-from cassini_bayes.prediction.wheel_profile import duration_s, segments_rpm
-from cassini_bayes.spacecraft import inertia_tensor
+from cassini_bayes.prediction.wheel_profile import duration_s
 
 LEVEL: Final = "thrust_level_"
 
@@ -109,7 +109,7 @@ def quantities(learned: Learned) -> dict[str, Array]:
     found["thrust_mean_n"] = physics.level_n.mean(1)
     kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
     for k, name in enumerate(learned.model.thrusters):
-        found[f"impulse_per_on_time_{name}_n"] = physics.level_n[:, k] * kappa[:, 0]
+        found[f"impulse_per_on_time_{name}_n"] = physics.level_n[:, k] * kappa[:, k]
     for name in learned.model.space.names:
         found[name] = np.asarray(physics.parameters[name])
     return found
@@ -230,7 +230,8 @@ class _Judge:
         momentum = wheels_of(model, physics).momentum_per_rpm[:, :, columns]
         t, w, q = torque - torque.mean(0), momentum - momentum.mean(0), draws - draws.mean()
         n, p = len(draws), physics.parameters
-        hold = hold_rate_covariance(inertia_tensor(p), np.asarray(p["hold_rate_rad_s"]))
+        inertia = physics.balance(model).inertia_kg_m2
+        hold = hold_rate_covariance(inertia, np.asarray(p["hold_rate_rad_s"]))
         own = model.thrust_prior.own
         return _Judge(
             thruster_moment=np.einsum("nik,njl->ikjl", t, t) / n,
@@ -289,15 +290,11 @@ def expected_on_times(typical: Learned, request: BiasRequest) -> tuple[Array, fl
     model, physics = typical.model, typical.physics
     rate = typical.pulses.coefficients[:, 0]
     solver = solver_of(model, physics, physics.level_n, rate)
-    wheels = wheels_of(model, physics)
-    pieces = segments_rpm(typical.manager, request.wheels, request.start_rpm, request.end_rpm)
-    changes = wheels.of(model, request.wheels, pieces)
-    lasts = duration_s(typical.manager, request.wheels, request.end_rpm - request.start_rpm)
-    features = features_of(model, solver, changes, lasts)
-    force = arms_of(model, physics) * physics.level_n[:, None, :]
-    on_time = on_times_of(
-        typical, solver, force, changes.sum(1), mean_firing(typical.firing, features)
-    )
+    rates = (request.start_rpm, request.end_rpm)
+    lasts = duration_s(typical.manager, request.wheels, rates[1] - rates[0])
+    demand = demand_of(model, physics, typical.manager, request.wheels, rates, lasts)
+    features = features_of(model, solver, demand, lasts)
+    on_time = on_times_of(typical, solver, demand.sum(1), mean_firing(typical.firing, features))
     grams = _grams(typical, physics, on_time, rate)
     return on_time[0], lasts, grams
 

@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from cassini_bayes.balance.totals_system import effective_on_times
 from cassini_bayes.balance.totals_terms import (
     hold_attitude_covariance,
     hold_rate_covariance,
@@ -24,11 +25,10 @@ from cassini_bayes.prediction.ground_knowledge import (
     hydrazine_variance,
 )
 from cassini_bayes.prediction.learning import Learned
-from cassini_bayes.prediction.physics import arms_of, features_of, solver_of, wheels_of
+from cassini_bayes.prediction.physics import demand_of, features_of, solver_of, wheels_of
 from cassini_bayes.prediction.requests import BiasRequest
-from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES, segments_rpm
-from cassini_bayes.spacecraft import inertia_tensor, thruster_directions
-from cassini_bayes.spacecraft.pulses import effective_on_time
+from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
+from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 Source = Literal[
@@ -105,13 +105,8 @@ def predict(
     duration = _durations(learned, request, streams[1])
     on_time, features = _firings(learned, request, thrust, duration, streams[2:4], hold)
     pulses = _pulses(learned, on_time, streams[4])
-    times = (physics.parameters[name] for name in ("tau_delay_s", "tau_rise_s", "tau_fall_s"))
-    effective = effective_on_time(
-        model.totals_rows.pulse_shape,
-        on_time,
-        pulses,
-        *(np.asarray(v)[..., None] for v in times),
-    )
+    shape, balance = model.totals_rows.pulse_shape, physics.balance(model)
+    effective = effective_on_times(shape, balance, on_time[:, None], pulses[:, None])[:, 0]
     return Prediction(
         request=request,
         epoch=epoch,
@@ -140,11 +135,11 @@ def _firings(
     """On-times (n, K) and the features of the firing logic behind them."""
     model, physics, n = learned.model, learned.physics, learned.size
     solver = solver_of(model, physics, thrust, learned.pulses.coefficients[:, 0])
-    wheels = wheels_of(model, physics)
-    pieces = segments_rpm(learned.manager, request.wheels, request.start_rpm, request.end_rpm)
-    features = features_of(model, solver, wheels.of(model, request.wheels, pieces), duration)
-    ends = wheels.of(model, request.wheels, np.stack([request.start_rpm, request.end_rpm]))
-    impulse = ends[:, 1] - ends[:, 0]
+    rates = (request.start_rpm, request.end_rpm)
+    demand = demand_of(model, physics, learned.manager, request.wheels, rates, duration)
+    features = features_of(model, solver, demand, duration)
+    ends = wheels_of(model, physics).of(model, request.wheels, np.stack(rates))
+    impulse = demand.sum(1)
     noise = _momentum_noise(learned, request, ends, duration, streams[0])
     if "rates at the ends" not in hold:
         impulse = impulse + noise
@@ -152,8 +147,7 @@ def _firings(
     if "limit cycle" in hold:
         mean = {k: np.full(n, np.mean(v)) for k, v in learned.firing.items()}
         drawn = mean_firing(mean, features)
-    force = arms_of(model, physics) * thrust[:, None, :]
-    return on_times_of(learned, solver, force, impulse, drawn), features
+    return on_times_of(learned, solver, impulse, drawn), features
 
 
 def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:
@@ -188,7 +182,8 @@ def _momentum_noise(
 ) -> Array:
     """What the dead-band leaves at both ends, the rates' step, less the external torque: (n, 3)."""
     model, p = learned.model, learned.physics.parameters
-    covariance = hold_rate_covariance(inertia_tensor(p), np.asarray(p["hold_rate_rad_s"]))
+    inertia = learned.physics.balance(model).inertia_kg_m2
+    covariance = hold_rate_covariance(inertia, np.asarray(p["hold_rate_rad_s"]))
     covariance = np.broadcast_to(covariance, (learned.size, 3, 3))
     start, end = ends[:, :1], ends[:, 1:]
     attitude = np.asarray(p["hold_attitude_rad"])
@@ -204,14 +199,8 @@ def _momentum_noise(
     return np.asarray((factor @ normals[0][..., None])[..., 0] - torque * duration_s[:, None])
 
 
-def on_times_of(
-    learned: Learned, solver: PairSolver, force: Array, impulse: Array, drawn: FiringDraws
-) -> Array:
-    """On-times (n, K): opposing sides, the shared thruster alone, the rest one-sidedly.
-
-    ``force`` (n, 3, K) is torque per second of full thrust; the solver's torque has the tail-off in
-    it, and so has the shared thruster's share through the ratio of the two.
-    """
+def on_times_of(learned: Learned, solver: PairSolver, impulse: Array, drawn: FiringDraws) -> Array:
+    """On-times (n, K): opposing sides, the shared thruster alone, the rest one-sidedly."""
     layout, n = learned.layout, learned.size
     a, b = layout.ring_axes
     both = np.zeros((n, 6))
@@ -224,21 +213,12 @@ def on_times_of(
     signs = [np.where(first[:, 2 * axis] >= first[:, 2 * axis + 1], 0, 1) for axis in (a, b)]
     common = layout.ring[signs[0], signs[1]]
     draw = np.arange(n)
-    stretch = _stretch(solver, force, layout.pairs)
     alone = np.minimum(drawn.shared_s, first[:, 2 * a] + first[:, 2 * a + 1])
-    rest = rest - force[draw, :, common] * (stretch * alone)[:, None]
+    rest = rest - solver.each[draw, :, common] * alone[:, None]
     pairs = both + solver.on_times(rest[:, None])[:, 0]
     on_time = pairs @ layout.pairs
     on_time[draw, common] += alone
     return np.asarray(on_time)
-
-
-def _stretch(solver: PairSolver, force: Array, pairs: Array) -> Array:
-    """Effective over commanded time (n,), from the two torques of a couple-free pair."""
-    plain = force @ pairs.T
-    return np.asarray(
-        np.linalg.norm(solver.torque, axis=(1, 2)) / np.linalg.norm(plain, axis=(1, 2))
-    )
 
 
 def _pulses(learned: Learned, on_time: Array, rng: np.random.Generator) -> Array:

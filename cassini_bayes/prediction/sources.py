@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.effects.catalogue import read_catalogue
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.recorded_totals import is_bias, recorded_totals
-from cassini_bayes.events.telemetry import read_event
+from cassini_bayes.events.telemetry import TelemetryEvent, read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.json_file import read_json
+from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.event_reduction import check_rows, is_event_folder
 from cassini_bayes.model.posterior import Model, build_model
+from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
@@ -28,16 +33,24 @@ from cassini_bayes.results.record import Fit
 
 FIT_DRAWS = 2_000
 RESOLVED: Final = "resolved.toml"
-"""What a run was resolved to, beside its fit."""
+"""What a run or a diagnosis was resolved to, in its folder."""
+DIAGNOSED: Final = "diagnosis.json"
+"""In the folder above the fit of a diagnosis's extended model."""
+EXTENDED: Final = "extended"
+"""Where that fit is, in the diagnosis's folder."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Wheel biases of a fit as totals, its priors, and the model of those totals."""
+    """Wheel biases of a fit as totals, its priors, and the model of those totals.
+
+    ``within`` are effects of the fit that act within an event: totals do not have them.
+    """
 
     events: tuple[TotalsEvent, ...]
     priors: Priors
     model: Model
+    within: tuple[str, ...] = ()
 
 
 def read_sources(
@@ -46,16 +59,19 @@ def read_sources(
     priors: Path | None = None,
     source: str | None = None,
     accept: Sequence[str] = (),
+    own_effects: Sequence[Path] = (),
 ) -> Sources:
     """Read what a fit was made of.
 
-    A run folder says it itself (``resolved.toml``, with digests in ``provenance.json``); for a
-    ``fit.nc`` that stands alone, or whose files have moved, name them.
+    A run folder says it itself (``resolved.toml``, with digests in ``provenance.json``), and that
+    of a diagnosis for the fit of its extended model; for a ``fit.nc`` that stands alone, or whose
+    files have moved, name them. Effects that were fitted by name are in the model.
 
     Raises
     ------
     InputError
-        The fit is missing, or its events or priors cannot be found unchanged.
+        The fit is missing, or its events or priors cannot be found unchanged; an effect of its that
+        no file given has.
     """
     if not exists(fit):
         raise InputError(
@@ -64,18 +80,14 @@ def read_sources(
             "no such file",
             "make one: cassini-bayes run RUN.toml",
         )
-    resolved = _resolved(fit.parent)
-    record = str(fit.parent / RESOLVED)
+    home = record_folder(fit)
+    resolved = _resolved(home)
+    record = str(home / RESOLVED)
     model_table = resolved.get("model", {})
     if not isinstance(model_table, dict):
         raise InputError(f"{record}: model", "a table", repr(model_table), "run the fit again")
-    if effects := _names(model_table, "effects", f"{record}: model"):
-        raise InputError(
-            str(fit),
-            "a fit of the standard physics",
-            f"one with effects {', '.join(effects)}",
-            "predict from a fit without [model] effects: predictions do not have them",
-        )
+    is_run = home == fit.parent and bool(resolved)
+    names = _names(model_table, "effects", f"{record}: model") if is_run else extended_by(fit)
     priors_path = priors or locate(fit, resolved.get("priors"), "--priors")
     read = read_priors(priors_path)
     references = (
@@ -98,28 +110,95 @@ def read_sources(
         check_rows(table, read, name, policy)
     printed = tuple(event for table in tables.values() for event in table)
     refuse_duplicates([(event.id, content_of_totals(event)) for event in printed], policy)
-    found = (*printed, *_recorded(references, read))
+    folders = (Path(name) for name in references if is_event_folder(Path(name)))
+    recordings = [read_event(folder, read.spacecraft) for folder in folders]
+    files = [*own_effects, *map(Path, _names(resolved, "own_effects", record))]
+    each = [*(event.wheels for event in printed), *(event.wheels for event in recordings)]
+    wheels = {number for own in each for number in own}
+    effects = fitted_effects(names, read, wheels, list(dict.fromkeys(files)))
+    pulse_shape = str(model_table.get("pulse_shape", "first_order"))
+    delta_v = model_table.get("delta_v", "as-declared")
+    return _of_biases(str(fit), printed, recordings, read, effects, pulse_shape, delta_v)
+
+
+def sources_of(model: Model) -> Sources:
+    """What a fit in memory was made of, from its model.
+
+    Raises
+    ------
+    InputError
+        No wheel bias among its events.
+    """
+    rows = tuple(row for term in model.totals for row in term.rows)
+    recordings = [term.event.recording for term in model.telemetry if term.event.recording]
+    delta_v: DeltaVUse = model.totals[0].delta_v if model.totals else "as-declared"
+    shapes = [term.pulse_shape for term in model.totals]
+    shapes += [term.event.sampling.pulse_shape for term in model.telemetry]
+    name = shapes[0].name
+    return _of_biases("fit", rows, recordings, model.priors, model.effects, name, delta_v)
+
+
+def _of_biases(
+    fit: str,
+    rows: Sequence[TotalsEvent],
+    recordings: Sequence[TelemetryEvent],
+    priors: Priors,
+    effects: Sequence[Effect],
+    pulse_shape: str,
+    delta_v: DeltaVUse,
+) -> Sources:
+    """Totals rows and recorded wheel biases; slews and burns teach no firing logic."""
+    recorded = (recorded_totals(own, priors.spacecraft) for own in recordings if is_bias(own))
+    found = (*rows, *recorded)
     if not found:
         raise InputError(
-            str(fit),
+            fit,
             "a fit with wheel biases among its events",
-            f"none of {', '.join(references)} is one",
+            f"none of {', '.join(own.id for own in recordings)} is one",
             "predict from a fit of wheel biases: they show how thrusters are fired",
         )
     model = build_model(
         found,
-        read,
-        pulse_shape=str(model_table.get("pulse_shape", "first_order")),
-        delta_v=model_table.get("delta_v", "as-declared"),
+        priors,
+        pulse_shape=pulse_shape,
+        delta_v=delta_v,
+        effects=[effect for effect in effects if not effect.needs_search],
     )
-    return Sources(found, read, model)
+    within = tuple(effect.name for effect in effects if is_within(effect))
+    return Sources(found, priors, model, within)
 
 
-def _recorded(references: Sequence[str], priors: Priors) -> tuple[TotalsEvent, ...]:
-    """Totals of the wheel biases among recordings; slews and burns teach no firing logic."""
-    folders = (Path(name) for name in references if is_event_folder(Path(name)))
-    events = (read_event(folder, priors.spacecraft) for folder in folders)
-    return tuple(recorded_totals(event, priors.spacecraft) for event in events if is_bias(event))
+def record_folder(fit: Path) -> Path:
+    """The folder that says what a ``fit.nc`` was made of: its own, or that of its diagnosis."""
+    above = fit.parent.parent
+    is_extended = not exists(fit.parent / RESOLVED) and exists(above / DIAGNOSED)
+    return above if is_extended else fit.parent
+
+
+def extended_by(fit: Path) -> list[str]:
+    """Causes that a diagnosis has extended the model of a fit by; none of any other fit."""
+    causes = str(read_groups(fit, {}, "a fit.nc of this package")[1].get("causes", ""))
+    return [name for name in causes.split("+") if name not in ("", "none", "unknown")]
+
+
+def fitted_effects(
+    names: Sequence[str], priors: Priors, wheels: Collection[int], files: Sequence[Path]
+) -> tuple[Effect, ...]:
+    """The effects of a fit by name, whatever data showed them.
+
+    Raises
+    ------
+    InputError
+        A name that neither the package nor a file has.
+    """
+    inputs = ("telemetry", "totals")
+    catalogue = read_catalogue(priors, sorted(wheels), inputs, read_kinds(files))
+    return tuple(catalogue.effect(name).as_fitted() for name in names)
+
+
+def is_within(effect: Effect) -> bool:
+    """Whether an effect acts on the rows of an event, so that totals do not have it."""
+    return effect.kind.columns is not None or effect.kind.search is not None
 
 
 def learn_from_fit(
@@ -163,7 +242,7 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
         raise InputError(
             str(fit), f"{option}, as no resolved.toml lies beside it", "none", f"name {option}"
         )
-    digests = _digests(fit.parent)
+    digests = _digests(record_folder(fit))
     for base in (fit.parent.parent, Path(), fit.parent):
         path = base / name
         if priors is not None and is_event_folder(path):

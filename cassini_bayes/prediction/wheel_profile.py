@@ -53,6 +53,12 @@ def rates_rpm(
     return np.asarray(end_rpm - np.sign(change) * left)
 
 
+def piece_times_s(manager: WheelManager, wheels: tuple[int, ...], change_rpm: Array) -> Array:
+    """Where the pieces of a bias begin and end (S + 1,), s from its start."""
+    t1 = ramp_end_s(manager, wheels, change_rpm)
+    return np.unique(np.concatenate([[0.0], t1, *(t1 + k * manager.loop_s for k in TAIL_POINTS)]))
+
+
 def segments_rpm(
     manager: WheelManager, wheels: tuple[int, ...], start_rpm: Array, end_rpm: Array
 ) -> Array:
@@ -61,8 +67,7 @@ def segments_rpm(
     Pieces end where a wheel leaves its ramp and at some points of every exponential; they add up
     to the commanded change exactly.
     """
-    t1 = ramp_end_s(manager, wheels, end_rpm - start_rpm)
-    times = np.unique(np.concatenate([[0.0], t1, *(t1 + k * manager.loop_s for k in TAIL_POINTS)]))
+    times = piece_times_s(manager, wheels, end_rpm - start_rpm)
     rates = rates_rpm(manager, wheels, start_rpm, end_rpm, times)
     rates[0], rates[-1] = start_rpm, end_rpm
     return np.asarray(np.diff(rates, axis=0))

@@ -76,6 +76,7 @@ def render_diagnosis(
         gain_sentence=gain_sentence(record),
         taken_up=_taken_up_table(record),
         drafts=_draft_table(record),
+        visible=_visible_table(record),
         draft_files=[(draft.name, *draft_files(draft)) for draft in drafts if draft.is_gain],
         drivers=_driver_table(record),
         provenance=_provenance(record),
@@ -256,6 +257,22 @@ def _taken_up_table(record: Record) -> Table | None:
     ]
     columns = ("free quantity", "baseline (prior σ)", "with the cause (prior σ)")
     return _table(columns, rows, "what the baseline bends")
+
+
+def _visible_table(record: Record) -> Table | None:
+    """From which size on causes would have been named."""
+    rows = [
+        (
+            row["cause"],
+            row["says"] or f"no size that its prior allows ({row['parameter']})",
+            Cell(_number(row["sd"], ".2g"), "n"),
+            Cell(_number(row["prior_width"], ".2g"), "n"),
+            row["unit"],
+        )
+        for row in record.get("visible") or []
+    ]
+    columns = ("cause", "would have been named", "known to (1 σ)", "width of its prior", "unit")
+    return _table(columns, rows, "what would have been seen") if rows else None
 
 
 def _draft_table(record: Record) -> Table | None:

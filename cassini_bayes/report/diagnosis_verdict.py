@@ -28,6 +28,8 @@ def verdict_sentences(record: Record) -> list[str]:
     """Every sentence of the verdict, the answer first."""
     best = record["causes"][0]
     sentences = [_headline(record, best), *_reconciled(record, best)]
+    if best["name"] == "none":
+        sentences += _visible(record)
     if best["name"] == "unknown":
         sentences += [*_runner_up(record), *_traces(record), *_drafts(record)]
     sentences += [*_confounded(best), *_second(record), *_cause_p_value(record, best)]
@@ -162,6 +164,21 @@ def _cause_p_value(record: Record, best: Record) -> list[str]:
     if record["gain"]["still_discrepant"]:
         return [f"With the cause p = {p:.2g}: something more is missing."]
     return [f"With the cause p = {p:.2g}: nothing more is seen to be missing."]
+
+
+def _visible(record: Record) -> list[str]:
+    """From which size on causes would have been named: of each kind the target least seen.
+
+    Faults of thrusters come first, then what is seen best.
+    """
+    seen = [row for row in record.get("visible", []) if row["says"] is not None]
+    hardest: dict[str, str] = {}
+    for row in sorted(seen, key=lambda row: row["thruster"] is None):
+        hardest[row["cause"].partition(":")[0]] = row["says"]
+    if not hardest:
+        return []
+    named = "; ".join(list(hardest.values())[:MOST_NAMED])
+    return [f"Nine of ten such flights would have shown, at odds of nine to one: {named}."]
 
 
 def _runner_up(record: Record) -> list[str]:

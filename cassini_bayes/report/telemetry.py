@@ -68,6 +68,7 @@ def observability(review: Review) -> Iterator[Section]:
                 "Bars: posterior over prior standard deviation expected before sampling. Circles: "
                 "what came out.",
                 partial(observability_figure, review),
+                fold="Expected before sampling and what came out, drawn",
             ),
             Shown(observability_table(review), fold="Expected width of every quantity"),
         ),
@@ -110,6 +111,7 @@ def inertia(review: Review) -> Iterator[Section]:
                 "Elements of the inertia tensor: prior, posterior, least squares",
                 caption,
                 partial(inertia_figure, review),
+                fold="The inertia tensor, drawn",
             ),
         ),
         name="inertia",
@@ -205,6 +207,7 @@ def series(review: Review) -> Iterator[Section]:
             f"{own.event}, above: {above}. Below: the difference, on the noise that the model "
             "allows for.",
             partial(series_figure, own),
+            fold=f"{own.event}, drawn" if i > 1 else "",
         )
         yield Section(CHECKS, (drawing,), name=f"series_{i}", frame=own.table())
 

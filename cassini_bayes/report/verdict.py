@@ -7,10 +7,13 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from cassini_bayes.diagnosis.sizes import sizes_of
+from cassini_bayes.effects.wording import Stated, by_keys
 from cassini_bayes.report.cells import percent
 from cassini_bayes.report.plots.quantities import number, plus_minus
 from cassini_bayes.report.plots.tables import events_of, level_row, thrusters_of
 from cassini_bayes.results.review import Review
+from cassini_bayes.results.tables import hdi
 
 MOMENTS: Final = ("xx", "yy", "zz")
 LEAST_NARROWING: Final = 0.005
@@ -20,7 +23,7 @@ IMPULSE: Final = "impulse_per_on_time_n"
 
 def verdict(review: Review) -> list[str]:
     """What was asked for with its uncertainty and its prior, and what is known well."""
-    return [*_thrust(review), *_moments(review), *_impulse(review)]
+    return [*_thrust(review), *_effects(review), *_moments(review), *_impulse(review)]
 
 
 def counted(n: int, one: str, many: str = "") -> str:
@@ -56,6 +59,21 @@ def _thrust(review: Review) -> list[str]:
         return [f"Thrust {number(mean, float(level_row(review, 'sd').mean()))} N ({who}), fixed."]
     before = plus_minus(float(own["prior_mean"]), prior_sd)
     return [f"Thrust {plus_minus(mean, sd)} N ({who}), {narrowed(sd, prior_sd)}, {before} N."]
+
+
+def _effects(review: Review) -> list[str]:
+    """What the effects that were fitted by name came out as, in engineering units."""
+    said = []
+    for effect in review.model.effects:
+        sizes = {}
+        for key, draws in sizes_of(review.model, effect, review.z).items():
+            low, high = (float(end) for end in hdi(draws))
+            unit = next((p.unit for p in effect.parameters if p.key == key), "")
+            sizes[key] = Stated(float(draws.mean()), float(draws.std(ddof=1)), low, high, unit)
+        words = effect.kind.says
+        text = by_keys(effect.name, sizes) if words is None else words(sizes, effect.target)
+        said.append(f"With the effect {effect.name} in the model: {text}.")
+    return said
 
 
 def _moments(review: Review) -> list[str]:

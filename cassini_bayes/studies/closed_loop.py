@@ -32,7 +32,8 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
     Raises
     ------
     InputError
-        Without a mass of the spacecraft (the simulation needs one), or fewer than one seed.
+        Without a mass of the spacecraft (the simulation needs one), fewer than one seed, or a fit
+        with effects.
     """
     from cassini_bayes.simulation import make_plan, simulate_plan
     from cassini_bayes.simulation.reader import scenario_of
@@ -40,6 +41,9 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
 
     if seeds < 1:
         raise InputError("--simulate", "at least one simulation", str(seeds), "ask for 1 or more")
+    if names := ", ".join(effect.name for effect in learned.model.effects):
+        fix = "leave --simulate out, or simulate a scenario with these effects in it"
+        raise InputError("--simulate", "a fit of the standard physics", f"one with {names}", fix)
     if learned.mass is None:
         raise InputError("--simulate", "masses in the fit's events", "none", "fill in mass_kg")
     rows = []

@@ -24,7 +24,6 @@ from cassini_bayes.model import build_model, log_posterior, observability
 from cassini_bayes.pipeline.run import Outcome
 from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.pipeline.sweep_run import execute_sweep
-from cassini_bayes.prediction.sources import read_sources
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
 from cassini_bayes.sweep.specification import SweepFile
@@ -197,12 +196,8 @@ def test_own_effects_are_fitted_from_the_command_line(
     assert command(["predict", str(tmp_path / "run" / "fit.nc"), "--quiet"]) == 2
 
 
-def test_a_run_with_effects_is_neither_predicted_from_nor_swept(tmp_path: Path) -> None:
-    """Predictions and sweeps have the standard physics only, and say so."""
-    (tmp_path / "fit.nc").write_bytes(b"")
-    (tmp_path / "resolved.toml").write_text('[model]\neffects = ["tail_off"]\n')
-    with pytest.raises(InputError, match="one with effects tail_off"):
-        read_sources(tmp_path / "fit.nc")
+def test_a_run_with_effects_is_not_swept(tmp_path: Path) -> None:
+    """Sweeps vary the parameters of the priors file, and say so."""
     run = check_run(small_table() | {"model": {"effects": ["tail_off"]}}, "test")
     rest = {"jobs": 1, "dask": None, "report": False, "reporter": Silent()}
     with pytest.raises(InputError, match="one with tail_off"):

@@ -89,20 +89,36 @@ def test_a_killed_telemetry_run_ends_the_same(tmp_path: Path) -> None:
 
 
 def test_a_killed_diagnosis_ends_the_same(tmp_path: Path) -> None:
-    """Killed as it writes its first and a later file, then started again: the same tables."""
+    """Killed in its first write, its searches, its draws and its measures; nothing done is redone.
+
+    The same tables, and the same record to the last bit; other settings are refused.
+    """
     cores = sorted(os.sched_getaffinity(0))
     rows = [f"{run_cases.FLIGHT}:{event}" for event in run_cases.EVENTS]
     arguments = ["diagnose", *rows, "--priors", str(run_cases.B_BRANCH), "--quiet", "--out"]
     alone, killed = tmp_path / "alone", tmp_path / "killed"
     assert started([*arguments, str(alone)], tmp_path / "log", {cores[0]}) == 0
-    for kill_at in (1, 3):
+    arguments.append(str(killed))
+    finished: dict[Path, int] = {}
+    for kill_at in (1, 21, 81, 61):
         status = started(
-            [*arguments, str(killed), "--force"], tmp_path / "log", set(cores), kill_at=kill_at
+            [*arguments, *resumed(killed)], tmp_path / "log", set(cores), kill_at=kill_at
         )
         assert status == -signal.SIGKILL, (tmp_path / "log").read_text()
-    assert started([*arguments, str(killed), "--force"], tmp_path / "log", set(cores)) == 0
+        kept = {path: path.stat().st_mtime_ns for path in killed.glob("checkpoint/stage_*.npz")}
+        assert finished.items() <= kept.items()
+        finished = kept
+    assert not (killed / "diagnosis.json").exists()
+    other = [*arguments, "--seed", "2", "--resume"]
+    assert started(other, tmp_path / "log", set(cores)) == 2
+    assert "that this run began with" in (tmp_path / "log").read_text()
+    assert started([*arguments, "--resume"], tmp_path / "log", set(cores)) == 0
+    assert finished.items() <= {p: p.stat().st_mtime_ns for p in finished}.items()
     assert tables(alone) == tables(killed)
     records = [json.loads((folder / "diagnosis.json").read_text()) for folder in (alone, killed)]
     for record in records:
         del record["command"]  # names the folder
     assert records[0] == records[1]
+    assert not [path for path in killed.rglob("*") if storage.is_leftover(path)]
+    assert started(arguments, tmp_path / "log", set(cores)) == 2
+    assert "an existing diagnosis" in (tmp_path / "log").read_text()

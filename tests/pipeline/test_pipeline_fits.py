@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.model import log_posterior
 from cassini_bayes.pipeline import fits
 from cassini_bayes.pipeline.fits import FitResult
-from cassini_bayes.prediction.sources import read_sources
+from cassini_bayes.prediction.sources import read_sources, sources_of
 from cassini_bayes.results.review import Review
 
 SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
@@ -142,6 +143,16 @@ def test_a_fit_of_telemetry_predicts(again: FitResult) -> None:
     assert "nan" not in repr(plan)
     json.dumps(plan.as_record(), allow_nan=False)
     assert len(plan.summary()) == len(plan.plan.candidates)
+
+
+def test_a_fit_in_memory_predicts_as_one_in_a_folder(again: FitResult) -> None:
+    """The recordings of its model are the events that its run's files give."""
+    kept, read = sources_of(again.model), read_sources(again.path, None)
+    assert [event.id for event in kept.events] == [event.id for event in read.events]
+    np.testing.assert_array_equal(kept.events[0].on_time_s, read.events[0].on_time_s)
+    in_memory = replace(again, path=None)
+    one, other = (cb.predict(own, BIAS).predictions[0] for own in (in_memory, again))
+    np.testing.assert_array_equal(one.on_time_s, other.on_time_s)
 
 
 def test_slews_teach_no_prediction(stored: FitResult, tmp_path: Path) -> None:

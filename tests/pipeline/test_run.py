@@ -7,15 +7,19 @@ import errno
 import json
 import os
 import tomllib
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
 
+from cassini_bayes.computing.arviz_import import arviz, corner
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import digest
+from cassini_bayes.pipeline.fits import result_of
 from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run import Outcome, execute, prepare_folder
 from cassini_bayes.pipeline.run_file import RunFile, check_run
@@ -112,6 +116,21 @@ def test_settings_are_written_before_sampling(
     }
 
 
+def test_arviz_takes_a_fit_of_totals(finished: Outcome) -> None:
+    """Summary, trace, replicates, leaving one out with a k̂ an event, sensitivity, corner."""
+    az, own = arviz(), result_of(finished.review).to_arviz()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert np.isfinite(az.summary(own, var_names=["thrust_n"])["mean"]).all()
+        az.plot_trace(own, var_names=["tau_fall_s"])
+        az.plot_ppc(own, var_names=["on_time_s"], num_pp_samples=3)
+        assert az.loo(own, pointwise=True).pareto_k.sizes == {"event": len(EVENTS)}
+        for component in ("prior", "likelihood"):
+            found = az.psens(own, component=component, var_names=["tau_fall_s"])
+            assert np.isfinite(float(found))
+        corner().corner(own, var_names=["thrust_common_n", "tau_fall_s"])
+
+
 def test_an_existing_run_is_refused_and_untouched(finished: Outcome) -> None:
     """Neither --force nor --resume: refused with both named, not a byte changed."""
     before = {path: path.stat().st_mtime_ns for path in finished.folder.rglob("*")}
@@ -155,7 +174,7 @@ def test_force_replaces_runs_only(tmp_path: Path) -> None:
     other.mkdir()
     (other / "chapter.tex").write_text("years of work")
     for force in (True, False):
-        with pytest.raises(InputError, match="only replaces runs"):
+        with pytest.raises(InputError, match="only replaces a run"):
             prepare_folder(other, force=force, resume=False)
         with pytest.raises(InputError, match="a file"):
             prepare_folder(other / "chapter.tex", force=force, resume=False)

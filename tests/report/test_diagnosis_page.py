@@ -111,3 +111,23 @@ def test_overlay_and_trade_are_drawn_of_what_there_is() -> None:
     draws = rng.normal(size=(50, 2))
     drawn = trade_figure(Trade("c", "size", "thrust level of Z3", -0.7, draws, 3.0 * draws, "N"))
     assert drawn.axes[2].get_ylabel() == "thrust level of Z3 (N)"
+
+
+def test_what_would_have_been_seen_is_a_table_with_a_place_in_the_contents() -> None:
+    """Sizes in words beside what is known of them; without such rows there is no section."""
+    row = {
+        "cause": "thruster_leak:z3",
+        "parameter": "leak_n",
+        "unit": "N",
+        "size": 3e-6,
+        "sd": 5e-7,
+        "prior_width": 3e-5,
+        "thruster": "z3",
+        "says": "Z3 leaks 3 µN or more of thrust without command",
+    }
+    hidden = {**row, "cause": "center_of_mass:y", "size": None, "sd": None, "says": None}
+    text = render_diagnosis(whole("none") | {"visible": [row, hidden]}, [PICTURE], "made up")
+    assert "Z3 leaks 3 µN or more of thrust without command" in text
+    assert "no size that its prior allows (leak_n)" in text
+    assert 'href="#visible"' in text
+    assert 'id="visible"' not in render_diagnosis(whole("none"), [PICTURE], "made up")

@@ -83,3 +83,26 @@ def test_forty_confounded_causes_are_a_count() -> None:
     assert line.endswith("thruster_leak:3 and 36 others.")
     none = record(cause("none", 0.9, 0.0), cause("a", 0.01, -2.9), cause("b", 0.0, -3.1))
     assert alike_nothing(none) == ["a"]
+
+
+def test_nothing_named_says_what_would_have_been_seen() -> None:
+    """Of each kind the target that is seen least, in words; what would have stayed hidden is not.
+
+    Negative control: where a cause is named, nothing of it.
+    """
+
+    def row(name: str, thruster: str | None, says: str | None) -> dict[str, object]:
+        return {"cause": name, "thruster": thruster, "says": says}
+
+    rows = [
+        row("rate_bias:x", None, "the gyro reads ±1 µrad/s or more too much about X"),
+        row("thruster_degraded:z1", "z1", "Z1 delivers 90 % or less of its thrust"),
+        row("thruster_degraded:z3", "z3", "Z3 delivers 80 % or less of its thrust"),
+        row("center_of_mass:y", None, None),
+    ]
+    nothing = record(cause("none", 0.9, 0.0), cause("unknown", 0.1, -1.0), visible=rows)
+    assert verdict_sentences(nothing)[-1] == (
+        "Nine of ten such flights would have shown, at odds of nine to one: Z3 delivers 80 % or "
+        "less of its thrust; the gyro reads ±1 µrad/s or more too much about X."
+    )
+    assert not any("would have" in sentence for sentence in verdict_sentences(named(visible=rows)))

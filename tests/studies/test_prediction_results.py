@@ -376,6 +376,9 @@ def test_figures_are_drawn() -> None:
     assert "%" in requirement_figure(judged).axes[0].get_ylabel()
     assert "[g]" in plan_figure(small_plan()).axes[0].get_xlabel()
     assert "[s]" in prediction_figure(folds()[0].prediction).axes[0].get_ylabel()
+    nothing = dict.fromkeys(("delta_v_computed_m_s", "delta_v_delivered_m_s", "hydrazine_g"))
+    bare = prediction_figure(replace(folds()[0].prediction, **nothing))
+    assert [axes.get_ylabel() for axes in bare.axes] == ["on-time [s]", "pulses [count]"]
 
 
 def test_the_page_reports_what_was_scored() -> None:

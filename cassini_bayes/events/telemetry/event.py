@@ -39,7 +39,7 @@ _KEYS: Final = (*_NEEDED, "delta_v_source", "channels", "telemetry")
 CHANNELS: Final = "channels.toml"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TelemetryEvent:
     """``event.toml`` of an event folder, checked against the header of its telemetry.
 
@@ -63,6 +63,13 @@ class TelemetryEvent:
     digest: str
     has_accelerometer: bool = False
     channels: ChannelMap | None = None
+
+    def __repr__(self) -> str:
+        fired = f"thrusters {', '.join(self.thrusters)}" if self.thrusters else "no thrusters"
+        return (
+            f"TelemetryEvent {self.id}: {self.kind} at {self.epoch.isoformat()}, branch "
+            f"{self.branch}, wheels {', '.join(map(str, self.wheels))}, {fired}; {self.telemetry}"
+        )
 
     @property
     def where(self) -> str:

@@ -28,25 +28,33 @@ _SHOWN_S: Final = 3.0
 
 
 def prediction_figure(prediction: Prediction) -> Figure:
-    """On-times, pulses, ΔVz and hydrazine of one bias: median, central 50 and 90 % intervals."""
+    """On-times, pulses, ΔVz and hydrazine of one bias: median, central 50 and 90 % intervals.
+
+    ΔV and hydrazine have their panels where any event of the fit printed masses or grams.
+    """
+    vectors = {
+        "computed on board": prediction.delta_v_computed_m_s,
+        "delivered": prediction.delta_v_delivered_m_s,
+    }
+    known = {label: vector for label, vector in vectors.items() if vector is not None}
+    grams = prediction.hydrazine_g
+    rows = 2 if known or grams is not None else 1
     with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.0, 5.6)
-        grid = figure.subplots(2, 2)
+        figure = new_figure(9.0, 2.8 * rows + 0.4 * (rows == 1))
+        grid = figure.subplots(rows, 2, squeeze=False)
         names = [name.replace("_", "–") for name in prediction.unit_names()]
         _intervals(grid[0, 0], prediction.unit_on_time_s(), names, "on-time [s]")
         _intervals(grid[0, 1], prediction.unit_pulses(), names, "pulses [count]")
-        _density(
-            grid[1, 0],
-            {
-                "computed on board": prediction.delta_v_computed_m_s,
-                "delivered": prediction.delta_v_delivered_m_s,
-            },
-        )
-        if prediction.hydrazine_g is not None:
-            grams = prediction.hydrazine_g
+        if known:
+            _density(grid[1, 0], known)
+        elif rows == 2:
+            grid[1, 0].set_visible(False)
+        if grams is not None:
             grid[1, 1].hist(grams, bins=40, range=_shown(grams), density=True, color=POSTERIOR)
-        grid[1, 1].set_xlabel("hydrazine [g]")
-        grid[1, 1].set_ylabel("density [1/g]")
+            grid[1, 1].set_xlabel("hydrazine [g]")
+            grid[1, 1].set_ylabel("density [1/g]")
+        elif rows == 2:
+            grid[1, 1].set_visible(False)
         request = prediction.request
         changes = ", ".join(
             f"wheel {n}: {a:g} → {b:g}"
@@ -55,9 +63,9 @@ def prediction_figure(prediction: Prediction) -> Figure:
         figure.suptitle(
             f"{request.id}, {prediction.epoch.date()} — {changes} rev/min", fontsize=9.5
         )
+        densities = "; densities: central 99 % of the draws" if rows == 2 else ""
         figure.supxlabel(
-            "dots: medians; thick and thin bars: central 50 and 90 % intervals; "
-            "densities: central 99 % of the draws",
+            f"dots: medians; thick and thin bars: central 50 and 90 % intervals{densities}",
             fontsize=8,
         )
     return figure
@@ -80,19 +88,18 @@ def _shown(draws: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _density(axes: Axes, vectors: Mapping[str, Array | None]) -> None:
-    for (label, vector), colour in zip(vectors.items(), (POSTERIOR, "#BB8800"), strict=True):
-        if vector is not None:
-            axes.hist(
-                1e3 * vector[:, 2],
-                bins=40,
-                range=_shown(1e3 * vector[:, 2]),
-                density=True,
-                histtype="step",
-                color=colour,
-                lw=1.4,
-                label=label,
-            )
+def _density(axes: Axes, vectors: Mapping[str, Array]) -> None:
+    for (label, vector), colour in zip(vectors.items(), (POSTERIOR, "#BB8800"), strict=False):
+        axes.hist(
+            1e3 * vector[:, 2],
+            bins=40,
+            range=_shown(1e3 * vector[:, 2]),
+            density=True,
+            histtype="step",
+            color=colour,
+            lw=1.4,
+            label=label,
+        )
     axes.set_xlabel("ΔV along body Z [mm/s]")
     axes.set_ylabel("density [s/mm]")
     axes.legend(loc="best")
