@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import arviz  # noqa: F401 (imported before forking: two seconds that no child spends again)
@@ -88,21 +88,39 @@ def test_a_killed_telemetry_run_ends_the_same(tmp_path: Path) -> None:
     assert not [path for path in killed.rglob("*") if storage.is_leftover(path)]
 
 
-def test_a_killed_diagnosis_ends_the_same(tmp_path: Path) -> None:
-    """Killed as it writes its first and a later file, then started again: the same tables."""
+def of_totals() -> tuple[list[str], Path]:
+    """Rows of the flight, and their priors."""
+    return [f"{run_cases.FLIGHT}:{event}" for event in run_cases.EVENTS], Path(run_cases.B_BRANCH)
+
+
+def of_telemetry() -> tuple[list[str], Path]:
+    """A bias with its telemetry, and its priors."""
+    return [str(simulated() / "bias")], PRIORS
+
+
+@pytest.mark.parametrize("given", [of_totals, of_telemetry])
+def test_a_killed_diagnosis_ends_the_same(
+    tmp_path: Path, given: Callable[[], tuple[list[str], Path]]
+) -> None:
+    """Killed in its first, a middle and its last write, then started again: the same tables.
+
+    What a killed diagnosis leaves is no diagnosis: no `--force` is asked for, nothing half-written
+    stays. A finished one is one.
+    """
     cores = sorted(os.sched_getaffinity(0))
-    rows = [f"{run_cases.FLIGHT}:{event}" for event in run_cases.EVENTS]
-    arguments = ["diagnose", *rows, "--priors", str(run_cases.B_BRANCH), "--quiet", "--out"]
+    events, priors = given()
+    arguments = ["diagnose", *events, "--priors", str(priors), "--no-gain", "--quiet", "--out"]
     alone, killed = tmp_path / "alone", tmp_path / "killed"
     assert started([*arguments, str(alone)], tmp_path / "log", {cores[0]}) == 0
-    for kill_at in (1, 3):
-        status = started(
-            [*arguments, str(killed), "--force"], tmp_path / "log", set(cores), kill_at=kill_at
-        )
+    writes = 2 * len([path for path in alone.rglob("*") if path.is_file()])  # a file, its folder
+    for kill_at in (1, writes // 2, writes - 1):
+        status = started([*arguments, str(killed)], tmp_path / "log", set(cores), kill_at=kill_at)
         assert status == -signal.SIGKILL, (tmp_path / "log").read_text()
-    assert started([*arguments, str(killed), "--force"], tmp_path / "log", set(cores)) == 0
+    assert started([*arguments, str(killed)], tmp_path / "log", set(cores)) == 0
+    assert not [path for path in killed.rglob("*") if storage.is_leftover(path)]
     assert tables(alone) == tables(killed)
     records = [json.loads((folder / "diagnosis.json").read_text()) for folder in (alone, killed)]
     for record in records:
         del record["command"]  # names the folder
     assert records[0] == records[1]
+    assert started([*arguments, str(killed)], tmp_path / "log", set(cores)) == 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, permutations, product
 from typing import Final
@@ -21,8 +21,8 @@ from cassini_bayes.events.plausibility.momentum import (
     momentum_of,
 )
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
-from cassini_bayes.events.plausibility.turning import INSTRUMENTS, Turning, turning_of
-from cassini_bayes.events.plausibility.verdict import AS_GOOD, PHYSICS, Explanation
+from cassini_bayes.events.plausibility.turning import BY_CHANCE, INSTRUMENTS, Turning, turning_of
+from cassini_bayes.events.plausibility.verdict import AS_GOOD, LEAST_GAIN, PHYSICS, Explanation
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
@@ -60,8 +60,6 @@ AXES: Final = "xyz"
 LEAST_TURNED: Final = 10.0
 """Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
 MOST_SHIFTS: Final = 16
-TOO_SHORT: Final = 1e9
-"""Misfit of a shift that leaves too few rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +69,7 @@ class Evidence:
     nominal: Nominal
     motion: Motion | None
     rows: Rows | None
+    along: Array | None = None  # (3,) of :func:`momentum_of`
 
     @cached_property
     def turning(self) -> Turning | None:
@@ -80,7 +79,7 @@ class Evidence:
     @cached_property
     def momentum(self) -> Momentum | None:
         """Columns of the balance."""
-        return None if self.rows is None else momentum_of(self.rows)
+        return None if self.rows is None else momentum_of(self.rows, self.along)
 
     @cached_property
     def as_recorded(self) -> Correction:
@@ -94,20 +93,20 @@ class Evidence:
         return self.momentum.fit(self.nominal, correction or self.as_recorded)
 
     def turned(self, rate: Array | None = None, axes: Sequence[int] = (0, 1, 2)) -> float:
-        """χ² of turns and rates beyond what chance makes of it."""
+        """What turns say against rates, beyond what chance makes of it: by size, by alignment."""
         if self.turning is None:
             return 0.0
         rate = np.eye(3) if rate is None else rate
         moments = INSTRUMENTS * len(axes)
         chance = moments + CHANCE_SIGMAS * np.sqrt(2.0 * moments)
-        return max(self.turning.misfit(rate, axes) - float(chance), 0.0)
+        sizes = self.turning.misfit(rate, axes) - float(chance)
+        return max(sizes, self.turning.misaligned(rate, axes) - BY_CHANCE, 0.0)
 
-    def misfit(self, correction: Correction | None = None, rate: Array | None = None) -> float:
-        """Misfit of motion and momentum; ``rate`` maps rates for the motion alone."""
+    def misfit(self, correction: Correction | None = None) -> float:
+        """Misfit of motion and momentum."""
         correction = correction or self.as_recorded
         fit = self.balance(correction)
-        open_part = 0.0 if fit is None else fit.excess
-        return open_part + self.turned(correction.rate if rate is None else rate)
+        return (0.0 if fit is None else fit.excess) + self.turned(correction.rate)
 
 
 def explanations(
@@ -125,7 +124,7 @@ def explanations(
     yield from found
     # the search for a shift takes longest, and its price may rule it out beforehand
     if min((each.score for each in found), default=np.inf) + AS_GOOD >= FREE_PRICE:
-        yield from _of_shifts(evidence)
+        yield from _of_shifts(evidence, evidence.misfit())
 
 
 def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
@@ -215,7 +214,8 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
             what = f"stands still for {stood_s:.4g} s"
         else:
             continue
-        across = momentum_of(rows, nominal.spins[:, w]).fit(nominal, evidence.as_recorded)
+        across = replace(evidence, along=nominal.spins[:, w]).balance()
+        assert across is not None
         yield Explanation(
             "wheel-silent",
             f"a column rwa{number}_rpm that {what}",
@@ -228,7 +228,8 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
         if stood_s <= LEAST_STILL * (rows.time_s[-1] - rows.time_s[0]):
             continue
         others = [a for a in range(3) if a != axis]
-        across = momentum_of(rows, nominal.inertia[:, axis]).fit(nominal, evidence.as_recorded)
+        across = replace(evidence, along=nominal.inertia[:, axis]).balance()
+        assert across is not None
         yield Explanation(
             "rate-silent",
             f"a column rate_{AXES[axis]}_rad_s that stands still for {stood_s:.4g} s",
@@ -371,10 +372,10 @@ def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
         return
     mended_rows = {} if rows is None else read_as(rows.attitude)
     for name, attitude in read_as(motion.attitude).items():
-        other = Evidence(
-            evidence.nominal,
-            replace(motion, attitude=attitude),
-            None if rows is None else replace(rows, attitude=mended_rows[name]),
+        other = replace(
+            evidence,
+            motion=replace(motion, attitude=attitude),
+            rows=None if rows is None else replace(rows, attitude=mended_rows[name]),
         )
         yield Explanation(
             "attitude-convention",
@@ -386,40 +387,62 @@ def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
-    if evidence.turned() < LEAST_TURNED:
+    motion, rows = evidence.motion, evidence.rows
+    if motion is None or evidence.turned() < LEAST_TURNED:
         return
     for unit, factor in TIME_UNITS.items():
+        other = replace(
+            evidence,
+            motion=replace(motion, time_s=factor * motion.time_s),
+            rows=None if rows is None else replace(rows, time_s=factor * rows.time_s),
+        )
         yield Explanation(
-            "time-unit",
-            f"times that look like {unit}",
-            "give time_s in seconds",
-            evidence.misfit(rate=factor * np.eye(3)),
+            "time-unit", f"times that look like {unit}", "give time_s in seconds", other.misfit()
         )
 
 
-def _of_shifts(evidence: Evidence) -> Iterator[Explanation]:
+def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
+    """A channel that comes late or early, by as much as leaves least.
+
+    A shift knows nothing of the ends, and fewer rows have less misfit: what it leaves is compared
+    with what the same rows leave as they are.
+    """
     for name, what, shifted in _SHIFTS:
-        if evidence.rows is None or (name == "counter-time" and not _fires(evidence)):
+        rows, motion = evidence.rows, evidence.motion
+        if rows is None or motion is None or (name == "counter-time" and not _fires(evidence)):
             continue
 
-        def left(late_s: float, shifted: Callable[[Motion, float], Motion] = shifted) -> float:
-            rows, motion = evidence.rows, evidence.motion
+        def moved(
+            late_s: float, margin_s: float, shifted: Callable[[Motion, float], Motion] = shifted
+        ) -> Evidence | None:
             assert rows is not None
             assert motion is not None
-            moved = _within(shifted(rows, late_s), abs(late_s))
-            if len(moved.time_s) < LEAST_ROWS:
-                return TOO_SHORT
-            assert isinstance(moved, Rows)
-            motion = _within(shifted(motion, late_s), abs(late_s))
-            return Evidence(evidence.nominal, motion, moved).misfit()
+            inner = _within(shifted(rows, late_s), margin_s)
+            if len(inner.time_s) < LEAST_ROWS:
+                return None
+            assert isinstance(inner, Rows)
+            return replace(
+                evidence, motion=_within(shifted(motion, late_s), margin_s), rows=inner
+            )
 
-        grid = {late: left(late) for late in (*(-s for s in LATE_S), *LATE_S)}
+        def share(late_s: float, moved: Callable[[float, float], Evidence | None] = moved) -> float:
+            """Of the misfit of the same rows: what the shift leaves; 1 where too little is gained."""
+            as_is, late = moved(0.0, abs(late_s)), moved(late_s, abs(late_s))
+            if as_is is None or late is None:
+                return 1.0
+            before, after = as_is.misfit(), late.misfit()
+            return after / before if before - after > LEAST_GAIN + FREE_PRICE else 1.0
+
+        grid = {late: share(late) for late in (*(-s for s in LATE_S), *LATE_S)}
         near = min(grid, key=lambda late: grid[late])
-        step_s = float(np.median(np.diff(evidence.rows.time_s)))
+        if grid[near] == 1.0:
+            continue
+        step_s = float(np.median(np.diff(rows.time_s)))
         step_s = max(step_s, 2.0 * abs(near) / MOST_SHIFTS)
         for late in np.arange(0.4, 2.5, step_s / abs(near)) * near:
             whole = float(np.round(late / step_s) * step_s)
-            grid[whole] = grid.get(whole) or left(whole)
+            if whole not in grid:
+                grid[whole] = share(whole)
         late = min(grid, key=lambda late: grid[late])
         if abs(late) <= PHYSICAL_LAG_S and name != "counter-time":
             continue  # a boom's oscillation, too, looks like that
@@ -427,7 +450,7 @@ def _of_shifts(evidence: Evidence) -> Iterator[Explanation]:
             PHYSICS if abs(late) <= PHYSICAL_LAG_S else name,
             f"{what} that come {abs(late):.3g} s {'late' if late > 0.0 else 'early'}",
             "bring all channels to the same clock",
-            grid[late],
+            misfit * grid[late],
             FREE_PRICE,
         )
 
@@ -440,7 +463,7 @@ def _within(rows: Motion, margin_s: float) -> Motion:
     """Rows away from both ends, where a shift knows nothing."""
     time = rows.time_s
     inside = (time >= time[0] + margin_s) & (time <= time[-1] - margin_s)
-    return replace(rows, **{name.name: getattr(rows, name.name)[inside] for name in fields(rows)})
+    return rows.only(inside)
 
 
 def _earlier(time_s: Array, values: Array, late_s: float) -> Array:

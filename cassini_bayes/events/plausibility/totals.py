@@ -99,6 +99,7 @@ class _Table:
     nominals: Mapping[tuple[int, ...], Nominal]
     numbers: tuple[int, ...]  # of all wheels
     pushes: Array
+    steady: bool  # whether thrusts depart alike in all rows
 
     def misfit(self, rows: Sequence[TotalsRow], free: Array | None = None) -> float:
         """yᵀ K⁻¹ y and the price of vanishing impulse; a direction ``free`` (3 E,) has none."""
@@ -169,6 +170,9 @@ class _Table:
             (WIDTHS["cant"] * sizes * effective)[None, :, None] * np.eye(3)[:, None, :],
         ]
         noise = JITTER**2 * each @ each.T
+        if not self.steady:
+            common = WIDTHS["common"] * each.sum(axis=1)
+            noise += np.outer(common, common) + WIDTHS["thrust"] ** 2 * each @ each.T
         noise += (HOLD_N_M_S**2 + (TORQUE_N_M * row.duration_s) ** 2) * np.eye(3)
         return left, np.concatenate([part.reshape(3, -1) for part in shared], axis=1), noise
 
@@ -179,6 +183,8 @@ def check_totals(
     parameters: Mapping[str, float],
     where: str,
     policy: Policy = STRICT,
+    *,
+    steady: bool = True,
 ) -> tuple[str, ...]:
     """Check rows of a table against the balance of momentum, and against each other.
 
@@ -192,6 +198,8 @@ def check_totals(
         What the rows came from, for the message.
     policy
         Mistakes that the user accepts.
+    steady
+        Whether thrusts are the same in all rows; over a mission, pressure and ageing move them.
 
     Returns
     -------
@@ -214,7 +222,7 @@ def check_totals(
         for wheels in {row.wheels for row in rows}
     }
     numbers = tuple(sorted({number for wheels in nominals for number in wheels}))
-    table = _Table(nominals, numbers, next(iter(nominals.values())).pushes)
+    table = _Table(nominals, numbers, next(iter(nominals.values())).pushes, steady)
     misfit = table.misfit(rows)
     if misfit <= SUSPECT:
         return ()

@@ -6,6 +6,11 @@ alone. The rates just before and after the step know the same motion with other 
 and their difference as instruments z give Σ (y − M x) zᵀ = 0 on average at the true M, with the
 covariance Σ_u ⊗ Σ z zᵀ of its moments. The mean shows factors, axes and signs, the difference
 rates that come early or late.
+
+A body that is fired at every few seconds moves otherwise before and after a step than in it: such
+instruments are weak. But a rotation, a reflection or a lag changes no noise, so that no instrument
+is needed to weigh it: with R(Q, k) = Σ |y − Q x|², x taken k intervals earlier, and a noise nobody
+knows, n log R(1, 0)/R(Q, k) is twice the logarithm of the likelihood ratio.
 """
 
 from __future__ import annotations
@@ -28,9 +33,13 @@ INSTRUMENTS: Final = 6
 LONGEST_STEP: Final = 3.0
 """Of the median: over longer gaps the mean of two rates is no mean rate."""
 LEAST_STEPS: Final = 12
-FEW_STEPS: Final = 40
-"""Shorter events join fewer intervals into a step."""
-ROWS_PER_STEP: Final = 8
+STEP_S: Final = 8.0
+"""Booms that swing faster are none of the body's turning; the body itself, fired at, is not much
+slower."""
+MOST_JOINED: Final = 8
+MOST_LAGS: Final = 20
+BY_CHANCE: Final = 25.0
+"""Of twice a log likelihood ratio: the best of all rotations (three angles) and of forty lags."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +52,7 @@ class Turning:
     instruments: Array  # Σ z zᵀ (6, 6)
     squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3) of their noise
     steps: int
+    each: tuple[Array, Array]  # y and x (n, 3) of every interval between two rows
 
     def variance(self, rate: Array) -> Array:
         """Variance (3,) of the noise of one step's turn less ``rate`` times its rates."""
@@ -76,14 +86,34 @@ class Turning:
         return total
 
 
+    def misaligned(self, rate: Array, axes: Sequence[int] = (0, 1, 2)) -> float:
+        """Twice the logarithm by which other axes or another lag fit better, at their best.
+
+        Rates are ``rate`` (3, 3) times those recorded. A gyro's misalignment may be physics: as
+        much as it brings is noise.
+        """
+        chosen = list(axes)
+        y, x = self.each[0][:, chosen], (self.each[1] @ rate.T)[:, chosen]
+        power = np.sum(y * y, axis=1) + np.sum(x * x, axis=1)
+        floor = (2.0 * GYRO_SD) ** 2 * float(power.sum())
+        left = float(np.sum((y - x) ** 2)) + floor
+        turned = np.linalg.svd(y.T @ x, compute_uv=False).sum() if len(chosen) > 1 else 0.0
+        gain = left / max(float(power.sum()) - 2.0 * float(turned) + floor, 1e-300)
+        for k in range(1, min(MOST_LAGS, len(y) // 4) + 1):
+            for turn, mean, here in ((y[k:], x[:-k], x[k:]), (y[:-k], x[k:], x[:-k])):
+                before = float(np.sum((turn - here) ** 2)) + floor
+                gain = max(gain, before / (float(np.sum((turn - mean) ** 2)) + floor))
+        return len(y) * float(np.log(max(gain, 1.0)))
+
+
 def turning_of(motion: Motion) -> Turning | None:
     """The moments; None where there are too few steps.
 
-    Steps join up to :data:`ROWS_PER_STEP` intervals: booms that swing faster than that are none of
+    Steps join intervals up to :data:`STEP_S`: booms that swing faster than that are none of
     the body's turning, and rates sampled at their swing's ends would look too large or too small.
     """
     intervals_s, rates = np.diff(motion.time_s), motion.rate_rad_s
-    stride = int(np.clip(len(intervals_s) // FEW_STEPS, 1, ROWS_PER_STEP))
+    stride = int(np.clip(round(STEP_S / float(np.median(intervals_s))), 1, MOST_JOINED))
     count = len(intervals_s) // stride
     if count < LEAST_STEPS:
         return None
@@ -94,8 +124,9 @@ def turning_of(motion: Motion) -> Turning | None:
         return np.asarray(values[:used].reshape(count, stride, -1).sum(axis=1))
 
     step_s = joined(intervals_s)
-    mean = joined(0.5 * (rates[1:] + rates[:-1]) * intervals_s[:, None]) / step_s
-    turned = joined(turns_rad(motion.attitude)) / step_s
+    between, turns = 0.5 * (rates[1:] + rates[:-1]), turns_rad(motion.attitude)
+    mean = joined(between * intervals_s[:, None]) / step_s
+    turned = joined(turns) / step_s
     quick = joined(np.diff(rates, axis=0)) / step_s
     # rows that no other step than the one before, or the one after, has at its ends
     before = rates[:used].reshape(count, stride, 3).mean(axis=1)
@@ -111,4 +142,7 @@ def turning_of(motion: Motion) -> Turning | None:
     # noise by second differences: what a wrong factor leaves is smooth, and is no noise
     bent_y, bent_x = (np.diff(v, 2, axis=0) / np.sqrt(6.0) for v in (y, x))
     squares = (bent_y.T @ bent_y, bent_x.T @ bent_y, bent_x.T @ bent_x)
-    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, squares, len(y) - 2)
+    usual = intervals_s <= LONGEST_STEP * np.median(intervals_s)
+    each = ((turns / intervals_s[:, None])[usual], between[usual])
+    each = (each[0] - each[0].mean(axis=0), each[1] - each[1].mean(axis=0))
+    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, squares, len(y) - 2, each)
