@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations, permutations, product
-from typing import Final
+from itertools import permutations, product
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -18,11 +18,19 @@ from cassini_bayes.events.plausibility.momentum import (
     MomentumFit,
     Nominal,
     exchanged,
+    exchanges_of,
+    largest_jumps,
     momentum_of,
 )
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
 from cassini_bayes.events.plausibility.turning import BY_CHANCE, INSTRUMENTS, Turning, turning_of
-from cassini_bayes.events.plausibility.verdict import AS_GOOD, LEAST_GAIN, PHYSICS, Explanation
+from cassini_bayes.events.plausibility.verdict import (
+    AS_GOOD,
+    EXPLAINED,
+    LEAST_GAIN,
+    PHYSICS,
+    Explanation,
+)
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
@@ -49,7 +57,7 @@ ON_TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0}
 SHORTEST_PULSE_S: Final = 5e-3
 """No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
-LATE_S: Final = (2.0, 5.0, 12.0, 30.0, 75.0)
+LATE_S: Final = (2.0, 5.0, 9.0, 14.0, 21.0, 32.0, 50.0, 75.0)
 LEAST_FACTOR_STEP: Final = 0.08
 """A free factor closer to 1 is a departure, no mistake."""
 CHANCE_SIGMAS: Final = 4.0
@@ -57,9 +65,13 @@ CHANCE_SIGMAS: Final = 4.0
 PHYSICAL_LAG_S: Final = 2.5
 """Of counters: the bound of the catalogue's time_offset, which is the diagnosis's to name."""
 AXES: Final = "xyz"
+SAME_TIME_S: Final = 1e-6
+AnyRows = TypeVar("AnyRows", bound=Motion)
 LEAST_TURNED: Final = 10.0
 """Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
 MOST_SHIFTS: Final = 16
+SWING_S: Final = 8.0
+"""Half-width of the window over which swings average out: 0.13 Hz and faster (paper 000)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +132,7 @@ def explanations(
         *_of_rates(evidence),
         *_of_attitudes(evidence),
         *_of_units_of_time(evidence),
+        *_of_booms(evidence),
     ]
     yield from found
     # the search for a shift takes longest, and its price may rule it out beforehand
@@ -128,7 +141,8 @@ def explanations(
 
 
 def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
-    if evidence.momentum is None:
+    rows = evidence.rows
+    if rows is None:
         return
     nothing, count = evidence.as_recorded, len(wheels)
     still = evidence.turned()
@@ -193,6 +207,14 @@ def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanatio
             left(replace(nothing, offset=axis)),
             FREE_PRICE,
         )
+        jump_s = rows.time_s[largest_jumps(rows.wheel_rpm)[w]]
+        yield Explanation(
+            "wheel-offset",
+            f"a rate of wheel {number} with a constant error from {jump_s:.10g} s on",
+            f"check rwa{number}_rpm at that time",
+            left(replace(nothing, wheel_jump=(w,))),
+            FREE_PRICE,
+        )
 
 
 def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
@@ -250,19 +272,6 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
     if evidence.momentum is None or not thrusters:
         return
     nothing, still = evidence.as_recorded, evidence.turned()
-    count = len(thrusters)
-    pairs = list(combinations(range(count), 2))
-    # two pairs at once within thrusters that push alike: mirrored corners
-    alike = [
-        (a, b)
-        for a, b in combinations(pairs, 2)
-        if not set(a) & set(b)
-        and all(
-            np.allclose(evidence.nominal.pushes[:, k], evidence.nominal.pushes[:, a[0]])
-            or np.allclose(evidence.nominal.pushes[:, k], -evidence.nominal.pushes[:, a[0]])
-            for k in (*a, *b)
-        )
-    ]
     for unit, factor in on_time_units(evidence.rows).items():
         fit = evidence.balance(replace(nothing, on_time=factor))
         assert fit is not None
@@ -272,9 +281,9 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
             "give on_time_…_s in seconds",
             fit.excess + still,
         )
-    for both in [*((pair,) for pair in pairs), *alike]:
+    for both in exchanges_of(evidence.nominal):
         names = " and ".join(f"{thrusters[a]} with {thrusters[b]}" for a, b in both)
-        fit = evidence.balance(nothing.with_thruster(exchanged(np.eye(count), both)))
+        fit = evidence.balance(nothing.with_thruster(exchanged(np.eye(len(thrusters)), both)))
         assert fit is not None
         yield Explanation(
             "thruster-order",
@@ -401,49 +410,57 @@ def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
         )
 
 
+def _of_booms(evidence: Evidence) -> Iterator[Explanation]:
+    """Booms that swing under gyros: physics, in slews found by rates averaged over a swing."""
+    rows, motion = evidence.rows, evidence.motion
+    fires = evidence.nominal.torques.shape[1] > 0  # firing would be averaged with it
+    if rows is None or motion is None or fires or evidence.turned():
+        return
+    step_s = float(np.median(np.diff(motion.time_s)))
+    reach = int(SWING_S / step_s)
+    window = np.cos(0.5 * np.pi * step_s * np.arange(-reach, reach + 1) / SWING_S) ** 2
+    window /= window.sum()
+    if not 0 < reach < len(motion.time_s) // 4:
+        return
+    smooth = np.stack([np.convolve(rate, window, "same") for rate in motion.rate_rad_s.T], axis=1)
+    calm = _within(
+        replace(rows, rate_rad_s=_between(rows.time_s, motion.time_s, smooth)), 2.0 * SWING_S
+    )
+    if len(calm.time_s) >= LEAST_ROWS:
+        left = replace(evidence, rows=calm).misfit()
+        yield Explanation(PHYSICS, "booms that swing", "", left, FREE_PRICE)
+
+
 def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
     """A channel that comes late or early, by as much as leaves least.
 
     A shift knows nothing of the ends, and fewer rows have less misfit: what it leaves is compared
     with what the same rows leave as they are.
     """
-    for name, what, shifted in _SHIFTS:
-        rows, motion = evidence.rows, evidence.motion
-        if rows is None or motion is None or (name == "counter-time" and not _fires(evidence)):
+    rows, motion = evidence.rows, evidence.motion
+    if rows is None or motion is None:
+        return
+    turned = evidence.turned()
+    for name, what in _SHIFTED.items():
+        of_motion = name in ("rate-time", "attitude-time")
+        if of_motion and not turned:
+            continue  # attitudes and rates are of one clock
+        if not of_motion and turned > EXPLAINED * misfit:
+            continue  # that is left whatever wheels and counters do
+        if name == "counter-time" and not evidence.nominal.torques.shape[1]:
             continue
-
-        def moved(
-            late_s: float, margin_s: float, shifted: Callable[[Motion, float], Motion] = shifted
-        ) -> Evidence | None:
-            assert rows is not None
-            assert motion is not None
-            inner = _within(shifted(rows, late_s), margin_s)
-            if len(inner.time_s) < LEAST_ROWS:
-                return None
-            assert isinstance(inner, Rows)
-            return replace(
-                evidence, motion=_within(shifted(motion, late_s), margin_s), rows=inner
-            )
-
-        def share(late_s: float, moved: Callable[[float, float], Evidence | None] = moved) -> float:
-            """Of the misfit of the same rows: what the shift leaves; 1 where too little is gained."""
-            as_is, late = moved(0.0, abs(late_s)), moved(late_s, abs(late_s))
-            if as_is is None or late is None:
-                return 1.0
-            before, after = as_is.misfit(), late.misfit()
-            return after / before if before - after > LEAST_GAIN + FREE_PRICE else 1.0
-
-        grid = {late: share(late) for late in (*(-s for s in LATE_S), *LATE_S)}
+        shift = _Shift(evidence, rows, motion, name)
+        grid = {late: shift.share(late) for late in (*(-s for s in LATE_S), *LATE_S)}
         near = min(grid, key=lambda late: grid[late])
-        if grid[near] == 1.0:
-            continue
-        step_s = float(np.median(np.diff(rows.time_s)))
+        step_s = float(np.median(np.diff(motion.time_s)))
         step_s = max(step_s, 2.0 * abs(near) / MOST_SHIFTS)
-        for late in np.arange(0.4, 2.5, step_s / abs(near)) * near:
+        for late in np.arange(0.5, 1.8, step_s / abs(near)) * near:
             whole = float(np.round(late / step_s) * step_s)
             if whole not in grid:
-                grid[whole] = share(whole)
+                grid[whole] = shift.share(whole)
         late = min(grid, key=lambda late: grid[late])
+        if shift.gain(late) < LEAST_GAIN + FREE_PRICE:
+            continue
         if abs(late) <= PHYSICAL_LAG_S and name != "counter-time":
             continue  # a boom's oscillation, too, looks like that
         yield Explanation(
@@ -455,53 +472,72 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
         )
 
 
-def _fires(evidence: Evidence) -> bool:
-    return bool(evidence.nominal.torques.shape[1])
+_SHIFTED: Final = {
+    "wheel-time": "wheel rates",
+    "rate-time": "body rates",
+    "counter-time": "counters",
+    "attitude-time": "attitudes",
+}
 
 
-def _within(rows: Motion, margin_s: float) -> Motion:
+@dataclass(frozen=True, eq=False)
+class _Shift:
+    """One channel moved in time: misfits of the rows that it still knows."""
+
+    evidence: Evidence
+    rows: Rows
+    motion: Motion
+    name: str
+    known: dict[tuple[float, float], float] = field(default_factory=dict)
+
+    def share(self, late_s: float) -> float:
+        """What the shift leaves of the misfit of the same rows; 1 where none is."""
+        before = self._left(0.0, abs(late_s))
+        return self._left(late_s, abs(late_s)) / before if before > 0.0 else 1.0
+
+    def gain(self, late_s: float) -> float:
+        """Misfit that it removes."""
+        return self._left(0.0, abs(late_s)) - self._left(late_s, abs(late_s))
+
+    def _left(self, late_s: float, margin_s: float) -> float:
+        if (late_s, margin_s) not in self.known:
+            rows = _within(self._moved(self.rows, late_s), margin_s)
+            motion = _within(self._moved(self.motion, late_s), margin_s)
+            few = len(rows.time_s) < LEAST_ROWS
+            other = replace(self.evidence, rows=rows, motion=motion)
+            self.known[late_s, margin_s] = np.inf if few and late_s else other.misfit()
+        return self.known[late_s, margin_s]
+
+    def _moved(self, rows: AnyRows, late_s: float) -> AnyRows:
+        """The rows had the channel not come late; those of which that is not known are left out."""
+        at, source = rows.time_s + late_s, self.motion
+        if late_s == 0.0:
+            return rows
+        if self.name == "rate-time":
+            return replace(rows, rate_rad_s=_between(at, source.time_s, source.rate_rad_s))
+        if self.name == "attitude-time":
+            attitude = _between(at, source.time_s, source.attitude)
+            return replace(rows, attitude=attitude / np.linalg.norm(attitude, axis=1)[:, None])
+        if not isinstance(rows, Rows):
+            return rows
+        if self.name == "wheel-time":
+            return replace(rows, wheel_rpm=_between(at, rows.time_s, rows.wheel_rpm))
+        after = np.clip(np.searchsorted(rows.time_s, at), 1, len(at) - 1)
+        counters = np.concatenate([rows.on_time_s, rows.pulses], axis=1)
+        exact = np.abs(rows.time_s[after] - at) < SAME_TIME_S
+        known = exact | (counters[after] == counters[after - 1]).all(axis=1)
+        moved = replace(rows, on_time_s=rows.on_time_s[after], pulses=rows.pulses[after])
+        return moved.only(known)
+
+
+def _within(rows: AnyRows, margin_s: float) -> AnyRows:
     """Rows away from both ends, where a shift knows nothing."""
     time = rows.time_s
-    inside = (time >= time[0] + margin_s) & (time <= time[-1] - margin_s)
-    return rows.only(inside)
-
-
-def _earlier(time_s: Array, values: Array, late_s: float) -> Array:
-    """Values as they would be had they not come late."""
-    if not values.shape[1]:
-        return values
-    columns = [np.interp(time_s + late_s, time_s, column) for column in values.T]
-    return np.stack(columns, axis=1)
-
-
-def _rates_moved(rows: Motion, late_s: float) -> Motion:
-    return replace(rows, rate_rad_s=_earlier(rows.time_s, rows.rate_rad_s, late_s))
-
-
-def _wheels_moved(rows: Motion, late_s: float) -> Motion:
-    if not isinstance(rows, Rows):
+    if not len(time):
         return rows
-    return replace(rows, wheel_rpm=_earlier(rows.time_s, rows.wheel_rpm, late_s))
+    return rows.only((time >= time[0] + margin_s) & (time <= time[-1] - margin_s))
 
 
-def _attitudes_moved(rows: Motion, late_s: float) -> Motion:
-    moved = _earlier(rows.time_s, rows.attitude, late_s)
-    return replace(rows, attitude=moved / np.linalg.norm(moved, axis=1, keepdims=True))
-
-
-def _counters_moved(rows: Motion, late_s: float) -> Motion:
-    if not isinstance(rows, Rows):
-        return rows
-    return replace(
-        rows,
-        on_time_s=_earlier(rows.time_s, rows.on_time_s, late_s),
-        pulses=_earlier(rows.time_s, rows.pulses, late_s),
-    )
-
-
-_SHIFTS: Final[tuple[tuple[str, str, Callable[[Motion, float], Motion]], ...]] = (
-    ("wheel-time", "wheel rates", _wheels_moved),
-    ("rate-time", "body rates", _rates_moved),
-    ("counter-time", "counters", _counters_moved),
-    ("attitude-time", "attitudes", _attitudes_moved),
-)
+def _between(at_s: Array, time_s: Array, values: Array) -> Array:
+    """Values at other times, linear between rows."""
+    return np.stack([np.interp(at_s, time_s, column) for column in values.T], axis=1)

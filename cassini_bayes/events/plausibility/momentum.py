@@ -21,6 +21,7 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
@@ -36,12 +37,12 @@ from cassini_bayes.spacecraft import (
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 WIDTHS: Final[Mapping[str, float]] = {
-    "inertia": 0.1,  # of the mean moment of inertia, each element
-    "wheel": 0.03,  # of the spin inertia, along and across each spin axis
+    "inertia": 0.05,  # of the mean moment of inertia, each element
+    "wheel": 0.02,  # of the spin inertia, along and across each spin axis
     "common": 0.15,  # of the thrust, all thrusters alike
     "thrust": 0.2,  # of a thruster's torque
     "cant": 0.05,  # of a thruster's torque, each axis
-    "centre": 0.15,  # m, each axis
+    "centre": 0.1,  # m, each axis
     "tail": 0.1,  # s of thrust per pulse, all thrusters alike
     "own tail": 0.03,  # s of thrust per pulse, each thruster
     "warm-up": 0.25,  # of the thrust, while a thruster's bed is cold
@@ -117,8 +118,8 @@ class Correction:
     """What recorded channels have to be multiplied by to be true, and what is free besides.
 
     ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
-    a constant error; ``wheel_factor``: wheels whose column has a free factor; ``on_time``: factor
-    of on-times, not of pulses.
+    a constant error; ``wheel_factor``: wheels whose column has a free factor; ``wheel_jump``: wheels
+    with a constant error from their largest jump on; ``on_time``: factor of on-times, not of pulses.
     """
 
     rate: Array  # (3, 3)
@@ -126,6 +127,7 @@ class Correction:
     thruster: Array  # (K, K)
     offset: Array = field(default_factory=lambda: np.zeros((3, 0)))
     wheel_factor: tuple[int, ...] = ()
+    wheel_jump: tuple[int, ...] = ()
     on_time: float = 1.0
 
     @classmethod
@@ -174,6 +176,7 @@ class Columns:
             "flow": thrusters,
             "torque": 1,
             "fixed": 1,
+            "jump": wheels,
             "drift": DRIFT_MODES,
         }
         ends = 3 * np.cumsum(list(sizes.values()))
@@ -207,7 +210,7 @@ class Momentum:
     def noise(self, nominal: Nominal, correction: Correction) -> float:
         """Standard deviation of a row on one axis, N m s: from second differences of the total.
 
-        Of all exchanges of two thrusters the least: firings of the wrong thruster are no noise.
+        Of all exchanges of thrusters the least: firings of the wrong thruster are no noise.
         """
         targets = corrected(self.columns, nominal.exchanges, correction)
         square = float(np.einsum("ph,ph->h", targets, self.steps @ targets).min())
@@ -279,14 +282,29 @@ def corrected(columns: Columns, weights: Array, correction: Correction) -> Array
     return result
 
 
-def targets_of(columns: Columns, nominal: Nominal) -> Array:
-    """Weights (p, 1 + pairs) of the total momentum less what nominal thrusters brought.
+def exchanges_of(nominal: Nominal) -> list[tuple[tuple[int, int], ...]]:
+    """Pairs of thrusters that may be exchanged, and two pairs at once of those that push alike."""
+    pairs = list(combinations(range(nominal.torques.shape[1]), 2))
+    pushes = nominal.pushes.T
+    both = [
+        (a, b)
+        for a, b in combinations(pairs, 2)
+        if not set(a) & set(b)
+        and all(
+            np.allclose(pushes[k], pushes[a[0]]) or np.allclose(pushes[k], -pushes[a[0]])
+            for k in (*a, *b)
+        )
+    ]
+    return [*((pair,) for pair in pairs), *both]
 
-    First as it is, then with each pair of thrusters exchanged.
+
+def targets_of(columns: Columns, nominal: Nominal) -> Array:
+    """Weights (p, 1 + exchanges) of the total momentum less what nominal thrusters brought.
+
+    First as it is, then with thrusters exchanged.
     """
-    count = nominal.torques.shape[1]
-    orders = [np.eye(count)]
-    orders += [exchanged(orders[0], (pair,)) for pair in combinations(range(count), 2)]
+    orders = [np.eye(nominal.torques.shape[1])]
+    orders += [exchanged(orders[0], pairs) for pairs in exchanges_of(nominal)]
     brought = [-nominal.torques @ order for order in orders]
     targets = [
         columns.weights(
@@ -308,6 +326,11 @@ def departures_of(
         own = np.outer(nominal.spins[:, w], np.eye(len(correction.wheel))[w])
         free.append(columns.weights(wheel_around=_FREE * own))
         names += ("factor",)
+    for w in correction.wheel_jump:
+        spin = nominal.spins[:, w] / np.linalg.norm(nominal.spins[:, w])
+        own = np.outer(_FREE * spin, np.eye(len(correction.wheel))[w])
+        free.append(columns.weights(jump=own))
+        names += ("jump",)
     if free:
         design = np.concatenate([design, np.stack(free, axis=1)], axis=1)
     return names, corrected(columns, design, correction)
@@ -414,6 +437,8 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     table[:, :, of["flow"]] = np.gradient(fired, time, axis=0) if thrusters else fired
     table[:, :, of["torque"]] = accumulated(np.diff(time)[:, None])
     table[:, :, of["fixed"]] = carried(np.ones((count, 1)))
+    jumped = np.arange(count)[:, None] >= largest_jumps(rows.wheel_rpm)
+    table[:, :, of["jump"]] = carried(jumped.astype(np.float64))
     table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)
     start = np.broadcast_to(np.eye(3), (count, 3, 3))
     per_row = 3
@@ -426,9 +451,20 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     # the momentum at the start is not known: nothing along it is looked at
     unknown = np.linalg.qr(start.reshape(3 * count, 3))[0]
     flat = flat - unknown @ (unknown.T @ flat)
-    bends = (table[2:] - 2.0 * table[1:-1] + table[:-2]).reshape(3 * (count - 2), -1)
+    smooth = np.ones(count - 2, dtype=bool)
+    for row in largest_jumps(rows.wheel_rpm).tolist():
+        smooth[max(row - 2, 0) : row] = False  # a wheel that jumps is no noise
+    bends = (table[2:] - 2.0 * table[1:-1] + table[:-2])[smooth].reshape(-1, columns.size)
     gram, steps = flat.T @ flat, bends.T @ bends
-    return Momentum(columns, gram, steps, count, per_row, count - 2, rounding_of(rows))
+    bent = int(np.count_nonzero(smooth))
+    return Momentum(columns, gram, steps, count, per_row, bent, rounding_of(rows))
+
+
+def largest_jumps(wheel_rpm: Array) -> NDArray[np.int64]:
+    """Row (W,) at which each wheel's rate jumps most: by its step less those before and after."""
+    steps = np.diff(wheel_rpm, axis=0)
+    around = 0.5 * (steps[:-2] + steps[2:])
+    return np.argmax(np.abs(steps[1:-1] - around), axis=0) + 2
 
 
 def rounding_of(rows: Rows) -> Array:

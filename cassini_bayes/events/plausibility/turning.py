@@ -87,23 +87,37 @@ class Turning:
 
 
     def misaligned(self, rate: Array, axes: Sequence[int] = (0, 1, 2)) -> float:
-        """Twice the logarithm by which other axes or another lag fit better, at their best.
+        """Twice the logarithm by which other axes, another lag or size fit better, at their best.
 
-        Rates are ``rate`` (3, 3) times those recorded. A gyro's misalignment may be physics: as
-        much as it brings is noise.
+        Rates are ``rate`` (3, 3) times those recorded. Two readings of the likelihood, the larger
+        counts: rates are as good as free of noise, and only the difference has any; or both have
+        as much as they like, so that Σ y x estimates the power of the motion, which is neither
+        negative nor above Σ x² or Σ y². A gyro's misalignment may be physics: as much as it brings
+        is noise.
         """
         chosen = list(axes)
         y, x = self.each[0][:, chosen], (self.each[1] @ rate.T)[:, chosen]
-        power = np.sum(y * y, axis=1) + np.sum(x * x, axis=1)
-        floor = (2.0 * GYRO_SD) ** 2 * float(power.sum())
-        left = float(np.sum((y - x) ** 2)) + floor
-        turned = np.linalg.svd(y.T @ x, compute_uv=False).sum() if len(chosen) > 1 else 0.0
-        gain = left / max(float(power.sum()) - 2.0 * float(turned) + floor, 1e-300)
+        noise = (3.0 * GYRO_SD) ** 2
+
+        def gain(turned: Array, mean: Array, best: float) -> float:
+            """Likelihood ratio of the best common power Σ y x to that of the same axes and time."""
+            yy, xx = float(np.sum(turned**2)), float(np.sum(mean**2))
+            if yy * xx == 0.0:
+                return 1.0
+            same, small = float(np.sum(turned * mean)), min(xx, yy)
+            by_difference = yy + xx + noise * (yy + xx)
+            first = (by_difference - 2.0 * same) / (by_difference - 2.0 * best)
+            power = max(same, 0.0)
+            as_is = yy * xx - power**2 if power <= small else small * (yy + xx - 2.0 * power)
+            second = (as_is + noise * yy * xx) / (yy * xx * (1.0 + noise) - max(best, power) ** 2)
+            return max(first, second)
+
+        anyhow = float(np.linalg.svd(y.T @ x, compute_uv=False).sum())
+        largest = gain(y, x, anyhow if len(chosen) > 1 else float(np.sum(y * x)))
         for k in range(1, min(MOST_LAGS, len(y) // 4) + 1):
-            for turn, mean, here in ((y[k:], x[:-k], x[k:]), (y[:-k], x[k:], x[:-k])):
-                before = float(np.sum((turn - here) ** 2)) + floor
-                gain = max(gain, before / (float(np.sum((turn - mean) ** 2)) + floor))
-        return len(y) * float(np.log(max(gain, 1.0)))
+            late, early = float(np.sum(y[k:] * x[:-k])), float(np.sum(y[:-k] * x[k:]))
+            largest = max(largest, gain(y[k:], x[k:], late), gain(y[:-k], x[:-k], early))
+        return len(y) * float(np.log(max(largest, 1.0)))
 
 
 def turning_of(motion: Motion) -> Turning | None:
