@@ -70,8 +70,6 @@ AnyRows = TypeVar("AnyRows", bound=Motion)
 LEAST_TURNED: Final = 10.0
 """Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
 MOST_SHIFTS: Final = 16
-SWING_S: Final = 8.0
-"""Half-width of the window over which swings average out: 0.13 Hz and faster (paper 000)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +130,6 @@ def explanations(
         *_of_rates(evidence),
         *_of_attitudes(evidence),
         *_of_units_of_time(evidence),
-        *_of_booms(evidence),
     ]
     yield from found
     # the search for a shift takes longest, and its price may rule it out beforehand
@@ -410,27 +407,6 @@ def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
         )
 
 
-def _of_booms(evidence: Evidence) -> Iterator[Explanation]:
-    """Booms that swing under gyros: physics, in slews found by rates averaged over a swing."""
-    rows, motion = evidence.rows, evidence.motion
-    fires = evidence.nominal.torques.shape[1] > 0  # firing would be averaged with it
-    if rows is None or motion is None or fires or evidence.turned():
-        return
-    step_s = float(np.median(np.diff(motion.time_s)))
-    reach = int(SWING_S / step_s)
-    window = np.cos(0.5 * np.pi * step_s * np.arange(-reach, reach + 1) / SWING_S) ** 2
-    window /= window.sum()
-    if not 0 < reach < len(motion.time_s) // 4:
-        return
-    smooth = np.stack([np.convolve(rate, window, "same") for rate in motion.rate_rad_s.T], axis=1)
-    calm = _within(
-        replace(rows, rate_rad_s=_between(rows.time_s, motion.time_s, smooth)), 2.0 * SWING_S
-    )
-    if len(calm.time_s) >= LEAST_ROWS:
-        left = replace(evidence, rows=calm).misfit()
-        yield Explanation(PHYSICS, "booms that swing", "", left, FREE_PRICE)
-
-
 def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
     """A channel that comes late or early, by as much as leaves least.
 
@@ -488,46 +464,53 @@ class _Shift:
     rows: Rows
     motion: Motion
     name: str
-    known: dict[tuple[float, float], float] = field(default_factory=dict)
+    known: dict[float, tuple[float, float]] = field(default_factory=dict)
 
     def share(self, late_s: float) -> float:
         """What the shift leaves of the misfit of the same rows; 1 where none is."""
-        before = self._left(0.0, abs(late_s))
-        return self._left(late_s, abs(late_s)) / before if before > 0.0 else 1.0
+        before, after = self._misfits(late_s)
+        return after / before if before > 0.0 else 1.0
 
     def gain(self, late_s: float) -> float:
         """Misfit that it removes."""
-        return self._left(0.0, abs(late_s)) - self._left(late_s, abs(late_s))
+        before, after = self._misfits(late_s)
+        return before - after
 
-    def _left(self, late_s: float, margin_s: float) -> float:
-        if (late_s, margin_s) not in self.known:
-            rows = _within(self._moved(self.rows, late_s), margin_s)
-            motion = _within(self._moved(self.motion, late_s), margin_s)
-            few = len(rows.time_s) < LEAST_ROWS
-            other = replace(self.evidence, rows=rows, motion=motion)
-            self.known[late_s, margin_s] = np.inf if few and late_s else other.misfit()
-        return self.known[late_s, margin_s]
+    def _misfits(self, late_s: float) -> tuple[float, float]:
+        """Of rows that the shift knows: as they are, and with the channel moved back."""
+        if late_s not in self.known:
+            rows, moved = self._moved(self.rows, late_s)
+            motion = self._moved(self.motion, late_s)
+            if len(rows.time_s) < LEAST_ROWS:
+                return 0.0, 0.0
+            pairs = zip((rows, moved), motion, strict=True)
+            before, after = (replace(self.evidence, rows=r, motion=m).misfit() for r, m in pairs)
+            self.known[late_s] = before, after
+        return self.known[late_s]
 
-    def _moved(self, rows: AnyRows, late_s: float) -> AnyRows:
-        """The rows had the channel not come late; those of which that is not known are left out."""
+    def _moved(self, rows: AnyRows, late_s: float) -> tuple[AnyRows, AnyRows]:
+        """Rows that the shift knows, as they are and had the channel not come late."""
+        rows = _within(rows, abs(late_s))
         at, source = rows.time_s + late_s, self.motion
-        if late_s == 0.0:
-            return rows
         if self.name == "rate-time":
-            return replace(rows, rate_rad_s=_between(at, source.time_s, source.rate_rad_s))
+            rates = _between(at, source.time_s, source.rate_rad_s)
+            return rows, replace(rows, rate_rad_s=rates)
         if self.name == "attitude-time":
             attitude = _between(at, source.time_s, source.attitude)
-            return replace(rows, attitude=attitude / np.linalg.norm(attitude, axis=1)[:, None])
+            attitude = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
+            return rows, replace(rows, attitude=attitude)
         if not isinstance(rows, Rows):
-            return rows
+            return rows, rows
+        whole = self.rows
         if self.name == "wheel-time":
-            return replace(rows, wheel_rpm=_between(at, rows.time_s, rows.wheel_rpm))
-        after = np.clip(np.searchsorted(rows.time_s, at), 1, len(at) - 1)
-        counters = np.concatenate([rows.on_time_s, rows.pulses], axis=1)
-        exact = np.abs(rows.time_s[after] - at) < SAME_TIME_S
+            return rows, replace(rows, wheel_rpm=_between(at, whole.time_s, whole.wheel_rpm))
+        # counters are known where they were read, and between equal readings
+        after = np.clip(np.searchsorted(whole.time_s, at - SAME_TIME_S), 1, len(whole.time_s) - 1)
+        counters = np.concatenate([whole.on_time_s, whole.pulses], axis=1)
+        exact = np.abs(whole.time_s[after] - at) < SAME_TIME_S
         known = exact | (counters[after] == counters[after - 1]).all(axis=1)
-        moved = replace(rows, on_time_s=rows.on_time_s[after], pulses=rows.pulses[after])
-        return moved.only(known)
+        moved = replace(rows, on_time_s=whole.on_time_s[after], pulses=whole.pulses[after])
+        return rows.only(known), moved.only(known)
 
 
 def _within(rows: AnyRows, margin_s: float) -> AnyRows:

@@ -47,7 +47,7 @@ WIDTHS: Final[Mapping[str, float]] = {
     "own tail": 0.03,  # s of thrust per pulse, each thruster
     "warm-up": 0.25,  # of the thrust, while a thruster's bed is cold
     "lag": 1.0,  # s of the counters
-    "torque": 0.006,  # N m, each axis: a leak of a few mN
+    "torque": 0.003,  # N m, each axis: a leak of a few mN
     "bias": 2e-5,  # rad/s of every rate
     "drift": 0.002,  # N m s per √s, each axis: torque that nothing catalogued explains
 }

@@ -112,11 +112,19 @@ class Turning:
             second = (as_is + noise * yy * xx) / (yy * xx * (1.0 + noise) - max(best, power) ** 2)
             return max(first, second)
 
-        anyhow = float(np.linalg.svd(y.T @ x, compute_uv=False).sum())
-        largest = gain(y, x, anyhow if len(chosen) > 1 else float(np.sum(y * x)))
+        def anyhow(turned: Array, mean: Array) -> float:
+            """Σ y x of the axes that fit best."""
+            common = turned.T @ mean
+            several = len(chosen) > 1
+            return float(np.linalg.svd(common, compute_uv=False).sum() if several else common[0, 0])
+
+        largest = gain(y, x, anyhow(y, x))
         for k in range(1, min(MOST_LAGS, len(y) // 4) + 1):
-            late, early = float(np.sum(y[k:] * x[:-k])), float(np.sum(y[:-k] * x[k:]))
-            largest = max(largest, gain(y[k:], x[k:], late), gain(y[:-k], x[:-k], early))
+            largest = max(
+                largest,
+                gain(y[k:], x[k:], anyhow(y[k:], x[:-k])),
+                gain(y[:-k], x[:-k], anyhow(y[:-k], x[k:])),
+            )
         return len(y) * float(np.log(max(largest, 1.0)))
 
 
