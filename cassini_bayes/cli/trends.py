@@ -91,9 +91,7 @@ def fit_of_mission(
     _finish(outcome, "fit.nc", as_json, quiet, strict=False)
 
 
-def _finish(
-    outcome: TrendOutcome, file: str, as_json: bool, quiet: bool, strict: bool
-) -> NoReturn:
+def _finish(outcome: TrendOutcome, file: str, as_json: bool, quiet: bool, strict: bool) -> NoReturn:
     if as_json:
         typer.echo(json.dumps({"folder": str(outcome.folder), **outcome.record}, allow_nan=False))
     elif not quiet:

@@ -195,7 +195,9 @@ def _fitted(
 
 def _laws(mission: MissionTable, inputs: MissionInputs) -> str:
     """Hash of all that the draws depend on beside the events."""
-    table = mission.model_dump(mode="json", exclude={"events": True, "accept": True, "trend": {"forecast"}})
+    table = mission.model_dump(
+        mode="json", exclude={"events": True, "accept": True, "trend": {"forecast"}}
+    )
     return _hash(
         json.dumps(table, sort_keys=True),
         inputs.priors.digest,

@@ -147,7 +147,8 @@ def test_events_of_both_branches_in_one_fit(tmp_path: Path, priors: Path) -> Non
 
 def test_mistakes_in_a_mission_are_refused(tmp_path: Path, priors: Path) -> None:
     """Wheels exchanged in a table, and a row under a second id; accepted, they stand among the
-    warnings, and with `--strict` make the exit status 1."""
+    warnings, and with `--strict` make the exit status 1.
+    """
     text = Path(FLIGHT).read_text("utf-8").splitlines()
     rows = [row for row in text[1:] if row.startswith(IDS) and row.endswith("flight")]
     names = text[0].replace("rwa1", "rwa0").replace("rwa2", "rwa1").replace("rwa0", "rwa2")

@@ -416,7 +416,7 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
     rows, motion = evidence.rows, evidence.motion
     if rows is None or motion is None:
         return
-    turned = evidence.turned()
+    turned, row_s = evidence.turned(), float(np.median(np.diff(rows.time_s)))
     for name, what in _SHIFTED.items():
         of_motion = name in ("rate-time", "attitude-time")
         if of_motion and not turned:
@@ -439,8 +439,10 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
             continue
         if abs(late) <= PHYSICAL_LAG_S and name != "counter-time":
             continue  # a boom's oscillation, too, looks like that
+        # a lag is found to a row; so much of it may be rounding
+        physical = name == "counter-time" and abs(late) <= PHYSICAL_LAG_S + row_s
         yield Explanation(
-            PHYSICS if abs(late) <= PHYSICAL_LAG_S else name,
+            PHYSICS if physical else name,
             f"{what} that come {abs(late):.3g} s {'late' if late > 0.0 else 'early'}",
             "bring all channels to the same clock",
             misfit * grid[late],

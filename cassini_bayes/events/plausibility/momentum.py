@@ -57,6 +57,8 @@ there, as a mistake that explains more than a torque of nobody's catalogue has t
 WARM_UP_S: Final = 5.0
 DRIFT_MODES: Final = 12
 LEAST_NOISE: Final = 1e-5
+LEAST_IMPULSE: Final = 1e-9
+"""N m s, of events that fire nothing."""
 SHARED: Final = 3.0
 """Rows that a rounding error counts for (by trial, on pulses of 30 to 250 ms in steps of 125)."""
 MOST_SIGMAS: Final = 5.0
@@ -118,8 +120,9 @@ class Correction:
     """What recorded channels have to be multiplied by to be true, and what is free besides.
 
     ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
-    a constant error; ``wheel_factor``: wheels whose column has a free factor; ``wheel_jump``: wheels
-    with a constant error from their largest jump on; ``on_time``: factor of on-times, not of pulses.
+    a constant error; ``wheel_factor``: wheels whose column has a free factor;
+    ``wheel_jump``: wheels with a constant error from their largest jump on; ``on_time``: factor of
+    on-times, not of pulses.
     """
 
     rate: Array  # (3, 3)
@@ -206,6 +209,8 @@ class Momentum:
     per_row: int  # equations that a row brings
     counts: int  # second differences
     rounding: Array  # (K,) s², variance that a rounded counter brings to a row
+    on_time_s: Array  # (K,) gained in all rows
+    pulses: Array  # (K,)
 
     def noise(self, nominal: Nominal, correction: Correction) -> float:
         """Standard deviation of a row on one axis, N m s: from second differences of the total.
@@ -241,13 +246,25 @@ class Momentum:
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
         excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
         if "common" in names:
-            kinds = np.array(names)
-            common = float(solution[kinds == "common"][0])
-            own = solution[kinds == "thrust"]
-            level = 1.0 + WIDTHS["common"] * common + WIDTHS["thrust"] * float(own.mean())
-            variance = WIDTHS["common"] ** 2 + WIDTHS["thrust"] ** 2 / len(own)
-            excess += vanishing(level, variance)
+            share = self._share_of_impulse(names, nominal, correction)
+            excess += vanishing(1.0 + float(share @ solution), float(share @ share))
         return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
+
+    def _share_of_impulse(
+        self, names: Sequence[str], nominal: Nominal, correction: Correction
+    ) -> Array:
+        """What 1 σ of each departure (J,) adds to the impulse of all firings, as a share of it."""
+        size = np.linalg.norm(nominal.torques, axis=0)
+        pulses = size * (correction.thruster @ self.pulses)
+        on = correction.on_time * size * (correction.thruster @ self.on_time_s)
+        on = on + nominal.tail_s * pulses
+        kinds = np.array(names)
+        share = np.zeros(len(names))
+        share[kinds == "common"] = WIDTHS["common"] * on.sum()
+        share[kinds == "tail"] = WIDTHS["tail"] * pulses.sum()
+        share[kinds == "thrust"] = WIDTHS["thrust"] * on
+        share[kinds == "own tail"] = WIDTHS["own tail"] * pulses
+        return share / max(float(on.sum()), LEAST_IMPULSE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -457,14 +474,24 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     bends = (table[2:] - 2.0 * table[1:-1] + table[:-2])[smooth].reshape(-1, columns.size)
     gram, steps = flat.T @ flat, bends.T @ bends
     bent = int(np.count_nonzero(smooth))
-    return Momentum(columns, gram, steps, count, per_row, bent, rounding_of(rows))
+    return Momentum(
+        columns,
+        gram,
+        steps,
+        count,
+        per_row,
+        bent,
+        rounding_of(rows),
+        rows.on_time_s[-1] - rows.on_time_s[0],
+        rows.pulses[-1] - rows.pulses[0],
+    )
 
 
 def largest_jumps(wheel_rpm: Array) -> NDArray[np.int64]:
     """Row (W,) at which each wheel's rate jumps most: by its step less those before and after."""
     steps = np.diff(wheel_rpm, axis=0)
     around = 0.5 * (steps[:-2] + steps[2:])
-    return np.argmax(np.abs(steps[1:-1] - around), axis=0) + 2
+    return np.asarray(np.argmax(np.abs(steps[1:-1] - around), axis=0) + 2)
 
 
 def rounding_of(rows: Rows) -> Array:

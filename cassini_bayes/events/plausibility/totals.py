@@ -25,7 +25,12 @@ from cassini_bayes.events.plausibility.hypotheses import (
     WHEEL_UNITS,
     impossible_units,
 )
-from cassini_bayes.events.plausibility.momentum import WIDTHS, Nominal, vanishing
+from cassini_bayes.events.plausibility.momentum import (
+    LEAST_IMPULSE,
+    WIDTHS,
+    Nominal,
+    vanishing,
+)
 from cassini_bayes.events.plausibility.verdict import (
     STRICT,
     Explanation,
@@ -51,8 +56,6 @@ LOST: Final = 0.4
 TAIL_S: Final = 0.03
 OWN_TAIL_S: Final = 0.01
 """Thrust per pulse beyond the nominal: with more, firing could vanish in tables of short pulses."""
-LEAST_IMPULSE: Final = 1e-9
-"""N m s, of rows that fire nothing."""
 USUAL_PULSE_S: Final = 0.25
 """Mean width taken where a table has no pulse counts."""
 UNKNOWN_PER_ROW: Final = 20.0

@@ -85,7 +85,6 @@ class Turning:
             total += float(gap @ np.linalg.lstsq(covariance, gap)[0])
         return total
 
-
     def misaligned(self, rate: Array, axes: Sequence[int] = (0, 1, 2)) -> float:
         """Twice the logarithm by which other axes, another lag or size fit better, at their best.
 

@@ -48,9 +48,7 @@ CASES: Final = tuple((name, kind) for name, each in TELEMETRY.items() for kind i
 ROW_CASES: Final = tuple((name, form) for name in TOTALS for form in FORMS)
 
 
-def judge(
-    event: TelemetryEvent, chunk: Chunk, priors: Priors, sought: Sequence[str] = ()
-) -> str:
+def judge(event: TelemetryEvent, chunk: Chunk, priors: Priors, sought: Sequence[str] = ()) -> str:
     """One of :data:`VERDICTS` on telemetry.
 
     A message names all mistakes that explain the data as well as the best does; the one that is
@@ -65,9 +63,7 @@ def judge(
     return _verdict(ask, sought)
 
 
-def judge_rows(
-    rows: Sequence[TotalsEvent], priors: Priors, sought: Sequence[str] = ()
-) -> str:
+def judge_rows(rows: Sequence[TotalsEvent], priors: Priors, sought: Sequence[str] = ()) -> str:
     """One of :data:`VERDICTS` on totals; as :func:`judge`."""
     return _verdict(lambda: check_rows(rows, priors, "totals.csv"), sought)
 

@@ -140,7 +140,9 @@ _WHEELS: Final[Mapping[str, Mistaken]] = {
         times("wheel_rpm", RAD_S_PER_RPM), UNIT, wheel_spread=3.0 * np.log(RAD_S_PER_RPM)
     ),
     "wheels in deg/s": Mistaken(times("wheel_rpm", 6.0), UNIT, wheel_spread=3.0 * np.log(6.0)),
-    "wheels in rev/s": Mistaken(times("wheel_rpm", 1 / 60.0), UNIT, wheel_spread=-3.0 * np.log(60.0)),
+    "wheels in rev/s": Mistaken(
+        times("wheel_rpm", 1 / 60.0), UNIT, wheel_spread=-3.0 * np.log(60.0)
+    ),
     "wheels turned to rad/s twice": Mistaken(
         times("wheel_rpm", 1 / RAD_S_PER_RPM), UNIT, wheel_spread=-3.0 * np.log(RAD_S_PER_RPM)
     ),
@@ -208,12 +210,18 @@ _RATES: Final[Mapping[str, Mistaken]] = {
         ("rate-unit", "time-unit"),
         rate_spread=-3.0 * np.log(DEGREES),
     ),
-    "rates × 1.1": Mistaken(times("rate_rad_s", 1.1), ("rate-factor",), rate_spread=3.0 * np.log(1.1)),
+    "rates × 1.1": Mistaken(
+        times("rate_rad_s", 1.1), ("rate-factor",), rate_spread=3.0 * np.log(1.1)
+    ),
     "y rate × 1.1": Mistaken(
         times("rate_rad_s", (1.0, 1.1, 1.0)), ("rate-factor",), rate_spread=np.log(1.1)
     ),
-    "rates × 2": Mistaken(times("rate_rad_s", 2.0), ("rate-factor",), rate_spread=3.0 * np.log(2.0)),
-    "rates × 0.5": Mistaken(times("rate_rad_s", 0.5), ("rate-factor",), rate_spread=-3.0 * np.log(2.0)),
+    "rates × 2": Mistaken(
+        times("rate_rad_s", 2.0), ("rate-factor",), rate_spread=3.0 * np.log(2.0)
+    ),
+    "rates × 0.5": Mistaken(
+        times("rate_rad_s", 0.5), ("rate-factor",), rate_spread=-3.0 * np.log(2.0)
+    ),
     "rates 8 s late": Mistaken(moved(8.0, "rate_rad_s"), ("rate-time",)),
     "rates 20 s early": Mistaken(moved(-20.0, "rate_rad_s"), ("rate-time",)),
 }
