@@ -14,7 +14,12 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.attitudes import turns_rad
 from cassini_bayes.events.plausibility.cells import BadCell, CellSearch, without_cells
 from cassini_bayes.events.plausibility.counts import OnTimeSteps, PulseSteps
-from cassini_bayes.events.plausibility.hypotheses import AXES, Evidence, explanations
+from cassini_bayes.events.plausibility.hypotheses import (
+    AXES,
+    Evidence,
+    explanations,
+    with_noise_of_lags,
+)
 from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
 from cassini_bayes.events.plausibility.verdict import (
@@ -206,8 +211,9 @@ class TelemetryCheck:
     def _explain(self, evidence: Evidence, misfit: float, findings: Findings) -> None:
         event = self._event
         where = str(event.telemetry)
-        found = list(explanations(evidence, event.wheels, event.thrusters))
-        best = best_explanations(misfit, found)
+        sharper = with_noise_of_lags(evidence)
+        found = list(explanations(sharper, event.wheels, event.thrusters))
+        best = best_explanations(sharper.misfit(), found)
         if best and best[0].mistake == PHYSICS:
             misfit, best = best[0].left, ()
         if best:

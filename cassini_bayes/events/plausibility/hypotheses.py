@@ -57,7 +57,7 @@ ON_TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0}
 SHORTEST_PULSE_S: Final = 5e-3
 """No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
-LATE_S: Final = (2.0, 5.0, 9.0, 14.0, 21.0, 32.0, 50.0, 75.0)
+LATE_S: Final = (2.0, 5.0, 8.0, 12.0, 20.0, 32.0, 50.0, 75.0)
 LEAST_FACTOR_STEP: Final = 0.08
 """A free factor closer to 1 is a departure, no mistake."""
 CHANCE_SIGMAS: Final = 4.0
@@ -66,6 +66,9 @@ PHYSICAL_LAG_S: Final = 2.5
 """Of counters: the bound of the catalogue's time_offset, which is the diagnosis's to name."""
 AXES: Final = "xyz"
 SAME_TIME_S: Final = 1e-6
+MOST_OF_ROWS: Final = 0.3
+SAME_NOISE: Final = 1.5
+"""Of what few rows away from firings show."""
 AnyRows = TypeVar("AnyRows", bound=Motion)
 LEAST_TURNED: Final = 10.0
 """Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
@@ -80,6 +83,7 @@ class Evidence:
     motion: Motion | None
     rows: Rows | None
     along: Array | None = None  # (3,) of :func:`momentum_of`
+    most_noise: float = np.inf  # of a row in N m s, if something is known of it
 
     @cached_property
     def turning(self) -> Turning | None:
@@ -89,7 +93,9 @@ class Evidence:
     @cached_property
     def momentum(self) -> Momentum | None:
         """Columns of the balance."""
-        return None if self.rows is None else momentum_of(self.rows, self.along)
+        if self.rows is None:
+            return None
+        return replace(momentum_of(self.rows, self.along), most_noise=self.most_noise)
 
     @cached_property
     def as_recorded(self) -> Correction:
@@ -117,6 +123,22 @@ class Evidence:
         correction = correction or self.as_recorded
         fit = self.balance(correction)
         return (0.0 if fit is None else fit.excess) + self.turned(correction.rate)
+
+
+def with_noise_of_lags(evidence: Evidence) -> Evidence:
+    """The same with no more noise than counters leave that come late or early.
+
+    Firings at the wrong time look like noise, and in much noise everything fits.
+    """
+    rows, motion = evidence.rows, evidence.motion
+    if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
+        return evidence
+    shift, noises = _Shift(evidence, rows, motion, "counter-time"), [np.inf]
+    for late_s in shift.lags_s():
+        moved = shift.moved(rows, late_s)[1]
+        if abs(late_s) > PHYSICAL_LAG_S and len(moved.time_s) >= MOST_OF_ROWS * len(rows.time_s):
+            noises.append(momentum_of(moved).noise(evidence.nominal, evidence.as_recorded))
+    return replace(evidence, most_noise=SAME_NOISE * min(noises))
 
 
 def explanations(
@@ -416,7 +438,7 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
     rows, motion = evidence.rows, evidence.motion
     if rows is None or motion is None:
         return
-    turned, row_s = evidence.turned(), float(np.median(np.diff(rows.time_s)))
+    turned, row_s = evidence.turned(), float(np.median(np.diff(motion.time_s)))
     for name, what in _SHIFTED.items():
         of_motion = name in ("rate-time", "attitude-time")
         if of_motion and not turned:
@@ -426,10 +448,9 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
         if name == "counter-time" and not evidence.nominal.torques.shape[1]:
             continue
         shift = _Shift(evidence, rows, motion, name)
-        grid = {late: shift.share(late) for late in (*(-s for s in LATE_S), *LATE_S)}
+        grid = {late: shift.share(late) for late in shift.lags_s()}
         near = min(grid, key=lambda late: grid[late])
-        step_s = float(np.median(np.diff(motion.time_s)))
-        step_s = max(step_s, 2.0 * abs(near) / MOST_SHIFTS)
+        step_s = max(row_s, 2.0 * abs(near) / MOST_SHIFTS)
         for late in np.arange(0.5, 1.8, step_s / abs(near)) * near:
             whole = float(np.round(late / step_s) * step_s)
             if whole not in grid:
@@ -468,6 +489,12 @@ class _Shift:
     name: str
     known: dict[float, tuple[float, float]] = field(default_factory=dict)
 
+    def lags_s(self) -> list[float]:
+        """Lags to begin with, in whole rows: between two of them counters are seldom known."""
+        row_s = float(np.median(np.diff(self.motion.time_s)))
+        rows = sorted({round(late / row_s) for late in LATE_S} - {0})
+        return [row_s * n for n in (*(-n for n in rows), *rows)]
+
     def share(self, late_s: float) -> float:
         """What the shift leaves of the misfit of the same rows; 1 where none is."""
         before, after = self._misfits(late_s)
@@ -481,8 +508,8 @@ class _Shift:
     def _misfits(self, late_s: float) -> tuple[float, float]:
         """Of rows that the shift knows: as they are, and with the channel moved back."""
         if late_s not in self.known:
-            rows, moved = self._moved(self.rows, late_s)
-            motion = self._moved(self.motion, late_s)
+            rows, moved = self.moved(self.rows, late_s)
+            motion = self.moved(self.motion, late_s)
             if len(rows.time_s) < LEAST_ROWS:
                 return 0.0, 0.0
             pairs = zip((rows, moved), motion, strict=True)
@@ -490,7 +517,7 @@ class _Shift:
             self.known[late_s] = before, after
         return self.known[late_s]
 
-    def _moved(self, rows: AnyRows, late_s: float) -> tuple[AnyRows, AnyRows]:
+    def moved(self, rows: AnyRows, late_s: float) -> tuple[AnyRows, AnyRows]:
         """Rows that the shift knows, as they are and had the channel not come late."""
         rows = _within(rows, abs(late_s))
         at, source = rows.time_s + late_s, self.motion

@@ -211,6 +211,7 @@ class Momentum:
     rounding: Array  # (K,) s², variance that a rounded counter brings to a row
     on_time_s: Array  # (K,) gained in all rows
     pulses: Array  # (K,)
+    most_noise: float = np.inf  # where rates are as recorded
 
     def noise(self, nominal: Nominal, correction: Correction) -> float:
         """Standard deviation of a row on one axis, N m s: from second differences of the total.
@@ -221,7 +222,9 @@ class Momentum:
         square = float(np.einsum("ph,ph->h", targets, self.steps @ targets).min())
         rounded = float(np.sum(nominal.torques**2 @ self.rounding)) / 3.0
         bent = square / (6.0 * self.per_row * self.counts)
-        return float(np.sqrt(max(bent + rounded, LEAST_NOISE**2)))
+        found = float(np.sqrt(max(bent + rounded, LEAST_NOISE**2)))
+        as_recorded = np.array_equal(correction.rate, np.eye(3))
+        return min(found, self.most_noise) if as_recorded else found
 
     def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
         """What it costs to close the balance."""
