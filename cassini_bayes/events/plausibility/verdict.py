@@ -38,15 +38,15 @@ MISTAKES: Final = {
 """What ``--accept`` takes, and what each means."""
 PHYSICS: Final = "physics"
 """In place of a mistake's name: a cause that the catalogue holds, no reason to refuse anything."""
-SUSPECT: Final = 20.0
+SUSPECT: Final = 30.0
 """Misfit beyond noise's below which nothing is asked."""
 UNKNOWN: Final = 150.0
 """Misfit above which an event is flagged though no mistake explains it: honest events stay below
 (docs/results/mistakes.md)."""
 EXPLAINED: Final = 0.35
 """Of the misfit: a mistake that leaves less explains it."""
-LEAST_GAIN: Final = 15.0
-"""Misfit that it has to remove beyond its price: seven nats."""
+LEAST_GAIN: Final = 25.0
+"""Misfit that it has to remove beyond its price: twelve nats."""
 AS_GOOD: Final = 10.0
 """Difference of misfits (five nats) within which data do not tell two mistakes apart."""
 MOST_NAMED: Final = 3
