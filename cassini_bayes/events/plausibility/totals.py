@@ -49,6 +49,8 @@ JITTER: Final = 0.02
 """Of a thruster's impulse, from bias to bias."""
 TORQUE_N_M: Final = 1e-4
 """Steady torque, each axis and row: fifty times what flight has shown (paper 000)."""
+LONGEST_S: Final = 1e9
+"""Of a row, so that its square is a number; no bias lasts for thirty years."""
 OWN_THRUST: Final = 0.06
 """Of its thrust: a thruster's own departure (published: 0.02 N of 0.7 N), but for the one that may
 have lost any part of it."""
@@ -176,7 +178,7 @@ class _Table:
         if not self.steady:
             common = WIDTHS["common"] * each.sum(axis=1)
             noise += np.outer(common, common) + WIDTHS["thrust"] ** 2 * each @ each.T
-        noise += (HOLD_N_M_S**2 + (TORQUE_N_M * row.duration_s) ** 2) * np.eye(3)
+        noise += (HOLD_N_M_S**2 + (TORQUE_N_M * min(row.duration_s, LONGEST_S)) ** 2) * np.eye(3)
         return left, np.concatenate([part.reshape(3, -1) for part in shared], axis=1), noise
 
 
