@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Json, OwnSeed, Quiet
+from cassini_bayes.cli.options import (
+    Accept,
+    ConsoleReporter,
+    Json,
+    LeaveOut,
+    OwnSeed,
+    Quiet,
+    Strict,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +32,9 @@ def trend_command(
         bool, typer.Option("--no-report", help="Tables only: no figures, no page.")
     ] = False,
     seed: OwnSeed = None,
+    accept: Accept = None,
+    leave_out: LeaveOut = False,
+    strict: Strict = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -34,11 +45,13 @@ def trend_command(
         mission_file,
         out,
         seed=seed,
+        accept=accept or [],
+        leave_out=leave_out,
         report=not no_report,
         reporter=ConsoleReporter(quiet),
         command=["cassini-bayes", *sys.argv[1:]],
     )
-    _finish(outcome, "trend.csv" if no_report else "report.html", as_json, quiet)
+    _finish(outcome, "trend.csv" if no_report else "report.html", as_json, quiet, strict)
 
 
 def fit_of_mission(
@@ -75,12 +88,14 @@ def fit_of_mission(
         report=False,
         fit_record=True,
     )
-    _finish(outcome, "fit.nc", as_json, quiet)
+    _finish(outcome, "fit.nc", as_json, quiet, strict=False)
 
 
-def _finish(outcome: TrendOutcome, file: str, as_json: bool, quiet: bool) -> NoReturn:
+def _finish(outcome: TrendOutcome, file: str, as_json: bool, quiet: bool, strict: bool) -> NoReturn:
     if as_json:
         typer.echo(json.dumps({"folder": str(outcome.folder), **outcome.record}, allow_nan=False))
     elif not quiet:
         typer.echo(str(outcome.folder / file))
-    raise typer.Exit(0 if outcome.converged else 1)
+    for sentence in outcome.warnings:
+        typer.echo(f"warning: {sentence}", err=True)
+    raise typer.Exit(0 if outcome.converged and not (strict and outcome.warnings) else 1)

@@ -548,14 +548,20 @@ def _reduced(
 
 
 def check_rows(
-    rows: Sequence[TotalsEvent], priors: Priors, where: str, policy: Policy = STRICT
+    rows: Sequence[TotalsEvent],
+    priors: Priors,
+    where: str,
+    policy: Policy = STRICT,
+    *,
+    steady: bool = True,
 ) -> tuple[str, ...]:
     """Check totals rows of the priors' branch against the balance of momentum.
 
     Rows of another branch are the model's to refuse. See :func:`check_totals`.
     """
     own = [row for row in rows if row.branch == priors.branch]
-    return check_totals(own, priors.spacecraft, nominal_values(priors), where, policy)
+    nominal = nominal_values(priors)
+    return check_totals(own, priors.spacecraft, nominal, where, policy, steady=steady)
 
 
 def nominal_values(priors: Priors) -> dict[str, float]:

@@ -97,6 +97,8 @@ def trend(
     folder: PathLike | None = None,
     *,
     seed: int | None = None,
+    accept: Sequence[str] = (),
+    leave_out: bool = False,
     report: bool = True,
     reporter: Reporter | None = None,
     command: Sequence[str] = ("cassini_bayes.trend",),
@@ -113,6 +115,8 @@ def trend(
         Where to write; beside the mission file by default.
     seed
         Overrides that of the file.
+    accept, leave_out
+        Mistakes that data were refused for and that are none; whether bad cells are left out.
     report
         Whether to draw figures and write the page.
     reporter, command
@@ -124,7 +128,7 @@ def trend(
         Bad mission file, events or priors.
     """
     path = Path(mission_file)
-    mission = read_mission_file(path)
+    mission = read_mission_file(path).accepting(accept, leave_out=leave_out)
     if seed is not None:
         table = mission.trend.model_copy(update={"seed": seed})
         mission = mission.model_copy(update={"trend": table})

@@ -58,6 +58,7 @@ class TrendOutcome:
     record: Mapping[str, Any]
     seconds: float
     dated: Mapping[str, str] = field(default_factory=dict)  # facts by epoch, in words
+    warnings: tuple[str, ...] = ()  # mistakes that were accepted, and what fits nothing known
 
     @property
     def converged(self) -> bool:
@@ -160,7 +161,7 @@ def execute_trend(
         write_trend_report(folder / "report.html", name, fit, mission, trend, figures, made)
     seconds = time.monotonic() - began
     reporter.say(f"{'done' if fit.converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
-    return TrendOutcome(folder, fit, trend, record, seconds, dated)
+    return TrendOutcome(folder, fit, trend, record, seconds, dated, inputs.findings)
 
 
 def _fitted(
@@ -194,7 +195,9 @@ def _fitted(
 
 def _laws(mission: MissionTable, inputs: MissionInputs) -> str:
     """Hash of all that the draws depend on beside the events."""
-    table = mission.model_dump(mode="json", exclude={"events": True, "trend": {"forecast"}})
+    table = mission.model_dump(
+        mode="json", exclude={"events": True, "accept": True, "trend": {"forecast"}}
+    )
     return _hash(
         json.dumps(table, sort_keys=True),
         inputs.priors.digest,
@@ -229,6 +232,7 @@ def _record(
         "identity": laws,
         "events": list(inputs.digests),
         "converged": fit.converged,
+        "warnings": list(inputs.findings),
         "log_evidence": fit.log_evidence_total,
         "log_evidence_se": fit.log_evidence_se,
         "pareto_k": fit.pareto_k,

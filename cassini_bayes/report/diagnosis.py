@@ -15,7 +15,7 @@ from cassini_bayes.diagnosis.balance_case import BalanceDetail
 from cassini_bayes.diagnosis.correlations import POINTWISE, InnovationTests
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.discrepancy import Curve
-from cassini_bayes.files.storage import write_bytes, write_text
+from cassini_bayes.files.storage import remove_leftovers, write_bytes, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report.diagnosis_page import render_diagnosis
 from cassini_bayes.report.diagnosis_pictures import cause_picture, drawn, pictures_of
@@ -37,6 +37,7 @@ def write_diagnosis(diagnosis: Diagnosis[Any], folder: Path, name: str, processe
     """
     record = diagnosis.record
     record["verdict"] = verdict_sentences(record)
+    remove_leftovers(folder)
     detail = diagnosis.shown.detail
     if isinstance(detail, BalanceDetail):
         write_text(folder / "discrepancy.csv", frame_csv(curve_table(diagnosis.curves)))
@@ -46,13 +47,14 @@ def write_diagnosis(diagnosis: Diagnosis[Any], folder: Path, name: str, processe
     if not diagnosis.drawn:
         pictures += [*pictures_of(diagnosis.shown), *pictures_of(diagnosis.curves)]
     images = [*drawn(pictures, processes), *diagnosis.drawn]
-    write_text(folder / "diagnosis.json", diagnosis_json(record))
     for image in images:
         write_bytes(folder / "figures" / f"{image.name}.png", image.png)
         write_bytes(folder / "figures" / f"{image.name}.svg", image.svg)
     write_drafts(diagnosis.drafts, folder / "drafts")
     page = render_diagnosis(record, images, name, diagnosis.curves, diagnosis.drafts)
     write_text(folder / "report.html", page)
+    # last: a folder with it holds a whole diagnosis, whatever was killed before
+    write_text(folder / "diagnosis.json", diagnosis_json(record))
 
 
 def curve_table(curves: Sequence[Curve]) -> pd.DataFrame:

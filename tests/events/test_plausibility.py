@@ -5,12 +5,13 @@ from __future__ import annotations
 import copy
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 from simulation_cases import BIAS, EPOCH, PARAMETERS, SLEWS
 from totals_cases import B_BRANCH, FLIGHT
 
@@ -18,6 +19,7 @@ from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import (
     STRICT,
+    MistakeError,
     Policy,
     TelemetryCheck,
     check_telemetry,
@@ -25,6 +27,8 @@ from cassini_bayes.events.plausibility import (
     content_of_totals,
     refuse_duplicates,
 )
+from cassini_bayes.events.plausibility.rows import Motion, RowCollector
+from cassini_bayes.events.plausibility.turning import BY_CHANCE, turning_of
 from cassini_bayes.events.telemetry import (
     Chunk,
     TelemetryEvent,
@@ -100,6 +104,10 @@ QUICK = {
         "x and y rates exchanged",
         "quaternions scalar-first",
         "times in ms",
+        "second wheel jumps by 100 rpm",
+        "on-times in ms",
+        "counters 8 s early",
+        "attitudes 8 s late",
     ),
     "slew": (
         "wheels rotated",
@@ -212,6 +220,71 @@ def test_too_few_rows_are_not_judged(honest: dict[str, Event]) -> None:
     assert np.isnan(found.misfit)
 
 
+def quick_limit_cycle(late_rows: int = 0, factor: float = 1.0) -> Motion:
+    """A body fired at every few seconds, sampled every 4 s: noise of 1e-5 rad and 1.7e-5 rad/s."""
+    rng = np.random.default_rng(18)
+    kicks = rng.normal(0.0, 1e-4, (3_000, 3)) * (rng.random((3_000, 3)) < 0.3)
+    rate = signal.lfilter([1.0], [1.0, -0.6], kicks, axis=0)
+    angle = np.cumsum(rate, axis=0)[::4] + rng.normal(0.0, 1e-5, (750, 3))
+    attitude = np.concatenate([0.5 * angle, np.ones((750, 1))], axis=1)
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    measured = factor * (rate[::4] + rng.normal(0.0, 1.7e-5, (750, 3)))
+    whole = slice(late_rows, 750)
+    return Motion(4.0 * np.arange(750 - late_rows), attitude[: 750 - late_rows], measured[whole])
+
+
+def test_attitudes_are_aligned_where_neighbours_know_nothing() -> None:
+    """A quick limit cycle: the same interval tells axes, signs and lags; honest, it is chance."""
+    honest = turning_of(quick_limit_cycle())
+    late = turning_of(quick_limit_cycle(late_rows=2))
+    assert honest is not None
+    assert late is not None
+    assert honest.misaligned(np.eye(3)) < 0.5 * BY_CHANCE
+    for wrong in (-np.eye(3), np.eye(3)[[1, 0, 2]], np.diag([1.0, -1.0, -1.0])):
+        assert honest.misaligned(wrong) > 4.0 * BY_CHANCE
+    assert late.misaligned(np.eye(3)) > 4.0 * BY_CHANCE
+    # a factor or another unit of time must not hide a lag
+    assert late.misaligned(57.3 * np.eye(3)) > 2.0 * BY_CHANCE
+
+
+def test_rows_between_equal_counters_are_used(honest: dict[str, Event]) -> None:
+    """Counters every 10 s: quiet rows between count, the same however the chunks are cut."""
+    chunk = honest["bias"][1]
+    sparse = np.arange(chunk.rows) % 10 != 0
+    counters = {name: getattr(chunk, name).copy() for name in ("on_time_s", "pulses")}
+    for values in counters.values():
+        values[sparse] = np.nan
+    rare = replace(chunk, **counters)
+    whole, parts = RowCollector(), RowCollector()
+    whole.add(rare)
+    for start in range(0, chunk.rows, 37):
+        parts.add(rows_of_chunk(rare, slice(start, start + 37)))
+    rows, again = whole.rows(), parts.rows()
+    assert rows is not None
+    assert again is not None
+    assert len(rows.time_s) > 1.5 * np.count_nonzero(~sparse)
+    np.testing.assert_array_equal(rows.on_time_s, again.on_time_s)
+    # filled in with what the counters were
+    place = np.searchsorted(chunk.time_s, rows.time_s)
+    np.testing.assert_array_equal(rows.on_time_s, chunk.on_time_s[place])
+
+
+def rows_of_chunk(chunk: Chunk, part: slice) -> Chunk:
+    """Some rows of a chunk."""
+    arrays = [field.name for field in fields(chunk) if field.name != "first_row"]
+    return replace(chunk, **{name: getattr(chunk, name)[part] for name in arrays})
+
+
+def test_an_error_carries_the_names(honest: dict[str, Event]) -> None:
+    """The error carries the names, the best first, and keeps them on its way from a worker."""
+    event, chunk = honest["bias"]
+    with pytest.raises(MistakeError) as caught:
+        check_telemetry(event, [TELEMETRY["wheels in rad/s"].change(chunk)], CASSINI, NOMINAL)
+    assert caught.value.mistakes[0] == "wheel-unit"
+    again = copy.copy(caught.value)
+    assert again.mistakes == caught.value.mistakes
+
+
 # ---- single cells --------------------------------------------------------------------------------
 
 
@@ -309,6 +382,11 @@ def reversed_(event: TotalsEvent) -> TotalsEvent:
 def test_published_tables_pass(source: str) -> None:
     """Flight's biases and what ground software made of them are refused nothing."""
     assert judged(list(read_totals(FLIGHT, PRIORS.spacecraft, source))) == ""
+
+
+def test_a_row_of_any_length_is_judged() -> None:
+    """A duration whose square is no number: the torque over it explains everything."""
+    assert judged([replace(row, duration_s=1e200) for row in flight()]) == ""
 
 
 def test_mistakes_in_all_rows_are_named() -> None:

@@ -143,3 +143,30 @@ def test_events_of_both_branches_in_one_fit(tmp_path: Path, priors: Path) -> Non
     assert simulated.shape[2:] == observed.shape
     mixed = run.invoke(app, [*arguments, "--effect", "thruster_leak:z3"])
     assert "no option about effects" in str(mixed.exception)
+
+
+def test_mistakes_in_a_mission_are_refused(tmp_path: Path, priors: Path) -> None:
+    """Wheels exchanged in a table, and a row under a second id; accepted, they stand among the
+    warnings, and with `--strict` make the exit status 1.
+    """
+    text = Path(FLIGHT).read_text("utf-8").splitlines()
+    rows = [row for row in text[1:] if row.startswith(IDS) and row.endswith("flight")]
+    names = text[0].replace("rwa1", "rwa0").replace("rwa2", "rwa1").replace("rwa0", "rwa2")
+    table = tmp_path / "events.csv"
+    table.write_text("\n".join([names, *rows]) + "\n", "utf-8")
+    mission = write_mission(tmp_path, priors, IDS)
+    told = mission.read_text("utf-8").splitlines()
+    told[1] = 'events = ["events.csv"]'
+    mission.write_text("\n".join(told), "utf-8")
+    with pytest.raises(InputError, match="--accept wheel-order"):
+        read_mission(read_mission_file(mission), tmp_path, "mission.toml")
+    copied = rows[0].replace(IDS[0], "2009-08-23-copy")
+    table.write_text("\n".join([text[0], rows[0], copied, *rows[1:]]) + "\n", "utf-8")
+    with pytest.raises(InputError, match="under another name"):
+        read_mission(read_mission_file(mission), tmp_path, "mission.toml")
+    run = ["trend", str(mission), "--out", str(tmp_path / "out"), "--no-report", "--quiet"]
+    accepted = CliRunner().invoke(app, [*run, "--accept", "same-telemetry", "--strict"])
+    assert accepted.exit_code == 1, accepted.output
+    assert "warning: " in accepted.output
+    record = json.loads((tmp_path / "out" / "trend.json").read_text("utf-8"))
+    assert [warning.count("same-telemetry") for warning in record["warnings"]] == [1]

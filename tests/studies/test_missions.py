@@ -11,9 +11,10 @@ from mission_cases import PRIORS
 from study_cases import study_in
 from totals_cases import FLIGHT, flight
 
+from cassini_bayes.model.event_reduction import check_rows
 from cassini_bayes.studies import missions
 from cassini_bayes.studies.flight_priors import IDEAL, TESTED, with_beliefs
-from cassini_bayes.studies.mission_flights import MissionFlights
+from cassini_bayes.studies.mission_flights import MissionFlights, fly, study_priors
 from cassini_bayes.studies.missions import cusum, findings_of, passes, ratio_of_ends
 
 
@@ -142,3 +143,13 @@ def test_beliefs_replace_means_and_keep_bounds() -> None:
     assert tail is not None
     assert tail.low == 0.0
     assert moved.means()["cm_z_m"] == priors.means()["cm_z_m"]
+
+
+def test_failing_thrusters_are_no_mistakes() -> None:
+    """Simulated missions, with failures and pressures between 1,700 and 2,700 kPa: none refused."""
+    priors = study_priors(str(PRIORS))
+    for seed in range(6):
+        flown = fly(FLIGHT, priors, np.random.default_rng(seed))
+        for branch in "AB":
+            of_branch = priors.for_branch(branch)
+            assert check_rows(flown.events, of_branch, "mission", steady=False) == ()

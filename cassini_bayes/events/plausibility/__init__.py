@@ -14,12 +14,13 @@ from cassini_bayes.events.plausibility.duplicates import (
 )
 from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.totals import check_totals
-from cassini_bayes.events.plausibility.verdict import MISTAKES, STRICT, Policy
+from cassini_bayes.events.plausibility.verdict import MISTAKES, STRICT, MistakeError, Policy
 
 __all__ = [
     "MISTAKES",
     "STRICT",
     "CellSearch",
+    "MistakeError",
     "Nominal",
     "Plausibility",
     "Policy",

@@ -13,8 +13,13 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.attitudes import turns_rad
 from cassini_bayes.events.plausibility.cells import BadCell, CellSearch, without_cells
-from cassini_bayes.events.plausibility.counts import PulseSteps
-from cassini_bayes.events.plausibility.hypotheses import AXES, Evidence, explanations
+from cassini_bayes.events.plausibility.counts import OnTimeSteps, PulseSteps
+from cassini_bayes.events.plausibility.hypotheses import (
+    AXES,
+    Evidence,
+    explanations,
+    with_noise_of_lags,
+)
 from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
 from cassini_bayes.events.plausibility.verdict import (
@@ -35,6 +40,8 @@ OPEN: Final = 0.3
 """Of the momentum exchanged: what may stay open without a name before an event is refused."""
 MOST_CELLS_NAMED: Final = 3
 SILENT_SIGMAS: Final = 8.0
+LEAST_EXCESS_S: Final = 1.0
+"""Of a counter over time: rounding."""
 LEAST_TURN_RAD: Final = 2e-4
 """A wobble of the attitude that a rate which never changes cannot have made."""
 
@@ -81,6 +88,7 @@ class TelemetryCheck:
         )
         self._rows = RowCollector()
         self._pulses = PulseSteps()
+        self._on_times = OnTimeSteps(len(event.thrusters))
         self._search = CellSearch(self._nominal, event.wheels)
         self._cells: list[BadCell] = []
         self._content = hashlib.sha256()
@@ -93,6 +101,7 @@ class TelemetryCheck:
         mended = without_cells(chunk, cells)
         self._rows.add(mended)
         self._pulses.add(mended)
+        self._on_times.add(mended)
         channels = (
             chunk.attitude,
             chunk.rate_rad_s,
@@ -121,6 +130,7 @@ class TelemetryCheck:
         misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
         if misfit > SUSPECT:
             self._explain(evidence, misfit, findings)
+        self._check_on_times(findings)
         self._check_cells(findings)
         count = 0 if rows is None else len(rows.time_s)
         return Plausibility(count, misfit, self._content.hexdigest(), tuple(findings.sentences))
@@ -161,6 +171,23 @@ class TelemetryCheck:
             ),
         )
 
+    def _check_on_times(self, findings: Findings) -> None:
+        """No thruster fires for longer than time passes."""
+        excess_s = self._on_times.excess_s
+        if not len(excess_s) or excess_s.max() <= LEAST_EXCESS_S:
+            return
+        thruster = self._event.thrusters[int(np.argmax(excess_s))]
+        findings.refuse(
+            self._policy,
+            "on-time-unit",
+            InputError(
+                f"{self._event.telemetry}: column on_time_{thruster}_s",
+                "at most the time that passes between two readings",
+                f"{excess_s.max():.6g} s more: on-times that look like ms",
+                "give on_time_…_s in seconds",
+            ),
+        )
+
     def _check_still_rates(self, motion: Motion, findings: Findings) -> None:
         """A rate that never changes tells nothing: refused where the attitude wobbles."""
         turns = turns_rad(motion.attitude)
@@ -184,8 +211,9 @@ class TelemetryCheck:
     def _explain(self, evidence: Evidence, misfit: float, findings: Findings) -> None:
         event = self._event
         where = str(event.telemetry)
-        found = list(explanations(evidence, event.wheels, event.thrusters))
-        best = best_explanations(misfit, found)
+        sharper = with_noise_of_lags(evidence)
+        found = list(explanations(sharper, event.wheels, event.thrusters))
+        best = best_explanations(sharper.misfit(), found)
         if best and best[0].mistake == PHYSICS:
             misfit, best = best[0].left, ()
         if best:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations, permutations, product
-from typing import Final
+from itertools import permutations, product
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -18,11 +18,19 @@ from cassini_bayes.events.plausibility.momentum import (
     MomentumFit,
     Nominal,
     exchanged,
+    exchanges_of,
+    largest_jumps,
     momentum_of,
 )
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
-from cassini_bayes.events.plausibility.turning import INSTRUMENTS, Turning, turning_of
-from cassini_bayes.events.plausibility.verdict import AS_GOOD, PHYSICS, Explanation
+from cassini_bayes.events.plausibility.turning import BY_CHANCE, INSTRUMENTS, Turning, turning_of
+from cassini_bayes.events.plausibility.verdict import (
+    AS_GOOD,
+    EXPLAINED,
+    LEAST_GAIN,
+    PHYSICS,
+    Explanation,
+)
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
@@ -49,7 +57,7 @@ ON_TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0}
 SHORTEST_PULSE_S: Final = 5e-3
 """No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
-LATE_S: Final = (2.0, 5.0, 12.0, 30.0, 75.0)
+LATE_S: Final = (2.0, 5.0, 8.0, 12.0, 20.0, 32.0, 50.0, 75.0)
 LEAST_FACTOR_STEP: Final = 0.08
 """A free factor closer to 1 is a departure, no mistake."""
 CHANCE_SIGMAS: Final = 4.0
@@ -57,11 +65,14 @@ CHANCE_SIGMAS: Final = 4.0
 PHYSICAL_LAG_S: Final = 2.5
 """Of counters: the bound of the catalogue's time_offset, which is the diagnosis's to name."""
 AXES: Final = "xyz"
+SAME_TIME_S: Final = 1e-6
+MOST_OF_ROWS: Final = 0.3
+SAME_NOISE: Final = 1.5
+"""Of what few rows away from firings show."""
+AnyRows = TypeVar("AnyRows", bound=Motion)
 LEAST_TURNED: Final = 10.0
 """Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
 MOST_SHIFTS: Final = 16
-TOO_SHORT: Final = 1e9
-"""Misfit of a shift that leaves too few rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +82,8 @@ class Evidence:
     nominal: Nominal
     motion: Motion | None
     rows: Rows | None
+    along: Array | None = None  # (3,) of :func:`momentum_of`
+    most_noise: float = np.inf  # of a row in N m s, if something is known of it
 
     @cached_property
     def turning(self) -> Turning | None:
@@ -80,7 +93,9 @@ class Evidence:
     @cached_property
     def momentum(self) -> Momentum | None:
         """Columns of the balance."""
-        return None if self.rows is None else momentum_of(self.rows)
+        if self.rows is None:
+            return None
+        return replace(momentum_of(self.rows, self.along), most_noise=self.most_noise)
 
     @cached_property
     def as_recorded(self) -> Correction:
@@ -94,20 +109,36 @@ class Evidence:
         return self.momentum.fit(self.nominal, correction or self.as_recorded)
 
     def turned(self, rate: Array | None = None, axes: Sequence[int] = (0, 1, 2)) -> float:
-        """χ² of turns and rates beyond what chance makes of it."""
+        """What turns say against rates, beyond what chance makes of it: by size, by alignment."""
         if self.turning is None:
             return 0.0
         rate = np.eye(3) if rate is None else rate
         moments = INSTRUMENTS * len(axes)
         chance = moments + CHANCE_SIGMAS * np.sqrt(2.0 * moments)
-        return max(self.turning.misfit(rate, axes) - float(chance), 0.0)
+        sizes = self.turning.misfit(rate, axes) - float(chance)
+        return max(sizes, self.turning.misaligned(rate, axes) - BY_CHANCE, 0.0)
 
-    def misfit(self, correction: Correction | None = None, rate: Array | None = None) -> float:
-        """Misfit of motion and momentum; ``rate`` maps rates for the motion alone."""
+    def misfit(self, correction: Correction | None = None) -> float:
+        """Misfit of motion and momentum."""
         correction = correction or self.as_recorded
         fit = self.balance(correction)
-        open_part = 0.0 if fit is None else fit.excess
-        return open_part + self.turned(correction.rate if rate is None else rate)
+        return (0.0 if fit is None else fit.excess) + self.turned(correction.rate)
+
+
+def with_noise_of_lags(evidence: Evidence) -> Evidence:
+    """The same with no more noise than counters leave that come late or early.
+
+    Firings at the wrong time look like noise, and in much noise everything fits.
+    """
+    rows, motion = evidence.rows, evidence.motion
+    if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
+        return evidence
+    shift, noises = _Shift(evidence, rows, motion, "counter-time"), [np.inf]
+    for late_s in shift.lags_s():
+        moved = shift.moved(rows, late_s)[1]
+        if abs(late_s) > PHYSICAL_LAG_S and len(moved.time_s) >= MOST_OF_ROWS * len(rows.time_s):
+            noises.append(momentum_of(moved).noise(evidence.nominal, evidence.as_recorded))
+    return replace(evidence, most_noise=SAME_NOISE * min(noises))
 
 
 def explanations(
@@ -125,11 +156,12 @@ def explanations(
     yield from found
     # the search for a shift takes longest, and its price may rule it out beforehand
     if min((each.score for each in found), default=np.inf) + AS_GOOD >= FREE_PRICE:
-        yield from _of_shifts(evidence)
+        yield from _of_shifts(evidence, evidence.misfit())
 
 
 def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
-    if evidence.momentum is None:
+    rows = evidence.rows
+    if rows is None:
         return
     nothing, count = evidence.as_recorded, len(wheels)
     still = evidence.turned()
@@ -194,6 +226,14 @@ def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanatio
             left(replace(nothing, offset=axis)),
             FREE_PRICE,
         )
+        jump_s = rows.time_s[largest_jumps(rows.wheel_rpm)[w]]
+        yield Explanation(
+            "wheel-offset",
+            f"a rate of wheel {number} with a constant error from {jump_s:.10g} s on",
+            f"check rwa{number}_rpm at that time",
+            left(replace(nothing, wheel_jump=(w,))),
+            FREE_PRICE,
+        )
 
 
 def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
@@ -215,7 +255,8 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
             what = f"stands still for {stood_s:.4g} s"
         else:
             continue
-        across = momentum_of(rows, nominal.spins[:, w]).fit(nominal, evidence.as_recorded)
+        across = replace(evidence, along=nominal.spins[:, w]).balance()
+        assert across is not None
         yield Explanation(
             "wheel-silent",
             f"a column rwa{number}_rpm that {what}",
@@ -228,7 +269,8 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
         if stood_s <= LEAST_STILL * (rows.time_s[-1] - rows.time_s[0]):
             continue
         others = [a for a in range(3) if a != axis]
-        across = momentum_of(rows, nominal.inertia[:, axis]).fit(nominal, evidence.as_recorded)
+        across = replace(evidence, along=nominal.inertia[:, axis]).balance()
+        assert across is not None
         yield Explanation(
             "rate-silent",
             f"a column rate_{AXES[axis]}_rad_s that stands still for {stood_s:.4g} s",
@@ -249,19 +291,6 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
     if evidence.momentum is None or not thrusters:
         return
     nothing, still = evidence.as_recorded, evidence.turned()
-    count = len(thrusters)
-    pairs = list(combinations(range(count), 2))
-    # two pairs at once within thrusters that push alike: mirrored corners
-    alike = [
-        (a, b)
-        for a, b in combinations(pairs, 2)
-        if not set(a) & set(b)
-        and all(
-            np.allclose(evidence.nominal.pushes[:, k], evidence.nominal.pushes[:, a[0]])
-            or np.allclose(evidence.nominal.pushes[:, k], -evidence.nominal.pushes[:, a[0]])
-            for k in (*a, *b)
-        )
-    ]
     for unit, factor in on_time_units(evidence.rows).items():
         fit = evidence.balance(replace(nothing, on_time=factor))
         assert fit is not None
@@ -271,9 +300,9 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
             "give on_time_…_s in seconds",
             fit.excess + still,
         )
-    for both in [*((pair,) for pair in pairs), *alike]:
+    for both in exchanges_of(evidence.nominal):
         names = " and ".join(f"{thrusters[a]} with {thrusters[b]}" for a, b in both)
-        fit = evidence.balance(nothing.with_thruster(exchanged(np.eye(count), both)))
+        fit = evidence.balance(nothing.with_thruster(exchanged(np.eye(len(thrusters)), both)))
         assert fit is not None
         yield Explanation(
             "thruster-order",
@@ -371,10 +400,10 @@ def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
         return
     mended_rows = {} if rows is None else read_as(rows.attitude)
     for name, attitude in read_as(motion.attitude).items():
-        other = Evidence(
-            evidence.nominal,
-            replace(motion, attitude=attitude),
-            None if rows is None else replace(rows, attitude=mended_rows[name]),
+        other = replace(
+            evidence,
+            motion=replace(motion, attitude=attitude),
+            rows=None if rows is None else replace(rows, attitude=mended_rows[name]),
         )
         yield Explanation(
             "attitude-convention",
@@ -386,99 +415,141 @@ def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
-    if evidence.turned() < LEAST_TURNED:
+    motion, rows = evidence.motion, evidence.rows
+    if motion is None or evidence.turned() < LEAST_TURNED:
         return
     for unit, factor in TIME_UNITS.items():
+        other = replace(
+            evidence,
+            motion=replace(motion, time_s=factor * motion.time_s),
+            rows=None if rows is None else replace(rows, time_s=factor * rows.time_s),
+        )
         yield Explanation(
-            "time-unit",
-            f"times that look like {unit}",
-            "give time_s in seconds",
-            evidence.misfit(rate=factor * np.eye(3)),
+            "time-unit", f"times that look like {unit}", "give time_s in seconds", other.misfit()
         )
 
 
-def _of_shifts(evidence: Evidence) -> Iterator[Explanation]:
-    for name, what, shifted in _SHIFTS:
-        if evidence.rows is None or (name == "counter-time" and not _fires(evidence)):
+def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
+    """A channel that comes late or early, by as much as leaves least.
+
+    A shift knows nothing of the ends, and fewer rows have less misfit: what it leaves is compared
+    with what the same rows leave as they are.
+    """
+    rows, motion = evidence.rows, evidence.motion
+    if rows is None or motion is None:
+        return
+    turned, row_s = evidence.turned(), float(np.median(np.diff(motion.time_s)))
+    for name, what in _SHIFTED.items():
+        of_motion = name in ("rate-time", "attitude-time")
+        if of_motion and not turned:
+            continue  # attitudes and rates are of one clock
+        if not of_motion and turned > EXPLAINED * misfit:
+            continue  # that is left whatever wheels and counters do
+        if name == "counter-time" and not evidence.nominal.torques.shape[1]:
             continue
-
-        def left(late_s: float, shifted: Callable[[Motion, float], Motion] = shifted) -> float:
-            rows, motion = evidence.rows, evidence.motion
-            assert rows is not None
-            assert motion is not None
-            moved = _within(shifted(rows, late_s), abs(late_s))
-            if len(moved.time_s) < LEAST_ROWS:
-                return TOO_SHORT
-            assert isinstance(moved, Rows)
-            motion = _within(shifted(motion, late_s), abs(late_s))
-            return Evidence(evidence.nominal, motion, moved).misfit()
-
-        grid = {late: left(late) for late in (*(-s for s in LATE_S), *LATE_S)}
+        shift = _Shift(evidence, rows, motion, name)
+        grid = {late: shift.share(late) for late in shift.lags_s()}
         near = min(grid, key=lambda late: grid[late])
-        step_s = float(np.median(np.diff(evidence.rows.time_s)))
-        step_s = max(step_s, 2.0 * abs(near) / MOST_SHIFTS)
-        for late in np.arange(0.4, 2.5, step_s / abs(near)) * near:
+        step_s = max(row_s, 2.0 * abs(near) / MOST_SHIFTS)
+        for late in np.arange(0.5, 1.8, step_s / abs(near)) * near:
             whole = float(np.round(late / step_s) * step_s)
-            grid[whole] = grid.get(whole) or left(whole)
+            if whole not in grid:
+                grid[whole] = shift.share(whole)
         late = min(grid, key=lambda late: grid[late])
+        if shift.gain(late) < LEAST_GAIN + FREE_PRICE:
+            continue
         if abs(late) <= PHYSICAL_LAG_S and name != "counter-time":
             continue  # a boom's oscillation, too, looks like that
+        # a lag is found to a row; so much of it may be rounding
+        physical = name == "counter-time" and abs(late) <= PHYSICAL_LAG_S + row_s
         yield Explanation(
-            PHYSICS if abs(late) <= PHYSICAL_LAG_S else name,
+            PHYSICS if physical else name,
             f"{what} that come {abs(late):.3g} s {'late' if late > 0.0 else 'early'}",
             "bring all channels to the same clock",
-            grid[late],
+            misfit * grid[late],
             FREE_PRICE,
         )
 
 
-def _fires(evidence: Evidence) -> bool:
-    return bool(evidence.nominal.torques.shape[1])
+_SHIFTED: Final = {
+    "wheel-time": "wheel rates",
+    "rate-time": "body rates",
+    "counter-time": "counters",
+    "attitude-time": "attitudes",
+}
 
 
-def _within(rows: Motion, margin_s: float) -> Motion:
+@dataclass(frozen=True, eq=False)
+class _Shift:
+    """One channel moved in time: misfits of the rows that it still knows."""
+
+    evidence: Evidence
+    rows: Rows
+    motion: Motion
+    name: str
+    known: dict[float, tuple[float, float]] = field(default_factory=dict)
+
+    def lags_s(self) -> list[float]:
+        """Lags to begin with, in whole rows: between two of them counters are seldom known."""
+        row_s = float(np.median(np.diff(self.motion.time_s)))
+        rows = sorted({round(late / row_s) for late in LATE_S} - {0})
+        return [row_s * n for n in (*(-n for n in rows), *rows)]
+
+    def share(self, late_s: float) -> float:
+        """What the shift leaves of the misfit of the same rows; 1 where none is."""
+        before, after = self._misfits(late_s)
+        return after / before if before > 0.0 else 1.0
+
+    def gain(self, late_s: float) -> float:
+        """Misfit that it removes."""
+        before, after = self._misfits(late_s)
+        return before - after
+
+    def _misfits(self, late_s: float) -> tuple[float, float]:
+        """Of rows that the shift knows: as they are, and with the channel moved back."""
+        if late_s not in self.known:
+            rows, moved = self.moved(self.rows, late_s)
+            motion = self.moved(self.motion, late_s)
+            if len(rows.time_s) < LEAST_ROWS:
+                return 0.0, 0.0
+            pairs = zip((rows, moved), motion, strict=True)
+            before, after = (replace(self.evidence, rows=r, motion=m).misfit() for r, m in pairs)
+            self.known[late_s] = before, after
+        return self.known[late_s]
+
+    def moved(self, rows: AnyRows, late_s: float) -> tuple[AnyRows, AnyRows]:
+        """Rows that the shift knows, as they are and had the channel not come late."""
+        rows = _within(rows, abs(late_s))
+        at, source = rows.time_s + late_s, self.motion
+        if self.name == "rate-time":
+            rates = _between(at, source.time_s, source.rate_rad_s)
+            return rows, replace(rows, rate_rad_s=rates)
+        if self.name == "attitude-time":
+            attitude = _between(at, source.time_s, source.attitude)
+            attitude = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
+            return rows, replace(rows, attitude=attitude)
+        if not isinstance(rows, Rows):
+            return rows, rows
+        whole = self.rows
+        if self.name == "wheel-time":
+            return rows, replace(rows, wheel_rpm=_between(at, whole.time_s, whole.wheel_rpm))
+        # counters are known where they were read, and between equal readings
+        after = np.clip(np.searchsorted(whole.time_s, at - SAME_TIME_S), 1, len(whole.time_s) - 1)
+        counters = np.concatenate([whole.on_time_s, whole.pulses], axis=1)
+        exact = np.abs(whole.time_s[after] - at) < SAME_TIME_S
+        known = exact | (counters[after] == counters[after - 1]).all(axis=1)
+        moved = replace(rows, on_time_s=whole.on_time_s[after], pulses=whole.pulses[after])
+        return rows.only(known), moved.only(known)
+
+
+def _within(rows: AnyRows, margin_s: float) -> AnyRows:
     """Rows away from both ends, where a shift knows nothing."""
     time = rows.time_s
-    inside = (time >= time[0] + margin_s) & (time <= time[-1] - margin_s)
-    return replace(rows, **{name.name: getattr(rows, name.name)[inside] for name in fields(rows)})
-
-
-def _earlier(time_s: Array, values: Array, late_s: float) -> Array:
-    """Values as they would be had they not come late."""
-    if not values.shape[1]:
-        return values
-    columns = [np.interp(time_s + late_s, time_s, column) for column in values.T]
-    return np.stack(columns, axis=1)
-
-
-def _rates_moved(rows: Motion, late_s: float) -> Motion:
-    return replace(rows, rate_rad_s=_earlier(rows.time_s, rows.rate_rad_s, late_s))
-
-
-def _wheels_moved(rows: Motion, late_s: float) -> Motion:
-    if not isinstance(rows, Rows):
+    if not len(time):
         return rows
-    return replace(rows, wheel_rpm=_earlier(rows.time_s, rows.wheel_rpm, late_s))
+    return rows.only((time >= time[0] + margin_s) & (time <= time[-1] - margin_s))
 
 
-def _attitudes_moved(rows: Motion, late_s: float) -> Motion:
-    moved = _earlier(rows.time_s, rows.attitude, late_s)
-    return replace(rows, attitude=moved / np.linalg.norm(moved, axis=1, keepdims=True))
-
-
-def _counters_moved(rows: Motion, late_s: float) -> Motion:
-    if not isinstance(rows, Rows):
-        return rows
-    return replace(
-        rows,
-        on_time_s=_earlier(rows.time_s, rows.on_time_s, late_s),
-        pulses=_earlier(rows.time_s, rows.pulses, late_s),
-    )
-
-
-_SHIFTS: Final[tuple[tuple[str, str, Callable[[Motion, float], Motion]], ...]] = (
-    ("wheel-time", "wheel rates", _wheels_moved),
-    ("rate-time", "body rates", _rates_moved),
-    ("counter-time", "counters", _counters_moved),
-    ("attitude-time", "attitudes", _attitudes_moved),
-)
+def _between(at_s: Array, time_s: Array, values: Array) -> Array:
+    """Values at other times, linear between rows."""
+    return np.stack([np.interp(at_s, time_s, column) for column in values.T], axis=1)

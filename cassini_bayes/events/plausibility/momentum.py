@@ -21,6 +21,7 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
@@ -36,17 +37,17 @@ from cassini_bayes.spacecraft import (
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 WIDTHS: Final[Mapping[str, float]] = {
-    "inertia": 0.1,  # of the mean moment of inertia, each element
-    "wheel": 0.03,  # of the spin inertia, along and across each spin axis
+    "inertia": 0.05,  # of the mean moment of inertia, each element
+    "wheel": 0.02,  # of the spin inertia, along and across each spin axis
     "common": 0.15,  # of the thrust, all thrusters alike
     "thrust": 0.2,  # of a thruster's torque
     "cant": 0.05,  # of a thruster's torque, each axis
-    "centre": 0.15,  # m, each axis
+    "centre": 0.1,  # m, each axis
     "tail": 0.1,  # s of thrust per pulse, all thrusters alike
     "own tail": 0.03,  # s of thrust per pulse, each thruster
     "warm-up": 0.25,  # of the thrust, while a thruster's bed is cold
     "lag": 1.0,  # s of the counters
-    "torque": 0.006,  # N m, each axis: a leak of a few mN
+    "torque": 0.003,  # N m, each axis: a leak of a few mN
     "bias": 2e-5,  # rad/s of every rate
     "drift": 0.002,  # N m s per √s, each axis: torque that nothing catalogued explains
 }
@@ -56,6 +57,8 @@ there, as a mistake that explains more than a torque of nobody's catalogue has t
 WARM_UP_S: Final = 5.0
 DRIFT_MODES: Final = 12
 LEAST_NOISE: Final = 1e-5
+LEAST_IMPULSE: Final = 1e-9
+"""N m s, of events that fire nothing."""
 SHARED: Final = 3.0
 """Rows that a rounding error counts for (by trial, on pulses of 30 to 250 ms in steps of 125)."""
 MOST_SIGMAS: Final = 5.0
@@ -117,8 +120,9 @@ class Correction:
     """What recorded channels have to be multiplied by to be true, and what is free besides.
 
     ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
-    a constant error; ``wheel_factor``: wheels whose column has a free factor; ``on_time``: factor
-    of on-times, not of pulses.
+    a constant error; ``wheel_factor``: wheels whose column has a free factor;
+    ``wheel_jump``: wheels with a constant error from their largest jump on; ``on_time``: factor of
+    on-times, not of pulses.
     """
 
     rate: Array  # (3, 3)
@@ -126,6 +130,7 @@ class Correction:
     thruster: Array  # (K, K)
     offset: Array = field(default_factory=lambda: np.zeros((3, 0)))
     wheel_factor: tuple[int, ...] = ()
+    wheel_jump: tuple[int, ...] = ()
     on_time: float = 1.0
 
     @classmethod
@@ -174,6 +179,7 @@ class Columns:
             "flow": thrusters,
             "torque": 1,
             "fixed": 1,
+            "jump": wheels,
             "drift": DRIFT_MODES,
         }
         ends = 3 * np.cumsum(list(sizes.values()))
@@ -203,17 +209,22 @@ class Momentum:
     per_row: int  # equations that a row brings
     counts: int  # second differences
     rounding: Array  # (K,) s², variance that a rounded counter brings to a row
+    on_time_s: Array  # (K,) gained in all rows
+    pulses: Array  # (K,)
+    most_noise: float = np.inf  # where rates are as recorded
 
     def noise(self, nominal: Nominal, correction: Correction) -> float:
         """Standard deviation of a row on one axis, N m s: from second differences of the total.
 
-        Of all exchanges of two thrusters the least: firings of the wrong thruster are no noise.
+        Of all exchanges of thrusters the least: firings of the wrong thruster are no noise.
         """
         targets = corrected(self.columns, nominal.exchanges, correction)
         square = float(np.einsum("ph,ph->h", targets, self.steps @ targets).min())
         rounded = float(np.sum(nominal.torques**2 @ self.rounding)) / 3.0
         bent = square / (6.0 * self.per_row * self.counts)
-        return float(np.sqrt(max(bent + rounded, LEAST_NOISE**2)))
+        found = float(np.sqrt(max(bent + rounded, LEAST_NOISE**2)))
+        as_recorded = np.array_equal(correction.rate, np.eye(3))
+        return min(found, self.most_noise) if as_recorded else found
 
     def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
         """What it costs to close the balance."""
@@ -238,13 +249,25 @@ class Momentum:
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
         excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
         if "common" in names:
-            kinds = np.array(names)
-            common = float(solution[kinds == "common"][0])
-            own = solution[kinds == "thrust"]
-            level = 1.0 + WIDTHS["common"] * common + WIDTHS["thrust"] * float(own.mean())
-            variance = WIDTHS["common"] ** 2 + WIDTHS["thrust"] ** 2 / len(own)
-            excess += vanishing(level, variance)
+            share = self._share_of_impulse(names, nominal, correction)
+            excess += vanishing(1.0 + float(share @ solution), float(share @ share))
         return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
+
+    def _share_of_impulse(
+        self, names: Sequence[str], nominal: Nominal, correction: Correction
+    ) -> Array:
+        """What 1 σ of each departure (J,) adds to the impulse of all firings, as a share of it."""
+        size = np.linalg.norm(nominal.torques, axis=0)
+        pulses = size * (correction.thruster @ self.pulses)
+        on = correction.on_time * size * (correction.thruster @ self.on_time_s)
+        on = on + nominal.tail_s * pulses
+        kinds = np.array(names)
+        share = np.zeros(len(names))
+        share[kinds == "common"] = WIDTHS["common"] * on.sum()
+        share[kinds == "tail"] = WIDTHS["tail"] * pulses.sum()
+        share[kinds == "thrust"] = WIDTHS["thrust"] * on
+        share[kinds == "own tail"] = WIDTHS["own tail"] * pulses
+        return share / max(float(on.sum()), LEAST_IMPULSE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,14 +302,29 @@ def corrected(columns: Columns, weights: Array, correction: Correction) -> Array
     return result
 
 
-def targets_of(columns: Columns, nominal: Nominal) -> Array:
-    """Weights (p, 1 + pairs) of the total momentum less what nominal thrusters brought.
+def exchanges_of(nominal: Nominal) -> list[tuple[tuple[int, int], ...]]:
+    """Pairs of thrusters that may be exchanged, and two pairs at once of those that push alike."""
+    pairs = list(combinations(range(nominal.torques.shape[1]), 2))
+    pushes = nominal.pushes.T
+    both = [
+        (a, b)
+        for a, b in combinations(pairs, 2)
+        if not set(a) & set(b)
+        and all(
+            np.allclose(pushes[k], pushes[a[0]]) or np.allclose(pushes[k], -pushes[a[0]])
+            for k in (*a, *b)
+        )
+    ]
+    return [*((pair,) for pair in pairs), *both]
 
-    First as it is, then with each pair of thrusters exchanged.
+
+def targets_of(columns: Columns, nominal: Nominal) -> Array:
+    """Weights (p, 1 + exchanges) of the total momentum less what nominal thrusters brought.
+
+    First as it is, then with thrusters exchanged.
     """
-    count = nominal.torques.shape[1]
-    orders = [np.eye(count)]
-    orders += [exchanged(orders[0], (pair,)) for pair in combinations(range(count), 2)]
+    orders = [np.eye(nominal.torques.shape[1])]
+    orders += [exchanged(orders[0], pairs) for pairs in exchanges_of(nominal)]
     brought = [-nominal.torques @ order for order in orders]
     targets = [
         columns.weights(
@@ -308,6 +346,11 @@ def departures_of(
         own = np.outer(nominal.spins[:, w], np.eye(len(correction.wheel))[w])
         free.append(columns.weights(wheel_around=_FREE * own))
         names += ("factor",)
+    for w in correction.wheel_jump:
+        spin = nominal.spins[:, w] / np.linalg.norm(nominal.spins[:, w])
+        own = np.outer(_FREE * spin, np.eye(len(correction.wheel))[w])
+        free.append(columns.weights(jump=own))
+        names += ("jump",)
     if free:
         design = np.concatenate([design, np.stack(free, axis=1)], axis=1)
     return names, corrected(columns, design, correction)
@@ -414,6 +457,8 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     table[:, :, of["flow"]] = np.gradient(fired, time, axis=0) if thrusters else fired
     table[:, :, of["torque"]] = accumulated(np.diff(time)[:, None])
     table[:, :, of["fixed"]] = carried(np.ones((count, 1)))
+    jumped = np.arange(count)[:, None] >= largest_jumps(rows.wheel_rpm)
+    table[:, :, of["jump"]] = carried(jumped.astype(np.float64))
     table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)
     start = np.broadcast_to(np.eye(3), (count, 3, 3))
     per_row = 3
@@ -426,9 +471,30 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     # the momentum at the start is not known: nothing along it is looked at
     unknown = np.linalg.qr(start.reshape(3 * count, 3))[0]
     flat = flat - unknown @ (unknown.T @ flat)
-    bends = (table[2:] - 2.0 * table[1:-1] + table[:-2]).reshape(3 * (count - 2), -1)
+    smooth = np.ones(count - 2, dtype=bool)
+    for row in largest_jumps(rows.wheel_rpm).tolist():
+        smooth[max(row - 2, 0) : row] = False  # a wheel that jumps is no noise
+    bends = (table[2:] - 2.0 * table[1:-1] + table[:-2])[smooth].reshape(-1, columns.size)
     gram, steps = flat.T @ flat, bends.T @ bends
-    return Momentum(columns, gram, steps, count, per_row, count - 2, rounding_of(rows))
+    bent = int(np.count_nonzero(smooth))
+    return Momentum(
+        columns,
+        gram,
+        steps,
+        count,
+        per_row,
+        bent,
+        rounding_of(rows),
+        rows.on_time_s[-1] - rows.on_time_s[0],
+        rows.pulses[-1] - rows.pulses[0],
+    )
+
+
+def largest_jumps(wheel_rpm: Array) -> NDArray[np.int64]:
+    """Row (W,) at which each wheel's rate jumps most: by its step less those before and after."""
+    steps = np.diff(wheel_rpm, axis=0)
+    around = 0.5 * (steps[:-2] + steps[2:])
+    return np.asarray(np.argmax(np.abs(steps[1:-1] - around), axis=0) + 2)
 
 
 def rounding_of(rows: Rows) -> Array:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, fields, replace
+from typing import Final, Self
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.events.telemetry import Chunk
 
 MOST_MOTION_ROWS: Final = 4096
@@ -22,6 +22,10 @@ class Motion:
     time_s: Array  # (n,)
     attitude: Array  # (n, 4)
     rate_rad_s: Array  # (n, 3)
+
+    def only(self, chosen: Flags) -> Self:
+        """Some of the rows."""
+        return replace(self, **{own.name: getattr(self, own.name)[chosen] for own in fields(self)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +62,15 @@ class Thinned:
 
 
 class RowCollector:
-    """Feed it an event's chunks; it keeps what the checks of motion and of momentum need."""
+    """Feed it an event's chunks; it keeps what the checks of motion and of momentum need.
+
+    Between two equal readings of counters nothing has fired: rows between them have these counters.
+    """
 
     def __init__(self) -> None:
         self._motion = Thinned(MOST_MOTION_ROWS)
         self._rows = Thinned(MOST_BALANCE_ROWS)
+        self._waiting: Array | None = None  # rows after the last reading of counters
         self._wheels, self._counters = 0, 0
         self._complete = False
 
@@ -75,7 +83,29 @@ class RowCollector:
         motion = (chunk.time_s[:, None], chunk.attitude, chunk.rate_rad_s)
         self._motion.add(np.concatenate(motion, axis=1))
         channels = (*motion, chunk.wheel_rpm, chunk.on_time_s, pulses)
-        self._rows.add(np.concatenate(channels, axis=1))
+        table = np.concatenate(channels, axis=1)
+        if self._counters:
+            table = self._with_counters(table)
+        self._rows.add(table)
+
+    def _with_counters(self, table: Array) -> Array:
+        """Rows up to the last reading of counters, those between equal readings filled in."""
+        if self._waiting is not None:
+            table = np.concatenate([self._waiting, table])
+        counters = table[:, -2 * self._counters :]
+        read = np.flatnonzero(~np.isnan(counters).any(axis=1))
+        if not len(read):
+            self._waiting = table[-MOST_BALANCE_ROWS:]
+            return table[:0]
+        after = np.minimum(np.searchsorted(read, np.arange(len(table))), len(read) - 1)
+        before = np.maximum(after - 1, 0)
+        same = (counters[read[after]] == counters[read[before]]).all(axis=1)
+        between = same & (np.arange(len(table)) > read[0])
+        filled = table.copy()
+        filled[between, -2 * self._counters :] = counters[read[after]][between]
+        # the last reading waits too: it may be the first of two that are equal
+        self._waiting = table[read[-1] :][:MOST_BALANCE_ROWS]
+        return filled[: read[-1]]
 
     def motion(self) -> Motion | None:
         """Rows with attitude and rates; None if too few."""
@@ -86,6 +116,9 @@ class RowCollector:
 
     def rows(self) -> Rows | None:
         """Rows with every channel; None if there are no wheels or too few rows."""
+        if self._waiting is not None:
+            self._rows.add(self._waiting)
+            self._waiting = None
         table = self._rows.table() if self._complete and self._wheels else np.zeros((0, 8))
         if len(table) < LEAST_ROWS:
             return None

@@ -25,7 +25,12 @@ from cassini_bayes.events.plausibility.hypotheses import (
     WHEEL_UNITS,
     impossible_units,
 )
-from cassini_bayes.events.plausibility.momentum import WIDTHS, Nominal, vanishing
+from cassini_bayes.events.plausibility.momentum import (
+    LEAST_IMPULSE,
+    WIDTHS,
+    Nominal,
+    vanishing,
+)
 from cassini_bayes.events.plausibility.verdict import (
     STRICT,
     Explanation,
@@ -44,6 +49,8 @@ JITTER: Final = 0.02
 """Of a thruster's impulse, from bias to bias."""
 TORQUE_N_M: Final = 1e-4
 """Steady torque, each axis and row: fifty times what flight has shown (paper 000)."""
+LONGEST_S: Final = 1e9
+"""Of a row, so that its square is a number; no bias lasts for thirty years."""
 OWN_THRUST: Final = 0.06
 """Of its thrust: a thruster's own departure (published: 0.02 N of 0.7 N), but for the one that may
 have lost any part of it."""
@@ -51,8 +58,6 @@ LOST: Final = 0.4
 TAIL_S: Final = 0.03
 OWN_TAIL_S: Final = 0.01
 """Thrust per pulse beyond the nominal: with more, firing could vanish in tables of short pulses."""
-LEAST_IMPULSE: Final = 1e-9
-"""N m s, of rows that fire nothing."""
 USUAL_PULSE_S: Final = 0.25
 """Mean width taken where a table has no pulse counts."""
 UNKNOWN_PER_ROW: Final = 20.0
@@ -99,6 +104,7 @@ class _Table:
     nominals: Mapping[tuple[int, ...], Nominal]
     numbers: tuple[int, ...]  # of all wheels
     pushes: Array
+    steady: bool  # whether thrusts depart alike in all rows
 
     def misfit(self, rows: Sequence[TotalsRow], free: Array | None = None) -> float:
         """yᵀ K⁻¹ y and the price of vanishing impulse; a direction ``free`` (3 E,) has none."""
@@ -169,7 +175,10 @@ class _Table:
             (WIDTHS["cant"] * sizes * effective)[None, :, None] * np.eye(3)[:, None, :],
         ]
         noise = JITTER**2 * each @ each.T
-        noise += (HOLD_N_M_S**2 + (TORQUE_N_M * row.duration_s) ** 2) * np.eye(3)
+        if not self.steady:
+            common = WIDTHS["common"] * each.sum(axis=1)
+            noise += np.outer(common, common) + WIDTHS["thrust"] ** 2 * each @ each.T
+        noise += (HOLD_N_M_S**2 + (TORQUE_N_M * min(row.duration_s, LONGEST_S)) ** 2) * np.eye(3)
         return left, np.concatenate([part.reshape(3, -1) for part in shared], axis=1), noise
 
 
@@ -179,6 +188,8 @@ def check_totals(
     parameters: Mapping[str, float],
     where: str,
     policy: Policy = STRICT,
+    *,
+    steady: bool = True,
 ) -> tuple[str, ...]:
     """Check rows of a table against the balance of momentum, and against each other.
 
@@ -192,6 +203,8 @@ def check_totals(
         What the rows came from, for the message.
     policy
         Mistakes that the user accepts.
+    steady
+        Whether thrusts are the same in all rows; over a mission, pressure and ageing move them.
 
     Returns
     -------
@@ -214,7 +227,7 @@ def check_totals(
         for wheels in {row.wheels for row in rows}
     }
     numbers = tuple(sorted({number for wheels in nominals for number in wheels}))
-    table = _Table(nominals, numbers, next(iter(nominals.values())).pushes)
+    table = _Table(nominals, numbers, next(iter(nominals.values())).pushes, steady)
     misfit = table.misfit(rows)
     if misfit <= SUSPECT:
         return ()

@@ -6,6 +6,11 @@ alone. The rates just before and after the step know the same motion with other 
 and their difference as instruments z give Σ (y − M x) zᵀ = 0 on average at the true M, with the
 covariance Σ_u ⊗ Σ z zᵀ of its moments. The mean shows factors, axes and signs, the difference
 rates that come early or late.
+
+A body that is fired at every few seconds moves otherwise before and after a step than in it: such
+instruments are weak. But a rotation, a reflection or a lag changes no noise, so that no instrument
+is needed to weigh it: with R(Q, k) = Σ |y − Q x|², x taken k intervals earlier, and a noise nobody
+knows, n log R(1, 0)/R(Q, k) is twice the logarithm of the likelihood ratio.
 """
 
 from __future__ import annotations
@@ -28,9 +33,13 @@ INSTRUMENTS: Final = 6
 LONGEST_STEP: Final = 3.0
 """Of the median: over longer gaps the mean of two rates is no mean rate."""
 LEAST_STEPS: Final = 12
-FEW_STEPS: Final = 40
-"""Shorter events join fewer intervals into a step."""
-ROWS_PER_STEP: Final = 8
+STEP_S: Final = 8.0
+"""Booms that swing faster are none of the body's turning; the body itself, fired at, is not much
+slower."""
+MOST_JOINED: Final = 8
+MOST_LAGS: Final = 20
+BY_CHANCE: Final = 25.0
+"""Of twice a log likelihood ratio: the best of all rotations (three angles) and of forty lags."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +52,7 @@ class Turning:
     instruments: Array  # Σ z zᵀ (6, 6)
     squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3) of their noise
     steps: int
+    each: tuple[Array, Array]  # y and x (n, 3) of every interval between two rows
 
     def variance(self, rate: Array) -> Array:
         """Variance (3,) of the noise of one step's turn less ``rate`` times its rates."""
@@ -75,15 +85,56 @@ class Turning:
             total += float(gap @ np.linalg.lstsq(covariance, gap)[0])
         return total
 
+    def misaligned(self, rate: Array, axes: Sequence[int] = (0, 1, 2)) -> float:
+        """Twice the logarithm by which other axes, another lag or size fit better, at their best.
+
+        Rates are ``rate`` (3, 3) times those recorded. Two readings of the likelihood, the larger
+        counts: rates are as good as free of noise, and only the difference has any; or both have
+        as much as they like, so that Σ y x estimates the power of the motion, which is neither
+        negative nor above Σ x² or Σ y². A gyro's misalignment may be physics: as much as it brings
+        is noise.
+        """
+        chosen = list(axes)
+        y, x = self.each[0][:, chosen], (self.each[1] @ rate.T)[:, chosen]
+        noise = (3.0 * GYRO_SD) ** 2
+
+        def gain(turned: Array, mean: Array, best: float) -> float:
+            """Likelihood ratio of the best common power Σ y x to that of the same axes and time."""
+            yy, xx = float(np.sum(turned**2)), float(np.sum(mean**2))
+            if yy * xx == 0.0:
+                return 1.0
+            same, small = float(np.sum(turned * mean)), min(xx, yy)
+            by_difference = yy + xx + noise * (yy + xx)
+            first = (by_difference - 2.0 * same) / (by_difference - 2.0 * best)
+            power = max(same, 0.0)
+            as_is = yy * xx - power**2 if power <= small else small * (yy + xx - 2.0 * power)
+            second = (as_is + noise * yy * xx) / (yy * xx * (1.0 + noise) - max(best, power) ** 2)
+            return max(first, second)
+
+        def anyhow(turned: Array, mean: Array) -> float:
+            """Σ y x of the axes that fit best."""
+            common = turned.T @ mean
+            several = len(chosen) > 1
+            return float(np.linalg.svd(common, compute_uv=False).sum() if several else common[0, 0])
+
+        largest = gain(y, x, anyhow(y, x))
+        for k in range(1, min(MOST_LAGS, len(y) // 4) + 1):
+            largest = max(
+                largest,
+                gain(y[k:], x[k:], anyhow(y[k:], x[:-k])),
+                gain(y[:-k], x[:-k], anyhow(y[:-k], x[k:])),
+            )
+        return len(y) * float(np.log(max(largest, 1.0)))
+
 
 def turning_of(motion: Motion) -> Turning | None:
     """The moments; None where there are too few steps.
 
-    Steps join up to :data:`ROWS_PER_STEP` intervals: booms that swing faster than that are none of
+    Steps join intervals up to :data:`STEP_S`: booms that swing faster than that are none of
     the body's turning, and rates sampled at their swing's ends would look too large or too small.
     """
     intervals_s, rates = np.diff(motion.time_s), motion.rate_rad_s
-    stride = int(np.clip(len(intervals_s) // FEW_STEPS, 1, ROWS_PER_STEP))
+    stride = int(np.clip(round(STEP_S / float(np.median(intervals_s))), 1, MOST_JOINED))
     count = len(intervals_s) // stride
     if count < LEAST_STEPS:
         return None
@@ -94,8 +145,9 @@ def turning_of(motion: Motion) -> Turning | None:
         return np.asarray(values[:used].reshape(count, stride, -1).sum(axis=1))
 
     step_s = joined(intervals_s)
-    mean = joined(0.5 * (rates[1:] + rates[:-1]) * intervals_s[:, None]) / step_s
-    turned = joined(turns_rad(motion.attitude)) / step_s
+    between, turns = 0.5 * (rates[1:] + rates[:-1]), turns_rad(motion.attitude)
+    mean = joined(between * intervals_s[:, None]) / step_s
+    turned = joined(turns) / step_s
     quick = joined(np.diff(rates, axis=0)) / step_s
     # rows that no other step than the one before, or the one after, has at its ends
     before = rates[:used].reshape(count, stride, 3).mean(axis=1)
@@ -111,4 +163,7 @@ def turning_of(motion: Motion) -> Turning | None:
     # noise by second differences: what a wrong factor leaves is smooth, and is no noise
     bent_y, bent_x = (np.diff(v, 2, axis=0) / np.sqrt(6.0) for v in (y, x))
     squares = (bent_y.T @ bent_y, bent_x.T @ bent_y, bent_x.T @ bent_x)
-    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, squares, len(y) - 2)
+    usual = intervals_s <= LONGEST_STEP * np.median(intervals_s)
+    each = ((turns / intervals_s[:, None])[usual], between[usual])
+    each = (each[0] - each[0].mean(axis=0), each[1] - each[1].mean(axis=0))
+    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, squares, len(y) - 2, each)

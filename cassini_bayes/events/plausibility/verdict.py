@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
@@ -50,6 +50,25 @@ LEAST_GAIN: Final = 25.0
 AS_GOOD: Final = 10.0
 """Difference of misfits (five nats) within which data do not tell two mistakes apart."""
 MOST_NAMED: Final = 3
+
+
+class MistakeError(InputError):
+    """Data that a mistake explains better than physics does.
+
+    Parameters
+    ----------
+    mistakes
+        Names of :data:`MISTAKES`, the best first: those that explain it as well are there too.
+    """
+
+    def __init__(
+        self, where: str, expected: str, got: str, fix: str, mistakes: tuple[str, ...]
+    ) -> None:
+        self.mistakes = mistakes
+        super().__init__(where, expected, got, fix)
+
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return type(self), (self.where, self.expected, self.got, self.fix, self.mistakes)
 
 
 @dataclass(frozen=True)
@@ -108,12 +127,20 @@ class Findings:
 
     sentences: list[str] = field(default_factory=list)
 
-    def refuse(self, policy: Policy, mistake: str, error: InputError) -> None:
-        """Raise, unless the mistake was accepted: then say so."""
+    def refuse(
+        self, policy: Policy, mistake: str, error: InputError, others: Sequence[str] = ()
+    ) -> None:
+        """Raise, unless the mistake was accepted: then say so.
+
+        Raises
+        ------
+        MistakeError
+            It was not; ``others`` explain the data as well.
+        """
         if mistake not in policy.accepted:
-            name = error.fix
-            fix = f"{name}; or, if it is none, add --accept {mistake}"
-            raise InputError(error.where, error.expected, error.got, fix)
+            fix = f"{error.fix}; or, if it is none, add --accept {mistake}"
+            names = tuple(dict.fromkeys((mistake, *others)))
+            raise MistakeError(error.where, error.expected, error.got, fix, names)
         self.sentences.append(f"{error.where}: accepted ({mistake}): {error.got}")
 
 
@@ -153,4 +180,5 @@ def refuse_best(
             f"{first.what} (misfit {first.left:.3g} instead of {misfit:.4g}{also})",
             first.fix,
         ),
+        [each.mistake for each in others],
     )

@@ -11,10 +11,12 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import (
     EventRows,
+    check_rows,
     is_event_folder,
     reduce_event,
     store_reduction,
@@ -30,12 +32,16 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class MissionInputs:
-    """A mission's priors and events, and its model; digests are those of the files."""
+    """A mission's priors and events, and its model; digests are those of the files.
+
+    ``findings`` are mistakes that were accepted, and what fits nothing known.
+    """
 
     priors: Priors
     model: MissionModel
     on_time_s: Mapping[str, Array]  # event → (K,)
     digests: Mapping[str, str]  # event → SHA-256 of where it came from
+    findings: tuple[str, ...]
 
 
 def read_mission(
@@ -56,7 +62,8 @@ def read_mission(
     ------
     InputError
         Anything wrong with priors, events or their circumstances; another spacecraft than the
-        priors'; an id twice.
+        priors'; an id twice, or data under two; a mistake that explains what no fault of a
+        spacecraft does (it is named).
     """
     priors = read_priors(base / mission.priors)
     name = mission.spacecraft.get("name", priors.spacecraft.name)
@@ -70,14 +77,20 @@ def read_mission(
     events: list[Event] = []
     facts: list[EventFacts] = []
     digests: dict[str, str] = {}
+    findings: list[str] = []
+    contents: list[tuple[str, str]] = []
+    policy = Policy.of(mission.accept, leave_out=mission.leave_out)
     for reference in mission.events:
         place = base / reference
         if is_event_folder(place):
             found: list[tuple[Event, EventFacts, str]] = [
-                _telemetry(place, priors, mission.pulse_shape, cache, say)
+                _telemetry(place, priors, mission.pulse_shape, cache, say, policy)
             ]
         else:
             rows = read_totals(str(place), priors.spacecraft, mission.source)
+            for branch in sorted({row.branch for row in rows}):
+                of_branch = priors.for_branch(branch)
+                findings += check_rows(rows, of_branch, str(place), policy, steady=False)
             found = [
                 (row, EventFacts(row.id, row.epoch, row.branch, True, None), _row_digest(row))
                 for row in rows
@@ -90,21 +103,28 @@ def read_mission(
                     "the same id twice",
                     "leave one out, or rename one",
                 )
+            if isinstance(event, TotalsEvent):
+                contents.append((f"{place}: {event.id}", content_of_totals(event)))
+            else:
+                findings += event.reading.findings
+                contents.append((str(place), event.reading.content))
             digests[fact.id] = content
             events.append(event)
             facts.append(fact)
+    findings += refuse_duplicates(contents, policy)
     circumstances = circumstances_of(mission, facts, where)
     model = build_mission(mission, priors, events, circumstances)
-    return MissionInputs(priors, model, {e.id: _on_times(e) for e in events}, digests)
+    on_times = {event.id: _on_times(event) for event in events}
+    return MissionInputs(priors, model, on_times, digests, tuple(findings))
 
 
 def _telemetry(
-    folder: Path, priors: Priors, pulse_shape: str, cache: Path | None, say: Say
+    folder: Path, priors: Priors, pulse_shape: str, cache: Path | None, say: Say, policy: Policy
 ) -> tuple[Event, EventFacts, str]:
     """A folder of telemetry, reduced; its tank pressure is the mean of its readings."""
     described = read_event(folder, priors.spacecraft)
     of_branch = priors.for_branch(described.branch)
-    reduced = reduce_event(folder, of_branch, pulse_shape, cache, say)
+    reduced = reduce_event(folder, of_branch, pulse_shape, cache, say, policy)
     if cache is not None:
         store_reduction(reduced, cache)
     readings = [

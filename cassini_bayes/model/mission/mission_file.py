@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime, time
 from itertools import pairwise
 from pathlib import Path
@@ -127,12 +127,19 @@ class MissionTable(Table):
     priors: str
     source: str = "flight"
     pulse_shape: str = "first_order"
+    accept: list[str] = Field(default_factory=list)  # mistakes that are none
+    leave_out: bool = False  # bad cells
     spacecraft: dict[str, str] = Field(default_factory=dict)
     dated: list[DatedTable] = Field(default_factory=list)
     drift: dict[str, ChangeTable] = Field(default_factory=dict)
     pressure: PressureTable | None = None
     propellant: PropellantTable | None = None
     trend: TrendTable
+
+    def accepting(self, mistakes: Sequence[str], *, leave_out: bool) -> MissionTable:
+        """The same with what a command accepts besides."""
+        accept = [*self.accept, *mistakes]
+        return self.model_copy(update={"accept": accept, "leave_out": self.leave_out or leave_out})
 
 
 def utc(epoch: Epoch) -> datetime:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility import MISTAKES, TelemetryCheck
+from cassini_bayes.events.plausibility import MISTAKES, MistakeError, TelemetryCheck
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.code import identity
@@ -48,28 +48,33 @@ CASES: Final = tuple((name, kind) for name, each in TELEMETRY.items() for kind i
 ROW_CASES: Final = tuple((name, form) for name in TOTALS for form in FORMS)
 
 
-def judge(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> str:
-    """One of :data:`VERDICTS` on telemetry."""
+def judge(event: TelemetryEvent, chunk: Chunk, priors: Priors, sought: Sequence[str] = ()) -> str:
+    """One of :data:`VERDICTS` on telemetry.
+
+    A message names all mistakes that explain the data as well as the best does; the one that is
+    ``sought`` counts if it is among them.
+    """
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors))
 
     def ask() -> Sequence[str]:
         check.take(chunk)
         return check.verdict().findings
 
-    return _verdict(ask)
+    return _verdict(ask, sought)
 
 
-def judge_rows(rows: Sequence[TotalsEvent], priors: Priors) -> str:
-    """One of :data:`VERDICTS` on totals."""
-    return _verdict(lambda: check_rows(rows, priors, "totals.csv"))
+def judge_rows(rows: Sequence[TotalsEvent], priors: Priors, sought: Sequence[str] = ()) -> str:
+    """One of :data:`VERDICTS` on totals; as :func:`judge`."""
+    return _verdict(lambda: check_rows(rows, priors, "totals.csv"), sought)
 
 
-def _verdict(ask: Callable[[], Sequence[str]]) -> str:
+def _verdict(ask: Callable[[], Sequence[str]], sought: Sequence[str]) -> str:
     try:
         return "flagged" if ask() else "passed"
-    except InputError as error:
-        name = error.fix.rpartition("--accept ")[2]
-        return name if name in MISTAKES else "refused"
+    except MistakeError as error:
+        return next((name for name in error.mistakes if name in sought), error.mistakes[0])
+    except InputError:
+        return "refused"
 
 
 @dataclass(frozen=True)
@@ -155,12 +160,9 @@ def _of_telemetry(
         event, chunk = honest[kind]
         each = TELEMETRY[name]
         wrong = each.change(chunk)
-        verdict = judge(event, wrong, priors)
-        known = int(np.count_nonzero(~np.isnan(chunk.rate_rad_s[:, 0])))
-        yield (
-            verdict,
-            *(oracles[kind].ask(wrong, each.spread * known) if verdict == "passed" else _UNASKED),
-        )
+        verdict = judge(event, wrong, priors, each.names)
+        asked = verdict == "passed"
+        yield verdict, *(oracles[kind].ask(wrong, each.spread(kind)) if asked else _UNASKED)
 
 
 def _answer_of_event(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> Answer | None:
@@ -171,13 +173,13 @@ def _of_rows(rows: Sequence[TotalsEvent], priors: Priors) -> Iterator[Found]:
     table = Oracle(answer_of_rows, tuple(rows), priors)
     alone = Oracle(answer_of_rows, (rows[2],), priors)
     for name, form in ROW_CASES:
-        change = TOTALS[name].change
+        change, names = TOTALS[name].change, TOTALS[name].names
         oracle, wrong = table, tuple(change(row) for row in rows)
         if form == "one row of six":
             wrong = (*rows[:2], wrong[2], *rows[3:])
         elif form == "a row alone":
             oracle, wrong = alone, (wrong[2],)
-        verdict = judge_rows(wrong, priors)
+        verdict = judge_rows(wrong, priors, names)
         yield verdict, *(oracle.ask(wrong, 0.0) if verdict == "passed" else _UNASKED)
 
 
@@ -196,6 +198,8 @@ class Oracle:
     def ask(self, wrong: Any, spread: float) -> tuple[float, float]:
         """How far a mistake moves a scalar, in σ, and the nats by which data speak for it.
 
+        ``spread``: logarithm of the volume that a row of telemetry gains by it.
+
         NaN where the package declines the honest data; infinite where it declines the wrong ones.
         """
         right, found = self._of_honest(wide=False), self._answer(wrong, self._priors)
@@ -212,7 +216,7 @@ class Oracle:
         )
         if true is None or physics is None:
             return moved, np.inf
-        return moved, true.log_density - spread - physics.log_density
+        return moved, true.log_density - spread * true.rows - physics.log_density
 
     def _of_honest(self, *, wide: bool) -> Answer | None:
         if wide not in self._known:

@@ -24,14 +24,23 @@ DEGREES: Final = 180.0 / np.pi
 class Mistaken:
     """A mistake: what it does, names under which it counts as found, kinds of event it is for.
 
-    ``spread`` is the logarithm of the volume that a row's noise gains by it: of channels that are
-    multiplied. It belongs to the density of the recorded data if the mistake is known.
+    ``rate_spread`` and ``wheel_spread`` are logarithms of the volume that a row's noise gains by
+    it: of channels that are multiplied. They belong to the density of the recorded data if the
+    mistake is known.
     """
 
     change: Change
     names: tuple[str, ...]
     kinds: tuple[str, ...] = ALL
-    spread: float = 0.0
+    rate_spread: float = 0.0
+    wheel_spread: float = 0.0
+
+    def spread(self, kind: str) -> float:
+        """Of a row of an event: slews say nothing of the density of wheel rates.
+
+        Their true rates are latent and flat (``docs/topics/telemetry-likelihood.md`` §3).
+        """
+        return self.rate_spread + (0.0 if kind == "slew" else self.wheel_spread)
 
 
 def times(channel: str, factor: float | Sequence[float]) -> Change:
@@ -128,21 +137,23 @@ _WHEELS: Final[Mapping[str, Mistaken]] = {
     "sign of the second wheel": Mistaken(times("wheel_rpm", (1.0, -1.0, 1.0)), SIGN),
     "signs of the last two wheels": Mistaken(times("wheel_rpm", (1.0, -1.0, -1.0)), SIGN),
     "wheels in rad/s": Mistaken(
-        times("wheel_rpm", RAD_S_PER_RPM), UNIT, spread=3.0 * np.log(RAD_S_PER_RPM)
+        times("wheel_rpm", RAD_S_PER_RPM), UNIT, wheel_spread=3.0 * np.log(RAD_S_PER_RPM)
     ),
-    "wheels in deg/s": Mistaken(times("wheel_rpm", 6.0), UNIT, spread=3.0 * np.log(6.0)),
-    "wheels in rev/s": Mistaken(times("wheel_rpm", 1 / 60.0), UNIT, spread=-3.0 * np.log(60.0)),
+    "wheels in deg/s": Mistaken(times("wheel_rpm", 6.0), UNIT, wheel_spread=3.0 * np.log(6.0)),
+    "wheels in rev/s": Mistaken(
+        times("wheel_rpm", 1 / 60.0), UNIT, wheel_spread=-3.0 * np.log(60.0)
+    ),
     "wheels turned to rad/s twice": Mistaken(
-        times("wheel_rpm", 1 / RAD_S_PER_RPM), UNIT, spread=-3.0 * np.log(RAD_S_PER_RPM)
+        times("wheel_rpm", 1 / RAD_S_PER_RPM), UNIT, wheel_spread=-3.0 * np.log(RAD_S_PER_RPM)
     ),
     "first wheel doubled": Mistaken(
-        times("wheel_rpm", (2.0, 1.0, 1.0)), ("wheel-factor",), spread=np.log(2.0)
+        times("wheel_rpm", (2.0, 1.0, 1.0)), ("wheel-factor",), wheel_spread=np.log(2.0)
     ),
     "second wheel halved": Mistaken(
-        times("wheel_rpm", (1.0, 0.5, 1.0)), ("wheel-factor",), spread=-np.log(2.0)
+        times("wheel_rpm", (1.0, 0.5, 1.0)), ("wheel-factor",), wheel_spread=-np.log(2.0)
     ),
     "last wheel × 1.2": Mistaken(
-        times("wheel_rpm", (1.0, 1.0, 1.2)), ("wheel-factor",), spread=np.log(1.2)
+        times("wheel_rpm", (1.0, 1.0, 1.2)), ("wheel-factor",), wheel_spread=np.log(1.2)
     ),
     "second wheel + 500 rpm": Mistaken(plus("wheel_rpm", (0.0, 500.0, 0.0)), ("wheel-offset",)),
     "first wheel − 50 rpm": Mistaken(plus("wheel_rpm", (-50.0, 0.0, 0.0)), ("wheel-offset",)),
@@ -189,22 +200,28 @@ _RATES: Final[Mapping[str, Mistaken]] = {
     "y and z rates exchanged": Mistaken(ordered("rate_rad_s", (0, 2, 1)), ("rate-axes",)),
     "rates rotated": Mistaken(ordered("rate_rad_s", (1, 2, 0)), ("rate-axes",)),
     "rates in deg/s": Mistaken(
-        times("rate_rad_s", DEGREES), ("rate-unit",), spread=3.0 * np.log(DEGREES)
+        times("rate_rad_s", DEGREES), ("rate-unit",), rate_spread=3.0 * np.log(DEGREES)
     ),
     "rates in mrad/s": Mistaken(
-        times("rate_rad_s", 1e3), ("rate-unit", "time-unit"), spread=3.0 * np.log(1e3)
+        times("rate_rad_s", 1e3), ("rate-unit", "time-unit"), rate_spread=3.0 * np.log(1e3)
     ),
     "rates turned from deg/s twice": Mistaken(
         times("rate_rad_s", 1.0 / DEGREES),
         ("rate-unit", "time-unit"),
-        spread=-3.0 * np.log(DEGREES),
+        rate_spread=-3.0 * np.log(DEGREES),
     ),
-    "rates × 1.1": Mistaken(times("rate_rad_s", 1.1), ("rate-factor",), spread=3.0 * np.log(1.1)),
+    "rates × 1.1": Mistaken(
+        times("rate_rad_s", 1.1), ("rate-factor",), rate_spread=3.0 * np.log(1.1)
+    ),
     "y rate × 1.1": Mistaken(
-        times("rate_rad_s", (1.0, 1.1, 1.0)), ("rate-factor",), spread=np.log(1.1)
+        times("rate_rad_s", (1.0, 1.1, 1.0)), ("rate-factor",), rate_spread=np.log(1.1)
     ),
-    "rates × 2": Mistaken(times("rate_rad_s", 2.0), ("rate-factor",), spread=3.0 * np.log(2.0)),
-    "rates × 0.5": Mistaken(times("rate_rad_s", 0.5), ("rate-factor",), spread=-3.0 * np.log(2.0)),
+    "rates × 2": Mistaken(
+        times("rate_rad_s", 2.0), ("rate-factor",), rate_spread=3.0 * np.log(2.0)
+    ),
+    "rates × 0.5": Mistaken(
+        times("rate_rad_s", 0.5), ("rate-factor",), rate_spread=-3.0 * np.log(2.0)
+    ),
     "rates 8 s late": Mistaken(moved(8.0, "rate_rad_s"), ("rate-time",)),
     "rates 20 s early": Mistaken(moved(-20.0, "rate_rad_s"), ("rate-time",)),
 }

@@ -10,7 +10,7 @@ priors of geometry, inertias, thrusts and tails five times as wide.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -44,11 +44,15 @@ _WIDENED: Final = ("thrust_", "cm_", "rwa", "inertia_", "tau_fall", "thruster_")
 
 @dataclass(frozen=True)
 class Answer:
-    """Means and standard deviations of inferred scalars, and the log density at the mode."""
+    """Means and standard deviations of inferred scalars, and the log density at the mode.
+
+    ``rows`` are those of telemetry that enter the density.
+    """
 
     mean: Mapping[str, float]
     sd: Mapping[str, float]
     log_density: float
+    rows: int = 0
 
     def moved(self, other: Answer) -> float:
         """The largest shift of a scalar to another answer, in standard deviations of this one."""
@@ -59,7 +63,8 @@ def answer_of(events: Sequence[tuple[TelemetryEvent, Chunk]], priors: Priors) ->
     """Laplace's posterior of telemetry; None where the package declines the data."""
     try:
         reduced = [_reduced(event, samples_of(chunk), priors) for event, chunk in events]
-        return _laplace(build_model(reduced, priors))
+        answer = _laplace(build_model(reduced, priors))
+        return replace(answer, rows=sum(event.statistics.rows for event in reduced))
     except CassiniBayesError:
         return None
 
