@@ -70,7 +70,8 @@ def rests(levels: Array) -> Rests:
 
     It moves where it gains a step over the window, or passes through a printed value: comes from
     one side and leaves on the other, for good. Readings that change to and fro are one stretch at
-    rest, and scatter by half the mean square of their differences.
+    rest, and scatter by half the mean square of their differences. Half a reading of another value
+    is added (Jeffreys' prior of a rare event): n readings alike do not say that there is no noise.
     """
     rows = len(levels)
     total = np.concatenate([[0.0], np.cumsum(levels)])
@@ -94,7 +95,7 @@ def rests(levels: Array) -> Rests:
     starts = np.flatnonzero(~stays)
     lengths = np.diff(starts, append=rows)
     jumps = np.where(stays, np.diff(levels, prepend=levels[:1]) ** 2, 0.0)
-    scatter = np.add.reduceat(jumps, starts) / np.maximum(2.0 * (lengths - 1), 1.0)
+    scatter = 0.5 * (1.0 + np.add.reduceat(jumps, starts)) / lengths
     moving = moving | np.repeat(lengths == 1, lengths)
     return Rests(moving, np.where(moving, 0.0, np.repeat(scatter, lengths)), starts)
 

@@ -40,6 +40,12 @@ def test_a_wheel_at_rest_has_the_scatter_that_it_shows(phase: float) -> None:
     assert found.variance.mean() == pytest.approx(levels.var(), abs=0.02)
 
 
+def test_a_wheel_that_never_changes_is_not_known_exactly() -> None:
+    """Twenty readings of one value leave a fortieth of a step squared, never nothing."""
+    found = rests(np.full(20, 7.0))
+    assert found.variance == pytest.approx(np.full(20, 0.025))
+
+
 def test_a_slow_staircase_passes_its_values() -> None:
     """Without noise every tread is left on the other side: its error has a mean of nothing."""
     assert rests(printed(0.02, 0.0, np.random.default_rng(3))).moving[100:-100].all()
