@@ -235,16 +235,15 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
         burst: list[int] = []
         for i in range(1, len(samples) + 1):
             gained = i < len(samples) and samples.on_time_s[i, k] > samples.on_time_s[i - 1, k]
-            goes_on = gained and samples.pulses[i, k] == samples.pulses[i - 1, k]
-            if burst and not goes_on:
+            if gained:
+                burst.append(i)
+            elif burst:
                 seconds = samples.on_time_s[burst[-1], k] - samples.on_time_s[burst[0] - 1, k]
                 count = samples.pulses[burst[-1], k] - samples.pulses[burst[0] - 1, k]
                 for j in burst:
                     own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
                     result[j, k] = own / seconds * count * linearised(seconds / count)
                 burst = []
-            if gained:
-                burst.append(i)
     return result
 
 

@@ -40,8 +40,8 @@ class Physics:
     """Joint draws of everything a fit infers that a prediction needs; leading axis n.
 
     ``parameters`` are the walked and fixed ones by name, those of effects among them; ``thrust_n``
-    (n, E, K) of the fitted events, ``level_n`` (n, K) of every thruster over all events,
-    ``software`` (n, 2) factor and on-time per pulse of the on-board ΔV.
+    (n, E, K) of the fitted events, ``level_n`` (n, K) of every thruster over all events, effects
+    apart, ``software`` (n, 2) factor and on-time per pulse of the on-board ΔV.
     """
 
     parameters: Mapping[str, Array | float]
@@ -67,6 +67,10 @@ class Physics:
             }
             self._balances[modifiers] = model.points_at(each, self.size).physics(modifiers)
         return self._balances[modifiers]
+
+    def delivered_n(self, model: Model) -> Array:
+        """Thrust (n, K) that thrusters deliver on average: level times factor of effects."""
+        return np.asarray(self.level_n * self.balance(model).thrust_factor)
 
     def at(self, index: NDArray[np.int64]) -> Physics:
         """The draws of the given indices."""

@@ -109,7 +109,9 @@ def quantities(learned: Learned) -> dict[str, Array]:
     found["thrust_mean_n"] = physics.level_n.mean(1)
     kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
     for k, name in enumerate(learned.model.thrusters):
-        found[f"impulse_per_on_time_{name}_n"] = physics.level_n[:, k] * kappa[:, k]
+        found[f"impulse_per_on_time_{name}_n"] = (
+            physics.delivered_n(learned.model)[:, k] * kappa[:, k]
+        )
     for name in learned.model.space.names:
         found[name] = np.asarray(physics.parameters[name])
     return found
@@ -226,7 +228,7 @@ class _Judge:
         columns = [numbers.index(number) for number in wheels]
         kappa = stretch(model, physics, learned.pulses.coefficients[:, 0])
         arms = arms_of(model, physics) * kappa[:, None, :]
-        torque = arms * physics.level_n[:, None, :]
+        torque = arms * physics.delivered_n(model)[:, None, :]
         momentum = wheels_of(model, physics).momentum_per_rpm[:, :, columns]
         t, w, q = torque - torque.mean(0), momentum - momentum.mean(0), draws - draws.mean()
         n, p = len(draws), physics.parameters
@@ -289,7 +291,7 @@ def expected_on_times(typical: Learned, request: BiasRequest) -> tuple[Array, fl
     """Expected on-times (K,), duration and hydrazine of a bias at the mean of all knowledge."""
     model, physics = typical.model, typical.physics
     rate = typical.pulses.coefficients[:, 0]
-    solver = solver_of(model, physics, physics.level_n, rate)
+    solver = solver_of(model, physics, physics.delivered_n(model), rate)
     rates = (request.start_rpm, request.end_rpm)
     lasts = duration_s(typical.manager, request.wheels, rates[1] - rates[0])
     demand = demand_of(model, physics, typical.manager, request.wheels, rates, lasts)
@@ -303,7 +305,7 @@ def _grams(typical: Learned, physics: Physics, on_time: Array, rate: Array) -> f
     if typical.hydrazine is None:
         return float("nan")
     effective = on_time * stretch(typical.model, physics, rate)
-    total, couple = group_impulse(typical.layout, physics.level_n, effective)
+    total, couple = group_impulse(typical.layout, physics.delivered_n(typical.model), effective)
     beta = typical.hydrazine.coefficients.mean(0)
     return float(1e3 / GRAVITY_M_S2 * (total[0] * beta[0] + couple[0] * beta[1]) + beta[2])
 

@@ -158,7 +158,8 @@ def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, stil
     departure = rng.standard_normal((learned.size, own.shape[1])) @ own.T
     if still:
         departure, moved = np.zeros_like(departure), np.full_like(moved, moved.mean())
-    return np.asarray(learned.physics.level_n + moved[:, None] + departure)
+    level = learned.physics.delivered_n(learned.model)
+    return np.asarray(level + moved[:, None] + departure)
 
 
 def _durations(learned: Learned, request: BiasRequest, rng: np.random.Generator) -> Array:

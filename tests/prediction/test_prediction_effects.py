@@ -57,7 +57,7 @@ def predicted(learned: Learned) -> Prediction:
 
 
 def balance(learned: Learned, found: Prediction) -> tuple[Array, Array, Array]:
-    """Lever arms (n, 3, K), impulse over arm (n, K) and what the wheels ask (n, 3), by hand."""
+    """Lever arms (n, 3, K), thrust and on-time (n, K), what the wheels ask (n, 3), by hand."""
     event, drawn, craft = flights()[0][0], learned.physics, learned.model.spacecraft
     values = {k: np.broadcast_to(v, (SIZE,)) for k, v in drawn.parameters.items()}
     rate = learned.pulses.coefficients[:, :1]
@@ -70,29 +70,29 @@ def balance(learned: Learned, found: Prediction) -> tuple[Array, Array, Array]:
     places = [[w.number for w in craft.wheels].index(n) for n in event.wheels]
     change = (event.rwa_end_rpm - event.rwa_start_rpm) * RAD_S_PER_RPM
     arms = lever_arms(craft, learned.model.branch, values)
-    return arms, (drawn.level_n + moved) * effective, weights[:, :, places] @ change
+    return arms, drawn.level_n + moved, effective, weights[:, :, places] @ change
 
 
 def test_thrusters_make_up_for_a_leak() -> None:
     """Σ q F s + q_z3 F_leak D = ΔH: without the leak's part the balance is off by newton metres."""
     known = learned_with({LEAK: 5e-3}, "thruster_leak:z3")
     found = predicted(known)
-    arms, impulse, wanted = balance(known, found)
-    given = (arms @ impulse[..., None])[..., 0]
+    arms, thrust, effective, wanted = balance(known, found)
+    given = (arms @ (thrust * effective)[..., None])[..., 0]
     leaked = 5e-3 * arms[:, :, known.model.thrusters.index("z3")] * found.duration_s[:, None]
     np.testing.assert_allclose(given + leaked, wanted, atol=1e-6)
     assert np.abs(given - wanted).max() > 1.0
 
 
 def test_a_weak_thruster_fires_longer() -> None:
-    """Its impulse counts by its factor: the balance closes with it and not without."""
+    """Its level counts by its factor: the balance closes with it and not without."""
     known = learned_with({FACTOR: 0.75}, "thruster_degraded:z4")
     found = predicted(known)
-    arms, impulse, wanted = balance(known, found)
-    weak = np.where(np.array(known.model.thrusters) == "z4", 0.75, 1.0)
-    given = (arms @ (weak * impulse)[..., None])[..., 0]
+    arms, thrust, effective, wanted = balance(known, found)
+    lost = np.where(np.array(known.model.thrusters) == "z4", 0.25, 0.0) * known.physics.level_n
+    given = (arms @ ((thrust - lost) * effective)[..., None])[..., 0]
     np.testing.assert_allclose(given, wanted, atol=1e-6)
-    assert np.abs((arms @ impulse[..., None])[..., 0] - wanted).max() > 0.1
+    assert np.abs((arms @ (thrust * effective)[..., None])[..., 0] - wanted).max() > 0.1
 
 
 def test_an_effect_of_no_size_changes_no_prediction() -> None:

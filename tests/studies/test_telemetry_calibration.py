@@ -45,7 +45,7 @@ def test_names_are_those_of_draws_and_truth() -> None:
     rng = np.random.default_rng(1)
     priors = joint.priors()
     simulation = joint.simulate(priors, rng)
-    model = model_of(simulation, joint.variant, priors, np.random.default_rng(2))
+    model = model_of(simulation, joint.variant, priors)
     drawn = flat_draws(model, model.space.sample(rng, 3), rng)
     truth = flat_truth(simulation)
     assert set(joint.names()) <= set(drawn)
@@ -74,9 +74,7 @@ def test_the_pulse_blind_control_keeps_more_rows() -> None:
     priors = one.priors()
     simulation = one.simulate(priors, np.random.default_rng(3))
     rows = [
-        model_of(
-            simulation, replace(one.variant, control=control), priors, np.random.default_rng(2)
-        )
+        model_of(simulation, replace(one.variant, control=control), priors)
         .telemetry[0]
         .event.statistics.rows
         for control in ("none", "pulse-blind")

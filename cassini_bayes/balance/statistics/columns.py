@@ -503,10 +503,8 @@ def quarter_of(time_s: Array, duration_s: float) -> NDArray[np.intp]:
 def effective_increments(on_time: Array, pulses: Array, sampling: Sampling) -> Array:
     """Effective on-time of every counter interval and its derivatives, (m, K, 3).
 
-    An interval in which no pulse begins goes on with the last pulse of the one before: both
+    Intervals in a row with firing belong together: a pulse may run from one into the next. They
     share the mean width of their pulses, and their effective on-time in proportion to on-time.
-    Where pulses begin they are taken by themselves: the mean width of more of them would hide how
-    unlike they are, and short ones deliver less than in proportion.
     on_time, pulses (m, K) are the increments of the counters.
     """
     firing = (on_time > 0) | (pulses > 0)
@@ -515,8 +513,7 @@ def effective_increments(on_time: Array, pulses: Array, sampling: Sampling) -> A
         rows = np.flatnonzero(firing[:, k])
         if len(rows) == 0:
             continue
-        begins = (np.diff(rows) > 1) | (pulses[rows[1:], k] > 0)
-        run = np.concatenate([[0], np.cumsum(begins)])
+        run = np.concatenate([[0], np.cumsum(np.diff(rows) > 1)])
         seconds = np.bincount(run, on_time[rows, k])
         # a run without a start goes on from before the first reading
         count = np.maximum(np.bincount(run, pulses[rows, k]), 1.0)
