@@ -98,17 +98,19 @@ class Turning:
         y, x = self.each[0][:, chosen], (self.each[1] @ rate.T)[:, chosen]
         noise = (3.0 * GYRO_SD) ** 2
 
-        def gain(turned: Array, mean: Array, best: float) -> float:
-            """Likelihood ratio of the best common power Σ y x to that of the same axes and time."""
-            yy, xx = float(np.sum(turned**2)), float(np.sum(mean**2))
-            if yy * xx == 0.0:
+        def gain(turned: Array, mean: Array, other: Array) -> float:
+            """Likelihood ratio of the best axes of the rates ``other`` to the rates as they are."""
+            yy, xx, best = float(np.sum(turned**2)), float(np.sum(mean**2)), anyhow(turned, other)
+            moved = float(np.sum(other**2))
+            if yy * xx * moved == 0.0:
                 return 1.0
             same, small = float(np.sum(turned * mean)), min(xx, yy)
-            by_difference = yy + xx + noise * (yy + xx)
-            first = (by_difference - 2.0 * same) / (by_difference - 2.0 * best)
+            first = (yy + xx - 2.0 * same) / (yy + xx) + noise
+            first /= max((yy + moved - 2.0 * best) / (yy + moved), 0.0) + noise
             power = max(same, 0.0)
             as_is = yy * xx - power**2 if power <= small else small * (yy + xx - 2.0 * power)
-            second = (as_is + noise * yy * xx) / (yy * xx * (1.0 + noise) - max(best, power) ** 2)
+            second = as_is / (yy * xx) + noise
+            second /= max(1.0 - best**2 / (yy * moved), 0.0) + noise
             return max(first, second)
 
         def anyhow(turned: Array, mean: Array) -> float:
@@ -117,13 +119,9 @@ class Turning:
             several = len(chosen) > 1
             return float(np.linalg.svd(common, compute_uv=False).sum() if several else common[0, 0])
 
-        largest = gain(y, x, anyhow(y, x))
+        largest = gain(y, x, x)
         for k in range(1, min(MOST_LAGS, len(y) // 4) + 1):
-            largest = max(
-                largest,
-                gain(y[k:], x[k:], anyhow(y[k:], x[:-k])),
-                gain(y[:-k], x[:-k], anyhow(y[:-k], x[k:])),
-            )
+            largest = max(largest, gain(y[k:], x[k:], x[:-k]), gain(y[:-k], x[:-k], x[k:]))
         return len(y) * float(np.log(max(largest, 1.0)))
 
 
