@@ -21,8 +21,8 @@ from cassini_bayes.sampling.warmstart import warm_start
 def test_expected_widths_come_true(names: tuple[str, ...], within: float) -> None:
     """Expected over prior widths are those of the posterior, within a third.
 
-    Of a bias alone within two thirds: its torque noise and share of close pulses, far below their prior
-    means here, decide how well momentum is known between firings.
+    Of a bias alone within two thirds: its torque noise and share of close pulses, far below their
+    prior means here, decide how well momentum is known between firings.
     """
     joint = model(*names)
     table = observability(joint).table.set_index("quantity")
