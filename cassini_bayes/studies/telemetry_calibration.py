@@ -41,7 +41,7 @@ from cassini_bayes.studies.scenario import (
 )
 
 LogDensity = Any
-Control = Literal["none", "balance-residual", "pulse-blind", "rounding-ignored", "cuts-ignored"]
+Control = Literal["none", "balance-residual", "pulse-blind", "rounding-ignored"]
 
 TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
@@ -102,12 +102,6 @@ CONTROLS: Final = (
         telemetry={"on_time_resolution_s": 0.01},
         control="rounding-ignored",
     ),
-    replace(
-        VARIANTS[0],
-        name="cuts-ignored",
-        label="control: no pulse taken to cut the one before",
-        control="cuts-ignored",
-    ),
 )
 
 
@@ -150,8 +144,6 @@ class TelemetryCampaign:
     def priors(self) -> Priors:
         """The priors file, with the variant's own wheel noise."""
         priors = read_priors(self.priors_path)
-        if self.variant.control == "cuts-ignored":
-            priors = priors.with_fixed(CLOSE_SHARE, 0.0)
         if self.variant.wheel_noise_rpm is None:
             return priors
         narrow = Distribution("lognorm", {"s": 0.3, "scale": self.variant.wheel_noise_rpm})
