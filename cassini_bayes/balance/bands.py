@@ -87,9 +87,8 @@ def _bands(statistics: EventStatistics) -> Bands:
     counters = statistics.counters
     time = counters.row_time_s
     waves = np.cos(np.pi / statistics.duration_s * time[:, None] * np.arange(len(turned)))
-    places = Places(time, waves, counters.stride)
-    left_open = open_squares(statistics, places, turned)
-    on_modes = places.waves @ turned
+    places, on_modes = Places(time, waves, counters.stride), waves @ turned
+    left_open = open_squares(statistics, places, on_modes)
     step = statistics.steps.wheel_rad_s
     of_wheels, everywhere = wheel_squares(
         statistics.shown.rate_rad_s, step, on_modes, counters.stride
@@ -101,7 +100,8 @@ def _bands(statistics: EventStatistics) -> Bands:
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         motion = None if turning else motion_table(stop - start, still)
-        noise = (*left_open.of_modes(start, stop), of_modes(of_wheels, start, stop))
+        own_wheels = of_wheels.of_modes(start, stop).over(stop - start)
+        noise = (*left_open.of_modes(start, stop), own_wheels)
         bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion, *noise))
         grams.append(gram)
         rest = rest - gram
@@ -112,7 +112,7 @@ def _bands(statistics: EventStatistics) -> Bands:
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         left = np.array([beyond * statistics.rows / rows])
         motion = None if turning else motion_table(rows, still)
-        slower = of_modes(of_wheels, 0, len(walk), mean=False)
+        slower = of_wheels.of_modes(0, len(walk))
         noise = (*left_open.of_rest(rows), (everywhere - slower).over(rows))
         bands.append(_band(statistics.layout, rest, left, rows, motion, *noise))
         grams.append(rest)
@@ -154,13 +154,6 @@ def _band(
     return Band(rows, square, walk, motion, cut, level, wheels)
 
 
-def of_modes(squares: WheelSquares, start: int, stop: int, *, mean: bool = True) -> WheelSquares:
-    """Mean or sum over some modes of squares (M, W)."""
-    parts = (squares.moving, squares.seen, squares.lasting)
-    total = WheelSquares(*(part[start:stop].sum(axis=0) for part in parts))
-    return total.over(stop - start) if mean else total
-
-
 @dataclass(frozen=True)
 class OpenSquares:
     """Squares, summed over rows, of what counters leave open in the number of tails and in on-time.
@@ -197,14 +190,14 @@ class Places:
     stride: int
 
 
-def open_squares(statistics: EventStatistics, places: Places, turned: Array) -> OpenSquares:
-    """What counters leave open, on modes that ``turned`` (1 + cosines, M) makes of the cosines."""
+def open_squares(statistics: EventStatistics, places: Places, on_modes: Array) -> OpenSquares:
+    """What counters leave open, on modes that are ``on_modes`` (r, M) at the places."""
     counters = statistics.counters
     couples = counters.weight.shape[1]
-    modes, rows = np.zeros((2, turned.shape[1], couples)), np.zeros((2, couples))
+    modes, rows = np.zeros((2, on_modes.shape[1], couples)), np.zeros((2, couples))
     if couples == 0 or len(counters.end_s) == 0:
         return OpenSquares(*modes, *rows)
-    on_modes, weight = places.waves @ turned, places.waves[:, :1]
+    weight = places.waves[:, :1]
     step = weight * (places.time_s[:, None] >= counters.end_s)
     for g in range(couples):
         cuts = cut_patterns(counters, g, statistics.duration_s, step)
@@ -255,8 +248,9 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     walk, turned = diagonal_walk(turns.slope_mode_gram, statistics.duration_s, turns.pieces)
     modes = np.tensordot(turns.slope_projection, turned, (0, 0))
     places = Places(turns.slope_time_s, turns.slope_waves, turns.slope_stride)
-    left_open = open_squares(statistics, places, turned)
-    rounded, all_rounded = rounded_slopes(turns, turned)
+    on_modes = turns.slope_waves @ turned
+    left_open = open_squares(statistics, places, on_modes)
+    rounded, all_rounded = rounded_slopes(turns, on_modes)
     bands, grams, rest = [], [], turns.slope_gram
     inner = [edge for edge in SLOPE_EDGES if edge < len(walk)]
     for start, stop in pairwise([0, *inner, len(walk)]):
@@ -278,16 +272,15 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     return bands, grams
 
 
-def rounded_slopes(turns: TurnStatistics, turned: Array) -> tuple[Array, Array]:
+def rounded_slopes(turns: TurnStatistics, on_modes: Array) -> tuple[Array, Array]:
     """Squares (M, W) of lasting roundings of wheel rates on every mode of slopes; on all (W,).
 
     Over that of a single row. A rounding that stays the same in a piece is in its slope |t − t̄|
-    times, and in the next pieces as well while the wheel rests. ``turned`` (1 + cosines, M) makes
-    the modes of the cosines.
+    times, and in the next pieces as well while the wheel rests. ``on_modes`` (r, M) are the modes
+    at the thinned pieces.
     """
-    on_modes, stride = turns.slope_waves @ turned, turns.slope_stride
-    wheels = turns.slope_resting.shape[1]
-    total, everywhere = np.zeros((turned.shape[1], wheels)), np.zeros(wheels)
+    stride, wheels = turns.slope_stride, turns.slope_resting.shape[1]
+    total, everywhere = np.zeros((on_modes.shape[1], wheels)), np.zeros(wheels)
     for j, shown in enumerate(turns.slope_resting.T):
         size = np.where(np.isfinite(shown), turns.slope_waves[:, 0], 0.0)
         starts = np.flatnonzero(np.r_[True, shown[1:] != shown[:-1]])  # NaN is unlike any

@@ -47,6 +47,11 @@ class WheelSquares:
             )
         )
 
+    def of_modes(self, start: int, stop: int) -> WheelSquares:
+        """Sums over some modes of squares (M, W)."""
+        parts = (self.moving, self.seen, self.lasting)
+        return WheelSquares(*(part[start:stop].sum(axis=0) for part in parts))
+
     def over(self, count: float) -> WheelSquares:
         """Means over so many modes or rows of what are sums."""
         return WheelSquares(self.moving / count, self.seen / count, self.lasting / count)

@@ -108,10 +108,9 @@ def quantities(learned: Learned) -> dict[str, Array]:
     }
     found["thrust_mean_n"] = physics.level_n.mean(1)
     kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
+    delivered = physics.delivered_n(learned.model)
     for k, name in enumerate(learned.model.thrusters):
-        found[f"impulse_per_on_time_{name}_n"] = (
-            physics.delivered_n(learned.model)[:, k] * kappa[:, k]
-        )
+        found[f"impulse_per_on_time_{name}_n"] = delivered[:, k] * kappa[:, k]
     for name in learned.model.space.names:
         found[name] = np.asarray(physics.parameters[name])
     return found
