@@ -11,6 +11,7 @@ from cassini_bayes.diagnosis.drafts import Draft
 from cassini_bayes.effects.wording import rounded
 from cassini_bayes.report.cells import Cell, Table
 from cassini_bayes.report.diagnosis_pictures import Drawn
+from cassini_bayes.report.diagnosis_slider import width_slider
 from cassini_bayes.report.diagnosis_verdict import (
     UNITS,
     alike_nothing,
@@ -68,6 +69,7 @@ def render_diagnosis(
         causes=_cause_table(first, record),
         folded_causes=_cause_table(folded, record) if folded else None,
         fold=_fold_words(folded, nothing),
+        widths=width_slider(record),
         separation=record["separation"],
         symptoms=_symptom_table(record),
         comparison=_comparison_table(record),
