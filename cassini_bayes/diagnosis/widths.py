@@ -124,7 +124,7 @@ def _score_at(weighed: Weighed[Hypothesis], score: float, width: float) -> tuple
             return 0.0
         log_weights = reweighted(own, width)
         if share >= WORTH_A_SEARCH:
-            reach.append(pareto_k(log_weights))
+            reach.append(own.pareto_k if width == 1.0 else pareto_k(log_weights))
         return float(logsumexp(log_weights))
 
     return score + over_beginnings(weighed, change), float(max(reach))

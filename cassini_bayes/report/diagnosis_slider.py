@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from cassini_bayes.report.page import Slider, SliderPrior, SliderRow
-from cassini_bayes.report.plots.quantities import display_scale, interval, plus_minus
+from cassini_bayes.report.plots.quantities import MISSING, display_scale, interval, plus_minus
 from cassini_bayes.report.priors import width_label
 from cassini_bayes.sweep.weights import WORST_PARETO_K
 
@@ -63,7 +63,8 @@ def _sizes(record: Record, trusted: Sequence[Record]) -> Iterator[Axis]:
         scale = display_scale(size["unit"], size["mean"], size["sd"])
         low, high = min(ends), max(ends)
         if high > low:
-            yield f"{name}: {key}", scale.unit or "1", key, scale.factor, low, high
+            unit = "1" if scale.unit == MISSING else scale.unit
+            yield f"{name}: {key}", unit, key, scale.factor, low, high
 
 
 def _cells(
