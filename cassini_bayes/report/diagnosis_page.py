@@ -103,7 +103,7 @@ def _key_numbers(record: Record) -> list[tuple[str, str]]:
 
 
 def _signed(value: float, form: str, unit: str = "") -> str:
-    return f"{value:+{form}}{unit}".replace("-", "−")
+    return f"{value:+z{form}}{unit}".replace("-", "−")  # z: no negative zero
 
 
 def _number(value: float | None, form: str = ".4g") -> str:

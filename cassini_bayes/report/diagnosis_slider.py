@@ -53,8 +53,10 @@ Axis = tuple[str, str, str, float, float, float]
 
 
 def _sizes(record: Record, trusted: Sequence[Record]) -> Iterator[Axis]:
-    """Label, unit, key, factor to the unit and ends of the axis of every size of the cause."""
+    """Label, unit, key, factor to the unit and ends of the axis of every size of a named cause."""
     name = trusted[0]["cause"]
+    if record["causes"][0]["name"] != name:  # nothing is named
+        return
     parameters: Record = next((c["parameters"] for c in record["causes"] if c["name"] == name), {})
     for key, size in parameters.items():
         if key not in trusted[0]["sizes"]:

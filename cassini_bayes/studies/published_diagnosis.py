@@ -57,8 +57,8 @@ def estimate_section(key: str, case: EstimateCase, seed: int, more: str = "") ->
         verdict,
         by_width(verdict, {width: w.probabilities for width, w in verdicts.items()}),
         {w.name: _sizes(case, w) for w in verdict.weighed},
-        f"It leaves {_newtons(case, verdict.best)} N (estimate less posterior mean prediction): "
-        f"{rms:.3f} N RMS, at most {100 * share:.1f} % of an estimate.",
+        f"`{verdict.best.name}` leaves {_newtons(case, verdict.best)} N (estimate less posterior "
+        f"mean prediction): {rms:.3f} N RMS, at most {100 * share:.1f} % of an estimate.",
         "\n\n".join(details),
     )
 

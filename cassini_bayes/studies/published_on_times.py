@@ -179,8 +179,8 @@ def _gain(
     verdict = replace(least, rmse_ratio=ratio).verdict
     miss = [float(np.abs(h.residual).mean()) for h in (before, after) if h.residual is not None]
     return f"""\
-Held out: each of {len(before.log_scores)} events in turn, {verdict}. Log scores are summed,
-± one standard error.
+Held out: each of {len(before.log_scores)} events in turn. Verdict: {verdict}. Log
+scores are summed, ± one standard error.
 
 | model | `{first}` against it (nats) | RMS residual (s) | mean absolute (s) | in 90 % intervals |
 | --- | --- | --- | --- | --- |
