@@ -90,8 +90,10 @@ def _key_numbers(record: Record) -> list[tuple[str, str]]:
     numbers = [
         ("most probable", best["name"]),
         ("its probability", probability_words(best["probability"])),
-        ("evidence over none", _signed(best["log_bayes_factor"], ",.1f", " nats")),
     ]
+    if best["name"] != "none":
+        over = _signed(best["log_bayes_factor"], ",.1f", " nats")
+        numbers.append(("evidence over none", over))
     if gain["elpd_diff"] is not None and best["name"] != "none":
         value = _signed(gain["elpd_diff"], ",.1f")
         numbers.append(("held-out gain", f"{value} ± {gain['elpd_diff_se']:,.1f} nats"))
