@@ -50,7 +50,7 @@ WIDTHS: Final[Mapping[str, float]] = {
     "torque": 0.003,  # N m, each axis: a leak of a few mN
     "bias": 2e-5,  # rad/s of every rate
     "drift": 0.002,  # N m s per √s, each axis: torque that nothing catalogued explains
-    "cut": 0.02,  # s of thrust of each pulse that may follow another at once: what is cut off a tail
+    "cut": 0.02,  # s of thrust, cut off the tail of each pulse that another may follow at once
     "swing": 2e-5,  # rad/s of a boom's oscillation, where one is looked for
 }
 """One standard deviation of what may depart from the nominal values: the catalogue of effects, five
