@@ -461,6 +461,8 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
             continue
         shift = _Shift(evidence, rows, motion, name)
         grid = {late: shift.share(late) for late in shift.lags_s()}
+        if not grid:
+            return  # rows further apart than any shift that is asked about
         near = min(grid, key=lambda late: grid[late])
         step_s = max(row_s, 2.0 * abs(near) / MOST_SHIFTS)
         for late in np.arange(0.5, 1.8, step_s / abs(near)) * near:

@@ -57,7 +57,8 @@ WIDTHS: Final[Mapping[str, float]] = {
 to ten times the published uncertainties; drift: twice the median of `unknown`
 there, as a mistake that explains more than a torque of nobody's catalogue has to win against it."""
 WARM_UP_S: Final = 5.0
-DRIFT_MODES: Final = 12
+DRIFT_MODES: Final = 24
+"""Of a torque that wanders: with 12, what a strong one has left was no noise (by trial)."""
 CUT_MODES: Final = 24
 SWING_MODES: Final = 4
 LEAST_CYCLES: Final = 4.0
