@@ -449,6 +449,19 @@ def test_a_mistake_in_one_row_is_named_with_the_row() -> None:
     assert rows[3].id in cell
 
 
+def test_a_thruster_in_another_unit_is_named_and_a_weak_one_is_not() -> None:
+    """One column of on-times × 10 in every row; two fifths of the thrust gone are physics."""
+    z1 = np.arange(8) == 0
+
+    def times(factor: float) -> list[TotalsEvent]:
+        return [
+            replace(row, on_time_s=row.on_time_s * np.where(z1, factor, 1.0)) for row in flight()
+        ]
+
+    assert judged(times(10.0)).startswith("on-time-unit")
+    assert judged(times(1.0 / 0.6)) == ""
+
+
 def test_on_times_that_are_a_thrust_cannot_be_known() -> None:
     """On-times × 1.2 are a weaker thrust: no check can tell, and none pretends to."""
     assert judged([replace(row, on_time_s=1.2 * row.on_time_s) for row in flight()]) == ""

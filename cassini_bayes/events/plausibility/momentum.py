@@ -552,7 +552,7 @@ def swing_modes(time_s: Array, swing_hz: float) -> Array:
     phase = 2.0 * np.pi * swing_hz * time_s
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
     along = 2.0 * time_s[:, None] / max(float(time_s[-1]), LEAST_SPAN) - 1.0
-    return np.concatenate([waves, along * waves], axis=1)
+    return np.asarray(np.concatenate([waves, along * waves], axis=1))
 
 
 def close_pulses(rows: Rows) -> Array:
@@ -564,7 +564,7 @@ def close_pulses(rows: Rows) -> Array:
     gained = np.diff(rows.pulses, axis=0, prepend=rows.pulses[:1])
     quiet = np.concatenate([np.ones_like(gained[:1]), gained[:-1]]) == 0.0
     quiet[0] = True
-    return np.maximum(gained - quiet, 0.0)
+    return np.asarray(np.maximum(gained - quiet, 0.0))
 
 
 def largest_jumps(wheel_rpm: Array) -> NDArray[np.int64]:
