@@ -24,7 +24,6 @@ from cassini_bayes.events.plausibility.hypotheses import (
 from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
 from cassini_bayes.events.plausibility.verdict import (
-    EXPLAINED,
     PHYSICS,
     STRICT,
     SUSPECT,
@@ -228,8 +227,6 @@ class TelemetryCheck:
             expected = "attitude, rates, wheels and counters of one motion"
             refuse_best(where, expected, misfit, best, self._policy, findings)
             return
-        if physical <= EXPLAINED * sharper.misfit():
-            return  # late counters: a cause of the catalogue, which the diagnosis names
         balance = evidence.balance()
         share = 0.0
         if balance is not None and evidence.rows is not None:
