@@ -32,6 +32,7 @@ PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 RPM = 2.0 * np.pi / 60.0
 MODES = 512
 EDGES = (32, 128)
+SLOPE_EDGES = (1, 2, 4, 8, 32)
 ROWS_PER_MODE = 2
 SPARSE_S = 4.0
 PARTS = 4
@@ -419,25 +420,34 @@ def _unknowns(
     columns = np.zeros((3 * n, thrusters))
     if samples.on_time_s.shape[1] == 0:
         return own, columns, mean
-    lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
+    lost, scattered = plain_lost(term, tau, close)
     counts = np.array(rows.cuts)  # (n, G)
     couples = term.event.sampling.couples
     for k in range(thrusters):
         couple = next(g for g, c in enumerate(couples) if k in c)
-        cut = close * lost * counts[:, couple][:, None] * arms[:, k]
+        cut = lost * counts[:, couple][:, None] * arms[:, k]
         columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
     for g, members in enumerate(couples):
-        step = model.thrust_prior.common_mean_n * lost * arms[:, list(members)].sum(1)
+        step = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
         if rows.pairs_of(g):
-            own.append((0.5 * close * counts[:, g][:, None] * step).reshape(-1))
+            own.append((0.5 * lost * counts[:, g][:, None] * step).reshape(-1))
         for part in range(PARTS):
             pairs = [p for p in rows.pairs_of(g) if rows.part(p, term.event.sampling) == part]
             if pairs:
                 number = sum(m for _, _, m in pairs)
                 cut = sum(m * (np.array(rows.times) >= t) for t, _, m in pairs) / number
-                scatter = np.sqrt(close * (1.0 - close) * number)
+                scatter = scattered * np.sqrt(number)
                 own.append((scatter * cut[:, None] * step).reshape(-1))
     return own, columns, mean
+
+
+def plain_lost(term: TelemetryTerm, tau: tuple[float, ...], close: float) -> tuple[float, float]:
+    """On-time that a pair loses, s: a sum over gaps, each as likely, with the chance of none."""
+    gaps = term.event.statistics.counters.gaps_s
+    losses = [(tau[2] - tau[1]) * np.exp(-gap / tau[2]) for gap in gaps]
+    mean = close * sum(losses) / len(losses)
+    square = sum(close / len(losses) * (loss - mean) ** 2 for loss in losses)
+    return float(mean), float(np.sqrt(square + (1.0 - close) * mean**2))
 
 
 def plain_open(
@@ -459,7 +469,7 @@ def plain_open(
     if not rows.shots:
         return total
     sampling = term.event.sampling
-    lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
+    _, scattered = plain_lost(term, tau, close)
     counters = term.event.statistics.counters
     for g, members in enumerate(sampling.couples):
         arm = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
@@ -471,7 +481,7 @@ def plain_open(
             mean = sum(v * step for (_, _, v), step in zip(pairs, steps, strict=True))
             for (_, _, v), step in zip(pairs, steps, strict=True):
                 apart = step - mean / whole
-                square += close * (1.0 - close) * lost**2 * v * apart @ share @ apart
+                square += scattered**2 * v * apart @ share @ apart
         ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
         levels = np.column_stack(
             [ramps * ((times >= start) & (times < stop)) for start, stop in pairwise(ends)]
@@ -527,7 +537,7 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
             piece = []
         piece.append(i + 1)
     slope_rates, slope_rows, waves, other_rates, other_rows = [], [], [], [], []
-    slope_times, ramps, sums = [], [], np.zeros(3)
+    slope_times, ramps, slope_sums, sums = [], [], [], np.zeros(2)
     duration = sampling.duration_s
     pieces.append(piece)
     for piece in [own for own in pieces if len(own) >= 2]:
@@ -560,8 +570,8 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
                 for order in range(129)
             ]
         )
+        slope_sums.append(np.sum((slope @ integral) ** 2))
         sums += [
-            np.sum((slope @ integral) ** 2),
             np.sum((contrast @ integral) ** 2),
             np.sum((contrast @ integral @ walk) ** 2),
         ]
@@ -573,13 +583,14 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
     scale = np.r_[np.sqrt(duration / 3.0), np.sqrt(2 * duration) / (order * np.pi)]
     modes, size, _ = np.linalg.svd(np.array(waves) * scale, full_matrices=False)
     bands = []
-    for start, stop in pairwise([0, *(edge for edge in (2, 8, 32) if edge < count), count]):
+    for start, stop in pairwise([0, *(edge for edge in SLOPE_EDGES if edge < count), count]):
         share = np.zeros((total, total))
         share[:count, :count] = modes[:, start:stop] @ modes[:, start:stop].T
-        bands.append((share, sums[0] / count, float(np.mean(size[start:stop] ** 2))))
+        summed = np.diagonal(share)[:count] @ np.array(slope_sums) / (stop - start)
+        bands.append((share, float(summed), float(np.mean(size[start:stop] ** 2))))
     if total > count:
         rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
-        bands.append((rest, sums[1] / (total - count), sums[2] / (total - count)))
+        bands.append((rest, sums[0] / (total - count), sums[1] / (total - count)))
     return PlainTurns(
         of_rates,
         np.concatenate([np.array(slope_rows), *other_rows]),
