@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.report.plots.style import STYLE
-from speed.aims import aims
+from speed.goals import goals
 from speed.tables import Found, Row, rows_of, table
 
 TARGET = 2_000
@@ -28,7 +28,7 @@ def write(path: Path, found: Found, quick: bool, note: str = "") -> None:
         title,
         _head(found, path),
         note,
-        aims(found),
+        goals(found),
         _fits(found),
         _samplers(found),
         _calls(found),
@@ -90,7 +90,7 @@ def _fits(found: Found) -> str:
         "fit. The first time is when the criterion on effective sizes held first, at one of the "
         "sampler's checks; the second includes the rest of the stop rule (length of 50 "
         "autocorrelation times, these settled to 5 %, R-hat), the draws of everything collapsed, "
-        "their own sizes, and the fit's tables. Aims: 10 s and 60 s of wall time to ESS 2,000 on "
+        "their own sizes, and the fit's tables. Goals: 10 s and 60 s of wall time to ESS 2,000 on "
         "two cores."
     )
 
@@ -163,7 +163,7 @@ def _peer_line(row: Row, rate: float) -> tuple[str, ...]:
 
 def _verdict(peers: list[Row], ours: Row) -> str:
     sentences = []
-    for form, aim in (("plain", 300), ("fast", 10)):
+    for form, goal in (("plain", 300), ("fast", 10)):
         rows = [row for row in peers if row["likelihood"] == form]
         measured = [row for row in rows if not row["bound"]]
         if measured:
@@ -172,7 +172,7 @@ def _verdict(peers: list[Row], ours: Row) -> str:
             steady = ours["sampling_ess_per_s"] / best["ess_per_s"]
             sentences.append(
                 f"Against the best on the {form} likelihood that was measured "
-                f"({best['sampler']}): {ratio:,.0f} × (aim {aim} ×), or {steady:,.0f} × without "
+                f"({best['sampler']}): {ratio:,.0f} × (goal {goal} ×), or {steady:,.0f} × without "
                 "our reading and warm start."
             )
         elif rows:
@@ -180,8 +180,8 @@ def _verdict(peers: list[Row], ours: Row) -> str:
             ratio = ours["ess_per_s"] / best["ess_per_s"]
             sentences.append(
                 f"On the {form} likelihood no sampler had a figure within its time: by the loosest "
-                f"bound ({best['sampler']}) ours is faster by at least {ratio:,.1f} × (aim "
-                f"{aim} ×)."
+                f"bound ({best['sampler']}) ours is faster by at least {ratio:,.1f} × (goal "
+                f"{goal} ×)."
             )
     return " ".join(sentences)
 
@@ -196,7 +196,7 @@ def _calls(found: Found) -> str:
             for r in samples
         ]
         whole = table(("rows of telemetry", "µs per point", "against the first"), lines)
-        text.append("## Cost of a likelihood call\n\nOne bias; aim 1.1 at 10⁶ rows.\n\n" + whole)
+        text.append("## Cost of a likelihood call\n\nOne bias; goal 1.1 at 10⁶ rows.\n\n" + whole)
     if events:
         lines = [
             (
@@ -210,7 +210,7 @@ def _calls(found: Found) -> str:
         text.append(
             whole + f"\n\nCost per event from {min(each) * CORE:.1f} to {max(each) * CORE:.1f} µs; "
             f"from two events on it varies by {max(each[1:]) / min(each[1:]) - 1:.0%}, with the "
-            f"first {max(each) / min(each) - 1:.0%} (aim 20 %). The events are one bias, "
+            f"first {max(each) / min(each) - 1:.0%} (goal 20 %). The events are one bias, "
             "repeated under other names: different biases differ in cost by up to 40 %."
         )
     return "\n\n".join(text)
@@ -231,7 +231,7 @@ def _reduction(found: Found) -> str:
     return (
         "## Reduction\n\n" + table(header, lines) + "\n\nPeak memory is that of the whole process, "
         "interpreter and libraries included. Rows of the reduction are made up on the fly, "
-        "chunks of 100,000 at a time. Aim: 200,000 rows per second and core." + _long(found)
+        "chunks of 100,000 at a time. Goal: 200,000 rows per second and core." + _long(found)
     )
 
 

@@ -145,8 +145,9 @@ def normal_equations(
     for f in range(bands):
         for i in range(n):
             used, own = weights[i], noise.wheels[i]
-            other[:] = noise.beside[i, 1 + f]
             for c in range(3):
+                for d in range(3):
+                    other[c, d] = noise.beside[i, 1 + f, c, d]
                 other[c, c] += noise.walk[i] * fast.walk[f]
             if is_told:
                 _moments(fast.grams[f], entries.wheels, lacking[i], fast.rows[f], products)
@@ -161,7 +162,7 @@ def normal_equations(
                     kept[i, 1 + f],
                 )
             else:
-                kept[i, 1 + f] = np.eye(wheels)
+                _set_one(kept[i, 1 + f])
             _see(own, kept[i, 1 + f], entries.wheel_entries, used, seen)
             _add_wheels(other, noise.wheel[i, 1 + f], seen, own, covariance)
             log_determinant = _invert(covariance, other)
@@ -252,7 +253,8 @@ def without_own(
             vector[i, a] -= common[i] * by_common
         constant[i] = total
         if not np.isfinite(total):
-            factor[i], solved[i], matrix[i], vector[i] = np.eye(own), 0.0, 0.0, 0.0
+            _set_one(factor[i])
+            solved[i], matrix[i], vector[i] = 0.0, 0.0, 0.0
             constant[i] = -np.inf
     return factor, solved[:, :, k], solved[:, :, :k], matrix, vector, constant
 
@@ -295,9 +297,9 @@ def _slow_wheels(
     variance V = S + 1 (docs §3); the matrix is E[S/V]. In slews all is motion, and the density
     flat.
     """
-    wheels, rows = variance.size, band.walk.size
+    wheels, rows = variance.size, float(band.walk.size)
     if band.nodes.size == 0:
-        kept[:] = np.eye(wheels)
+        _set_one(kept)
         return 0.0
     log_total, noise = 0.0, np.sqrt(variance)
     squares, axes = np.empty((wheels, wheels)), np.empty((wheels, wheels))
@@ -324,7 +326,13 @@ def _looked_up(
     # below the table's end the density is flat, above it is all motion
     log_square = max(np.log(max(square, LEAST_SQUARE)), -nodes[-1])
     t = max(-log_square, nodes[0])
-    place = min(max(np.searchsorted(nodes, t, side="right") - 1, 0), nodes.size - 2)
+    place, beyond = 0, nodes.size - 1
+    while beyond - place > 1:
+        middle = (place + beyond) // 2
+        if nodes[middle] <= t:
+            place = middle
+        else:
+            beyond = middle
     x = t - nodes[place]
     found = coefficients[:, place]
     log_density = ((found[0, 0] * x + found[1, 0]) * x + found[2, 0]) * x + found[3, 0]
@@ -581,13 +589,21 @@ def _contract(
 
 
 @compiled_sums
+def _set_one(matrix: Array) -> None:  # pragma: no cover - compiled
+    """Fill a square matrix with the unit matrix."""
+    for i in range(len(matrix)):
+        for j in range(len(matrix)):
+            matrix[i, j] = 1.0 if i == j else 0.0
+
+
+@compiled_sums
 def _diagonalise(matrix: Array, vectors: Array) -> None:  # pragma: no cover - compiled
     """Turn a symmetric matrix (m, m) to diagonal form in place; columns of ``vectors`` the axes.
 
     Jacobi's rotations, cyclic; accurate relative to each eigenvalue of a positive matrix.
     """
     m = len(matrix)
-    vectors[:] = np.eye(m)
+    _set_one(vectors)
     for _ in range(_SWEEPS):
         is_diagonal = True
         for p in range(m - 1):
@@ -660,9 +676,9 @@ def _solve_transposed(lower: Array, vector: Array) -> None:  # pragma: no cover 
 @compiled_sums
 def _invert(matrix: Array, inverse: Array) -> float:  # pragma: no cover - compiled
     """Inverse (m, m) of a positive matrix, and the log of its determinant."""
-    lower = np.empty_like(matrix)
+    lower = np.empty((len(matrix), len(matrix)))
     log_determinant = _factor(matrix, lower)
-    inverse[:] = np.eye(len(matrix))
+    _set_one(inverse)
     for column in range(len(matrix)):
         _solve(lower, inverse[:, column])
         _solve_transposed(lower, inverse[:, column])

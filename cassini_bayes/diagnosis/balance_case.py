@@ -48,7 +48,7 @@ from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
 from cassini_bayes.diagnosis.visible import visible_record
-from cassini_bayes.diagnosis.widths import change_of_evidence
+from cassini_bayes.diagnosis.widths import by_width, change_of_evidence
 from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
 from cassini_bayes.effects.registry import Kinds
 
@@ -174,6 +174,12 @@ class BalanceCase(Case[Hypothesis]):
             w.name: score + change_of_evidence(self.events, w, float(np.exp(score)), width)
             for w, score in zip(verdict.weighed, verdict.log_probabilities, strict=True)
         }
+
+    def by_width(
+        self, verdict: Ranking[Hypothesis], rng: np.random.Generator
+    ) -> list[dict[str, Any]]:
+        """By weighting the same draws."""
+        return by_width(verdict, rng)
 
     def pairs(
         self, first: Candidate, least: float, rng: np.random.Generator, workers: Crew

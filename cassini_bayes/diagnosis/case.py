@@ -227,6 +227,11 @@ class Case(ABC, Generic[H]):
     ) -> Mapping[str, float]:
         """Log of evidence times prior probability with all priors of effects wider by a factor."""
 
+    def by_width(self, verdict: Ranking[H], rng: np.random.Generator) -> list[dict[str, Any]]:
+        """Probabilities and sizes at many widths at once, for a page; none where draws lack."""
+        del verdict, rng
+        return []
+
     @property
     @abstractmethod
     def kinds(self) -> Kinds:

@@ -29,6 +29,7 @@ PARTS: Final = 4  # in which the records of causes are made: work for up to four
 KEPT: Final[Mapping[str, Any]] = {
     "causes": list,
     "width": dict,
+    "by width": list,
     "baseline score": HeldOut | None,
     "score": HeldOut | None,
     "p": float | None,
@@ -103,7 +104,7 @@ def diagnose(
     # a generator for each: what is drawn does not depend on how the work is shared out
     of_baseline, of_extended, of_p, of_extended_p, of_shown = rng.spawn(5)
     of_causes = rng.spawn(len(verdict.weighed))
-    of_runner_up, of_curves = rng.spawn(2)
+    of_runner_up, of_curves, of_widths = rng.spawn(3)
     work: dict[str, Work] = {
         f"causes {part}": partial(_cause_records, case, verdict, of_causes, part)
         for part in range(PARTS)
@@ -114,6 +115,7 @@ def diagnose(
             work["score"] = partial(case.held_out, extended, of_extended, log)
     for width in WIDTHS:
         work[f"width {width:g}"] = partial(case.scores_at, width, verdict, deepcopy(at_start))
+    work["by width"] = partial(case.by_width, verdict, of_widths)
     if extended.is_cause:
         work["extended p"] = partial(case.p_value, extended, of_extended_p)
     work["p"] = partial(case.p_value, none, of_p)
@@ -188,10 +190,10 @@ def _record(
             **_fit_record(case.unit, extended, own_score, case.rmse(left_by)),
         },
         "gain": _gain(base_score, own_score, measured.get("extended p", measured["p"])),
-        "sensitivity": {
-            f"{width:g}": {name: p for name, p in shares.items() if p > LEAST_PROBABILITY}
-            for width, shares in widths.items()
-        },
+        "sensitivity": {f"{width:g}": _told(shares) for width, shares in widths.items()},
+        "by_width": [
+            {**row, "probabilities": _told(row["probabilities"])} for row in measured["by width"]
+        ],
         "second_cause_nats": None
         if pair is None or verdict.best_cause is None
         else float(pair.net_evidence - verdict.best_cause.net_evidence),
@@ -202,6 +204,11 @@ def _record(
         ],
         **shown.more,
     }
+
+
+def _told(shares: Mapping[str, float]) -> dict[str, float]:
+    """Probabilities that somebody reads."""
+    return {name: share for name, share in shares.items() if share > LEAST_PROBABILITY}
 
 
 def _fit_record(

@@ -3,22 +3,27 @@
 Another width w changes a cause's evidence by the posterior mean of a ratio of priors,
 Z_w / Z = E[p_w(x) / p(x)], which its importance draws give for nothing. Where the draws do not
 reach what the other prior likes (Pareto k̂ of the changed weights, above that of the draws' own) the
-mode of a cause of some probability is found anew.
+mode of a cause of some probability is found anew. For a page that shows many widths at once nothing
+is found anew: there k̂ says where the draws do not reach (:func:`by_width`).
 """
 
 from __future__ import annotations
 
-from typing import Final
+from copy import deepcopy
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed, over_beginnings
+from cassini_bayes.diagnosis.case import TRUSTED_K, Ranking, Size, Weighed, over_beginnings
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import mode_near
+from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
+from cassini_bayes.diagnosis.verdict import normalised
 from cassini_bayes.sampling.warmstart import pareto_k
+from cassini_bayes.sweep.widths import WIDTHS
 
 WORTH_A_SEARCH: Final = 0.01
 """Probability of a cause below which another width cannot make it first (judgement): a search takes
@@ -72,3 +77,69 @@ def reweighted(weighed: Weighed[Hypothesis], width: float) -> Array:
                 weights += wider.distribution.log_density(value)
                 weights -= old.distribution.log_density(value)
     return weights
+
+
+def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dict[str, Any]]:
+    """The verdict at each of :data:`WIDTHS`, by weighting the draws that there are.
+
+    Returns
+    -------
+    A record per width: ``probabilities`` by name, ``cause``, the most probable as diagnosed, with
+    its ``sizes``, and ``pareto_k``, the worst of the causes that have some probability before or
+    after. ``trusted`` is false where that is above 0.7, or where the cause has no draws.
+    """
+    cause = next((w for w in verdict.weighed if w.is_cause), None)
+    found = []
+    for width in WIDTHS:
+        scores, reach = {}, {}
+        for weighed, score in zip(verdict.weighed, verdict.log_probabilities, strict=True):
+            scores[weighed.name], reach[weighed.name] = _score_at(weighed, float(score), width)
+        after, before = normalised(scores), verdict.probabilities
+        told = [name for name in after if max(after[name], before[name]) >= WORTH_A_SEARCH]
+        worst = max(reach[name] for name in told)
+        sizes = None if cause is None else _sizes_at(cause, width, deepcopy(rng))
+        is_trusted = worst <= TRUSTED_K and (sizes is not None or cause is None)
+        found.append(
+            {
+                "width": width,
+                "pareto_k": worst if np.isfinite(worst) else None,
+                "trusted": bool(is_trusted),
+                "probabilities": after,
+                "cause": None if cause is None else cause.name,
+                "sizes": {
+                    key: {"mean": size.mean, "sd": size.sd, "hdi_90": list(size.interval)}
+                    for key, size in (sizes or {}).items()
+                },
+            }
+        )
+    return found
+
+
+def _score_at(weighed: Weighed[Hypothesis], score: float, width: float) -> tuple[float, float]:
+    """Log of evidence times prior at another width, and the Pareto k̂ of the weights behind it."""
+    reach = [-np.inf]
+
+    def change(own: Weighed[Hypothesis], share: float) -> float:
+        if own.z is None or not own.hypothesis.effects:
+            return 0.0
+        log_weights = reweighted(own, width)
+        if share >= WORTH_A_SEARCH:
+            reach.append(own.pareto_k if width == 1.0 else pareto_k(log_weights))
+        return float(logsumexp(log_weights))
+
+    return score + over_beginnings(weighed, change), float(max(reach))
+
+
+def _sizes_at(
+    cause: Weighed[Hypothesis], width: float, rng: np.random.Generator
+) -> dict[str, Size] | None:
+    """Sizes of a cause; None where it has no importance draws that could be weighted."""
+    each = [own for _, _, own in cause.searched] or [cause]
+    if any(own.z is None or own.pareto_k >= TRUSTED_K for own in each):
+        return None
+
+    def drawn(own: Weighed[Hypothesis], rng: np.random.Generator) -> tuple[dict[str, Array], Array]:
+        values, _ = size_draws(own, rng)
+        return values, np.exp(reweighted(own, width))
+
+    return summarised(*mixed(drawn, cause, rng))

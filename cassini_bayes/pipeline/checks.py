@@ -93,8 +93,9 @@ class CheckResult:
     def sentences(self) -> tuple[str, ...]:
         """Size of the model, and how long sampling takes on this machine."""
         least, most = self.seconds
+        count = len(self.model.event_ids)
         return (
-            f"{len(self.model.event_ids)} events, {len(self.model.space.names)} walked and "
+            f"{count} event{'' if count == 1 else 's'}, {len(self.model.space.names)} walked and "
             f"{collapsed_size(self.model)} collapsed parameters.",
             f"Sampling takes about {least:.0f} to {most:.0f} s here (four ensembles, "
             f"{TYPICAL_STEPS[0]} to {TYPICAL_STEPS[1]:,} steps).",

@@ -176,7 +176,10 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
     first = samples[0]
     if first.delimiter != ",":
         lines += ["", f"delimiter = {json.dumps(first.delimiter)}"]
-    lines += ["", f"# Columns of {first.path.name}, with their first values:"]
+    lines += [
+        "",
+        f"# Columns of {first.path.name}{', with their first values' * bool(first.first)}:",
+    ]
     lines += [
         f"#   {n}  {first.first.get(n, '')[:40]}".rstrip() for n in first.header[:_MOST_LISTED]
     ]
@@ -207,12 +210,19 @@ def _proposed(found: Sequence[Match]) -> list[str]:
             f"{PROPOSED}[channels.{match.channel}]",
             f"{PROPOSED}source = {json.dumps(sources, ensure_ascii=False)}",
             *(
-                f"{PROPOSED}{key} = {value}{_OTHERS.get(key, '')}"
+                f"{PROPOSED}{key} = {value}{_remark(match.channel, key)}"
                 for key, value in match.keys.items()
             ),
             "",
         ]
     return lines
+
+
+def _remark(channel: str, key: str) -> str:
+    """What else could stand there."""
+    if channel == "time" and key == "unit":
+        return ' # for dates and text in its place: time_system = "iso8601"'
+    return _OTHERS.get(key, "")
 
 
 def _event_names(samples: Sequence[Sample]) -> dict[str, Sample | None]:

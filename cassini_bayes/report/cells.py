@@ -17,7 +17,7 @@ PERCENT_SD: Final = 10.0  # percentages are shown without decimals
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell: its text, and a style class (``flag``, ``muted`` or none)."""
+    """One cell: its text, and a style class (``flag``, ``muted``, ``wrap`` or none)."""
 
     text: str
     style: str = ""

@@ -11,6 +11,7 @@ from cassini_bayes.diagnosis.drafts import Draft
 from cassini_bayes.effects.wording import rounded
 from cassini_bayes.report.cells import Cell, Table
 from cassini_bayes.report.diagnosis_pictures import Drawn
+from cassini_bayes.report.diagnosis_slider import width_slider
 from cassini_bayes.report.diagnosis_verdict import (
     UNITS,
     alike_nothing,
@@ -68,6 +69,7 @@ def render_diagnosis(
         causes=_cause_table(first, record),
         folded_causes=_cause_table(folded, record) if folded else None,
         fold=_fold_words(folded, nothing),
+        widths=width_slider(record),
         separation=record["separation"],
         symptoms=_symptom_table(record),
         comparison=_comparison_table(record),
@@ -88,8 +90,10 @@ def _key_numbers(record: Record) -> list[tuple[str, str]]:
     numbers = [
         ("most probable", best["name"]),
         ("its probability", probability_words(best["probability"])),
-        ("evidence over none", _signed(best["log_bayes_factor"], ",.1f", " nats")),
     ]
+    if best["name"] != "none":
+        over = _signed(best["log_bayes_factor"], ",.1f", " nats")
+        numbers.append(("evidence over none", over))
     if gain["elpd_diff"] is not None and best["name"] != "none":
         value = _signed(gain["elpd_diff"], ",.1f")
         numbers.append(("held-out gain", f"{value} ± {gain['elpd_diff_se']:,.1f} nats"))
@@ -101,7 +105,7 @@ def _key_numbers(record: Record) -> list[tuple[str, str]]:
 
 
 def _signed(value: float, form: str, unit: str = "") -> str:
-    return f"{value:+{form}}{unit}".replace("-", "−")
+    return f"{value:+z{form}}{unit}".replace("-", "−")  # z: no negative zero
 
 
 def _number(value: float | None, form: str = ".4g") -> str:

@@ -29,7 +29,9 @@ CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
         "balance of momentum gives with the measured wheel speeds, a modelled wheel speed what it "
         "gives with the measured rates. Shaded: what the cause adds. Below each: measured less "
         "modelled, running means over 61 rows. Fit as MATLAB's compare has it: "
-        "100 (1 − RMS(measured − modelled)/SD(measured)) per cent.",
+        "100 (1 − RMS(measured − modelled)/SD(measured)) per cent. It is small, or below zero, "
+        "where a channel moves less than the noise of the others makes of it: compare before with "
+        "after.",
         "trade": "The size of the cause against the free quantity that it trades with most, priors "
         "in grey; curves hold 50 % and 90 % of a normal of the draws' covariance.",
         "spectrum": "Spectrum of what the baseline leaves. White noise has power one everywhere; "

@@ -86,8 +86,9 @@ def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[s
     for branch, draws in trend.draws.branches.items():
         slope = draws.slope
         found.append(
-            f"Mean slope of branch {branch}, losses not counted: {1e3 * slope.mean():+.0f} ± "
-            f"{1e3 * slope.std():.0f} mN a year, below zero with probability "
+            f"Mean slope of branch {branch}, losses not counted: "
+            + f"{1e3 * slope.mean():+.0f} ± ".replace("-", "−")
+            + f"{1e3 * slope.std():.0f} mN a year, below zero with probability "
             f"{(slope < 0).mean():.2f}."
         )
     if mission.propellant is not None and mission.propellant.computed:
@@ -96,10 +97,9 @@ def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[s
             "assumed thrust, and a common factor on that mass is inferred with the rest."
         )
     found.append(
-        f"Draws take {describe(fit.model, fit.references)} as given and weigh all else against "
-        f"it: log evidence {fit.log_evidence_total:.2f} ± {fit.log_evidence_se:.2f}, Pareto k̂ "
-        f"{fit.pareto_k:.2f}, efficiency {fit.efficiency:.0%}"
-        + ("." if fit.converged else ": NOT CONVERGED.")
+        f"Importance draws about {describe(fit.model, fit.references)}: log evidence "
+        f"{fit.log_evidence_total:.2f} ± {fit.log_evidence_se:.2f}, Pareto k̂ {fit.pareto_k:.2f}, "
+        f"efficiency {fit.efficiency:.0%}" + ("." if fit.converged else ": NOT CONVERGED.")
     )
     return found
 
@@ -117,15 +117,15 @@ def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
             "change since the first event": lambda row: (
                 f"{-100 * row['loss_share']:+.1f} % ({-100 * row['loss_high_share']:+.1f} to "
                 f"{-100 * row['loss_low_share']:+.1f})"
-            ),
+            ).replace("-", "−"),
             **degraded,
             "change a year [mN]": lambda row: (
                 f"{1e3 * row['rate_n_per_year']:+.1f} ± {1e3 * row['rate_sd_n_per_year']:.1f}"
-            ),
+            ).replace("-", "−"),
             "P(falls)": _probability("falls"),
             "P(loss)": lambda row: Cell(f"{row['failing']:.3f}", "flag" if row["alarm"] else ""),
             "onset (90 %)": lambda row: (
-                f"{row['onset_event']} ({row['onset_first']} – {row['onset_last']})"
+                Cell(f"{row['onset_event']} ({row['onset_first']} – {row['onset_last']})", "wrap")
                 if row["failing"] > mission.trend.degraded[0]
                 else Cell("–", "muted")
             ),

@@ -118,7 +118,10 @@ class SliderPrior:
 
 @dataclass(frozen=True)
 class Slider:
-    """Quantities that move with the width of a prior; ``start`` is the width as fitted."""
+    """Quantities that move with the width of a prior; ``start`` is the width as fitted.
+
+    ``shown`` says what a quantity's value is.
+    """
 
     kind: ClassVar[str] = "slider"
     quantities: tuple[str, ...]
@@ -126,6 +129,7 @@ class Slider:
     widths: tuple[str, ...]
     start: int
     priors: tuple[SliderPrior, ...]
+    shown: str = "mean ± sd"
 
     @property
     def data(self) -> dict[str, object]:

@@ -161,7 +161,7 @@ def _note(review: Review, effect: WidthEffect, i: int) -> str:
             if k > WORST_PARETO_K
             else f"they are worth {effect.effective[i]:.0f}, fewer than {FEWEST_DRAWS:.0f}"
         )
-        return f"The draws of this fit cannot say: {reason}. cassini-bayes sweep fits it anew."
+        return f"The draws of this fit cannot say: {reason}. cassini-bayes sweep fits it anew"
     names = effect.group.parameters
     was = f"{len(names)} parameters"
     if len(names) == 1:

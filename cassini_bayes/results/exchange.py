@@ -12,13 +12,15 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.results.fitting import WALKED
 from cassini_bayes.results.groups import DENSITY
 from cassini_bayes.results.record import Fit
 
 REPLICATE: Final = "replicate"
+MOST_REPLICATES: Final = 125
+"""Of a chain: ``az.plot_ppc`` draws a density of each, a minute's work for all draws."""
 
 
 def inference_data(fit: Fit, event_density: Array | None = None) -> Any:  # ArviZ has no types
@@ -36,7 +38,8 @@ def inference_data(fit: Fit, event_density: Array | None = None) -> Any:  # Arvi
     -------
     InferenceData whose ``log_likelihood`` has one variable with one dimension, ``event``; whose
     predictive groups have what was observed and nothing else. Where only some events have a
-    quantity, its dimension is named after it: ``thrust_n_event``.
+    quantity, its dimension is named after it: ``thrust_n_event``. Replicates are thinned to
+    :data:`MOST_REPLICATES` of a chain.
     """
     groups = {name: _finite(dataset) for name, dataset in fit.groups.items()}
     chains, draws = fit.posterior.sizes["chain"], fit.posterior.sizes["draw"]
@@ -82,12 +85,13 @@ def _finite(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _same_draws(dataset: xr.Dataset) -> xr.Dataset:
-    """Predictive variables as (chain, draw, ...): replicates as draws of one chain.
+    """Predictive variables as (chain, draw, ...), thinned; replicates as draws of one chain.
 
     Variables of every draw are thinned to as many as there are replicates of rows, if any.
     """
     if REPLICATE not in dataset.dims:
-        return dataset
+        count = dataset.sizes.get("draw", 0)
+        return dataset.isel(draw=_evenly(count, min(count, MOST_REPLICATES))) if count else dataset
     count = dataset.sizes[REPLICATE]
     found = {}
     for name, variable in dataset.data_vars.items():
@@ -95,9 +99,13 @@ def _same_draws(dataset: xr.Dataset) -> xr.Dataset:
             own = variable.rename({REPLICATE: "draw"}).drop_vars("draw", errors="ignore")
         else:
             flat = variable.stack(all=("chain", "draw")).reset_index("all", drop=True)
-            places = np.linspace(0, flat.sizes["all"] - 1, count).round().astype(np.int64)
-            own = flat.isel(all=places).rename({"all": "draw"})
+            own = flat.isel(all=_evenly(flat.sizes["all"], count)).rename({"all": "draw"})
         own = own.expand_dims(chain=1).assign_coords(chain=[0], draw=np.arange(count))
         rest = [dim for dim in own.dims if dim not in ("chain", "draw")]
         found[str(name)] = own.transpose("chain", "draw", *rest)
     return xr.Dataset(found)
+
+
+def _evenly(size: int, count: int) -> Places:
+    """So many places of ``size``, evenly spaced from the first to the last."""
+    return np.linspace(0, size - 1, count).round().astype(np.int64)

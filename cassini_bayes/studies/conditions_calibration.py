@@ -170,22 +170,24 @@ def _body(summary: pd.DataFrame, table: pd.DataFrame, rejected: pd.DataFrame, nu
         f"| {row.mean_rank:.2f} | {row.p_holm:.2g} |"
         for row in table.sort_values("p_holm").head(12).itertuples()
     ]
-    verdict = "No stratum is rejected" if rejected.empty else f"{len(rejected)} are rejected"
-    return f"""Every repetition draws craft, events, cadence, steps of counters and wheels, noise of
-rates, controller, and whether noise is known; parameters from the priors. The truth's ranks among
-999 posterior draws are judged per stratum and scalar with at least {LEAST} repetitions
-(Kolmogorov-Smirnov, coverage of 90 % intervals; Holm over all of them at {LEVEL:.0%}). Goal: none
-rejected, pooled coverage 0.90 ± 0.03. A stratum passes by not being rejected: the counts say what
-that is worth.
+    return f"""\
+Does a 90 % interval hold 90 % of the truths, whatever the flight was like? Every repetition draws
+craft, events, cadence, steps of counters and wheels, noise of rates, controller, and whether
+noise is known. Parameters are drawn from the priors.
 
-**{verdict}, of {len(table)} judged; pooled coverage {summary["coverage_90"][0]:.3f}
-over {number} repetitions.**
+The rank of the truth among 999 posterior draws is tested for every scalar in every stratum with at
+least {LEAST} repetitions: by Kolmogorov and Smirnov, and by the coverage of 90 % intervals. Holm's
+correction covers all tests at {LEVEL:.0%}. Goals: none rejected, and pooled coverage 0.90 ± 0.03. A
+stratum passes if it is not rejected; few repetitions reject little, so the table counts them.
+
+**Rejected: {len(rejected)} of {len(table)}. Pooled coverage: {summary["coverage_90"][0]:.3f}, over
+{number} repetitions.**
 
 | condition | level | repetitions | declined | coverage of 90 % intervals |
 | --- | --- | --- | --- | --- |
 {chr(10).join(rows)}
 
-The most extreme:
+The twelve that are furthest off:
 
 | condition | level | scalar | repetitions | coverage | mean rank | p after Holm |
 | --- | --- | --- | --- | --- | --- | --- |

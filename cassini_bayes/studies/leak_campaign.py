@@ -130,21 +130,24 @@ def by_size(table: pd.DataFrame) -> pd.DataFrame:
 
 
 BODY: Final = """\
-{leaks} wheel biases with a leak and {quiet} without. Each has wheel rates within ±1,000 rev/min and
-parameters drawn from `{priors}`; the leak is of any of the eight thrusters, log-uniform from 0.01
-to 5 mN, and begins anywhere in the first four fifths. Noise levels are taken as known. Sequential
-means a replay of the file, row by row; nothing here runs on board.
+Which monitor finds a leaking thruster sooner? {leaks} wheel biases with a leak and {quiet}
+without are replayed row by row. Nothing here runs on board. Wheel rates lie within ±1,000
+rev/min. Parameters are drawn from `{priors}`. The leak is of any of the eight thrusters, from
+0.01 to 5 mN (log-uniform), and begins anywhere in the first four fifths. Noise levels are taken
+as known.
 
-Both monitors see the same residual momentum, at rows where no thruster delivers, ten seconds
-apart, with rates from the body's turn over seven rows at rest: at Cassini's noise of 1.3e-5 rad and
-1.7e-5 rad/s a measured rate says a tenth of that. *Threshold*: paper 000 section IV, an alarm when
-the residual gained within a window passes a threshold for one or three rows in a row, the thruster
-named by the signs of its components.
-*Sequential odds*: log Bayes factor of a leak (sizes log-uniform, starts even) with thrusts, centre
-of mass, inertias, geometry and pulse shape uncertain. The paper prints neither threshold nor
-window: each monitor's threshold is the one that {rate:.0%} of half of the events without a leak
-pass; *false alarms* is what the other half
-({half} events) says.
+Both monitors see the same residual momentum, every ten seconds, at rows where no thruster delivers.
+Rates are those of the body's turn over seven rows at rest: at Cassini's noise of 1.3e-5 rad and
+1.7e-5 rad/s, a measured rate knows ten times less.
+
+- *Threshold* (paper 000 section IV): an alarm when the residual gained within a window passes a
+  threshold for one or three rows in a row. The signs of its components name the thruster.
+- *Sequential odds*: the log Bayes factor of a leak. Sizes are log-uniform, the start is even.
+  Thrusts, centre of mass, inertias, geometry and pulse shape are uncertain.
+
+The paper prints neither threshold nor window. Here each monitor has the threshold that {rate:.0%}
+of one half of the events without a leak pass. *False alarms* are those of the other half ({half}
+events).
 
 | monitor | threshold | false alarms | found | named of found |
 | --- | --- | --- | --- | --- |
@@ -156,20 +159,25 @@ pass; *false alarms* is what the other half
 | --- | --- | --- | --- | --- | --- |
 {sizes}
 
-{known} Thresholds are in N m s for the residual, in nats for the odds. The residual's threshold has
-to stand above what thrusts and tails that are off by their widths leave in a whole bias, for the
-monitor knows of no uncertainty; the odds know which part of a residual the thrusts explain. At rest
-between biases, where little fires, a threshold can stand far lower; that is not simulated here.
+{known}
+
+Thresholds are in N m s for the residual and in nats for the odds. The monitor of residuals knows
+of no uncertainty: its threshold has to stand above all that thrusts and tails leave in a whole
+bias when they are off by their widths. The odds know which part of a residual the thrusts
+explain. At rest between biases little fires, and a threshold could stand far lower. That is not
+simulated here.
 
 ## A leak and a steady torque
 
 At one attitude a leak and a steady torque are the same: both add momentum in one fixed direction.
-So they are after any turn, if the torque turns with the body, as the model's own `external_torque`
-does: only its prior width and the leak's sign and direction are left to tell. A torque fixed in
-inertial axes, as of the Sun or of gravity, parts from the leak once the body turns by ψ across it:
-what no inertial torque and no start explain is τ (t − t₁) 2 sin(ψ/2) less its likest line in t. For
-a leak of {leak:g} mN (lever {lever:g} m), {stay:.0f} s at the first attitude, rows ten seconds
-apart with {row:.2g} N m s of noise (as above) and torque noise of {walk:.2g} N m s^½:
+A turn does not part them if the torque turns with the body, as the model's own `external_torque`
+does. Only the torque's prior width and the leak's sign and direction are left to tell them apart.
+
+A torque fixed in inertial axes, as of the Sun or of gravity, parts from the leak once the body
+turns by ψ across it. No inertial torque and no start explain τ (t − t₁) 2 sin(ψ/2) less its
+likeliest line in t. The table is for a leak of {leak:g} mN (lever {lever:g} m) and {stay:.0f} s
+at the first attitude. Rows are ten seconds apart, with {row:.2g} N m s of noise (as above) and
+torque noise of {walk:.2g} N m s^½:
 
 {parted}
 
@@ -177,7 +185,7 @@ apart with {row:.2g} N m s of noise (as above) and torque noise of {walk:.2g} N 
 
 Left: that leak, against time at the second attitude. Right: the least leak that is {clear:g} σ from
 every such torque, against the turn, for stays of equal length before and after it. Without a turn
-none is, however long the stay.
+there is none, however long the stay.
 """
 
 TITLE: Final = {
@@ -185,8 +193,8 @@ TITLE: Final = {
     True: "Leaks with calibrated thrusters",
 }
 KNOWN: Final = {
-    False: "Thrusts, pulses and centre of mass have the widths of the priors file: nothing has been"
-    " calibrated, the hardest place for the threshold.",
+    False: "Thrusts, pulses and centre of mass have the widths of the priors file. Nothing has been"
+    " calibrated, which is hardest for the threshold.",
     True: "Thrusts, pulses and centre of mass are calibrated: a tenth of the priors file's widths.",
 }
 

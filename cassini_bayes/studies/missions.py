@@ -209,15 +209,19 @@ def body_of(findings: MissionFindings) -> str:
     )
     ranks = "\n".join(f"| {name} | {p:.2g} |" for name, p in findings.rank_p.items())
     return f"""\
-{findings.missions} missions of 20 to 60 biases with a recharge and a swap; everything is drawn from
-the priors, so up to two thrusters of each branch fail, when and by how much is drawn too. A
-mission is looked at from its sixth or seventh bias on, after every second one, and fitted by itself
-at the first and the last look; looks in between weigh one pool of points that grows with the
-mission, which has the same posterior. {findings.converged} of the last fits converged,
-{findings.looks[0]} of {findings.looks[1]} looks in between had too few effective draws. Biases are
-made as totals rows: the model sees no telemetry here.
+Does the trend of a mission name a failing thruster, and in time? Each of the {findings.missions}
+missions has 20 to 60 biases, a recharge and a swap of branches. Everything is drawn from the
+priors, failures among it: up to two thrusters of each branch fail. Biases are made as totals
+rows; no telemetry is used here.
 
-| what | found | required |
+A mission is looked at after every second bias, from its sixth or seventh on. The first and the
+last look are fits of their own: {findings.converged} of the last ones converged. Looks in between
+weigh one pool of points, which grows with the mission and has the same posterior:
+{findings.looks[0]} of {findings.looks[1]} had too few effective draws.
+
+{_verdict(findings)} 95 % intervals are in brackets.
+
+| what | figure | goal |
 | --- | --- | --- |
 | thruster with a loss of 10 % or more has an alarm | {_told(findings.named)} | 95 % |
 | the same where {ENOUGH} biases or more have fired it since | {_told(findings.in_time)} | |
@@ -225,25 +229,30 @@ made as totals rows: the model sees no telemetry here.
 | the same for one who knows all but the onset | {_told(findings.oracle_near)} | |
 | missions with a false alarm at any look | {_told(findings.false_alarms)} | at most 5 % |
 
-An alarm is a probability of loss above {ALARM}; it is false if the thruster does not fail, or not
-yet. At equal false alarms, one mission in twenty, for losses of 10 % or more (a delay of *inf*:
-less than half are detected):
+An alarm is a probability of loss above {ALARM}. It is false if the thruster does not fail, or has
+not failed yet. The next table compares rules at equal false alarms, one mission in twenty, for
+losses of 10 % or more. A delay of *inf* means that less than half are detected.
 
 | rule | threshold | detected | median delay (biases) | mean delay of those detected |
 | --- | --- | --- | --- | --- |
 {rows}
 
-Ranks of the truth among posterior draws: p of uniformity (simultaneous envelope, adjusted by Holm;
-required: above {LEAST_P}).
+Are ranks of the truth among posterior draws uniform? p by a simultaneous envelope, after Holm's
+correction; goal: above {LEAST_P}.
 
 | what | p |
 | --- | --- |
 {ranks}
 
-Single-bias estimates of totals rest on three equations each, so the two rules see a failing
-thruster through the scatter of its neighbours; with the time history of a bias they would do
-better.
+An estimate from the totals of one bias rests on three equations. So the other two rules see a
+failing thruster through the scatter of its neighbours. With the time history of a bias they would
+do better.
 """
+
+
+def _verdict(findings: MissionFindings) -> str:
+    """Whether the figures themselves are at or beyond all goals."""
+    return f"All goals are {'reached' if passes(findings) else '**not** reached'} by the figures."
 
 
 def _told(counts: tuple[int, int]) -> str:

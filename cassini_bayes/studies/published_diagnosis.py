@@ -29,7 +29,7 @@ from cassini_bayes.studies.published_sections import (
     WIDTHS,
     Section,
     by_width,
-    gain_text,
+    gain_table,
     in_words,
 )
 from cassini_bayes.studies.study import Study
@@ -57,8 +57,8 @@ def estimate_section(key: str, case: EstimateCase, seed: int, more: str = "") ->
         verdict,
         by_width(verdict, {width: w.probabilities for width, w in verdicts.items()}),
         {w.name: _sizes(case, w) for w in verdict.weighed},
-        f"After `{verdict.best.name}`: {_newtons(case, verdict.best)} N remain (estimate less "
-        f"posterior mean prediction; RMS {rms:.3f} N, at most {100 * share:.1f} % of an estimate).",
+        f"`{verdict.best.name}` leaves {_newtons(case, verdict.best)} N (estimate less posterior "
+        f"mean prediction): {rms:.3f} N RMS, at most {100 * share:.1f} % of an estimate.",
         "\n\n".join(details),
     )
 
@@ -100,16 +100,8 @@ def estimate_gain(case: EstimateCase, verdict: Verdict[Any], seed: int) -> str:
     scores = _scores(case, verdict, seed)
     if scores is None:
         return f"Held-out gain: not measurable (fewer than {LEAST_PIECES} estimates)."
-    base = scores.pop(NONE)
-    texts = [
-        gain_text(
-            name,
-            extended.gain_over(base),
-            f"RMS residual {extended.rmse:.3f} N against {base.rmse:.3f} N",
-        )
-        for name, extended in scores.items()
-    ]
-    return f"Held out, each of {len(case.estimate_n)} estimates in turn: {'; '.join(texts)}."
+    what = f"each of {len(case.estimate_n)} estimates"
+    return gain_table(what, "N", scores.pop(NONE), scores)
 
 
 def pair_table(branch: Branch, case: EstimateCase, seed: int) -> str:
@@ -127,11 +119,12 @@ def pair_table(branch: Branch, case: EstimateCase, seed: int) -> str:
             f"| {_sizes(case, best)} | {_newtons(case, best)} |"
         )
     lines = "\n".join(rows)
-    return f"""Two causes together, the best of {len(weighed) // len(WIDTHS)} pairs at every width
-(log Bayes factors and log posterior odds in nats; N are the estimates less the posterior mean
-prediction):
+    return f"""\
+Two causes together: the best of {len(weighed) // len(WIDTHS)} pairs at every width. Log Bayes
+factors and log posterior odds are in nats.
 
-| width | pair | against `none` | against `unknown` | odds against `unknown` | mean ± 1 sd | N |
+| width | pair | against `none` | against `unknown` | odds against `unknown` | mean ± 1 sd \
+| estimates less prediction (N) |
 | --- | --- | --- | --- | --- | --- | --- |
 {lines}
 
@@ -165,18 +158,11 @@ def flight_gain(case: BalanceCase, verdict: Verdict[Any], seed: int) -> str:
     if scores is None:
         return f"Held-out gain: not measurable (fewer than {LEAST_PIECES} events)."
     base, count = scores.pop(NONE), len(case.event_ids)
-    texts = [
-        gain_text(
-            name,
-            extended.gain_over(base),
-            f"RMS residual momentum {extended.rmse:.3f} N m s against {base.rmse:.3f} N m s",
-        )
-        for name, extended in scores.items()
-    ]
     assert base.coverage_90 is not None
     return (
-        f"Held out, each of {count} events in turn: {'; '.join(texts)}. Central 90 % intervals "
-        f"of `none` hold {100 * base.coverage_90:.0f} % of the {3 * count} held-out components."
+        gain_table(f"each of {count} events", "N m s", base, scores) + "\n\n"
+        f"Central 90 % intervals of `none` hold {100 * base.coverage_90:.0f} % of the {3 * count} "
+        "held-out components."
     )
 
 
@@ -203,10 +189,12 @@ def write_published_diagnosis(
 def _body(sections: Sequence[Section]) -> str:
     text = "\n".join(section.text(f"{NAME}-{section.key}.png") for section in sections)
     return f"""\
-Posterior probability of every cause, `none` and `unknown` included, with the prior of each effect's
-size half, once and twice as wide as the default. What the cases assume, and what their outcome
-means, is in [Published cases](published-cases.md). Units stand in the names of
-the parameters; `thrust_factor`, `scale` and `ratio` are fractions. All numbers:
-[{NAME}.csv]({NAME}.csv).
+What explains the figures that the papers print? Five cases. Each table has the posterior
+probability of the causes, `none` and `unknown` among them, with the prior of each effect's size
+half, once and twice as wide as the default. [Published cases](published-cases.md) says what the
+cases assume and what their outcome means.
+
+Units stand in the names of the parameters; `thrust_factor`, `scale` and `ratio` are fractions. All
+numbers: [{NAME}.csv]({NAME}.csv).
 
 {text}"""

@@ -125,20 +125,20 @@ def _remains(case: OnTimeCase, diagnosis: Diagnosis[OnTimeHypothesis]) -> str:
     p_value = diagnosis.record["p_value"]
     p = "below 0.001" if p_value < 1e-3 else f"{p_value:.2g}"
     count = case.data.printed_s.size
-    text = f"p-value of the baseline: {p} (χ² of its prior prediction, {count} on-times)."
+    text = f"The baseline's p-value is {p} (χ² of its prior prediction, {count} on-times)."
     group = verdict.confounded_with(first.name)
     if first.is_cause:
         text += (
-            f" Within {CONFOUNDED_NATS:g} nats of it: {', '.join(f'`{n}`' for n in group)}."
+            f" Confounded with it: {', '.join(f'`{n}`' for n in group)}."
             if group
-            else f" No other cause is within {CONFOUNDED_NATS:g} nats of it."
+            else f" No other cause is within {CONFOUNDED_NATS:g} nats."
         )
         draws, _ = case.size_draws(first, np.random.default_rng(0))
         ends = {key: np.quantile(values, [0.05, 0.95]) for key, values in draws.items()}
         intervals = "; ".join(f"{k} [{low:.2g}, {high:.2g}]" for k, (low, high) in ends.items())
-        text += f" Central 90 % credible intervals: {intervals}."
+        text += f"\n\nCentral 90 % credible intervals: {intervals}."
     none, values = case.rmse(verdict.none), case.rmse(first)
-    return f"{text} At their modes `none` leaves {none:.2f} s RMS, `{first.name}` {values:.2f} s."
+    return f"{text} `none` leaves {none:.2f} s RMS at its mode, `{first.name}` {values:.2f} s."
 
 
 def _second(case: OnTimeCase, verdict: Verdict[OnTimeHypothesis]) -> str:
@@ -163,10 +163,9 @@ def _second(case: OnTimeCase, verdict: Verdict[OnTimeHypothesis]) -> str:
     scales = ", ".join(f"`{n}` {gains[n]:+.1f}" for n in SCALES)
     return (
         f"Second cause: none. The best one beside `{first.name}`, `{name}`, gains "
-        f"{gains[name]:+.1f} nats ({scales}); {SECOND_CAUSE_NATS:g} are asked for. What the "
-        f"thrusters give per commanded second is {mean:.3f} ± {(high - low) / 2:.3f} N (1 sd) with "
-        f"rectangular pulses; the calculation is told {assumed:.3f} N, good "
-        f"to {prior.sd():.2f} N."
+        f"{gains[name]:+.1f} nats, where {SECOND_CAUSE_NATS:g} are required ({scales}).\n\n"
+        f"With rectangular pulses the thrusters deliver {mean:.3f} ± {(high - low) / 2:.3f} N "
+        f"(1 sd) per commanded second. The calculation assumes {assumed:.3f} ± {prior.sd():.2f} N."
     )
 
 
@@ -179,18 +178,19 @@ def _gain(
     ratio = max(gain.rmse_ratio, noisy.rmse_ratio)
     verdict = replace(least, rmse_ratio=ratio).verdict
     miss = [float(np.abs(h.residual).mean()) for h in (before, after) if h.residual is not None]
-    return (
-        f"Held out, each of {len(before.log_scores)} events in turn: `{first}` {noisy.nats:+.1f} ± "
-        f"{noisy.standard_error:.1f} nats against `unknown` (with its noise as all events have it) "
-        f"and {gain.nats:+.0f} ± {gain.standard_error:.0f} nats against `none`, whose errors are "
-        f"far too small (sums of log scores, one standard error over events); RMS residual "
-        f"{after.rmse:.2f} s, `unknown` {loose.rmse:.2f} s, `none` {before.rmse:.2f} s; mean "
-        f"absolute residual {miss[1]:.2f} s, `none` {miss[0]:.2f} s: {verdict}. Central 90 % "
-        f"prediction intervals hold {_percent(after)} % of the on-times, those of `none` "
-        f"{_percent(before)} %. For comparison, mean absolute differences of printed "
-        f"columns to flight: ideal {printed_s['ideal']:.2f} s, calibrated (tuned to these "
-        f"flights) {printed_s['calibrated']:.2f} s."
-    )
+    return f"""\
+Held out: each of {len(before.log_scores)} events in turn. Verdict: {verdict}. Log
+scores are summed, ± one standard error.
+
+| model | `{first}` against it (nats) | RMS residual (s) | mean absolute (s) | in 90 % intervals |
+| --- | --- | --- | --- | --- |
+| `{first}` | – | {after.rmse:.2f} | {miss[1]:.2f} | {_percent(after)} % |
+| `unknown`, its noise from all events | {noisy.nats:+.1f} ± {noisy.standard_error:.1f} \
+| {loose.rmse:.2f} | – | – |
+| `none`, whose errors are far too small | {gain.nats:+.0f} ± {gain.standard_error:.0f} \
+| {before.rmse:.2f} | {miss[0]:.2f} | {_percent(before)} % |
+| printed: ideal | – | – | {printed_s["ideal"]:.2f} | – |
+| printed: calibrated on these flights | – | – | {printed_s["calibrated"]:.2f} | – |"""
 
 
 def _percent(score: HeldOut) -> str:
@@ -220,7 +220,8 @@ def _by_unit(case: OnTimeCase, before: HeldOut, after: HeldOut) -> str:
 def _control(verdict: Verdict[OnTimeHypothesis]) -> str:
     share = verdict.probabilities
     return (
-        f"Negative control: the printed ideal column in place of flight gives "
-        f"`{verdict.best.name}` ({share[verdict.best.name]:.2f}), `{FIRING}` {share[FIRING]:.2g} "
-        f"(log Bayes factor {verdict.log_bayes_factor(verdict.named(FIRING)):+.1f} nats)."
+        f"Negative control: with the printed ideal column in place of flight, "
+        f"`{verdict.best.name}` is the most probable ({share[verdict.best.name]:.2f}). `{FIRING}` "
+        f"has {share[FIRING]:.2g} (log Bayes factor "
+        f"{verdict.log_bayes_factor(verdict.named(FIRING)):+.1f} nats)."
     )

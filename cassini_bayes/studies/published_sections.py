@@ -9,7 +9,7 @@ from typing import Any, Final
 import pandas as pd
 
 from cassini_bayes.diagnosis.case import Size
-from cassini_bayes.diagnosis.score import Gain
+from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import Verdict
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.plots.criticism import width_figure
@@ -117,9 +117,16 @@ def in_words(sizes: Mapping[str, Size], form: str = ".4g") -> str:
     return "; ".join(f"{key} {s.mean:{form}} ± {s.sd:.2g}" for key, s in sizes.items())
 
 
-def gain_text(name: str, gain: Gain, residual: str) -> str:
-    """Sum of log score differences with its standard error, in words."""
-    return (
-        f"`{name}` {gain.nats:+.1f} ± {gain.standard_error:.1f} nats against `none` (sum of log "
-        f"scores, one standard error), {residual}: {gain.verdict}"
-    )
+def gain_table(what: str, unit: str, none: HeldOut, scores: Mapping[str, HeldOut]) -> str:
+    """What causes gain over ``none`` on data left out: sums of log scores, residuals in a unit."""
+    rows = [f"| `none` | – | {none.rmse:.3f} | – |"]
+    for name, score in scores.items():
+        gain = score.gain_over(none)
+        nats = f"{gain.nats:+.1f} ± {gain.standard_error:.1f}"
+        rows.append(f"| `{name}` | {nats} | {score.rmse:.3f} | {gain.verdict} |")
+    lines = "\n".join(rows)
+    return f"""Held out: {what} in turn. Log scores are summed, ± one standard error.
+
+| model | log score against `none` (nats) | RMS residual ({unit}) | gain |
+| --- | --- | --- | --- |
+{lines}"""

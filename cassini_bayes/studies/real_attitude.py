@@ -123,7 +123,7 @@ def measured(record: AttitudeRecord) -> pd.DataFrame:
 
 def _scale_text(scale: float, error: float) -> str:
     """In 10⁻³, where the record turns enough to tell."""
-    return "not told" if error > TOLD else f"{1e3 * scale:+.2f} ± {1e3 * error:.2f}"
+    return "not determined" if error > TOLD else f"{1e3 * scale:+.2f} ± {1e3 * error:.2f}"
 
 
 def study_real_attitude(study: Study) -> None:
@@ -137,25 +137,31 @@ def study_real_attitude(study: Study) -> None:
         f"| {1e3 * row.naive_scale:+.2f} |"
         for row in table.itertuples()
     ]
-    rate, third, fourth = (
-        1e6 * table[name]
-        for name in (
-            "rate_noise_rad_s",
-            "attitude_noise_third_rad",
-            "attitude_noise_fourth_rad",
+    noise = [
+        " | ".join(f"{1e6 * value:.0f}" for value in (own.min(), own.median(), own.max()))
+        for own in (
+            table["rate_noise_rad_s"],
+            table["attitude_noise_third_rad"],
+            table["attitude_noise_fourth_rad"],
         )
-    )
-    body = f"""Three stretches of reconstructed Cassini attitudes and rates every 4 s (US Geological
-Survey, public domain; `cassini_bayes.published.attitude` says where they come from). Noise is one
-standard deviation of white noise by high differences; gyro errors are ± one standard error.
+    ]
+    body = f"""\
+How noisy are real rates and attitudes? Measured on three stretches of reconstructed Cassini
+records, every 4 s (US Geological Survey, public domain; `cassini_bayes.published.attitude` says
+where they come from). Noise is one standard deviation of white noise, by high differences. Gyro
+errors are ± one standard error.
 
-Priors of `rate_noise_rad_s` and `attitude_noise_rad` in the shipped files are of this size. Rates
-have {rate.min():.0f} to {rate.max():.0f} µrad/s (median {rate.median():.0f}), attitudes
-{third.min():.0f} to {third.max():.0f} µrad by third differences (median {third.median():.0f}) and
-{fourth.min():.0f} to {fourth.max():.0f} by fourth ones (median {fourth.median():.0f}): the higher
-the difference, the less motion and the more of the records' own smoothing is in it. No gyro error
-is seen; a regression on measured turns would say so too where the body turns, and finds scales out
-of noise where it hardly does.
+| noise | least | median | most |
+| --- | --- | --- | --- |
+| rates, µrad/s | {noise[0]} |
+| attitudes, µrad, third differences | {noise[1]} |
+| attitudes, µrad, fourth differences | {noise[2]} |
+
+The higher the difference, the less motion is in it, and the more of the records' own smoothing. The
+shipped priors of `rate_noise_rad_s` and `attitude_noise_rad` are of this size.
+
+No record shows a gyro error. A plain regression on measured turns agrees where the body turns;
+where it hardly does, it takes noise for a scale.
 
 | record | axis | rows | rate noise, µrad/s | attitude noise, µrad (third, fourth differences) \
 | gyro scale, 10⁻³ | gyro bias, µrad/s | scale by naive regression, 10⁻³ |

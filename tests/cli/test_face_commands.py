@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -91,3 +94,22 @@ def test_help_is_short_and_completion_is_offered(capsys: Captured) -> None:
     assert printed(capsys, "-h") == printed(capsys, "--help")
     assert "--install-completion" in printed(capsys, "-h")
     assert "--priors" in printed(capsys, "check", "-h")
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [("cassini-bayes dia", "diagnose"), ("cassini-bayes fit --pri", "--priors")],
+)
+def test_the_shell_completes_commands_and_options(line: str, offered: str) -> None:
+    """What the script asks that `--install-completion` writes, in a process of its own."""
+    asked = {
+        "_CASSINI_BAYES_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(line.count(" ")),
+    }
+    program = "import sys; sys.argv = ['cassini-bayes']; from cassini_bayes.cli import app; app()"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, **asked}, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert offered in done.stdout.split()

@@ -10,10 +10,11 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import TRUSTED_K, Ranking, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
-from cassini_bayes.diagnosis.widths import reweighted
+from cassini_bayes.diagnosis.widths import by_width, reweighted
 from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, unchanged
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
@@ -54,3 +55,56 @@ def test_draws_that_do_not_reach_are_told() -> None:
     """A prior thirty times narrower wants values that no draw of a clear effect has."""
     k = pareto_k(reweighted(weighed(8.0e-3, draws=500), 1.0 / 30.0))
     assert k > TRUSTED_K
+
+
+def verdict(seen: float, draws: int) -> Ranking[Hypothesis]:
+    """That cause beside the baseline, even odds before the data."""
+    cause = weighed(seen, draws)
+    hypothesis = SimpleNamespace(**vars(cause.hypothesis), causes=("x",))
+    none = SimpleNamespace(name="none", causes=(), effects=())
+    log_factor = norm.logpdf(seen, 0.0, np.hypot(PRIOR_SD, NOISE_SD)) - norm.logpdf(
+        seen, 0.0, NOISE_SD
+    )
+    log_odds = np.array([log_factor, 0.0]) - np.logaddexp(log_factor, 0.0)
+    both = (
+        Weighed(
+            cast(Hypothesis, hypothesis), cause.mode, 0.0, 0.0, cause.z, cause.log_weights, 0.0
+        ),
+        Weighed(cast(Hypothesis, none), cause.mode, 0.0),
+    )
+    return Ranking(both, log_odds)
+
+
+def test_probability_and_size_at_every_width_are_the_closed_form(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Odds of two normal evidences, and the mean of a normal posterior, where draws reach."""
+
+    def exact(own: Weighed[Hypothesis], _: np.random.Generator) -> tuple[dict[str, Array], Array]:
+        assert own.z is not None
+        return {"x": PRIOR_SD * own.z[:, 0]}, np.full(len(own.z), 1.0 / len(own.z))
+
+    monkeypatch.setattr("cassini_bayes.diagnosis.widths.size_draws", exact)
+    seen = 2.5e-3
+    found = by_width(verdict(seen, 20_000), np.random.default_rng(0))
+    trusted = [row for row in found if row["trusted"]]
+    assert {0.5, 1.0, 2.0, 4.0} <= {row["width"] for row in trusted}
+    for row in trusted:
+        sd = row["width"] * PRIOR_SD
+        factor = norm.pdf(seen, 0.0, np.hypot(sd, NOISE_SD)) / norm.pdf(seen, 0.0, NOISE_SD)
+        assert row["probabilities"]["x"] == pytest.approx(factor / (1.0 + factor), abs=0.01)
+        mean = seen / (1.0 + (NOISE_SD / sd) ** 2)
+        assert row["sizes"]["x"]["mean"] == pytest.approx(mean, abs=0.1 * NOISE_SD)
+
+
+def test_a_width_that_draws_do_not_reach_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few draws of a clear effect say nothing of a prior a quarter as wide."""
+    monkeypatch.setattr(
+        "cassini_bayes.diagnosis.widths.size_draws",
+        lambda own, _: ({"x": PRIOR_SD * own.z[:, 0]}, np.ones(len(own.z))),
+    )
+    found = by_width(verdict(8.0e-3, 200), np.random.default_rng(0))
+    assert found[0]["width"] == 0.25
+    assert found[0]["pareto_k"] > TRUSTED_K
+    assert not found[0]["trusted"]
+    assert {row["width"] for row in found if row["trusted"]} >= {1.0, 2.0**0.5}

@@ -23,6 +23,7 @@ from cassini_bayes.pipeline.fits import result_of
 from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run import Outcome, execute, prepare_folder
 from cassini_bayes.pipeline.run_file import RunFile, check_run
+from cassini_bayes.results.exchange import MOST_REPLICATES
 from cassini_bayes.results.record import read_fit
 from cassini_bayes.sampling.ensembles import ProgressReport
 
@@ -123,6 +124,9 @@ def test_arviz_takes_a_fit_of_totals(finished: Outcome) -> None:
         warnings.simplefilter("ignore")
         assert np.isfinite(az.summary(own, var_names=["thrust_n"])["mean"]).all()
         az.plot_trace(own, var_names=["tau_fall_s"])
+        assert (
+            own.posterior_predictive.sizes["draw"] <= MOST_REPLICATES < own.posterior.sizes["draw"]
+        )
         az.plot_ppc(own, var_names=["on_time_s"], num_pp_samples=3)
         assert az.loo(own, pointwise=True).pareto_k.sizes == {"event": len(EVENTS)}
         for component in ("prior", "likelihood"):

@@ -84,6 +84,17 @@ def test_likely_columns_are_found(tmp_path: Path, style: int) -> None:
     assert found == {channel: tuple(names[style]) for channel, names in NAMES.items()}
 
 
+def test_dates_of_a_parquet_file_are_known_as_such(tmp_path: Path) -> None:
+    """Its first row says what its columns hold, so dates are mapped as dates and give the epoch."""
+    path = tmp_path / "data.parquet"
+    start = pd.Timestamp("2010-05-01T06:00:00")
+    pd.DataFrame({"UTC": [start], "wx": [0.25]}).to_parquet(path)
+    sample = sample_of(path)
+    assert sample.first == {"UTC": "2010-05-01T06:00:00", "wx": "0.25"}
+    (time, *_) = matches(sample, CASSINI, (1, 2, 4), "B")
+    assert time.keys == {"time_system": '"iso8601"'}
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -13,6 +13,7 @@ from cassini_bayes.diagnosis.nuisances import Trade
 from cassini_bayes.diagnosis.overlay import Channel, Overlay
 from cassini_bayes.report.diagnosis_page import render_diagnosis
 from cassini_bayes.report.diagnosis_pictures import Drawn
+from cassini_bayes.report.diagnosis_slider import width_slider
 from cassini_bayes.report.plots.overlays import overlay_figure, trade_figure
 
 PICTURE = Drawn("causes", "Bars of <the> causes.", b"png", b"svg")
@@ -131,3 +132,39 @@ def test_what_would_have_been_seen_is_a_table_with_a_place_in_the_contents() -> 
     assert "no size that its prior allows (leak_n)" in text
     assert 'href="#visible"' in text
     assert 'id="visible"' not in render_diagnosis(whole("none"), [PICTURE], "made up")
+
+
+def at_width(width: float, share: float, k: float, mean: float) -> dict[str, Any]:
+    """The verdict at one width of the priors."""
+    size = {"mean": mean, "sd": 0.04, "hdi_90": [mean - 0.06, mean + 0.06]}
+    return {
+        "width": width,
+        "pareto_k": k,
+        "trusted": k <= 0.7,
+        "probabilities": {CAUSE: share, "none": 1.0 - share},
+        "cause": CAUSE,
+        "sizes": {"thrust_factor": size},
+    }
+
+
+def test_the_slider_moves_probabilities_and_sizes_and_says_where_draws_do_not_reach() -> None:
+    """Each width has its own numbers; above k̂ 0.7 none; without widths there is no script."""
+    shown = whole()
+    size = {"mean": 0.74, "sd": 0.04, "hdi_90": [0.68, 0.80], "unit": ""}
+    shown["causes"][0]["parameters"] = {"thrust_factor": size}
+    each = (0.5, 0.91, 0.95, 0.76), (1.0, 0.9, 0.1, 0.74), (2.0, 0.8, 0.3, 0.7)
+    shown["by_width"] = [at_width(*own) for own in each]
+    slider = width_slider(shown)
+    assert slider is not None
+    assert slider.quantities == (
+        f"{CAUSE}: thrust_factor", f"probability of {CAUSE}", "probability of none",
+    )  # fmt: skip
+    narrow, as_fitted, wide = slider.priors[0].rows
+    assert narrow == (None, None, None)
+    assert "Pareto k̂ is 0.95, above 0.7" in slider.priors[0].notes[0]
+    assert [row.value for row in as_fitted if row] == ["0.740 ± 0.040", "0.900", "0.100"]
+    assert [row.value for row in wide if row] == ["0.700 ± 0.040", "0.800", "0.200"]
+    text = render_diagnosis(shown, [PICTURE], "slider")
+    assert 'id="slider-width"' in text
+    shown["by_width"] = []
+    assert 'id="slider-width"' not in render_diagnosis(shown, [PICTURE], "none")

@@ -306,5 +306,6 @@ def test_tables_without_figures_load_no_plotting_library(tmp_path: Path) -> None
 def test_the_headline_is_big_enough_for_a_phone_only_when_enlarged(html: str) -> None:
     """Pictures shrink to the page; a tap (no script) enlarges one inside its own frame."""
     assert html.count('type="checkbox"') == html.count("<figure")
+    assert not re.findall(r"#figure-[\w-]+ img", html)  # would hold for the enlarged one, too
     assert "overflow-x: auto" in html
     assert 'name="viewport"' in html

@@ -13,7 +13,15 @@ from study_cases import study_in
 from cassini_bayes.studies.blind import campaign as blind_campaign
 from cassini_bayes.studies.blind.campaign import read_trials, run_campaign, write_results
 from cassini_bayes.studies.blind.flights import Blind
-from cassini_bayes.studies.blind.rates import first, interval, named, rates, reliability
+from cassini_bayes.studies.blind.rates import (
+    COVERAGE,
+    _counts,
+    first,
+    interval,
+    named,
+    rates,
+    reliability,
+)
 from cassini_bayes.studies.blind.trials import run_trial
 
 
@@ -82,6 +90,27 @@ def test_rates_are_counted_by_part() -> None:
     assert table.loc["clear: named first (confounded group counts)", "low_95"] == low
     assert high < 1.0
     assert reliability(RECORDS)["right"].to_list() == [1.0, 1.0]  # its bin, and all
+
+
+@pytest.mark.parametrize(
+    ("name", "hits", "said"),
+    [
+        ("clear: named first (confounded group counts)", 94, "≥ 0.95: missed"),
+        ("clear: named first (confounded group counts)", 95, "≥ 0.95: reached"),
+        ("null: causes[0] is not none", 6, "≤ 0.05: missed"),
+        ("null: causes[0] is not none", 5, "≤ 0.05: reached"),
+        (COVERAGE, 94, "0.90: in the interval"),
+        (COVERAGE, 75, "0.90: not in the interval"),
+    ],
+)
+def test_a_goal_is_reached_by_the_figure_and_not_by_its_interval(
+    name: str, hits: int, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """94 of 100 are no 0.95, though the interval holds it; coverage has a value for its goal."""
+    counts = {**_counts(RECORDS), name: [i < hits for i in range(100)]}
+    monkeypatch.setattr("cassini_bayes.studies.blind.rates._counts", lambda _: counts)
+    row = rates(RECORDS).set_index("rate", drop=False).loc[name]
+    assert blind_campaign._against_goal(row) == said
 
 
 def test_page_lists_failures_and_claims_no_goal_on_few_trials(tmp_path: Path) -> None:

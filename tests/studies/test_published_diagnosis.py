@@ -10,7 +10,7 @@ import pytest
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.studies.published_cases import a_branch, fsds
 from cassini_bayes.studies.published_diagnosis import estimate_section
-from cassini_bayes.studies.published_sections import Section, gain_text
+from cassini_bayes.studies.published_sections import Section, gain_table
 
 
 @cache
@@ -31,7 +31,8 @@ def test_the_a_branch_turns_on_the_prior_width() -> None:
 
 def test_draws_and_gain_are_told() -> None:
     """Eight thrusters left out in turn; no hypothesis's draws are doubtful."""
-    assert "each of 8 estimates in turn: `center_of_mass:y` +" in branch().details
+    assert "each of 8 estimates in turn." in branch().details
+    assert "| `center_of_mass:y` | +" in branch().details
     assert "effective, Pareto k̂" in branch().details
     assert "not to be relied upon" not in branch().details
 
@@ -44,10 +45,10 @@ def test_one_estimate_cannot_be_left_out() -> None:
 @pytest.mark.parametrize(
     ("differences", "ratio", "verdict"),
     [
-        ([2.0, 3.0, 2.5], 0.9, ": gain"),
-        ([2.0, 3.0, 2.5], 5.0, ": no gain"),
-        ([9.0, 0.1, -0.2], 0.9, ": no gain"),
-        ([-1.0, -1.1], 0.9, ": no gain"),
+        ([2.0, 3.0, 2.5], 0.9, "gain"),
+        ([2.0, 3.0, 2.5], 5.0, "no gain"),
+        ([9.0, 0.1, -0.2], 0.9, "no gain"),
+        ([-1.0, -1.1], 0.9, "no gain"),
     ],
 )
 def test_gain_takes_two_standard_errors(
@@ -55,5 +56,5 @@ def test_gain_takes_two_standard_errors(
 ) -> None:
     """A sum that one event makes alone, a loss, or larger residuals are no gain."""
     base = HeldOut(np.zeros(len(differences)), 1.0, 0.9)
-    gain = HeldOut(np.array(differences), ratio, 0.9).gain_over(base)
-    assert gain_text("cause", gain, "RMS").endswith(verdict)
+    scores = {"cause": HeldOut(np.array(differences), ratio, 0.9)}
+    assert gain_table("each event", "N", base, scores).endswith(f" | {ratio:.3f} | {verdict} |")

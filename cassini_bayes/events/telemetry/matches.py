@@ -13,6 +13,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.clocks import reader_of_dates
 from cassini_bayes.events.telemetry.columns import channel_columns
 from cassini_bayes.events.telemetry.files import PARQUET, open_foreign
+from cassini_bayes.events.telemetry.parquet_file import open_parquet
 from cassini_bayes.files.checks import parse_number
 from cassini_bayes.files.foreign import SUFFIXES
 from cassini_bayes.files.reading import open_file
@@ -34,7 +35,7 @@ _TIME: Final = re.compile(r"utc|time|date|epoch|^t$|^sec")
 
 @dataclass(frozen=True)
 class Sample:
-    """A file's columns with the first value of each, as text, where the file is text itself."""
+    """A file's columns with the first value of each, as text; none of HDF5 and MATLAB files."""
 
     path: Path
     delimiter: str
@@ -59,7 +60,10 @@ def sample_of(path: Path) -> Sample:
     InputError
         It cannot be read, or has no header.
     """
-    if path.suffix.lower() in (*PARQUET, *SUFFIXES):
+    if path.suffix.lower() in PARQUET:
+        parquet = open_parquet(path)
+        return Sample(path, ",", parquet.header, parquet.first_row())
+    if path.suffix.lower() in SUFFIXES:
         with open_foreign(path) as table:
             return Sample(path, ",", table.header, {})
     with open_file(path, "telemetry") as stream:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import date
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +30,14 @@ class ParquetTable:
         self.refused: dict[str, str] = {}
         self.header = tuple(str(name) for name in file.schema_arrow.names)
         self.header_place = f"{path}: columns"
+
+    def first_row(self) -> dict[str, str]:
+        """The first value of every column, as text; empty without a row."""
+        for batch in self._batches(1, list(range(len(self.header)))):
+            values = (column[0].as_py() for column in batch.columns)
+            shown = (v.isoformat() if isinstance(v, date) else str(v) for v in values)
+            return dict(zip(batch.schema.names, shown, strict=True))
+        return {}
 
     def blocks(self, rows: int, mends: Mends, selection: Selection = EVERYTHING) -> Iterator[Block]:
         """Yield the rows in file order, at most ``rows`` at a time."""
@@ -67,11 +76,14 @@ class ParquetTable:
             if i in selection.unread or i in selection.texts:
                 continue
             if not str(kind).startswith(("double", "float", "halffloat", "int", "uint", "null")):
+                dates = str(kind).startswith(("timestamp", "date", "string", "large_string"))
                 raise InputError(
                     f"{self._path}: column {name}",
                     "numbers (double, float or int)",
-                    str(kind),
-                    "store the column as double, null where it was not sampled",
+                    f"{'dates or text' if dates else 'other things'} ({kind})",
+                    'map the column with time_system = "iso8601"'
+                    if dates
+                    else "store the column as double, null where it was not sampled",
                 )
 
     def _note_nans(

@@ -57,14 +57,20 @@ def overlay_figure(overlay: Overlay) -> Figure:
         for panel in panels[-1]:
             panel.set_xlabel("time since first row (s)")
         handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=len(labels), markerscale=4.0
+        )
     return figure
 
 
 def _laid_over(panel: Axes, time_s: Array, channel: Channel) -> None:
     step = max(1, len(time_s) // _POINTS)
     at = slice(None, None, step)
-    panel.plot(time_s[at], channel.measured[at], ".", label="measured", **MEASURED_DOTS)
+    smoother = np.std(np.diff(channel.measured)) < np.std(np.diff(channel.baseline))
+    depth = 3.0 if smoother else 1.5  # what scatters more lies behind; lines are at 2
+    panel.plot(
+        time_s[at], channel.measured[at], ".", label="measured", zorder=depth, **MEASURED_DOTS
+    )
     if channel.extended is not None and channel.cause is not None:
         panel.fill_between(
             time_s[at],
@@ -79,7 +85,7 @@ def _laid_over(panel: Axes, time_s: Array, channel: Channel) -> None:
         panel.plot(time_s[at], channel.extended[at], label="with the cause", **EXTENDED_LINE)
     before, after = channel.fit
     fit = f"{before:.2f} %" if after is None else f"{before:.2f} → {after:.2f} %"
-    panel.set_title(f"{channel.name}, fit {fit}", loc="left")
+    panel.set_title(f"{channel.name}, fit {fit}".replace("-", "−"), loc="left")
 
 
 def _left(panel: Axes, time_s: Array, channel: Channel) -> None:

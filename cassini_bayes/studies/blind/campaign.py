@@ -18,6 +18,7 @@ from cassini_bayes.report.plots import encode
 from cassini_bayes.report.plots.blind import blind_figure, confusion_figure
 from cassini_bayes.studies.blind.flights import Blind
 from cassini_bayes.studies.blind.rates import (
+    COVERAGE,
     FAINT,
     ORACLE,
     Record,
@@ -88,15 +89,19 @@ def write_results(study: Study) -> dict[str, Any]:
 def _against_goal(row: Mapping[str, Any]) -> str:
     """The goal and whether the figure reaches it; null trials shall stay below theirs.
 
+    Coverage has a value for its goal, and the interval holds it or not.
+
     Few trials show nothing either way: then no goal is called reached or missed.
     """
     if not row["reached"] or not row["trials"]:
         return ""
-    sign = "≤" if str(row["rate"]).startswith("null") else "≥"
-    sign = "=" if "intervals" in str(row["rate"]) else sign
-    if row["trials"] < ENOUGH_TRIALS:
-        return f"{sign} {row['goal']:.2f}: too few trials"
-    return f"{sign} {row['goal']:.2f}: {'reached' if row['reached'] == 'True' else 'missed'}"
+    goal = f"{row['goal']:.2f}"
+    if row["rate"] == COVERAGE:
+        found = "in the interval" if row["reached"] == "True" else "not in the interval"
+    else:
+        goal = f"{'≤' if str(row['rate']).startswith('null') else '≥'} {goal}"
+        found = "reached" if row["reached"] == "True" else "missed"
+    return f"{goal}: {'too few trials' if row['trials'] < ENOUGH_TRIALS else found}"
 
 
 def _failures(table: pd.DataFrame) -> str:
@@ -113,10 +118,10 @@ def _failures(table: pd.DataFrame) -> str:
 def _faint_sentence(records: Sequence[Record], headline: pd.DataFrame) -> str:
     value = headline.set_index("rate")["value"]
     return (
-        f"Faint causes: {value[FAINT]:.3f} among the three best, the oracle {value[ORACLE]:.3f} on "
-        f"the same data (difference {value[FAINT] - value[ORACLE]:+.3f}), "
-        f"{expected_by_oracle(records):.3f} expected from draws. A name counts here only itself: "
-        "at such sizes nearly all causes are within 3 nats of each other."
+        f"Faint causes: {value[FAINT]:.3f} are among the three best. The oracle has "
+        f"{value[ORACLE]:.3f} on the same data (difference {value[FAINT] - value[ORACLE]:+.3f}); "
+        f"{expected_by_oracle(records):.3f} is expected from draws. Here only the name itself "
+        "counts, as at such sizes nearly all causes are within 3 nats of each other."
     )
 
 
@@ -149,12 +154,11 @@ def _body(
     strata = ", ".join(f"{s.name} {counts.get(s.name, 0)} of {s.trials}" for s in STRATA)
     digests = ", ".join(sorted({r["code"] for r in records}))
     return f"""\
-An effect is hidden in simulated telemetry (one wheel bias and a slew set at 1 Hz, everything drawn
-from the priors, wheel rates anew in every trial) and the diagnosis, which knows nothing of it, says
-what is wrong. {len(records)} trials, by part, of those planned:
-{strata}.
-[The method](../../topics/criticism.md) says what the parts are, [what campaigns
-found](../diagnosis-campaigns.md) why trials failed.
+Does the diagnosis find what is hidden from it? An effect is hidden in simulated telemetry: one
+wheel bias and a slew set at 1 Hz, everything drawn from the priors, wheel rates anew in every
+trial. The diagnosis gets no hint and says what is wrong. {len(records)} trials, by part, of those
+planned: {strata}. [The method](../../topics/criticism.md) says what the parts are,
+[what campaigns found](../diagnosis-campaigns.md) why trials failed.
 
 | rate | count | value | 95 % interval (binomial) | goal |
 | --- | --- | --- | --- | --- |
@@ -172,16 +176,16 @@ Stated probability of the first cause against how often it is the hidden one (st
 
 ![Confusion]({"confusion.png"})
 
-Trials in which the first cause is wrong, confounded groups counted as right; `prior` and `faint`
-hold effects too small to be told from none:
+Trials in which the first cause is wrong, with confounded groups counted as right. `prior` and
+`faint` also hold effects that are too small to be told from none.
 
 | trial | part | hidden | size (σ) | named first | its probability | cannot be told from |
 | --- | --- | --- | --- | --- | --- | --- |
 {_failures(table)}
 
 {broken}
-One diagnosis took {times["cpu_diagnose_s"].median():.1f} s of one core (median; largest
-{times["cpu_diagnose_s"].max():.1f} s), a whole trial with its flights
-{times["wall_s"].median():.1f} s by the clock. Tables: [trials](trials.csv), [rates](rates.csv),
+One diagnosis took {times["cpu_diagnose_s"].median():.1f} s of one core in the median, and
+{times["cpu_diagnose_s"].max():.1f} s at most. A whole trial with its flights took
+{times["wall_s"].median():.1f} s of wall time. Tables: [trials](trials.csv), [rates](rates.csv),
 [reliability](reliability.csv), [confusion](confusion.csv), [timing](timing.csv). Digest of the
 diagnosing code: {digests}."""

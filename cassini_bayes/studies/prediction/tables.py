@@ -21,7 +21,7 @@ from cassini_bayes.prediction.requests import request_of
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.studies.prediction.findings import COLUMNS, Findings
 
-AIMS: Final[Mapping[str, float]] = {"on_time": 0.45, "delta_v_z": 0.5, "hydrazine": 0.8}
+GOALS: Final[Mapping[str, float]] = {"on_time": 0.45, "delta_v_z": 0.5, "hydrazine": 0.8}
 
 
 def skill_table(findings: Findings) -> str:
@@ -37,8 +37,8 @@ def skill_table(findings: Findings) -> str:
         rows.append(f"| {label} | {' | '.join(cells)} |")
     own = [f"**{findings.scores[kind].mean_absolute_difference:.2f}**" for kind in KINDS]
     rows.append(f"| **this prediction, event left out** | {' | '.join(own)} |")
-    aims = [f"≤ {AIMS[kind]:g}" if kind in AIMS else "–" for kind in KINDS]
-    rows.append(f"| aim | {' | '.join(aims)} |")
+    goals = [f"≤ {GOALS[kind]:g}" if kind in GOALS else "–" for kind in KINDS]
+    rows.append(f"| goal | {' | '.join(goals)} |")
     return "\n".join(rows)
 
 

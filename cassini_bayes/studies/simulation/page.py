@@ -16,37 +16,39 @@ FULL: Final[Mapping[str, int]] = {"eight wheel biases": 24, "scan of settings": 
 QUICK: Final[Mapping[str, int]] = {"eight wheel biases": 4, "scan of settings": 1}
 """Numbers of seeds."""
 
-BODY: Final = """{seeds} seeds, {scan_seeds} for the scan. The physics and the settings are told in
-[The simulation](../topics/simulation.md), what the figures mean in
-[findings](simulation-findings.md).
+BODY: Final = """\
+Does the simulation obey physics, and does it fly as Cassini did? {seeds} seeds, {scan_seeds} for
+the scan of settings. [The simulation](../topics/simulation.md) describes physics and settings,
+[findings](simulation-findings.md) what the figures mean.
 
 ## Momentum, impulse, speed
 
 {momentum}
 
-Agreement with an independent integration is a test (`tests/simulation/`); agreement
-with another simulator, and the speed beside it, are in [Open loop against
-Basilisk](simulation_basilisk.md).
+Agreement with an independent integration is a test (`tests/simulation/`). Agreement with another
+simulator, and its speed, are in [Open loop against Basilisk](simulation_basilisk.md).
 
 ## The FSDS case of paper 000
 
-Wheels from rest to 1800 rpm, 0.75 N on all thrusters, τ_fall 65 ms; on-times as they are given to
-the naive regression of the Z balance, sampled once per second. Simulated: mean ± standard deviation
-over 8 seeds (start in the dead-band, controller's knowledge).
+Wheels go from rest to 1800 rpm, all thrusters have 0.75 N, τ_fall is 65 ms. On-times are those that
+the naive regression of the Z balance takes, sampled once per second. Simulated figures are means ±
+standard deviations over 8 seeds (start in the dead-band, controller's knowledge).
 
 {fsds}
 
 ## Eight wheel biases beside flight
 
-Mean absolute difference to flight over all thrusters and pairs of the eight events (paper 001
-averages like that). *Width*: on-time over pulses of units with 25 pulses or more in flight; *rare*:
-units with fewer than 10; *shared*: Σ |Z1 + Z3 − Z2 − Z4|, which pairs that only fire as pairs leave
-at zero.
+Mean absolute difference to flight over all thrusters and pairs of the eight events, as paper 001
+averages.
+
+- *Width*: on-time over pulses, of units with 25 pulses or more in flight.
+- *Rare*: units with fewer than 10 pulses.
+- *Shared*: Σ |Z1 + Z3 − Z2 − Z4|. It is zero if pairs only fire as pairs.
 
 {skill}
 
-On-times (of each thruster of a pair), computed ΔV along Z and hydrazine; simulated: mean ± standard
-deviation over seeds. The same figures are in `simulation_biases.csv`.
+On-times (of each thruster of a pair), computed ΔV along Z, and hydrazine. Simulated figures are
+means ± standard deviations over seeds. The same figures are in `simulation_biases.csv`.
 
 {on_times}
 
@@ -58,15 +60,15 @@ Number of pulses, likewise:
 
 ## Specific impulse behind the printed hydrazine
 
-Fits of paper 001's equations (19) and (21) to the hydrazine that its tables print, from the printed
-on-times, thrusts and durations: I_sp constant, and I_sp = P0 − P1 exp(−P2 μ) with μ the thruster's
-duty cycle.
+Equations (19) and (21) of paper 001 are fitted to the hydrazine that its tables print, with the
+printed on-times, thrusts and durations. I_sp is constant, or P0 − P1 exp(−P2 μ) with μ the
+thruster's duty cycle.
 
 {propellant}
 
 ## Which settings the flight data support
 
-One setting changed at a time; the halves show that the choice does not rest on a few events.
+One setting is changed at a time. The halves show that the choice does not rest on a few events.
 
 {scan}
 

@@ -1,14 +1,14 @@
-"""What speed the project wants, what was measured, and whether that reaches it."""
+"""The goals of speed, what was measured, and whether the figure reaches them."""
 
 from __future__ import annotations
 
 from speed.tables import Found, Row, rows_of, table
 
 
-def aims(found: Found) -> str:
-    """Every aim of the project's speed, what was measured, and whether that reaches it."""
-    lines = [_fit_aim(row, 10.0) for row in rows_of(found, "fit-one")]
-    lines += [_fit_aim(row, 60.0) for row in rows_of(found, "fit-seven")]
+def goals(found: Found) -> str:
+    """Every goal of speed, what was measured, and whether the figure reaches it."""
+    lines = [_fit_goal(row, 10.0) for row in rows_of(found, "fit-one")]
+    lines += [_fit_goal(row, 60.0) for row in rows_of(found, "fit-seven")]
     calls = rows_of(found, "calls-samples")
     if len(calls) > 1:
         ratio = calls[-1]["call_s"] / calls[0]["call_s"]
@@ -27,13 +27,12 @@ def aims(found: Found) -> str:
         what = "reduction, rows per second and core"
         lines.append((what, "≥ 200,000", f"{max(speeds):,.0f}", _met(max(speeds) >= 2e5)))
     for noise in (True, False):
-        lines += _ratio_aims(found, noise)
-    header = ("aim", "wanted", "measured", "reached")
+        lines += _ratio_goals(found, noise)
+    header = ("goal", "wanted", "measured", "reached")
     return (
-        "## Aims\n\n" + table(header, lines) + "\n\nWall times are those of a busy "
-        "machine: where they miss what processor seconds reach, an idle one has the aim in reach, "
-        "but that was not seen. A sampler without a figure within its time gives a bound only: "
-        "where bounds leave it open, an aim is not shown to be reached."
+        "## Goals\n\n" + table(header, lines) + "\n\nWall times are those of the machine as it "
+        "was, busy or not. A sampler without a figure within its time gives a bound only: where "
+        "bounds leave it open, a goal is not shown to be reached."
     )
 
 
@@ -41,7 +40,7 @@ def _met(reached: bool) -> str:
     return "yes" if reached else "**no**"
 
 
-def _fit_aim(row: Row, most_s: float) -> tuple[str, ...]:
+def _fit_goal(row: Row, most_s: float) -> tuple[str, ...]:
     wall, processor = row["enough_wall_s"], row["enough_processor_s"]
     return (
         f"{row['case']}: bulk and tail ESS ≥ 2,000",
@@ -51,11 +50,11 @@ def _fit_aim(row: Row, most_s: float) -> tuple[str, ...]:
     )
 
 
-def _ratio_aims(found: Found, noise: bool) -> list[tuple[str, ...]]:
+def _ratio_goals(found: Found, noise: bool) -> list[tuple[str, ...]]:
     own = [row for row in rows_of(found, "own-") if row["torque_noise"] is noise]
     peers = [row for row in rows_of(found, "peer-") if row["torque_noise"] is noise]
     lines = []
-    for form, aim in (("plain", 300.0), ("fast", 10.0)):
+    for form, goal in (("plain", 300.0), ("fast", 10.0)):
         rows = [row for row in peers if row["likelihood"] == form]
         if not own or not rows:
             continue
@@ -63,14 +62,14 @@ def _ratio_aims(found: Found, noise: bool) -> list[tuple[str, ...]]:
         sure = rate / max(row["ess_per_s"] for row in rows)
         measured = [rate / row["ess_per_s"] for row in rows if not row["bound"]]
         text = f"{min(measured):,.0f} × the best measured; " if measured else ""
-        missed = bool(measured) and min(measured) < aim
+        missed = bool(measured) and min(measured) < goal
         word = "with" if noise else "without"
         lines.append(
             (
                 f"draws per second against the best on the {form} likelihood, {word} torque noise",
-                f"≥ {aim:.0f} ×",
+                f"≥ {goal:.0f} ×",
                 text + f"at least {sure:,.1f} × by all bounds",
-                "yes" if sure >= aim else "**no**" if missed else "not shown",
+                "yes" if sure >= goal else "**no**" if missed else "not shown",
             )
         )
     return lines
