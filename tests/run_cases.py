@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +54,12 @@ def command(arguments: Sequence[str]) -> int:
     finally:
         sys.argv = before
     return 0
+
+
+def logged(arguments: Sequence[str], log: Path) -> int:
+    """The same, its output sent to ``log``; what it loads and compiles, children have already."""
+    with log.open("w") as stream, redirect_stdout(stream), redirect_stderr(stream):
+        return command(arguments)
 
 
 @dataclass
