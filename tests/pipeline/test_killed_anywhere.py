@@ -23,7 +23,7 @@ from cassini_bayes.files import storage
 from cassini_bayes.files.storage import digest
 from cassini_bayes.results.record import GROUPS, read_fit
 
-SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 60}
+SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
 
 
 def alone_on_one_core(arguments: Sequence[str], log: Path) -> int:

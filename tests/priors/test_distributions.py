@@ -200,7 +200,6 @@ def test_the_sample_test_would_notice_clipping() -> None:
 @every_case
 def test_moments_agree_with_quadrature(case: Case) -> None:
     """mean() and sd() are the moments of the density, by quadrature in standard normals."""
-
     edges = np.linspace(-15.0, 15.0, 61)
 
     def moment(power: int) -> float:

