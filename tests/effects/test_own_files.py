@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from totals_cases import ROOT
 
+from cassini_bayes.diagnosis import read
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
 from cassini_bayes.effects.registry import Kinds, read_kinds
@@ -19,6 +20,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model import ReducedEvent
 from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.report import diagnosis_pictures
 from cassini_bayes.studies.scenario import simulate_scenario, simulated_sides
 
 EXAMPLE = ROOT / "docs" / "examples" / "plume.py"
@@ -64,8 +66,8 @@ def test_the_worked_example_is_flown_and_named(
 
     from cassini_bayes.cli import app
 
-    monkeypatch.setattr("cassini_bayes.diagnosis.read.prepare", with_few_causes)
-    monkeypatch.setattr("cassini_bayes.report.diagnosis_pictures._drawn", lambda _: None)
+    monkeypatch.setattr(read, "prepare", with_few_causes)
+    monkeypatch.setattr(diagnosis_pictures, "_drawn", lambda _: None)
     flown = tmp_path / "flown"
     simulate_scenario(scenario(tmp_path), flown, 3, own=simulated_sides([EXAMPLE]))
     truth = json.loads((flown / "truth.json").read_text(encoding="utf-8"))

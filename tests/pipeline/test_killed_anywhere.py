@@ -21,6 +21,7 @@ from made_up_review import blank
 
 from cassini_bayes.files import storage
 from cassini_bayes.files.storage import digest
+from cassini_bayes.report import sections
 from cassini_bayes.results.record import GROUPS, read_fit
 
 SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
@@ -64,7 +65,7 @@ def test_a_killed_telemetry_run_ends_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Killed in its first write, its sampling, its tables and its report, then resumed."""
-    monkeypatch.setattr("cassini_bayes.report.sections.draw_encoded", blank)
+    monkeypatch.setattr(sections, "draw_encoded", blank)
     table = {
         "events": [str(simulated() / "bias")],
         "priors": str(PRIORS),
