@@ -32,6 +32,7 @@ PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 RPM = 2.0 * np.pi / 60.0
 MODES = 512
 EDGES = (32, 128)
+SLOPE_EDGES = (1, 2, 4, 8, 32)
 ROWS_PER_MODE = 2
 SPARSE_S = 4.0
 PARTS = 4
@@ -527,7 +528,7 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
             piece = []
         piece.append(i + 1)
     slope_rates, slope_rows, waves, other_rates, other_rows = [], [], [], [], []
-    slope_times, ramps, sums = [], [], np.zeros(3)
+    slope_times, ramps, slope_sums, sums = [], [], [], np.zeros(2)
     duration = sampling.duration_s
     pieces.append(piece)
     for piece in [own for own in pieces if len(own) >= 2]:
@@ -560,8 +561,8 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
                 for order in range(129)
             ]
         )
+        slope_sums.append(np.sum((slope @ integral) ** 2))
         sums += [
-            np.sum((slope @ integral) ** 2),
             np.sum((contrast @ integral) ** 2),
             np.sum((contrast @ integral @ walk) ** 2),
         ]
@@ -573,13 +574,14 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
     scale = np.r_[np.sqrt(duration / 3.0), np.sqrt(2 * duration) / (order * np.pi)]
     modes, size, _ = np.linalg.svd(np.array(waves) * scale, full_matrices=False)
     bands = []
-    for start, stop in pairwise([0, *(edge for edge in (2, 8, 32) if edge < count), count]):
+    for start, stop in pairwise([0, *(edge for edge in SLOPE_EDGES if edge < count), count]):
         share = np.zeros((total, total))
         share[:count, :count] = modes[:, start:stop] @ modes[:, start:stop].T
-        bands.append((share, sums[0] / count, float(np.mean(size[start:stop] ** 2))))
+        summed = np.diagonal(share)[:count] @ np.array(slope_sums) / (stop - start)
+        bands.append((share, float(summed), float(np.mean(size[start:stop] ** 2))))
     if total > count:
         rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
-        bands.append((rest, sums[1] / (total - count), sums[2] / (total - count)))
+        bands.append((rest, sums[0] / (total - count), sums[1] / (total - count)))
     return PlainTurns(
         of_rates,
         np.concatenate([np.array(slope_rows), *other_rows]),

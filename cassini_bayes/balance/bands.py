@@ -24,7 +24,9 @@ from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.computing.arrays import Array
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
-SLOPE_EDGES: Final = (2, 8, 32)  # the same of slopes of quiet pieces
+# The same of slopes of quiet pieces. The first mode is a constant, which the initial momentum takes
+# up: the next ones hold most of what is known of torque noise.
+SLOPE_EDGES: Final = (1, 2, 4, 8, 32)
 ROWS_PER_MODE: Final = 2
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
@@ -251,13 +253,15 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     on_modes = turns.slope_waves @ turned
     left_open = open_squares(statistics, places, on_modes)
     rounded, all_rounded = rounded_slopes(turns, on_modes)
+    # of each piece its own: noise summed over a long one is far more than over a short one
+    summed = turns.slope_stride * turns.slope_summed_s2 @ on_modes**2
     bands, grams, rest = [], [], turns.slope_gram
     inner = [edge for edge in SLOPE_EDGES if edge < len(walk)]
     for start, stop in pairwise([0, *inner, len(walk)]):
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         walked = float(walk[start:stop].mean())
-        squares = (turns.slope_summed_s2, rounded[start:stop].mean(axis=0), walked)
+        squares = (float(summed[start:stop].mean()), rounded[start:stop].mean(axis=0), walked)
         noise = left_open.of_modes(start, stop)
         bands.append(TurnBand(stop - start, *squares, *noise))
         grams.append(gram)
@@ -266,7 +270,9 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
         beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
         walked = float(beyond * turns.slope_mode_gram[0, 0] / rows)
         left = np.maximum(all_rounded - rounded.sum(axis=0), 0.0) / rows
-        squares = (turns.slope_summed_s2, left, walked)
+        beyond_summed = turns.slope_stride * turns.slope_summed_s2.sum() - summed.sum()
+        least = turns.slope_summed_s2.min()  # thinned pieces may leave too little for the rest
+        squares = (float(max(beyond_summed / rows, least)), left, walked)
         bands.append(TurnBand(rows, *squares, *left_open.of_rest(rows)))
         grams.append(rest)
     return bands, grams

@@ -19,6 +19,9 @@ from cassini_bayes.computing.arrays import Array, Flags
 
 _HARMONICS: Final = 64  # of a sawtooth: the rest has less than a percent of its square
 WINDOW: Final = 8  # rows on either side; a wheel that gains a step between their means moves
+# Steps squared. Readings of two neighbouring values scatter by p (1 − p) <= 1/4, however the wheel
+# rests; more than that is noise of half a step and more, which leaves nothing of a rounding.
+DITHERED: Final = 0.3
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,8 @@ def rests(levels: Array) -> Rests:
     one side and leaves on the other, for good. Readings that change to and fro are one stretch at
     rest, and scatter by half the mean square of their differences. Half a reading of another value
     is added (Jeffreys' prior of a rare event): n readings alike do not say that there is no noise.
+    Where they scatter by more than two values can (:data:`DITHERED`), rounding is white in all
+    rows, as in one that moves.
     """
     rows = len(levels)
     total = np.concatenate([[0.0], np.cumsum(levels)])
@@ -100,6 +105,8 @@ def rests(levels: Array) -> Rests:
     starts = np.flatnonzero(~stays)
     lengths = np.diff(starts, append=rows)
     jumps = np.where(stays, np.diff(levels, prepend=levels[:1]) ** 2, 0.0)
+    if 0.5 * jumps.sum() > DITHERED * np.count_nonzero(stays):
+        return Rests(np.ones(rows, dtype=np.bool_), np.zeros(rows), at)
     scatter = 0.5 * (1.0 + np.add.reduceat(jumps, starts)) / lengths
     moving = moving | np.repeat(lengths == 1, lengths)
     return Rests(moving, np.where(moving, 0.0, np.repeat(scatter, lengths)), starts)

@@ -46,6 +46,17 @@ def test_a_wheel_that_never_changes_is_not_known_exactly() -> None:
     assert found.variance == pytest.approx(np.full(20, 0.025))
 
 
+@pytest.mark.parametrize("speed", [0.0, 0.01, 0.3])
+def test_noise_of_some_steps_makes_rounding_white(speed: float) -> None:
+    """Readings that scatter over more than two values: all rows alike, none chosen by its noise."""
+    rng = np.random.default_rng(5)
+    found = rests(printed(speed, 2.5, rng))
+    assert found.moving.all()
+    assert not found.variance.any()
+    # two values, as often one as the other, are a wheel at rest
+    assert not rests(np.round(rng.uniform(0.0, 1.0, ROWS))).moving.all()
+
+
 def test_a_slow_staircase_passes_its_values() -> None:
     """Without noise every tread is left on the other side: its error has a mean of nothing."""
     assert rests(printed(0.02, 0.0, np.random.default_rng(3))).moving[100:-100].all()

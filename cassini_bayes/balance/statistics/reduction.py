@@ -38,7 +38,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512
-_FORMAT: Final = 7
+_FORMAT: Final = 8
 BLOCK_ROWS: Final = 4_096
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -77,9 +77,10 @@ class TurnStatistics:
     Of the ``pieces`` slopes: ``slope_gram`` (3, 3, A, A), and with the cosines m = 0 … M of the
     momentum ``slope_projection`` (1 + M, 3, A) and ``slope_mode_gram`` (1 + M, 1 + M);
     ``slope_time_s`` (r,) and ``slope_waves`` (r, 1 + M) are evenly thinned times of the pieces and
-    the cosines there, the first of them |t − t̄|, and ``slope_resting`` (r, W) the wheel rates that
-    stay the same in them, else NaN; each stands for ``slope_stride`` pieces. Of the
-    ``contrasts`` that are left: ``gram``. The others are mean squares per slope or contrast
+    the cosines there, the first of them |t − t̄|, ``slope_summed_s2`` (r,) the variances of summed
+    white noise, and ``slope_resting`` (r, W) the wheel rates that stay the same in them, else NaN;
+    each stands for ``slope_stride`` pieces. Of the ``contrasts`` that are left: ``gram``,
+    ``summed_s2`` and ``walked_s3``, mean squares per contrast
     (:class:`cassini_bayes.balance.statistics.turns.Turned`).
     """
 
@@ -89,9 +90,9 @@ class TurnStatistics:
     slope_mode_gram: Array
     slope_time_s: Array
     slope_waves: Array
+    slope_summed_s2: Array
     slope_resting: Array
     slope_stride: int
-    slope_summed_s2: float
     contrasts: int
     gram: Array
     summed_s2: float
@@ -378,13 +379,13 @@ class _Turns:
         self._rule: PieceRule | None = None
         self._waiting: list[Rows] = []
         self._before = 0  # rows of the piece before, by which a corner at the first row shows
-        self._places = Thinned()  # (p, 1 + waves + W) times, cosines there, resting wheels
+        self._places = Thinned()  # (p, 2 + waves + W) times, cosines, summed noise, resting wheels
         self._pieces, self._contrasts = 0, 0
         self._slopes = _Inner(
             np.zeros((size, size)), np.zeros((waves, size)), np.zeros((waves, waves))
         )
         self._rest = np.zeros((size, size))
-        self._squares = np.zeros(3)
+        self._squares = np.zeros(2)
 
     def add(self, rows: Rows) -> None:
         """Take more rows; those of a piece that may go on wait."""
@@ -407,11 +408,12 @@ class _Turns:
         found = turned(rows, self._layout, ends, self._sampling.duration_s)
         slopes, waves = found.slopes, found.waves
         self._slopes.gather(_Inner(slopes.T @ slopes, waves.T @ slopes, waves.T @ waves))
-        self._places.add(np.concatenate([found.time_s[:, None], waves, found.resting], axis=1))
+        times, summed = found.time_s[:, None], found.summed_s2[:, None]
+        self._places.add(np.concatenate([times, waves, summed, found.resting], axis=1))
         self._pieces += len(slopes)
         self._rest += found.rest.T @ found.rest
         self._contrasts += found.contrasts
-        self._squares += (found.slopes_summed, found.rest_summed, found.rest_walked)
+        self._squares += (found.rest_summed, found.rest_walked)
         self._before = min(ends[-1], 1)
         self._waiting = [rows.part(slice(ends[-1] - self._before, None))]
 
@@ -419,9 +421,8 @@ class _Turns:
         """All of it, once the last rows have been added."""
         self._work_up(is_last=True)
         slope_gram, columns = _by_axes(self._slopes.columns, self._layout)
-        counts = np.maximum([self._pieces, self._contrasts, self._contrasts], 1)
-        by_slope, by_contrast, walked = (self._squares / counts).tolist()
-        width = SLOPE_WAVES + 2 + len(self._layout.wheels)
+        by_contrast, walked = (self._squares / max(self._contrasts, 1)).tolist()
+        width = SLOPE_WAVES + 3 + len(self._layout.wheels)
         places = np.concatenate([np.zeros((0, width)), *self._places.kept])
         return TurnStatistics(
             self._pieces,
@@ -431,9 +432,9 @@ class _Turns:
             self._slopes.modes,
             places[:, 0].copy(),
             places[:, 1 : SLOPE_WAVES + 2].copy(),
-            places[:, SLOPE_WAVES + 2 :].copy(),
+            places[:, SLOPE_WAVES + 2].copy(),
+            places[:, SLOPE_WAVES + 3 :].copy(),
             self._places.stride,
-            by_slope,
             self._contrasts,
             _by_axes(self._rest, self._layout)[0],
             by_contrast,

@@ -45,17 +45,19 @@ class Turned:
 
     ``slopes`` (p, 3 V + S) are vector columns (axis first) and scalar columns, one row for every
     piece at ``time_s`` (p,); ``waves`` (p, 1 + M) are those of the cosines cos(m π t/T), m = 0 … M,
-    the first of them |t − t̄|; ``resting`` (p, W) are the wheel rates shown where they stay the same
-    throughout a piece, else NaN. ``rest`` (n, 3 V + S) are the columns without their slopes, at all
-    rows of the pieces. The others are sums of squares: of unit white noise of a rate summed up by
-    trapezoids (s²), and of a unit random walk since the piece began, integrated (s³).
+    the first of them |t − t̄|; ``summed_s2`` (p,) are the variances of unit white noise of a rate
+    summed up by trapezoids, which grow with the square of a piece's length; ``resting`` (p, W) are
+    the wheel rates shown where they stay the same throughout a piece, else NaN. ``rest``
+    (n, 3 V + S) are the columns without their slopes, at all rows of the pieces, and
+    ``rest_summed`` and ``rest_walked`` sums of squares: of the same white noise (s²), and of a unit
+    random walk since the piece began, integrated (s³).
     """
 
     time_s: Array
     slopes: Array
     waves: Array
+    summed_s2: Array
     resting: Array
-    slopes_summed: float
     rest: Array
     contrasts: int
     rest_summed: float
@@ -143,7 +145,8 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
     times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, len(order)))]
     resting = [np.zeros((0, len(layout.wheels)))]
     rest = [np.zeros((0, flat.shape[1]))]
-    contrasts, slopes_summed, rest_summed, rest_walked = 0, 0.0, 0.0, 0.0
+    of_slopes: list[float] = []
+    contrasts, rest_summed, rest_walked = 0, 0.0, 0.0
     for start, stop in pairwise(ends):
         if stop - start < LEAST_PIECE:
             continue
@@ -163,15 +166,15 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
         waves.append(ramp[None] @ cosines)
         rest.append(_without_slope(own, ramp))
         contrasts += stop - start - 2
-        slopes_summed += float(((ramp @ summed) ** 2).sum())
+        of_slopes.append(float(((ramp @ summed) ** 2).sum()))
         rest_summed += float((_without_slope(summed, ramp) ** 2).sum())
         rest_walked += float((_without_slope(walked, ramp) ** 2).sum())
     return Turned(
         np.array(times),
         np.concatenate(slopes),
         np.concatenate(waves),
+        np.array(of_slopes),
         np.concatenate(resting),
-        slopes_summed,
         np.concatenate(rest),
         contrasts,
         rest_summed,
