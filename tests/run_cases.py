@@ -30,7 +30,7 @@ def small_table() -> dict[str, object]:
             "ensembles": 2,
             "walkers": 56,
             "target_ess": 100,
-            "first_check": 40,
+            "first_check": 64,
             "max_steps": 100,
         },
         "output": {"report": False, "draws_per_ensemble": 500, "prior_draws": 500},

@@ -24,7 +24,7 @@ from cassini_bayes.files.storage import digest
 from cassini_bayes.report import sections
 from cassini_bayes.results.record import GROUPS, read_fit
 
-SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
+SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 64, "max_steps": 100}
 
 
 def alone_on_one_core(arguments: Sequence[str], log: Path) -> int:
