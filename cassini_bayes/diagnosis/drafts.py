@@ -29,7 +29,7 @@ from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.discrepancy import baseline_at
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
+from cassini_bayes.diagnosis.innovations import thrust_columns
 from cassini_bayes.diagnosis.score import LEAST_PIECES, STANDARD_ERRORS, summed
 from cassini_bayes.diagnosis.spectrum import AXES, spectra
 from cassini_bayes.effects.wording import decimals_of, rounded
@@ -207,8 +207,7 @@ def _change(kappa: Array, rotated: Array, amplitudes: Array) -> Array:
 
 def drafted(events: Events, unknown: Weighed[Hypothesis]) -> tuple[Draft, ...]:
     """One draft of every form, that of the largest held-out gain first; for telemetry."""
-    full, point = baseline_at(events, unknown)
-    left = innovations(full, point)
+    full, point, left = baseline_at(events, unknown)
     thrusts = [thrust_columns(full, point, place) for place in range(len(left.rows))]
     common = full.model.thrust_prior.common_mean_n
     return drafts_of(left.linear, left.rows, point, thrusts, common)

@@ -27,12 +27,13 @@ from cassini_bayes.diagnosis.sizes import size_draws
 from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
+from cassini_bayes.events.totals import split_reference
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest, write_text
 from cassini_bayes.model.event_reduction import is_event_folder
 from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
-from cassini_bayes.pipeline.inputs import file_of, paths_of
+from cassini_bayes.pipeline.inputs import paths_of
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
 from cassini_bayes.pipeline.provenance import (
     library_versions,
@@ -47,7 +48,7 @@ from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 
 if TYPE_CHECKING:
-    from cassini_bayes.report.diagnosis_pictures import Picture
+    from cassini_bayes.report.page import Drawing
     from cassini_bayes.report.plots import Figure
 
 INTERVAL: Final = "shortest 90 %"
@@ -230,11 +231,11 @@ class DiagnosisResult:
         return html_of(title, self.sentences, self.summary().head(_MOST_SHOWN))
 
 
-def _drawn(pictures: Sequence[Picture], name: str) -> Figure | None:
+def _drawn(pictures: Sequence[Drawing], name: str) -> Figure | None:
     """The picture of that name as a figure in the house style; None where nothing is shown."""
     from cassini_bayes.report.plots import draw
 
-    return draw({p.name: p.make for p in pictures if p.name == name}).get(name)
+    return draw({p.name: p.draw for p in pictures if p.name == name}).get(name)
 
 
 def diagnose(
@@ -374,7 +375,8 @@ def _drawing() -> Drawing:
 def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -> dict[str, str]:
     """SHA-256 of the files that were read, of every telemetry event and its channel map."""
     given = [event for event in events if not isinstance(event, READ)]
-    tables = [file_of(Path(), str(name)) for name in given if not is_event_folder(Path(name))]
+    references = [str(name) for name in given if not is_event_folder(Path(name))]
+    tables = [split_reference(reference)[0] for reference in references]
     files = [str(path) for path in (priors, *tables) if not isinstance(path, Priors)]
     found = {path: digest(Path(path)) for path in files}
     if isinstance(case, BalanceCase):

@@ -13,7 +13,7 @@ from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, refuse_duplicates
-from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.events.totals import TotalsEvent, split_reference
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import ReducedEvent, store_reduction
 from cassini_bayes.model.gather import read_reference
@@ -86,7 +86,7 @@ def read_inputs(
         )
         found = read.events
         findings += read.findings
-        file = file_of(base, reference)
+        file, _ = split_reference(reference, base)
         for event, content in zip(found, read.contents, strict=True):
             if isinstance(event, ReducedEvent):
                 digests[reference] = event.digest
@@ -152,11 +152,3 @@ def paths_of(given: Any) -> list[str]:
     if not several:
         raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
     return [os.fspath(one) for one in several]
-
-
-def file_of(base: Path, reference: str) -> str:
-    """The file that ``file.csv`` or ``file.csv:ID`` names; names and ids may hold colons."""
-    file = reference
-    while not (base / file).is_file() and ":" in file:
-        file = file.rpartition(":")[0]
-    return file

@@ -15,7 +15,7 @@ from cassini_bayes.report.diagnosis_page import render_diagnosis
 from cassini_bayes.report.diagnosis_pictures import Drawn
 from cassini_bayes.report.plots.overlays import overlay_figure, trade_figure
 
-PICTURE = Drawn("causes", "Bars of <the> causes.", b"png", b"svg")
+PICTURE = Drawn("causes", "Bars of <the> causes.", "Causes.", b"png", b"svg")
 
 
 class Page(HTMLParser):
