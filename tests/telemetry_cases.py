@@ -420,25 +420,34 @@ def _unknowns(
     columns = np.zeros((3 * n, thrusters))
     if samples.on_time_s.shape[1] == 0:
         return own, columns, mean
-    lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
+    lost, scattered = plain_lost(term, tau, close)
     counts = np.array(rows.cuts)  # (n, G)
     couples = term.event.sampling.couples
     for k in range(thrusters):
         couple = next(g for g, c in enumerate(couples) if k in c)
-        cut = close * lost * counts[:, couple][:, None] * arms[:, k]
+        cut = lost * counts[:, couple][:, None] * arms[:, k]
         columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
     for g, members in enumerate(couples):
-        step = model.thrust_prior.common_mean_n * lost * arms[:, list(members)].sum(1)
+        step = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
         if rows.pairs_of(g):
-            own.append((0.5 * close * counts[:, g][:, None] * step).reshape(-1))
+            own.append((0.5 * lost * counts[:, g][:, None] * step).reshape(-1))
         for part in range(PARTS):
             pairs = [p for p in rows.pairs_of(g) if rows.part(p, term.event.sampling) == part]
             if pairs:
                 number = sum(m for _, _, m in pairs)
                 cut = sum(m * (np.array(rows.times) >= t) for t, _, m in pairs) / number
-                scatter = np.sqrt(close * (1.0 - close) * number)
+                scatter = scattered * np.sqrt(number)
                 own.append((scatter * cut[:, None] * step).reshape(-1))
     return own, columns, mean
+
+
+def plain_lost(term: TelemetryTerm, tau: tuple[float, ...], close: float) -> tuple[float, float]:
+    """On-time that a pair loses, s: a sum over gaps, each as likely, with the chance of none."""
+    gaps = term.event.statistics.counters.gaps_s
+    losses = [(tau[2] - tau[1]) * np.exp(-gap / tau[2]) for gap in gaps]
+    mean = close * sum(losses) / len(losses)
+    square = sum(close / len(losses) * (loss - mean) ** 2 for loss in losses)
+    return float(mean), float(np.sqrt(square + (1.0 - close) * mean**2))
 
 
 def plain_open(
@@ -460,7 +469,7 @@ def plain_open(
     if not rows.shots:
         return total
     sampling = term.event.sampling
-    lost = (tau[2] - tau[1]) * np.exp(-0.125 / tau[2])
+    _, scattered = plain_lost(term, tau, close)
     counters = term.event.statistics.counters
     for g, members in enumerate(sampling.couples):
         arm = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
@@ -472,7 +481,7 @@ def plain_open(
             mean = sum(v * step for (_, _, v), step in zip(pairs, steps, strict=True))
             for (_, _, v), step in zip(pairs, steps, strict=True):
                 apart = step - mean / whole
-                square += close * (1.0 - close) * lost**2 * v * apart @ share @ apart
+                square += scattered**2 * v * apart @ share @ apart
         ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
         levels = np.column_stack(
             [ramps * ((times >= start) & (times < stop)) for start, stop in pairwise(ends)]

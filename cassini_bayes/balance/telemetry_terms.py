@@ -528,9 +528,8 @@ def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> t
         return np.zeros((n, 3, 0)), np.zeros(n)
     arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
     together = [arms[..., list(own)].sum(-1) for own in couples]
-    share = close_share(physics, n)
-    tail = np.sqrt(share * (1.0 - share)) * lost_per_cut_s(physics, event.sampling.control_cycle_s)
-    return thrust_n * np.stack(together, axis=-1), np.broadcast_to(tail, (n,))
+    lost = lost_tails(event.statistics, physics, n)
+    return thrust_n * np.stack(together, axis=-1), lost.scatter_s
 
 
 def close_share(physics: Physics, n: int) -> Array:
@@ -589,19 +588,18 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
     if k > 0:
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
         pulse = pulse_weights(event.sampling, physics)
-        lost = lost_per_cut_s(physics, event.sampling.control_cycle_s)
+        lost = lost_tails(event.statistics, physics, n)
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
         fired = arm[..., :, None] * pulse[:, None, None, :]
         weights[:, pattern.fired] = fired.reshape(n, 9 * k, 1)
         weights[:, pattern.pulses] = offset[:, :, None] * arm
-        share = close_share(physics, n)
-        weights[:, pattern.lost] = -(share * lost)[:, None, None] * arm[:, pattern.lost_by]
+        weights[:, pattern.lost] = -lost.mean_s[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
             if name in physics.extra:
                 on_time = np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
-        per_unit = thrust_n * lost[:, None] * cut_unit(event.statistics, pattern.cuts, share)
+        per_unit = thrust_n * cut_unit_s(event.statistics, pattern.cuts, lost)
         weights[:, tails : tails + len(pattern.cuts)] = per_unit[..., None] * (
             pattern.members @ arm
         )
@@ -619,15 +617,38 @@ def own_prior(
     )
 
 
-def cut_unit(statistics: EventStatistics, cuts: Sequence[int], share: Array) -> Array:
+@dataclass(frozen=True)
+class LostTails:
+    """On-time that a pair of pulses loses by a cut tail: mean and scatter (n,), s."""
+
+    mean_s: Array
+    scatter_s: Array
+
+
+def lost_tails(statistics: EventStatistics, physics: Physics, n: int) -> LostTails:
+    """What a pair loses that is close with the probability s, after one of the gaps seen.
+
+    A first-order valve that opens at thrust x F loses (τ_f − τ_r) x of impulse over F, with
+    x = exp(−gap/τ_f). With ⟨⟩ the mean over the gaps, a pair loses s (τ_f − τ_r) ⟨x⟩ on average,
+    with the variance (τ_f − τ_r)² (s ⟨x²⟩ − s² ⟨x⟩²).
+    """
+    fall = np.broadcast_to(np.maximum(physics.tau_s[2], 1e-4), (n,))
+    share, tail = close_share(physics, n), fall - physics.tau_s[1]
+    opens_at = np.exp(-statistics.counters.gaps_s / fall[:, None])
+    mean = share * opens_at.mean(axis=1)
+    square = share * (opens_at**2).mean(axis=1)
+    return LostTails(tail * mean, np.abs(tail) * np.sqrt(np.maximum(square - mean**2, 0.0)))
+
+
+def cut_unit_s(statistics: EventStatistics, cuts: Sequence[int], lost: LostTails) -> Array:
     """Cut tails per standard deviation of every unknown (n, S), over their columns.
 
-    Of a couple's departure from the ``share`` (n,) of close pairs: half of it. Of a part of the
-    event: the square root of the variance s (1 − s) Σ m about that.
+    Of a couple's departure from the share of close pairs: half of what is lost on average. Of a
+    part of the event: the scatter of one pair over the square root of how many there are.
     """
     places = np.array(cuts, dtype=np.int64)
-    of_all = SHARE_SPREAD * share[:, None]
-    of_part = np.sqrt((share * (1.0 - share))[:, None] / statistics.cuts[places])
+    of_all = SHARE_SPREAD * lost.mean_s[:, None]
+    of_part = lost.scatter_s[:, None] / np.sqrt(statistics.cuts[places])
     return np.where(places % CUT_COLUMNS == 0, of_all, of_part)
 
 
@@ -637,13 +658,3 @@ def pulse_weights(sampling: Sampling, physics: Physics) -> Array:
     by_rise = np.asarray(physics.tau_s[1]) - rise
     by_fall = np.asarray(physics.tau_s[2]) - fall
     return np.stack([np.ones_like(by_rise), by_rise, by_fall], axis=-1)
-
-
-def lost_per_cut_s(physics: Physics, gap_s: float) -> Array:
-    """On-time that a tail loses when the next pulse starts ``gap_s`` after it began, (n,) s.
-
-    A first-order valve that opens at thrust x0 F loses (τ_f − τ_r) x0 of impulse over F, with
-    x0 = exp(−gap/τ_f).
-    """
-    fall = np.maximum(physics.tau_s[2], 1e-4)
-    return np.asarray((fall - physics.tau_s[1]) * np.exp(-gap_s / fall))

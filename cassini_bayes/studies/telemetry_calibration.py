@@ -216,7 +216,8 @@ def reduced_simulation(
     )
     if not exact_counters:
         return reduced
-    known, prepared = reduced.statistics, Preparation(reduced.statistics.steps)
+    known = reduced.statistics
+    prepared = Preparation(known.steps, gaps_s=tuple(known.counters.gaps_s.tolist()))
     given = (known.event_id, known.kind, (samples,), known.layout, sampling)
     return replace(reduced, statistics=reduce_chunks(*given, prepared=prepared))
 

@@ -12,6 +12,7 @@ from cassini_bayes.balance.statistics.reduction import CounterStatistics
 
 DURATION_S = 80.0
 TIME = np.arange(DURATION_S)
+GAPS_S = np.array([0.125])
 ENDS = np.array([3.0, 7.0, 13.0, 31.0])
 STEP = (TIME[:, None] >= ENDS).astype(float)
 
@@ -21,7 +22,7 @@ def counters(pairs: list[float]) -> CounterStatistics:
     weight = np.array(pairs)[:, None]
     fired = np.ones((4, 1), dtype=bool)
     open_s2, ratio, coarse = np.array([4e-6]), np.array([np.inf]), np.array([False])
-    return CounterStatistics(TIME, 1, ENDS, fired, weight, open_s2, ratio, coarse)
+    return CounterStatistics(TIME, 1, ENDS, fired, weight, open_s2, ratio, coarse, GAPS_S)
 
 
 def test_pairs_of_a_quarter_add_up_to_what_the_likelihood_has() -> None:

@@ -20,6 +20,8 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
+LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
+GAPS: Final = 12  # quantiles that stand for all gaps
 _SAME: Final = 1e-3  # of a step, that a printed multiple may be off
 _SAME_S: Final = 1e-6
 
@@ -74,8 +76,39 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float) -> Prepared:
     time, on_time, pulses = readings.around_changes()
     if len(time) == 0:
         return Prepared(Preparation(steps), time, on_time, end_s)
-    expected = expected_on_times(on_time, pulses, counter_step(on_time), control_cycle_s)
-    return Prepared(Preparation(steps, expected.rounding), time, expected.on_time_s, end_s)
+    step_s = counter_step(on_time)
+    expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
+    gaps = close_gaps(on_time, pulses, step_s, control_cycle_s)
+    found = Preparation(steps, expected.rounding, gaps)
+    return Prepared(found, time, expected.on_time_s, end_s)
+
+
+def close_gaps(
+    on_time: Array, pulses: Array, step_s: float, control_cycle_s: float
+) -> tuple[float, ...]:
+    """Times (:data:`GAPS`), all as likely, from the end of a pulse to that of its control cycle.
+
+    By then the next pulse may begin: after a pulse of 40 ms in a cycle of 125 ms within 85 ms.
+    Pulses that fill their cycles are followed by a whole one, or are no pair. Widths are those of
+    single pulses with none in the intervals before and after; of too few nothing is said.
+
+    Parameters
+    ----------
+    on_time, pulses
+        (m, K) readings of the counters around every change.
+    step_s
+        Of the on-times, which may hide that a pulse fills its cycle.
+    """
+    gained, begun = np.diff(on_time, axis=0), np.diff(pulses, axis=0)
+    fired = (gained > 0.0) | (begun > 0.0)
+    alone = fired[1:-1] & ~fired[:-2] & ~fired[2:] & (begun[1:-1] == 1.0)
+    if control_cycle_s == 0.0 or np.count_nonzero(alone) < LEAST_ALONE:
+        return ()
+    into = np.mod(gained[1:-1][alone], control_cycle_s)
+    slack = max(step_s, _SAME * control_cycle_s)
+    fills = (into < slack) | (into > control_cycle_s - slack)
+    gaps = np.where(fills, control_cycle_s, control_cycle_s - into)
+    return tuple(np.quantile(gaps, (np.arange(GAPS) + 0.5) / GAPS).tolist())
 
 
 def channel_step(values: Array) -> float:

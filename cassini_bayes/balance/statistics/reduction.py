@@ -107,7 +107,8 @@ class CounterStatistics:
     ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
     (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2``, ``open_ratio``
     and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
-    (:class:`cassini_bayes.balance.statistics.counters.Rounding`).
+    (:class:`cassini_bayes.balance.statistics.counters.Rounding`). ``gaps_s`` (m,) are the times,
+    all as likely, from the end of a pulse to the next one of a pair that is close.
     """
 
     row_time_s: Array
@@ -118,6 +119,7 @@ class CounterStatistics:
     open_s2: Array
     open_ratio: Array
     coarse: NDArray[np.bool_]
+    gaps_s: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +146,7 @@ class Preparation:
 
     steps: ChannelSteps = ChannelSteps()
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters
+    gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
 
 
 @dataclass(frozen=True)
@@ -299,7 +302,13 @@ def reduce_chunks(
         cuts=carry.cuts,
         counter_interval_s=interval,
         turns=turns.statistics(),
-        counters=_counter_statistics(carry.pairs, times, layout, prepared.rounding),
+        counters=_counter_statistics(
+            carry.pairs,
+            times,
+            layout,
+            prepared.rounding,
+            np.array(prepared.gaps_s or (sampling.control_cycle_s,)),
+        ),
         steps=prepared.steps,
         shown=ShownWheels(np.concatenate(wheels.kept)),
     )
@@ -344,7 +353,11 @@ class Thinned:
 
 
 def _counter_statistics(
-    pairs: Pairs, times: Thinned, layout: Layout, rounding: Sequence[Rounding]
+    pairs: Pairs,
+    times: Thinned,
+    layout: Layout,
+    rounding: Sequence[Rounding],
+    gaps_s: Array,
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
     every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
@@ -367,6 +380,7 @@ def _counter_statistics(
         np.array([one.variance_s2 for one in by_couple]),
         np.array([one.ratio for one in by_couple]),
         np.array([one.coarse for one in by_couple], dtype=np.bool_),
+        gaps_s,
     )
 
 

@@ -1,0 +1,50 @@
+"""A first look at telemetry: how long after a pulse the next one may begin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cassini_bayes.balance.statistics.preparation import GAPS, LEAST_ALONE, close_gaps
+from cassini_bayes.computing.arrays import Array
+
+CYCLE_S = 0.125
+
+
+def counted(widths: Array) -> tuple[Array, Array]:
+    """Cumulative on-time and pulses (m, 1): one pulse in every third interval."""
+    on_time, pulses = np.zeros((2, 3 * len(widths) + 1, 1))
+    places = 3 * np.arange(len(widths)) + 1
+    on_time[places, 0], pulses[places, 0] = widths, 1.0
+    return np.cumsum(on_time, axis=0), np.cumsum(pulses, axis=0)
+
+
+@pytest.mark.parametrize("cycles", [1, 3])
+@pytest.mark.parametrize("step", [0.0, 0.01])
+def test_pulses_of_whole_cycles_leave_a_cycle(cycles: int, step: float) -> None:
+    """Their successors come a cycle later, also where rounding moves a width by a step."""
+    on_time, pulses = counted(np.full(40, cycles * CYCLE_S))
+    shown = step * np.round(on_time / step) if step else on_time
+    assert close_gaps(shown, pulses, step, CYCLE_S) == pytest.approx([CYCLE_S] * GAPS)
+
+
+def test_short_pulses_leave_what_remains_of_their_cycle() -> None:
+    """Widths of 20 to 100 ms, evenly: gaps of 25 to 105 ms, evenly; those in company say nothing.
+
+    Two pulses in one interval and a pulse right after another are no single pulses.
+    """
+    widths = np.linspace(0.02, 0.1, 200)
+    on_time, pulses = counted(widths)
+    found = close_gaps(on_time, pulses, 0.001, CYCLE_S)
+    expected = np.quantile(CYCLE_S - widths, (np.arange(GAPS) + 0.5) / GAPS)
+    assert found == pytest.approx(expected, abs=1e-3)
+    company = on_time + 0.01 * np.arange(len(on_time))[:, None]
+    assert close_gaps(company, pulses, 0.001, CYCLE_S) == ()
+
+
+def test_few_pulses_and_unknown_cycles_say_nothing() -> None:
+    """Then the likelihood takes a control cycle."""
+    on_time, pulses = counted(np.full(LEAST_ALONE - 1, 0.05))
+    assert close_gaps(on_time, pulses, 0.001, CYCLE_S) == ()
+    on_time, pulses = counted(np.full(40, 0.05))
+    assert close_gaps(on_time, pulses, 0.001, 0.0) == ()
