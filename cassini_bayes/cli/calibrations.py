@@ -61,7 +61,7 @@ def _study(
 
     reporter = ConsoleReporter(quiet)
     command = ("cassini-bayes", *sys.argv[1:])
-    with workers_at(jobs, dask, reporter.say) as workers:
+    with workers_at(jobs, dask, reporter.log) as workers:
         yield Study(seed, work, page, workers, command, reporter.count)
 
 
@@ -346,6 +346,6 @@ def diagnose_published_command(
     """Diagnose published cases: flight biases and on-times, printed thrusts, test bed, A branch."""
     from cassini_bayes.studies.published_diagnosis import NAME, write_published_diagnosis
 
-    say = ConsoleReporter(quiet).say
+    log = ConsoleReporter(quiet).log
     with _study(out / f"{NAME}.md", seed, WORK, quiet) as study:
-        typer.echo(json.dumps(write_published_diagnosis(study, totals, priors, say)))
+        typer.echo(json.dumps(write_published_diagnosis(study, totals, priors, log)))

@@ -50,7 +50,7 @@ def check_command(
         source=source,
         accept=accept or [],
         leave_out=leave_out,
-        say=reporter.say,
+        log=reporter.log,
     )
     if as_json:
         typer.echo(json.dumps(found.as_record()))

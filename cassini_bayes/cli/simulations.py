@@ -31,7 +31,7 @@ def simulate_command(
         seed=seed,
         own_effects=effects or (),
         force=force,
-        reporter=ConsoleReporter(quiet),
+        log=ConsoleReporter(quiet).log,
     )
     if plot:
         from cassini_bayes.report.plots import save_figures

@@ -145,7 +145,7 @@ class _Columns:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Information:
     """Information of some of the rows on all columns: M (q, q) and h (q,)."""
 
     matrix: Array
@@ -237,8 +237,8 @@ def drafts_of(
     white = columns.white()
     target = linear.target + linear.columns[:, : len(point)] @ point  # about the prior mean
     pieces, what = _pieces(linear)
-    whole = _told(linear, target, white, ())
-    without = [_told(linear, target, white, (piece,)) for piece in pieces]
+    whole = _information(linear, target, white, ())
+    without = [_information(linear, target, white, (piece,)) for piece in pieces]
     drafts = []
     for form, candidates in columns.forms.items():
         scores = []
@@ -269,7 +269,9 @@ def _pieces(linear: Linear) -> tuple[list[slice], str]:
     return pieces, "quarter of an event"
 
 
-def _told(linear: Linear, target: Array, white: Array, without: Sequence[slice]) -> _Told:
+def _information(
+    linear: Linear, target: Array, white: Array, without: Sequence[slice]
+) -> _Information:
     used = np.ones(len(target), dtype=bool)
     for piece in without:
         used[piece] = False
@@ -285,8 +287,8 @@ def _told(linear: Linear, target: Array, white: Array, without: Sequence[slice])
         gram[np.ix_(kept, kept)] += block.T @ block
         across[kept] += block.T @ both
         own += both.T @ both
-    told = own - across.T @ cho_solve(cho_factor(gram, lower=True), across)
-    return _Told(told[:-1, :-1], told[:-1, -1])
+    remaining = own - across.T @ cho_solve(cho_factor(gram, lower=True), across)
+    return _Information(remaining[:-1, :-1], remaining[:-1, -1])
 
 
 def _columns(rows: Sequence[EventRows], thrusts: Sequence[Array]) -> _Columns:

@@ -14,16 +14,17 @@ import pandas as pd
 import tomli_w
 import xarray as xr
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.diagnosis.balance_case import BalanceCase
-from cassini_bayes.diagnosis.case import Case, Log, silent
-from cassini_bayes.diagnosis.crew import Crew, Progress, untold
-from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawing, undrawn
+from cassini_bayes.diagnosis.case import Case
+from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawer, undrawn
 from cassini_bayes.diagnosis.diagnosis import diagnose as diagnose_case
 from cassini_bayes.diagnosis.estimates import is_estimates
 from cassini_bayes.diagnosis.read import read_estimate_case, read_events
 from cassini_bayes.diagnosis.refit import fit_extended
 from cassini_bayes.diagnosis.sizes import size_draws
+from cassini_bayes.diagnosis.stages import Progress, StageRunner, no_progress
 from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
@@ -252,7 +253,7 @@ def diagnose(
     force: bool = False,
     resume: bool = False,
     log: Log = silent,
-    progress: Progress = untold,
+    progress: Progress = no_progress,
     workers: int | None = None,
     command: Sequence[str] = ("cassini_bayes.diagnose",),
 ) -> DiagnosisResult:
@@ -324,7 +325,7 @@ def diagnose(
         np.random.default_rng(seed),
         measure_gain=gain,
         log=log,
-        workers=Crew(processes, store, progress),
+        workers=StageRunner(processes, store, progress),
         drawing=undrawn if place is None else _drawing(),
     )
     found.record.update(
@@ -366,7 +367,7 @@ def _opened(
     return CheckpointStore(folder / CHECKPOINT, provenance.identity)
 
 
-def _drawing() -> Drawing:
+def _drawing() -> Drawer:
     from cassini_bayes.report.diagnosis_pictures import drawings
 
     return drawings

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
+from cassini_bayes.computing.log import Log
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds
@@ -52,7 +53,7 @@ RESOLVED: Final = "resolved.toml"
 class Quiet:
     """A reporter that does nothing: a library does not print."""
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """Nothing."""
 
     def progress(self, report: ProgressReport) -> None:
@@ -352,14 +353,14 @@ def fit(
     model, findings = _model(
         *(events, priors, effects, own_effects, pulse_shape, delta_v, source),
         Policy.of(accept, leave_out=leave_out),
-        told.say,
+        told.log,
     )
     sampled = fit_model(
         model,
         settings,
         draws_per_ensemble=draws_per_ensemble,
         prior_draws=prior_draws,
-        say=told.say,
+        log=told.log,
         progress=told.progress,
         threads=cores(),
     )
@@ -386,7 +387,7 @@ def _model(
     delta_v: DeltaVUse,
     source: str,
     policy: Policy,
-    say: Callable[[str], None],
+    log: Log,
 ) -> tuple[Model, tuple[str, ...]]:
     """The model to fit, and what was found in its data."""
     if isinstance(events, Model):
@@ -397,7 +398,7 @@ def _model(
         return events, ()
     known = priors_of(priors)
     found, findings = gather(
-        events, known, pulse_shape=pulse_shape, source=source, policy=policy, say=say
+        events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
     )
     kinds = read_kinds([Path(path) for path in own_effects])
     return model_of(found, known, pulse_shape, delta_v, effects, kinds), findings
@@ -564,5 +565,5 @@ def report(
         place = Path(fit)
         target = Path(folder) if folder else (place if place.is_dir() else place.parent)
     review = replace(result.review, what_if=True)
-    write_results(review, target, (reporter or Quiet()).say, report=True)
+    write_results(review, target, (reporter or Quiet()).log, report=True)
     return target / "report.html"

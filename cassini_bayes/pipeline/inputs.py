@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds
@@ -47,7 +48,7 @@ def read_inputs(
     run: RunFile,
     base: Path,
     folder: Path | None = None,
-    say: Callable[[str], None] | None = None,
+    log: Log = silent,
     kinds: Kinds | None = None,
 ) -> Inputs:
     """Read the events and priors a run file names, relative to ``base``, and build the model.
@@ -58,7 +59,7 @@ def read_inputs(
     ----------
     folder
         The run's folder: telemetry that an earlier run there reduced is taken from it.
-    say
+    log
         Told what was read of the telemetry.
     kinds
         The effects that a run file may name; those of the package by default.
@@ -81,7 +82,7 @@ def read_inputs(
             pulse_shape=run.model.pulse_shape,
             source=run.source,
             policy=policy,
-            say=say,
+            log=log,
             cache=cache,
         )
         found = read.events

@@ -23,8 +23,8 @@ from cassini_bayes.diagnosis.onsets import (
     HALF_NORMAL,
     SIZES,
     Beginnings,
+    information_from_each,
     log_bayes,
-    told_from_each,
     without_event,
 )
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
@@ -179,7 +179,7 @@ def test_linear_gains_are_those_of_the_dense_normal() -> None:
     target = [rng.standard_normal(m) for m in counts]
     added = [rng.standard_normal((m, 1)) for m in counts]
     precision, mean = rng.uniform(0.5, 2.0, p), rng.standard_normal(p)
-    found = told_from_each(columns, target, added, precision, mean)
+    found = information_from_each(columns, target, added, precision, mean)
     x, y = np.concatenate(columns), np.concatenate(target)
     covariance = np.eye(len(y)) + x @ np.diag(1.0 / precision) @ x.T
     for first, (matrix, vector) in enumerate(found):

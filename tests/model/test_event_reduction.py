@@ -66,7 +66,7 @@ def test_long_reading_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> No
     """Lines of progress with rows, share and time left, all of the rows by the last one."""
     monkeypatch.setattr(event_reduction, "_TELL_S", 0.0)
     lines: list[str] = []
-    reduced = reduce_event(simulated() / "bias", priors(), "first_order", say=lines.append)
+    reduced = reduce_event(simulated() / "bias", priors(), "first_order", log=lines.append)
     assert lines[-2].startswith(f"bias: {reduced.reading.rows:,} rows read, 100% of the time, 0 s")
 
 

@@ -237,7 +237,7 @@ def test_a_bad_proposal_is_said_and_survived(monkeypatch: pytest.MonkeyPatch) ->
         SamplerSettings(ensembles=2, target_ess=100, first_check=40, max_steps=40),
         draws_per_ensemble=500,
         prior_draws=500,
-        say=said.append,
+        log=said.append,
     )
     assert any("falling back on differential evolution" in line for line in said)
     assert any("not reliable" in line for line in sampled.warnings)

@@ -203,7 +203,7 @@ def test_the_report_command_goes_on_from_the_stored_draws(
     """It writes what a run writes, of the same draws, into the run's folder or another."""
     written: list[tuple[Review, Path]] = []
 
-    def write(review: Review, folder: Path, say: object, *, report: bool) -> None:
+    def write(review: Review, folder: Path, log: object, *, report: bool) -> None:
         assert report
         written.append((review, folder))
 

@@ -42,7 +42,7 @@ def test_kills_change_no_bit(tmp_path: Path) -> None:
         tmp_path,
         np.random.default_rng(1),
         kills=(0, 1, 2),
-        say=lambda _: None,
+        log=lambda _: None,
     )
     assert len(result.kills) == 3
     assert {kill.stage for kill in result.kills} >= {"sampling", "writing results"}
