@@ -29,7 +29,7 @@ SETTLED: Final = 1e-4  # standard normals that a last step moves
 SHORTER: Final = 0.5 ** np.arange(8)  # shares of a step that are tried
 DEGREES: Final = 8.0  # of the Student-t proposal, as in evidence
 BATCH: Final = 250
-"""Points predicted at once: 250 × 8 events × 150 samples × 3 axes are 7 MB (judgement)."""
+"""Points predicted at once: judgement, arrays of a lot stay within some tens of megabytes."""
 LOG_2PI: Final = float(np.log(2.0 * np.pi))
 
 

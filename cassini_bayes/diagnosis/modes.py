@@ -46,7 +46,7 @@ SLOPE_LEFT: Final = 0.01
 NEWTON_STEPS: Final = 8  # before L-BFGS: in white axes three or four are enough (judgement)
 GAIN_LEFT: Final = 1e-3  # nats: a tenth of SLOPE_LEFT
 MOST_STEPS: Final = 60
-"""Of L-BFGS: judgement, it goes on only where Newton steps failed, and ends itself by LBFGS_LEFT."""
+"""Of L-BFGS: judgement, it goes on only where Newton steps failed, and mostly ends by itself."""
 LBFGS_LEFT: Final = 1e-8
 """Relative to the log density, of its gain in a step: 1e-3 nats of the 1e5 of a long event."""
 LEAST_SHARE: Final = 0.2
