@@ -20,6 +20,11 @@ from cassini_bayes.files.reading import open_file
 
 MOST_BYTES: Final = 4 << 30  # of one group in memory; compressed, a small file may declare any size
 _SEAL: Final = b"\ncassini_bayes sha256 "
+# what HDF5 and the libraries above it raise about bytes that are no such file
+_DAMAGE: Final = (
+    OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError,
+    OverflowError,
+)  # fmt: skip
 _LENGTH: Final = len(_SEAL) + hashlib.sha256().digest_size
 
 
@@ -48,12 +53,13 @@ def read_groups(
     """
     _check_seal(path, what)
     try:
-        with h5py.File(path):  # xarray's engine complains when it is thrown away half open
-            pass
+        # what xarray's engine reads before it can be thrown away without a complaint on stderr
+        with h5py.File(path) as file:
+            file.attrs.get("_nc3_strict")
         with xr.open_dataset(path, engine="h5netcdf") as root:
             attributes = dict(root.attrs)
         return {name: _loaded(path, name, needed) for name, needed in groups.items()}, attributes
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+    except _DAMAGE as error:
         text = str(error)
         reason = f"{type(error).__name__}: {text.splitlines()[0] if text else 'unreadable'}"
         raise InputError(

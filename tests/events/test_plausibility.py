@@ -20,6 +20,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import (
     STRICT,
     MistakeError,
+    Nominal,
     Policy,
     TelemetryCheck,
     check_telemetry,
@@ -27,6 +28,7 @@ from cassini_bayes.events.plausibility import (
     content_of_totals,
     refuse_duplicates,
 )
+from cassini_bayes.events.plausibility.hypotheses import Evidence, _of_shifts
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector
 from cassini_bayes.events.plausibility.turning import BY_CHANCE, turning_of
 from cassini_bayes.events.telemetry import (
@@ -142,6 +144,16 @@ def test_an_accepted_mistake_is_said(honest: dict[str, Event]) -> None:
     found = check_telemetry(event, [wrong], CASSINI, NOMINAL, Policy.of(["wheel-order"]))
     assert len(found.findings) == 1
     assert "wheel-order" in found.findings[0]
+
+
+def test_rows_far_apart_are_asked_for_no_shift(honest: dict[str, Event]) -> None:
+    """Times in ms: a row lies further off than any shift, so that there is none to try."""
+    event, chunk = honest["bias"]
+    collected = RowCollector()
+    collected.add(TELEMETRY["times in ms"].change(chunk))
+    nominal = Nominal.of(CASSINI, event.branch, event.wheels, NOMINAL, fires=True)
+    evidence = Evidence(nominal, collected.motion(), collected.rows())
+    assert not list(_of_shifts(evidence, 1e9))
 
 
 def test_an_unknown_mistake_cannot_be_accepted() -> None:
@@ -435,6 +447,19 @@ def test_a_mistake_in_one_row_is_named_with_the_row() -> None:
     cell = judged([*rows[:3], replace(rows[3], on_time_s=on_time), *rows[4:]])
     assert cell.startswith("bad-cell")
     assert rows[3].id in cell
+
+
+def test_a_thruster_in_another_unit_is_named_and_a_weak_one_is_not() -> None:
+    """One column of on-times × 10 in every row; two fifths of the thrust gone are physics."""
+    z1 = np.arange(8) == 0
+
+    def times(factor: float) -> list[TotalsEvent]:
+        return [
+            replace(row, on_time_s=row.on_time_s * np.where(z1, factor, 1.0)) for row in flight()
+        ]
+
+    assert judged(times(10.0)).startswith("on-time-unit")
+    assert judged(times(1.0 / 0.6)) == ""
 
 
 def test_on_times_that_are_a_thrust_cannot_be_known() -> None:

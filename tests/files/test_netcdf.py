@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -75,3 +78,44 @@ def test_a_sealed_file_is_read_and_any_changed_byte_is_found(tmp_path: Path) -> 
         path.write_bytes(damaged)
         with pytest.raises(InputError, match="damaged after it was written"):
             read_groups(path, {"posterior": ("a",)}, WHAT)
+
+
+def test_a_damaged_root_prints_nothing_but_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A root attribute that cannot be read: refused before xarray's engine has half a file.
+
+    Negative control: the engine alone prints a traceback when that is thrown away.
+    """
+    path, complaints = stored(tmp_path), []
+    monkeypatch.setattr(sys, "unraisablehook", lambda seen: complaints.append(str(seen.exc_value)))
+
+    def damaged(*_: object) -> None:
+        raise RuntimeError("wrong fractal heap")
+
+    monkeypatch.setattr(h5py.AttributeManager, "get", damaged)
+    with pytest.raises(InputError, match="wrong fractal heap"):
+        read_groups(path, {"posterior": ("a",)}, WHAT)
+    gc.collect()
+    assert not complaints
+    with pytest.raises(RuntimeError):
+        xr.open_dataset(path, engine="h5netcdf")
+    gc.collect()
+    assert complaints
+
+
+def test_any_damage_of_a_file_without_seal_is_one_line(tmp_path: Path) -> None:
+    """Two bytes changed, forty times over: read or refused, nothing printed."""
+    path = stored(tmp_path)
+    good, rng = path.read_bytes(), np.random.default_rng(6)
+    refused = 0
+    for _ in range(40):
+        damaged = bytearray(good)
+        for at in rng.integers(len(good), size=2):
+            damaged[at] ^= int(rng.integers(1, 256))
+        path.write_bytes(damaged)
+        try:
+            read_groups(path, {"posterior": ("a",)}, WHAT)
+        except InputError:
+            refused += 1
+    assert refused > 0

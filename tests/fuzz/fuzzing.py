@@ -38,6 +38,7 @@ COST_MS: Final = {
     "resolved": 30.0,
     "provenance": 30.0,
     "fit": 20.0,
+    "fit without seal": 100.0,
     "beliefs": 10.0,
     "checked telemetry": 300.0,
     "stored run": 150.0,
@@ -172,7 +173,7 @@ def page_of(tallies: dict[str, Tally], seed: int, command: str) -> str:
         ""
         if faults
         else "`telemetry` and `totals` are readers; `checked …` are the checks of"
-        " [mistakes](../plausibility.md) behind them.",
+        " [mistakes](../topics/plausibility.md) behind them.",
         "",
         f"`{command}`, seed {seed}, Python {platform.python_version()}, numpy {np.__version__}.",
         "",

@@ -25,6 +25,7 @@ from cassini_bayes.events.plausibility import check_telemetry, check_totals
 from cassini_bayes.events.telemetry import read_chunks, read_event
 from cassini_bayes.events.telemetry.matches import matches, sample_of
 from cassini_bayes.events.totals import read_totals
+from cassini_bayes.files import netcdf
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import nominal_values
@@ -32,9 +33,11 @@ from cassini_bayes.pipeline.fits import read_fit
 from cassini_bayes.prediction.sources import read_sources
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.results.record import GROUPS, Fit, save_fit
+from cassini_bayes.results.record import read_fit as read_stored_fit
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
 
+OWN_CSV: Final = PRIORS.parents[1] / "docs" / "examples" / "own_csv"
 NOMINAL: Final = nominal_values(read_priors(PRIORS))
 
 
@@ -48,6 +51,16 @@ def _checked_telemetry(path: Path) -> object:
     (path.parent / "event.toml").write_text(_described())
     event = read_event(path.parent, CASSINI)
     return check_telemetry(event, read_chunks(event, CASSINI), CASSINI, NOMINAL)
+
+
+def _mapped_event(path: Path) -> object:
+    """Telemetry in the columns of others, by a channel map."""
+    shutil.copy(OWN_CSV / "channels.toml", path.parent)
+    described = {**BIAS, "epoch": "2010-05-01T06:00:00Z", "telemetry": f'"{path.name}"'}
+    text = "".join(f"{key} = {value}\n" for key, value in described.items())
+    (path.parent / "event.toml").write_text(text)
+    event = read_event(path.parent, CASSINI)
+    return [chunk.rows for chunk in read_chunks(event, CASSINI)]
 
 
 def _proposed(path: Path) -> object:
@@ -124,6 +137,8 @@ MORE: Final = {
     "checked telemetry": Door("telemetry.csv", None, _checked_telemetry),
     "checked totals": Door("my.csv", DOORS["totals"].good, _checked_totals),
     "checkpoint": Door("block.npz", None, _checkpoint),
+    "fit without seal": Door("my.nc", None, read_stored_fit),
+    "mapped telemetry": Door("may.csv", None, _mapped_event),
     "foreign columns": Door("my.csv", DOORS["totals"].good, _proposed),
     "resolved": Door("resolved.toml", None, _sources),
     "stored run": Door("resolved.toml", None, _stored),
@@ -160,6 +175,8 @@ def _content(name: str, door: Door, folder: Path) -> bytes:
         "provenance": lambda _: _provenance(),
         "checked telemetry": _simulated,
         "fit": _fit,
+        "fit without seal": lambda own: _fit(own).partition(netcdf._SEAL)[0],
+        "mapped telemetry": lambda _: b"\n".join(_recording()),
         "parquet": _parquet,
         "HDF5": _hdf5,
         "MATLAB": _matlab,
@@ -196,6 +213,11 @@ def _hdf5(folder: Path) -> bytes:
     with h5py.File(path, "w") as file:
         file.create_dataset("group/x", data=np.arange(500.0), compression="gzip")
     return path.read_bytes()
+
+
+def _recording() -> list[bytes]:
+    """The first rows of the example's recording."""
+    return (OWN_CSV / "may.csv").read_bytes().splitlines()[:100]
 
 
 def _matlab(folder: Path) -> bytes:

@@ -27,7 +27,7 @@ from cassini_bayes.files.toml_file import toml_of
 SEED = 20_261_122
 PACKAGE = Path(cassini_bayes.__file__).parent
 OPENING = {"read_toml", "toml_of", "read_rows", "rows_of", "read_json", "read_groups"} | {
-    "read_arrays", "open_file", "read_bytes", "first_line"
+    "read_arrays", "open_file", "read_bytes", "first_line", "read_foreign"
 }  # fmt: skip
 # What the package reads of its own making, and remakes where it cannot: damage there costs time.
 OWN = {"balance/statistics/reduction.py", "model/event_reduction.py", "priors/chaining.py"} | {

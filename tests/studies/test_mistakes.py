@@ -9,7 +9,12 @@ import pytest
 from study_cases import study_in
 from totals_cases import flight
 
-from cassini_bayes.studies.conditions import LEVELS
+from cassini_bayes.events.plausibility import Nominal, momentum
+from cassini_bayes.events.plausibility.hypotheses import Evidence
+from cassini_bayes.events.plausibility.rows import RowCollector
+from cassini_bayes.events.plausibility.verdict import SUSPECT
+from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.studies.conditions import LEVELS, draw_condition
 from cassini_bayes.studies.mistakes import run_mistakes
 from cassini_bayes.studies.mistakes.campaign import (
     CASES,
@@ -20,6 +25,7 @@ from cassini_bayes.studies.mistakes.campaign import (
     Honest,
     judge_rows,
 )
+from cassini_bayes.studies.mistakes.flights import fly, with_events
 from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS
 from cassini_bayes.studies.mistakes.oracle import answer_of_rows, with_catalogue
 from cassini_bayes.studies.mistakes.page import outcome
@@ -36,6 +42,34 @@ def test_an_honest_draw_passes_twice_alike() -> None:
     verdicts = np.asarray(first["verdict"])
     assert set(verdicts[verdicts != NO_EVENT]) == {VERDICTS.index("passed")}
     assert all(np.array_equal(first[key], again[key]) for key in first)
+
+
+def test_cut_tails_are_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An honest bias whose controller fires all the time fits; without what tails lose it does not.
+
+    Draw 24 of seed 9001, which was flagged.
+    """
+    rng = np.random.default_rng([9001, 0, 24])
+    condition = draw_condition(rng)
+    assert (condition.controller, condition.rates) == ("high gain, union", "ten times finer")
+    flight = fly(with_events(condition, "one bias"), SCENARIO, PRIORS, rng)
+    event, chunk = flight.of_kind("bias")
+    collected = RowCollector()
+    collected.add(chunk)
+
+    def misfit() -> float:
+        nominal = Nominal.of(
+            flight.priors.spacecraft,
+            event.branch,
+            event.wheels,
+            nominal_values(flight.priors),
+            fires=True,
+        )
+        return Evidence(nominal, collected.motion(), collected.rows()).misfit()
+
+    assert misfit() < SUSPECT
+    monkeypatch.setattr(momentum, "WIDTHS", {**momentum.WIDTHS, "cut": 1e-9})
+    assert misfit() > 3.0 * SUSPECT
 
 
 def test_there_are_enough_kinds() -> None:

@@ -19,6 +19,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     Evidence,
     explanations,
     with_noise_of_lags,
+    with_swing,
 )
 from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
@@ -129,6 +130,9 @@ class TelemetryCheck:
         evidence = Evidence(self._nominal, motion, rows)
         misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
         if misfit > SUSPECT:
+            evidence = with_swing(evidence)
+            misfit = evidence.misfit()
+        if misfit > SUSPECT:
             self._explain(evidence, misfit, findings)
         self._check_on_times(findings)
         self._check_cells(findings)
@@ -213,9 +217,12 @@ class TelemetryCheck:
         where = str(event.telemetry)
         sharper = with_noise_of_lags(evidence)
         found = list(explanations(sharper, event.wheels, event.thrusters))
-        best = best_explanations(sharper.misfit(), found)
-        if best and best[0].mistake == PHYSICS:
-            misfit, best = best[0].left, ()
+        physical = min((each.score for each in found if each.mistake == PHYSICS), default=np.inf)
+        misfit = min(misfit, physical)
+        if misfit <= SUSPECT:
+            return
+        mistakes = [each for each in found if each.mistake != PHYSICS]
+        best = best_explanations(min(sharper.misfit(), physical), mistakes)
         if best:
             expected = "attitude, rates, wheels and counters of one motion"
             refuse_best(where, expected, misfit, best, self._policy, findings)

@@ -84,6 +84,7 @@ class Evidence:
     rows: Rows | None
     along: Array | None = None  # (3,) of :func:`momentum_of`
     most_noise: float = np.inf  # of a row in N m s, if something is known of it
+    swing_hz: float = 0.0  # of a boom that may oscillate; 0: of none
 
     @cached_property
     def turning(self) -> Turning | None:
@@ -95,7 +96,8 @@ class Evidence:
         """Columns of the balance."""
         if self.rows is None:
             return None
-        return replace(momentum_of(self.rows, self.along), most_noise=self.most_noise)
+        found = momentum_of(self.rows, self.nominal.torques, self.along, self.swing_hz)
+        return replace(found, most_noise=self.most_noise)
 
     @cached_property
     def as_recorded(self) -> Correction:
@@ -125,6 +127,14 @@ class Evidence:
         return (0.0 if fit is None else fit.excess) + self.turned(correction.rate)
 
 
+def with_swing(evidence: Evidence) -> Evidence:
+    """The same with a boom that may swing, at the frequency at which most stays open."""
+    if evidence.momentum is None or evidence.rows is None:
+        return evidence
+    line = evidence.momentum.swing_hz(evidence.nominal, evidence.rows.time_s)
+    return replace(evidence, swing_hz=line)
+
+
 def with_noise_of_lags(evidence: Evidence) -> Evidence:
     """The same with no more noise than counters leave that come late or early.
 
@@ -137,7 +147,8 @@ def with_noise_of_lags(evidence: Evidence) -> Evidence:
     for late_s in shift.lags_s():
         moved = shift.moved(rows, late_s)[1]
         if abs(late_s) > PHYSICAL_LAG_S and len(moved.time_s) >= MOST_OF_ROWS * len(rows.time_s):
-            noises.append(momentum_of(moved).noise(evidence.nominal, evidence.as_recorded))
+            momentum = momentum_of(moved, evidence.nominal.torques)
+            noises.append(momentum.noise(evidence.nominal, evidence.as_recorded))
     return replace(evidence, most_noise=SAME_NOISE * min(noises))
 
 
@@ -152,6 +163,7 @@ def explanations(
         *_of_rates(evidence),
         *_of_attitudes(evidence),
         *_of_units_of_time(evidence),
+        *_of_physical_lags(evidence),
     ]
     yield from found
     # the search for a shift takes longest, and its price may rule it out beforehand
@@ -438,7 +450,7 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
     rows, motion = evidence.rows, evidence.motion
     if rows is None or motion is None:
         return
-    turned, row_s = evidence.turned(), float(np.median(np.diff(motion.time_s)))
+    turned, row_s = evidence.turned(), _row_s(motion)
     for name, what in _SHIFTED.items():
         of_motion = name in ("rate-time", "attitude-time")
         if of_motion and not turned:
@@ -449,6 +461,8 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
             continue
         shift = _Shift(evidence, rows, motion, name)
         grid = {late: shift.share(late) for late in shift.lags_s()}
+        if not grid:
+            return  # rows further apart than any shift that is asked about
         near = min(grid, key=lambda late: grid[late])
         step_s = max(row_s, 2.0 * abs(near) / MOST_SHIFTS)
         for late in np.arange(0.5, 1.8, step_s / abs(near)) * near:
@@ -471,6 +485,26 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
         )
 
 
+def _of_physical_lags(evidence: Evidence) -> Iterator[Explanation]:
+    """Counters as late or early as the catalogue has them: no mistake.
+
+    The balance holds a lag to first order, which is not enough where pulses come quickly.
+    """
+    rows, motion = evidence.rows, evidence.motion
+    if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
+        return
+    shift, row_s = _Shift(evidence, rows, motion, "counter-time"), _row_s(motion)
+    number = int(PHYSICAL_LAG_S / row_s)
+    for late in (row_s * n for n in range(-number, number + 1) if n):
+        left = evidence.misfit() * shift.share(late)
+        what = f"counters that come {late:.3g} s late"
+        yield Explanation(PHYSICS, what, "", left, FREE_PRICE)
+
+
+def _row_s(motion: Motion) -> float:
+    return float(np.median(np.diff(motion.time_s)))
+
+
 _SHIFTED: Final = {
     "wheel-time": "wheel rates",
     "rate-time": "body rates",
@@ -491,7 +525,7 @@ class _Shift:
 
     def lags_s(self) -> list[float]:
         """Lags to begin with, in whole rows: between two of them counters are seldom known."""
-        row_s = float(np.median(np.diff(self.motion.time_s)))
+        row_s = _row_s(self.motion)
         rows = sorted({round(late / row_s) for late in LATE_S} - {0})
         return [row_s * n for n in (*(-n for n in rows), *rows)]
 

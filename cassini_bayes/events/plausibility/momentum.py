@@ -50,13 +50,21 @@ WIDTHS: Final[Mapping[str, float]] = {
     "torque": 0.003,  # N m, each axis: a leak of a few mN
     "bias": 2e-5,  # rad/s of every rate
     "drift": 0.002,  # N m s per √s, each axis: torque that nothing catalogued explains
+    "cut": 0.02,  # s of thrust, cut off the tail of each pulse that another may follow at once
+    "swing": 2e-5,  # rad/s of a boom's oscillation, where one is looked for
 }
 """One standard deviation of what may depart from the nominal values: the catalogue of effects, five
 to ten times the published uncertainties; drift: twice the median of `unknown`
 there, as a mistake that explains more than a torque of nobody's catalogue has to win against it."""
 WARM_UP_S: Final = 5.0
-DRIFT_MODES: Final = 12
+DRIFT_MODES: Final = 24
+"""Of a torque that wanders: with 12, what a strong one has left was no noise (by trial)."""
+CUT_MODES: Final = 24
+SWING_MODES: Final = 4
+LEAST_CYCLES: Final = 4.0
+"""Of a swing in an event: what is slower is drift."""
 LEAST_NOISE: Final = 1e-5
+LEAST_SPAN: Final = 1e-9
 LEAST_IMPULSE: Final = 1e-9
 """N m s, of events that fire nothing."""
 SHARED: Final = 3.0
@@ -181,6 +189,8 @@ class Columns:
             "fixed": 1,
             "jump": wheels,
             "drift": DRIFT_MODES,
+            "cut": CUT_MODES,
+            "swing": SWING_MODES,
         }
         ends = 3 * np.cumsum(list(sizes.values()))
         starts = [0, *ends[:-1].tolist()]
@@ -203,6 +213,7 @@ class Momentum:
     """Gram matrix (p, p) of an event's columns in N m s and how noisy a row is."""
 
     columns: Columns
+    flat: Array  # (3 n, p) what the rows hold, the momentum at the start taken off
     gram: Array
     steps: Array  # (p, p) Gram matrix of second differences over neighbouring rows
     rows: int
@@ -226,14 +237,36 @@ class Momentum:
         as_recorded = np.array_equal(correction.rate, np.eye(3))
         return min(found, self.most_noise) if as_recorded else found
 
-    def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
-        """What it costs to close the balance."""
+    def swing_hz(self, nominal: Nominal, time_s: Array) -> float:
+        """The frequency at which what stays open oscillates most, 0 where rows are too few."""
+        correction = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        target, _, design, strength, axes, pull = self._closed(nominal, correction)
+        left = (self.flat @ (target + design @ (axes @ (pull / (strength + 1.0))))).reshape(-1, 3)
+        span_s, row_s = float(time_s[-1] - time_s[0]), float(np.median(np.diff(time_s)))
+        lines = np.arange(LEAST_CYCLES / span_s, 0.5 / row_s, 0.5 / span_s)
+        if not len(lines):
+            return 0.0
+        waves = np.exp(-2j * np.pi * np.outer(lines, time_s - time_s[0]))
+        return float(lines[np.argmax(np.sum(np.abs(waves @ left) ** 2, axis=1))])
+
+    def _closed(
+        self, nominal: Nominal, correction: Correction
+    ) -> tuple[Array, Sequence[str], Array, Array, Array, Array]:
+        """What is to be closed, names and weights of departures, and their normal equations.
+
+        Eigenvalues, eigenvectors and right-hand side of these, in units of the noise.
+        """
         target = corrected(self.columns, nominal.exchanges[:, :1], correction)[:, 0]
         names, design = departures_of(self.columns, nominal, correction)
         variance = self.noise(nominal, correction) ** 2
         strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
-        strength = np.maximum(strength, 0.0)
         pull = -axes.T @ (design.T @ (self.gram @ target)) / variance
+        return target, names, design, np.maximum(strength, 0.0), axes, pull
+
+    def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
+        """What it costs to close the balance."""
+        target, names, design, strength, axes, pull = self._closed(nominal, correction)
+        variance = self.noise(nominal, correction) ** 2
         # least misfit at price λ: const − Σ pull²/(strength + λ)
         gain = pull**2 * (1.0 / (strength + NEARLY_FREE) - 1.0 / (strength + 1.0))
         by_noise = strength / (strength + NEARLY_FREE) - strength / (strength + 1.0)
@@ -250,7 +283,10 @@ class Momentum:
         excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
         if "common" in names:
             share = self._share_of_impulse(names, nominal, correction)
-            excess += vanishing(1.0 + float(share @ solution), float(share @ share))
+            # a tail may grow by more than there is of it, but not shrink
+            less = np.where(np.array(names) == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
+            variance_of_less = float(np.sum((less * share) ** 2))
+            excess += vanishing(1.0 + float(share @ solution), variance_of_less)
         return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
 
     def _share_of_impulse(
@@ -376,6 +412,12 @@ def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, .
         for mode in np.eye(DRIFT_MODES):
             drift = columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
             each.append(("drift", drift))
+        for mode in np.eye(CUT_MODES):
+            cut = columns.weights(cut=WIDTHS["cut"] * np.outer(axis, mode))
+            each.append(("cut", cut))
+        for mode in np.eye(SWING_MODES):
+            swing = columns.weights(swing=WIDTHS["swing"] * size * np.outer(axis, mode))
+            each.append(("swing", swing))
     names, vectors = zip(*each, strict=True)
     return names, np.stack(vectors, axis=1)
 
@@ -416,9 +458,12 @@ def vanishing(level: float, variance: float) -> float:
     return float((np.log(level) ** 2 - (level - 1.0) ** 2) / variance) if variance > 0.0 else 0.0
 
 
-def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
+def momentum_of(
+    rows: Rows, torques: Array, along: Array | None = None, swing_hz: float = 0.0
+) -> Momentum:
     """Columns of an event's rows and their Gram matrices.
 
+    ``torques``: (3, K) of the thrusters. ``swing_hz``: of a boom that may oscillate; 0: of none.
     ``along``: a body axis (3,) along which nothing is known, so that rows speak of the plane across
     it alone: the columns are those of a wheel that says nothing.
     """
@@ -440,12 +485,9 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
         return (turn[:, :, :, None] * values[:, None, None, :]).reshape(count, 3, -1)
 
     time = rows.time_s - rows.time_s[0]
-    span = max(float(time[-1]), 1e-9)
     warm = np.exp(-(rows.on_time_s - rows.on_time_s[0]) / WARM_UP_S)
     fired = accumulated(np.diff(rows.on_time_s, axis=0))
-    orders = np.arange(DRIFT_MODES) + 0.5
-    # Karhunen–Loève modes of a Brownian motion over the span
-    modes = np.sin(np.pi * np.outer(time / span, orders)) * np.sqrt(2.0 * span) / (np.pi * orders)
+    modes = brownian_modes(time, DRIFT_MODES)
     of = columns.of
     table[:, :, of["rate"]] = carried(rows.rate_rad_s)
     table[:, :, of["wheel"]] = carried(RAD_S_PER_RPM * rows.wheel_rpm)
@@ -460,6 +502,10 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     jumped = np.arange(count)[:, None] >= largest_jumps(rows.wheel_rpm)
     table[:, :, of["jump"]] = carried(jumped.astype(np.float64))
     table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)
+    shots = np.cumsum(close_pulses(rows) @ (torques**2).T, axis=0)
+    walks = np.stack([brownian_modes(clock, CUT_MODES) for clock in shots.T], axis=1)
+    table[:, :, of["cut"]] = np.einsum("nia,naj->niaj", turn, walks).reshape(count, 3, -1)
+    table[:, :, of["swing"]] = carried(swing_modes(time, swing_hz))
     start = np.broadcast_to(np.eye(3), (count, 3, 3))
     per_row = 3
     if along is not None:
@@ -479,6 +525,7 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
     bent = int(np.count_nonzero(smooth))
     return Momentum(
         columns,
+        flat,
         gram,
         steps,
         count,
@@ -488,6 +535,36 @@ def momentum_of(rows: Rows, along: Array | None = None) -> Momentum:
         rows.on_time_s[-1] - rows.on_time_s[0],
         rows.pulses[-1] - rows.pulses[0],
     )
+
+
+def brownian_modes(clock: Array, number: int) -> Array:
+    """Karhunen–Loève modes (n, number) of a Brownian motion, of variance 1 per tick of a clock."""
+    span = max(float(clock[-1]), LEAST_SPAN)
+    orders = np.arange(number) + 0.5
+    modes = np.sin(np.pi * np.outer(clock / span, orders)) * np.sqrt(2.0 * span) / (np.pi * orders)
+    return np.asarray(modes)
+
+
+def swing_modes(time_s: Array, swing_hz: float) -> Array:
+    """Cosine and sine (n, 4) of a boom's swing, and both with an amplitude that changes evenly."""
+    if not swing_hz:
+        return np.zeros((len(time_s), SWING_MODES))
+    phase = 2.0 * np.pi * swing_hz * time_s
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    along = 2.0 * time_s[:, None] / max(float(time_s[-1]), LEAST_SPAN) - 1.0
+    return np.asarray(np.concatenate([waves, along * waves], axis=1))
+
+
+def close_pulses(rows: Rows) -> Array:
+    """Pulses (n, K) of each row that may have followed another at once.
+
+    The next pulse cuts the tail of the one before, by how much counters do not show. Alone is the
+    first of an interval that follows one without pulses.
+    """
+    gained = np.diff(rows.pulses, axis=0, prepend=rows.pulses[:1])
+    quiet = np.concatenate([np.ones_like(gained[:1]), gained[:-1]]) == 0.0
+    quiet[0] = True
+    return np.asarray(np.maximum(gained - quiet, 0.0))
 
 
 def largest_jumps(wheel_rpm: Array) -> NDArray[np.int64]:

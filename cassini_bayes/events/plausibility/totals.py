@@ -54,7 +54,10 @@ LONGEST_S: Final = 1e9
 OWN_THRUST: Final = 0.06
 """Of its thrust: a thruster's own departure (published: 0.02 N of 0.7 N), but for the one that may
 have lost any part of it."""
-LOST: Final = 0.4
+LOST: Final = 0.2
+"""What that one may have lost: the catalogue's width."""
+FACTOR: Final = 3.0
+"""Of on-times that are in another unit: how much of them is none."""
 TAIL_S: Final = 0.03
 OWN_TAIL_S: Final = 0.01
 """Thrust per pulse beyond the nominal: with more, firing could vanish in tables of short pulses."""
@@ -277,6 +280,15 @@ def _explanations(
                     table.misfit(mended),
                     price + 2.0 * np.log(len(rows)),
                 )
+    for k, name in enumerate(thrusters if len(rows) > 1 else ()):
+        fired = [table.nominals[row.wheels].torques[:, k] * row.on_time_s[k] for row in rows]
+        yield Explanation(
+            "on-time-unit",
+            f"on-times of {name} times a factor in every row",
+            f"check the unit of on_time_{name}_s",
+            table.misfit(rows, FACTOR * np.concatenate(fired)),
+            FREE_PRICE,
+        )
     for i, row in enumerate(rows):
         for column, direction in _cells(table, row, thrusters):
             free = np.zeros(3 * len(rows))
