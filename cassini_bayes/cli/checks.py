@@ -46,7 +46,7 @@ def check_command(
         events,
         priors,
         effects=effect or (),
-        own_effects=effects or (),
+        effect_files=effects or (),
         source=source,
         accept=accept or [],
         leave_out=leave_out,

@@ -60,7 +60,7 @@ def diagnose_command(
     result = diagnose(
         events,
         priors,
-        own_effects=effects or (),
+        effect_files=effects or (),
         source=source,
         gain=gain,
         accept=accept or [],

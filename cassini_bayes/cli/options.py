@@ -57,7 +57,7 @@ FittedEffects = Annotated[
 ]
 Effects = Annotated[
     list[Path] | None,
-    typer.Option("--effects", help="Own effects (.py) or tables of effects (.toml)."),
+    typer.Option("--effects", help="Effects of your own (.py) or tables of effects (.toml)."),
 ]
 
 

@@ -29,7 +29,7 @@ def simulate_command(
         scenario,
         out,
         seed=seed,
-        own_effects=effects or (),
+        effect_files=effects or (),
         force=force,
         log=ConsoleReporter(quiet).log,
     )

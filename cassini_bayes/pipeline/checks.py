@@ -135,7 +135,7 @@ def check(
     priors: PriorsLike | None = None,
     *,
     effects: Sequence[str | Effect] = (),
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     pulse_shape: str = "first_order",
     delta_v: DeltaVUse = "as-declared",
     source: str = "flight",
@@ -152,7 +152,7 @@ def check(
 
     Parameters
     ----------
-    events, priors, effects, own_effects, pulse_shape, delta_v, source, accept, leave_out
+    events, priors, effects, effect_files, pulse_shape, delta_v, source, accept, leave_out
         As for :func:`build_model`; or a model alone.
     log
         Told what was read.
@@ -170,7 +170,7 @@ def check(
         given, findings = gather(
             events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
         )
-        kinds = read_kinds([Path(path) for path in own_effects])
+        kinds = read_kinds([Path(path) for path in effect_files])
         model = model_of(given, known, pulse_shape, delta_v, effects, kinds)
     seen = observability(model)
     mode = find_mode(partial(log_posterior, model), np.zeros(model.space.dimension))

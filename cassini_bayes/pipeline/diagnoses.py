@@ -243,7 +243,7 @@ def diagnose(
     events: EventLike | Iterable[EventLike],
     priors: PriorsLike,
     *,
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     source: str = "flight",
     gain: bool = True,
     accept: Sequence[str] = (),
@@ -270,7 +270,7 @@ def diagnose(
         estimates, on their own.
     priors
         A priors file, or what :func:`read_priors` made of it.
-    own_effects
+    effect_files
         Files of causes beyond those of the package.
     source, accept, leave_out
         As for :func:`build_model`.
@@ -300,7 +300,7 @@ def diagnose(
     """
     given = each_event(events)
     names = [] if folder is None else [*paths_of(given), *paths_of([priors])]
-    kinds = read_kinds([Path(path) for path in own_effects])
+    kinds = read_kinds([Path(path) for path in effect_files])
     policy = Policy.of(accept, leave_out=leave_out)
     case = _case(given, priors, kinds, source, policy, log)
     digests = _digests(given, priors, case)
@@ -310,7 +310,7 @@ def diagnose(
         settings = {
             "events": names[:-1],
             "priors": names[-1],
-            "own_effects": [os.fspath(path) for path in own_effects],
+            "own_effects": [os.fspath(path) for path in effect_files],
             "source": source,
             "accept": sorted(accept),
             "leave_out": leave_out,

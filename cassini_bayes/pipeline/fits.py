@@ -263,7 +263,7 @@ def fit(
     priors: PriorsLike | None = None,
     *,
     effects: Sequence[str | Effect] = (),
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     pulse_shape: str = "first_order",
     delta_v: DeltaVUse = "as-declared",
     source: str = "flight",
@@ -288,7 +288,7 @@ def fit(
         model (:func:`build_model`); or a run file (``.toml``), which says all the rest.
     priors
         A priors file, or what :func:`read_priors` made of it; a model or run file has its own.
-    effects, own_effects, pulse_shape, delta_v, source, accept, leave_out
+    effects, effect_files, pulse_shape, delta_v, source, accept, leave_out
         As for :func:`build_model`.
     sampler
         :class:`SamplerSettings`, or some of its fields as a mapping.
@@ -328,7 +328,7 @@ def fit(
         if sampler is not None or seed is not None:
             run = run.model_copy(update={"sampler": _merged(run.sampler, settings, seed)})
         target = folder or path.parent / (run.output.folder or path.stem)
-        return _written(run, path.parent, target, own_effects, force, resume, told)
+        return _written(run, path.parent, target, effect_files, force, resume, told)
     if folder is not None:
         table = {
             "events": paths_of(events),
@@ -349,9 +349,9 @@ def fit(
             },
         }
         run = check_run(table, "fit")
-        return _written(run, Path(), folder, own_effects, force, resume, told)
+        return _written(run, Path(), folder, effect_files, force, resume, told)
     model, findings = _model(
-        *(events, priors, effects, own_effects, pulse_shape, delta_v, source),
+        *(events, priors, effects, effect_files, pulse_shape, delta_v, source),
         Policy.of(accept, leave_out=leave_out),
         told.log,
     )
@@ -382,7 +382,7 @@ def _model(
     events: PathLike | EventLike | Iterable[EventLike] | Model,
     priors: PriorsLike | None,
     effects: Sequence[str | Effect],
-    own_effects: Sequence[PathLike],
+    effect_files: Sequence[PathLike],
     pulse_shape: str,
     delta_v: DeltaVUse,
     source: str,
@@ -400,7 +400,7 @@ def _model(
     found, findings = gather(
         events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
     )
-    kinds = read_kinds([Path(path) for path in own_effects])
+    kinds = read_kinds([Path(path) for path in effect_files])
     return model_of(found, known, pulse_shape, delta_v, effects, kinds), findings
 
 
@@ -431,7 +431,7 @@ def _written(
     run: RunFile,
     base: Path,
     folder: PathLike,
-    own_effects: Sequence[PathLike],
+    effect_files: Sequence[PathLike],
     force: bool,
     resume: bool,
     reporter: Reporter,
@@ -447,7 +447,7 @@ def _written(
         reporter=reporter,
         force=force,
         resume=resume,
-        kinds=read_kinds([Path(path) for path in own_effects]),
+        kinds=read_kinds([Path(path) for path in effect_files]),
     )
     return result_of(outcome.review, target / FIT_FILE)
 
@@ -459,7 +459,7 @@ def result_of(review: Review, path: Path | None = None) -> FitResult:
 
 
 def read_fit(
-    path: PathLike, *, base: PathLike | None = None, own_effects: Sequence[PathLike] = ()
+    path: PathLike, *, base: PathLike | None = None, effect_files: Sequence[PathLike] = ()
 ) -> FitResult:
     """Read a fit back: a run's folder, or its ``fit.nc``.
 
@@ -469,7 +469,7 @@ def read_fit(
         Folder of a run, or a ``fit.nc``.
     base
         Folder that the run's paths of events and priors are relative to, where they have moved.
-    own_effects
+    effect_files
         Files of effects that the run was given.
 
     Raises
@@ -481,12 +481,12 @@ def read_fit(
     file = place / FIT_FILE if place.is_dir() else place
     stored = record.read_fit(file)
     name = file.parent.name or file.stem
-    make = partial(_review_of, file, stored, name, base, tuple(own_effects))
+    make = partial(_review_of, file, stored, name, base, tuple(effect_files))
     return FitResult(stored.groups, stored.attributes, name, make, file)
 
 
 def _review_of(
-    file: Path, stored: Fit, name: str, base: PathLike | None, own_effects: Sequence[PathLike]
+    file: Path, stored: Fit, name: str, base: PathLike | None, effect_files: Sequence[PathLike]
 ) -> Review:
     """The review of a fit that was stored, its model built again."""
     folder = file.parent
@@ -504,7 +504,7 @@ def _review_of(
         priors = read_priors(priors_path)
         events = [str(locate(file, event, "base", priors)) for event in run.events]
         run = run.model_copy(update={"events": events, "priors": str(priors_path)})
-    kinds = read_kinds([Path(path) for path in own_effects])
+    kinds = read_kinds([Path(path) for path in effect_files])
     inputs = read_inputs(run, Path() if base is None else Path(base), folder, kinds=kinds)
     model = inputs.model
     z = model.space.to_standard(
@@ -531,7 +531,7 @@ def report(
     folder: PathLike | None = None,
     *,
     base: PathLike | None = None,
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     reporter: Reporter | None = None,
 ) -> Path:
     """Write tables, figures and the page of a fit: what a run writes of it.
@@ -542,7 +542,7 @@ def report(
         A fit, or the folder of a finished run.
     folder
         Where to write; by default the run's own folder.
-    base, own_effects
+    base, effect_files
         As for :func:`read_fit`.
     reporter
         Told of stages.
@@ -561,7 +561,7 @@ def report(
             raise InputError("folder", "where to write", "nothing", 'add folder="…"')
         result, target = fit, Path(folder)
     else:
-        result = read_fit(fit, base=base, own_effects=own_effects)
+        result = read_fit(fit, base=base, effect_files=effect_files)
         place = Path(fit)
         target = Path(folder) if folder else (place if place.is_dir() else place.parent)
     review = replace(result.review, what_if=True)

@@ -59,7 +59,7 @@ def read_sources(
     priors: Path | None = None,
     source: str | None = None,
     accept: Sequence[str] = (),
-    own_effects: Sequence[Path] = (),
+    effect_files: Sequence[Path] = (),
 ) -> Sources:
     """Read what a fit was made of.
 
@@ -112,7 +112,7 @@ def read_sources(
     refuse_duplicates([(event.id, content_of_totals(event)) for event in printed], policy)
     folders = (Path(name) for name in references if is_event_folder(Path(name)))
     recordings = [read_event(folder, read.spacecraft) for folder in folders]
-    files = [*own_effects, *map(Path, _names(resolved, "own_effects", record))]
+    files = [*effect_files, *map(Path, _names(resolved, "own_effects", record))]
     each = [*(event.wheels for event in printed), *(event.wheels for event in recordings)]
     wheels = {number for own in each for number in own}
     effects = fitted_effects(names, read, wheels, list(dict.fromkeys(files)))

@@ -66,7 +66,7 @@ def simulate(
     folder: str | Path | None = None,
     *,
     seed: int,
-    own_effects: Sequence[str | Path] = (),
+    effect_files: Sequence[str | Path] = (),
     force: bool = False,
     log: Log = silent,
 ) -> Flight:
@@ -80,7 +80,7 @@ def simulate(
         Where to write event folders, ``totals.csv`` and ``truth.json``; nothing without it.
     seed
         The same scenario and seed give the same bytes.
-    own_effects
+    effect_files
         Files of effects that are not of this package.
     force
         Replace what an earlier simulation left in ``folder``.
@@ -92,7 +92,7 @@ def simulate(
     InputError
         Anything wrong with the scenario, or a folder that holds something already.
     """
-    own = simulated_sides([Path(path) for path in own_effects])
+    own = simulated_sides([Path(path) for path in effect_files])
     if folder is None:
         flown = simulate_file(read_scenario(scenario, own), seed, log)
     else:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.effects.own_files import guarded, load_module
 from cassini_bayes.effects.tables import Place, read_table
+from cassini_bayes.effects.user_files import guarded, load_module
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, write_totals
 from cassini_bayes.files.storage import write_text
