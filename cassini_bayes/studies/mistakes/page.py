@@ -156,7 +156,7 @@ def _opening(
         f" harmless ones ({counted[HARMLESS]})",
         "are not counted, nor are events that no fit takes"
         f" ({counted[NOTHING]}). It cannot be known if the data",
-        f"speak for it by less than {TELLS:.0f} nats, against priors five times as wide and any one",
+        f"speak for it by less than {TELLS:.0f} nats against priors five times as wide and any one",
         "effect of the catalogue ([how](../topics/plausibility.md#what-cannot-be-known)).",
         "",
     ]
