@@ -462,6 +462,16 @@ def test_a_thruster_in_another_unit_is_named_and_a_weak_one_is_not() -> None:
     assert judged(times(1.0 / 0.6)) == ""
 
 
+@pytest.mark.parametrize("place", range(8))
+def test_a_row_in_ms_is_named_alone(place: int) -> None:
+    """Momentum alone does not tell it; that no thruster fires for longer than its event does."""
+    row = flight()[place]
+    told = judged([replace(row, on_time_s=1e3 * row.on_time_s)])
+    assert told.startswith("on-time-unit")
+    accepted = Policy.of(["on-time-unit"])
+    assert not judged([replace(row, on_time_s=1e3 * row.on_time_s)], accepted).startswith("on-t")
+
+
 def test_on_times_that_are_a_thrust_cannot_be_known() -> None:
     """On-times × 1.2 are a weaker thrust: no check can tell, and none pretends to."""
     assert judged([replace(row, on_time_s=1.2 * row.on_time_s) for row in flight()]) == ""

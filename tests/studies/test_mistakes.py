@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,13 @@ from cassini_bayes.studies.mistakes.campaign import (
     judge_rows,
 )
 from cassini_bayes.studies.mistakes.flights import fly, with_events
-from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS
-from cassini_bayes.studies.mistakes.oracle import answer_of_rows, with_catalogue
+from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS, RowChange, cell_times
+from cassini_bayes.studies.mistakes.oracle import (
+    TELLS,
+    Physics,
+    answer_of_rows,
+    physics_of_rows,
+)
 from cassini_bayes.studies.mistakes.page import outcome
 from cassini_bayes.studies.study import Arrays, Study
 
@@ -99,19 +105,42 @@ def test_outcomes(verdict: str, moved: float, nats: float, word: str) -> None:
 def test_the_oracle_sees_what_matters() -> None:
     """Flight rows: wheels exchanged move thrusts and data speak against it; on-times × 1.2 do not.
 
-    Longer on-times are a weaker thrust: with priors as wide as the catalogue nothing tells.
+    Longer on-times are a weaker thrust: with what the catalogue holds nothing tells.
     """
     rows, priors = flight()
-    honest, wide = (answer_of_rows(rows, p) for p in (priors, with_catalogue(priors)))
+    honest = physics_of_rows(rows, priors)
     assert honest is not None
-    assert wide is not None
     for name, tells in (("first two wheels exchanged", True), ("on-times × 1.2", False)):
         wrong = [TOTALS[name].change(row) for row in rows]
-        found = answer_of_rows(wrong, with_catalogue(priors))
+        found = physics_of_rows(wrong, priors)
         assert found is not None
-        assert (wide.log_density - found.log_density > 20.0) == tells
+        assert (honest.best - found.best > 20.0) == tells
         assert (judge_rows(wrong, priors) == "wheel-order") == tells
-    assert honest.moved(honest) == 0.0
+    answer = answer_of_rows(rows, priors)
+    assert answer is not None
+    assert answer.moved(answer) == 0.0
+
+
+def test_one_effect_is_physics_to_the_oracle() -> None:
+    """A thruster's on-times × 1.3 are its thrust / 1.3, which the catalogue holds.
+
+    Four rows without velocity changes: wide priors alone would tell, with one degraded thruster
+    nothing does. Exchanged wheels are no effect: they can be known as before.
+    """
+    rows, priors = flight()
+    rows = [replace(row, delta_v_m_s=None, delta_v_source=None) for row in rows[:4]]
+
+    def physics(change: RowChange) -> Physics:
+        found = physics_of_rows([change(row) for row in rows], priors)
+        assert found is not None
+        return found
+
+    honest, longer = physics(lambda row: row), physics(cell_times(4, 1.3))
+    assert honest.log_density - longer.log_density > TELLS
+    assert honest.best - longer.best < TELLS
+    assert max(longer.causes, key=lambda name: longer.causes[name]) == "thruster_degraded:y1"
+    exchanged = physics(TOTALS["first two wheels exchanged"].change)
+    assert honest.best - exchanged.best > 10.0 * TELLS
 
 
 def test_the_page_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

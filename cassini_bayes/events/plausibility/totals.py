@@ -224,6 +224,7 @@ def check_totals(
     rows = [TotalsRow.of(event) for event in events]
     if not rows:
         return ()
+    _check_on_times(events, where, policy, findings)
     branch = events[0].branch
     nominals = {
         wheels: Nominal.of(spacecraft, branch, wheels, parameters, fires=True)
@@ -233,7 +234,7 @@ def check_totals(
     table = _Table(nominals, numbers, next(iter(nominals.values())).pushes, steady)
     misfit = table.misfit(rows)
     if misfit <= SUSPECT:
-        return ()
+        return tuple(findings.sentences)
     best = best_explanations(
         misfit, list(_explanations(table, rows, events[0].thrusters)), LEAST_GAIN
     )
@@ -258,6 +259,26 @@ def check_totals(
             f" {misfit:.3g}) and no single mistake explains it: diagnose it"
         )
     return tuple(findings.sentences)
+
+
+def _check_on_times(
+    events: Sequence[TotalsEvent], where: str, policy: Policy, findings: Findings
+) -> None:
+    """No thruster fires for longer than its event lasts; the reader refuses such files itself."""
+    for event in events:
+        worst = int(np.argmax(event.on_time_s))
+        if event.on_time_s[worst] > event.duration_s:
+            findings.refuse(
+                policy,
+                "on-time-unit",
+                InputError(
+                    f"{where}: row {event.id}, on_time_{event.thrusters[worst]}_s",
+                    f"at most the {event.duration_s:g} s that the event lasts",
+                    f"{event.on_time_s[worst]:g} s: on-times that look like ms",
+                    "give on_time_…_s in seconds, or correct duration_s",
+                ),
+            )
+            return
 
 
 Change = tuple[str, str, str, float]  # mistake, what, fix, price

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,9 +24,11 @@ from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS
 from cassini_bayes.studies.mistakes.oracle import (
     MATTERS,
     Answer,
+    Physics,
     answer_of,
     answer_of_rows,
-    with_catalogue,
+    physics_of,
+    physics_of_rows,
 )
 
 MODULE: Final = "studies.mistakes.campaign"
@@ -153,7 +155,11 @@ def _of_telemetry(
         event.kind: (event, chunk) for event, chunk in events
     }
     oracles = {
-        kind: Oracle(partial(_answer_of_event, event), chunk, priors)
+        kind: Oracle(
+            partial(_answer_of_event, event, priors),
+            partial(_physics_of_event, event, priors),
+            chunk,
+        )
         for kind, (event, chunk) in honest.items()
     }
     for name, kind in CASES:
@@ -165,44 +171,64 @@ def _of_telemetry(
         yield verdict, *(oracles[kind].ask(wrong, each.spread(kind)) if asked else _UNASKED)
 
 
-def _answer_of_event(event: TelemetryEvent, chunk: Chunk, priors: Priors) -> Answer | None:
+def _answer_of_event(event: TelemetryEvent, priors: Priors, chunk: Chunk) -> Answer | None:
     return answer_of([(event, chunk)], priors)
 
 
+def _physics_of_event(event: TelemetryEvent, priors: Priors, chunk: Chunk) -> Physics | None:
+    return physics_of([(event, chunk)], priors)
+
+
 def _of_rows(rows: Sequence[TotalsEvent], priors: Priors) -> Iterator[Found]:
-    table = Oracle(answer_of_rows, tuple(rows), priors)
-    alone = Oracle(answer_of_rows, (rows[2],), priors)
+    def answer(given: Sequence[TotalsEvent]) -> Answer | None:
+        return answer_of_rows(given, priors)
+
+    def physics(given: Sequence[TotalsEvent]) -> Physics | None:
+        return physics_of_rows(given, priors)
+
+    table, alone = Oracle(answer, physics, tuple(rows)), Oracle(answer, physics, (rows[2],))
     for name, form in ROW_CASES:
-        change, names = TOTALS[name].change, TOTALS[name].names
-        oracle, wrong = table, tuple(change(row) for row in rows)
+        each = TOTALS[name]
+        oracle, wrong, changed = table, tuple(each.change(row) for row in rows), len(rows)
         if form == "one row of six":
-            wrong = (*rows[:2], wrong[2], *rows[3:])
+            wrong, changed = (*rows[:2], wrong[2], *rows[3:]), 1
         elif form == "a row alone":
-            oracle, wrong = alone, (wrong[2],)
-        verdict = judge_rows(wrong, priors, names)
-        yield verdict, *(oracle.ask(wrong, 0.0) if verdict == "passed" else _UNASKED)
+            oracle, wrong, changed = alone, (wrong[2],), 1
+        verdict = judge_rows(wrong, priors, each.names)
+        asked = verdict == "passed"
+        yield verdict, *(oracle.ask(wrong, each.spread * changed) if asked else _UNASKED)
 
 
 _UNASKED: Final = (np.nan, np.nan)
 
 
 class Oracle:
-    """Answers of one set of honest data, made when first asked for."""
+    """Answers and physics of one set of honest data, made when first asked for."""
 
     def __init__(
-        self, answer: Callable[[Any, Priors], Answer | None], honest: Any, priors: Priors
+        self,
+        answer: Callable[[Any], Answer | None],
+        physics: Callable[[Any], Physics | None],
+        honest: Any,
     ) -> None:
-        self._answer, self._honest, self._priors = answer, honest, priors
-        self._known: dict[bool, Answer | None] = {}
+        self._answer, self._physics, self._honest = answer, physics, honest
+
+    @cached_property
+    def _right(self) -> Answer | None:
+        return self._answer(self._honest)
+
+    @cached_property
+    def _true(self) -> Physics | None:
+        return self._physics(self._honest)
 
     def ask(self, wrong: Any, spread: float) -> tuple[float, float]:
         """How far a mistake moves a scalar, in σ, and the nats by which data speak for it.
 
-        ``spread``: logarithm of the volume that a row of telemetry gains by it.
+        ``spread``: logarithm of the volume that a row of telemetry, or all of totals, gains by it.
 
         NaN where the package declines the honest data; infinite where it declines the wrong ones.
         """
-        right, found = self._of_honest(wide=False), self._answer(wrong, self._priors)
+        right, found = self._right, self._answer(wrong)
         if right is None:
             return _UNASKED
         if found is None:
@@ -210,19 +236,10 @@ class Oracle:
         moved = right.moved(found)
         if moved <= MATTERS:
             return moved, np.nan
-        true, physics = (
-            self._of_honest(wide=True),
-            self._answer(wrong, with_catalogue(self._priors)),
-        )
+        true, physics = self._true, self._physics(wrong)
         if true is None or physics is None:
             return moved, np.inf
-        return moved, true.log_density - spread * true.rows - physics.log_density
-
-    def _of_honest(self, *, wide: bool) -> Answer | None:
-        if wide not in self._known:
-            priors = with_catalogue(self._priors) if wide else self._priors
-            self._known[wide] = self._answer(self._honest, priors)
-        return self._known[wide]
+        return moved, true.best - spread * true.rows - physics.best
 
 
 def _inputs(scenario: Path, priors: Path) -> list[Path]:

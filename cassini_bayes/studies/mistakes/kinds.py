@@ -251,10 +251,15 @@ RowChange = Callable[[TotalsEvent], TotalsEvent]
 
 @dataclass(frozen=True)
 class MistakenRow:
-    """A mistake in a row of totals, and names under which it counts as found."""
+    """A mistake in a row of totals, and names under which it counts as found.
+
+    ``spread``: as :class:`Mistaken`, of wheel rates that are multiplied; what a row says of them is
+    three components of momentum.
+    """
 
     change: RowChange
     names: tuple[str, ...]
+    spread: float = 0.0
 
 
 def rates_by(change: Callable[[Array], Array]) -> RowChange:
@@ -307,9 +312,11 @@ TOTALS: Final[Mapping[str, MistakenRow]] = MappingProxyType(
         "wheels rotated": MistakenRow(rates_ordered(1, 2, 0), ORDER),
         "all wheel signs": MistakenRow(rates_times(-1.0), ("wheel-sign", "start-end")),
         "sign of the second wheel": MistakenRow(rates_times((1.0, -1.0, 1.0)), SIGN),
-        "wheels in rad/s": MistakenRow(rates_times(RAD_S_PER_RPM), UNIT),
-        "wheels in deg/s": MistakenRow(rates_times(6.0), UNIT),
-        "wheels in rev/s": MistakenRow(rates_times(1.0 / 60.0), UNIT),
+        "wheels in rad/s": MistakenRow(
+            rates_times(RAD_S_PER_RPM), UNIT, 3.0 * np.log(RAD_S_PER_RPM)
+        ),
+        "wheels in deg/s": MistakenRow(rates_times(6.0), UNIT, 3.0 * np.log(6.0)),
+        "wheels in rev/s": MistakenRow(rates_times(1.0 / 60.0), UNIT, -3.0 * np.log(60.0)),
         "z1 and z3 exchanged": MistakenRow(totals_exchanged(0, 2), THRUSTERS),
         "z1 and z2 exchanged": MistakenRow(totals_exchanged(0, 1), THRUSTERS),
         "z1 and y1 exchanged": MistakenRow(totals_exchanged(0, 4), THRUSTERS),

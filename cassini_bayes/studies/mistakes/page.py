@@ -155,8 +155,9 @@ def _opening(
         f"they are. A mistake matters if it moves any inferred scalar by more than {MATTERS:.0f} σ;"
         f" harmless ones ({counted[HARMLESS]})",
         "are not counted, nor are events that no fit takes"
-        f" ({counted[NOTHING]}). It cannot be known if, with priors as wide",
-        f"as the catalogue's effects, the data speak for it by less than {TELLS:.0f} nats.",
+        f" ({counted[NOTHING]}). It cannot be known if the data",
+        f"speak for it by less than {TELLS:.0f} nats against priors five times as wide and any one",
+        "effect of the catalogue ([how](../topics/plausibility.md#what-cannot-be-known)).",
         "",
     ]
 
