@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Settings of the caller's shell that would change what runs here.
-unexport PYTHONHOME PYTHONPATH PYTHONWARNINGS
+unexport PYTHONHOME PYTHONPATH PYTHONWARNINGS PYTHONDONTWRITEBYTECODE
 
 # The lock files are made with this uv, from releases no younger than this date: some weeks old, so
 # that a bad release has been found and withdrawn before it gets in.

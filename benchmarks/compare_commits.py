@@ -51,7 +51,7 @@ from scipy.stats import norm
 from cassini_bayes.computing.arrays import Array
 
 Verdict = Literal["equal", "rounding", "draws", "no error", "different", "one side"]
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 
 ROOT: Final = Path(__file__).parents[1]
 ROUNDING: Final = 1e-9
@@ -918,7 +918,7 @@ def chosen_parts(only: str) -> list[str]:
     return [name for name in PARTS if name in wanted]
 
 
-def compare_sides(sides: Sequence[Side], parts: Sequence[str], say: Say) -> Comparison:
+def compare_sides(sides: Sequence[Side], parts: Sequence[str], log: Log) -> Comparison:
     """Run all commands of the parts on both sides, side by side, and compare what they wrote."""
     old, new = sides
     commands = Commands()
@@ -932,7 +932,7 @@ def compare_sides(sides: Sequence[Side], parts: Sequence[str], say: Say) -> Comp
                 for number, step in enumerate(PARTS[part]):
                     label = part if len(PARTS[part]) == 1 else f"{part} {number + 1}"
                     asked = [step(side, old) for side in sides]
-                    say(f"{label}: cassini-bayes {asked[0][0]} …")
+                    log(f"{label}: cassini-bayes {asked[0][0]} …")
                     jobs = [
                         pool.submit(_run, commands, side, arguments, label)
                         for side, arguments in zip(sides, asked, strict=True)
@@ -944,7 +944,7 @@ def compare_sides(sides: Sequence[Side], parts: Sequence[str], say: Say) -> Comp
                 compared = compare_folders(part, *folders, roots)
                 pages += differing_pages(part, *folders, roots)
                 findings[part] += compared
-                _tell(part, findings[part], used, say)
+                _tell(part, findings[part], used, log)
         except BaseException:
             commands.stop()
             raise
@@ -952,7 +952,7 @@ def compare_sides(sides: Sequence[Side], parts: Sequence[str], say: Say) -> Comp
 
 
 def _tell(
-    part: str, found: Sequence[Finding], used: Mapping[str, tuple[Used, Used]], say: Say
+    part: str, found: Sequence[Finding], used: Mapping[str, tuple[Used, Used]], log: Log
 ) -> None:
     apart = sum(own.verdict != "equal" for own in found)
     took = [own for label, own in used.items() if label.split(" ")[0] == part]
@@ -962,7 +962,7 @@ def _tell(
         for i, name in enumerate((OLD, NEW))
     ]
     told = f"{apart} of {len(found)} variables not equal" if apart else f"{len(found)} equal"
-    say(f"{part}: {told} ({'; '.join(times)})")
+    log(f"{part}: {told} ({'; '.join(times)})")
 
 
 def _run(commands: Commands, side: Side, arguments: Sequence[str], label: str) -> Used:
@@ -1047,7 +1047,7 @@ def main() -> None:
     parts = chosen_parts(options.only)
     began = time.monotonic()
 
-    def say(text: str) -> None:
+    def log(text: str) -> None:
         print(f"[{time.monotonic() - began:6.1f} s] {text}", flush=True)
 
     commits = [git("rev-parse", "--verify", f"{c}^{{commit}}") for c in (options.old, options.new)]
@@ -1061,8 +1061,8 @@ def main() -> None:
             ]
             for side in sides:
                 check_code(side)
-            say(f"{OLD} {commits[0][:10]}, {NEW} {commits[1][:10]}: {', '.join(parts)}")
-            result = compare_sides(sides, parts, say)
+            log(f"{OLD} {commits[0][:10]}, {NEW} {commits[1][:10]}: {', '.join(parts)}")
+            result = compare_sides(sides, parts, log)
     finally:
         if options.keep is not None:
             for name in (OLD, NEW):
@@ -1082,7 +1082,7 @@ def main() -> None:
         path = options.out / "comparison.md"
         path.write_text(page(result, commits[0][:10], commits[1][:10]), encoding="utf-8")
         print(path)
-    say("done")
+    log("done")
     sys.exit(0 if result.agrees else 1)
 
 

@@ -144,7 +144,7 @@ def kill_and_resume(
     work: Path,
     rng: np.random.Generator,
     kills: Sequence[int],
-    say: Callable[[str], None],
+    log: Callable[[str], None],
 ) -> Comparison:
     """Run ``arguments`` once alone and once killed in the stages ``kills``; compare the results.
 
@@ -159,7 +159,7 @@ def kill_and_resume(
             raise RuntimeError((work / "alone.log").read_text())
         (alone / "done").write_text(str(status))
     lengths = stage_lengths((work / "alone.log").read_text())
-    say("left alone: " + ", ".join(f"{s} {t:.1f} s" for s, t in zip(STAGES, lengths, strict=True)))
+    log("left alone: " + ", ".join(f"{s} {t:.1f} s" for s, t in zip(STAGES, lengths, strict=True)))
     shutil.rmtree(killed, ignore_errors=True)
     done: list[Kill] = []
     for number, stage in enumerate(kills):
@@ -171,7 +171,7 @@ def kill_and_resume(
             log = work / f"kill_{number:02d}.log"
             kill = kill_once(start, arguments, killed, log, stage, delay)
             delay /= 2.0  # the run had ended: a shorter wait is left of what it has to do
-        say(f"kill {number + 1}: {kill.stage}, {kill.delay_s:.2f} s in, after {kill.last_line!r}")
+        log(f"kill {number + 1}: {kill.stage}, {kill.delay_s:.2f} s in, after {kill.last_line!r}")
         done.append(kill)
     status = start(_command(arguments, killed), work / "final.log").wait()
     if status != int((alone / "done").read_text()):
@@ -318,7 +318,7 @@ def main() -> None:
         options.work,
         np.random.default_rng(options.seed),
         kills=(0, 0, 0, 1, 1, 1, 1, 2, 2, 2),
-        say=lambda text: print(text, flush=True),
+        log=lambda text: print(text, flush=True),
     )
     total = hashlib.sha256()
     for path in sorted(code.rglob("*.py")):

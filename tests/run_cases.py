@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +30,7 @@ def small_table() -> dict[str, object]:
             "ensembles": 2,
             "walkers": 56,
             "target_ess": 100,
-            "first_check": 40,
+            "first_check": 64,
             "max_steps": 100,
         },
         "output": {"report": False, "draws_per_ensemble": 500, "prior_draws": 500},
@@ -53,6 +54,12 @@ def command(arguments: Sequence[str]) -> int:
     finally:
         sys.argv = before
     return 0
+
+
+def logged(arguments: Sequence[str], log: Path) -> int:
+    """The same, its output sent to ``log``; what it loads and compiles, children have already."""
+    with log.open("w") as stream, redirect_stdout(stream), redirect_stderr(stream):
+        return command(arguments)
 
 
 @dataclass

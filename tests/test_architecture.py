@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -117,8 +118,9 @@ def parse(name: str, source: str) -> Module:
     return Module(name, ast.parse(source))
 
 
+@cache
 def package_modules() -> tuple[Module, ...]:
-    """Every source file of the package."""
+    """Every source file of the package, parsed once by the first test that asks."""
     modules = []
     for path in sorted(ROOT.rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -126,10 +128,6 @@ def package_modules() -> tuple[Module, ...]:
         name = ".".join(parts[:-1] if is_package else parts)
         modules.append(Module(name, ast.parse(path.read_text("utf-8")), is_package))
     return tuple(modules)
-
-
-MODULES: Final = package_modules()
-NAMES: Final = frozenset(module.name for module in MODULES)
 
 
 def imported(module: Module) -> Iterator[tuple[str, int]]:
@@ -304,13 +302,13 @@ RULES: Final[tuple[Rule, ...]] = (
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
 def test_the_package_keeps_the_rule(rule: Rule) -> None:
     """No module of the package breaks the rule."""
-    offences = [offence for module in MODULES for offence in rule(module)]
+    offences = [offence for module in package_modules() for offence in rule(module)]
     assert not offences, "\n".join(offences)
 
 
 def test_imports_have_no_cycles() -> None:
     """Inside packages, too, no module imports itself by a detour."""
-    assert wrong_cycles(MODULES) == []
+    assert wrong_cycles(package_modules()) == []
 
 
 def test_the_table_names_each_module_once() -> None:
@@ -321,8 +319,8 @@ def test_the_table_names_each_module_once() -> None:
 
 def test_all_of_the_package_was_read() -> None:
     """The rules look at the real files: the errors module and the package's face are among them."""
-    assert {"", "errors"} <= NAMES
-    assert len(MODULES) >= len([path for path in ROOT.iterdir() if path.suffix == ".py"])
+    assert {"", "errors"} <= {module.name for module in package_modules()}
+    assert len(package_modules()) >= len([path for path in ROOT.iterdir() if path.suffix == ".py"])
 
 
 OFFENDERS: Final = (

@@ -17,7 +17,11 @@ SHORT = {
     "flight_biases": """number = 2
 sampler = {"seed": 1, "ensembles": 2, "first_check": 100, "max_steps": 100, "target_ess": 100}""",
     "from_your_csv": """seed = 1
-sampler = {"ensembles": 2, "first_check": 50, "max_steps": 50, "target_ess": 100}
+settings = {
+    "sampler": {"ensembles": 2, "first_check": 50, "max_steps": 50, "target_ess": 100},
+    "draws_per_ensemble": 500,
+    "prior_draws": 500,
+}
 gain = False""",
 }
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")

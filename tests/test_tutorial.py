@@ -28,7 +28,7 @@ COMMANDS = tuple(
 # A short chain in place of the page's long ones: every command runs, on less.
 SHORT = """[sampler]
 ensembles = 2
-first_check = 50
+first_check = 80
 max_steps = 100
 target_ess = 100
 seed = 1

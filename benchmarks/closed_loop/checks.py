@@ -423,10 +423,10 @@ def _apart(found: Array, expected: Array) -> float:
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
 
-def report(say: Callable[[str], None]) -> bool:
+def report(log: Callable[[str], None]) -> bool:
     """Do all checks, say each; whether all passed."""
     passed = True
     for check in all_checks():
-        say(check.line())
+        log(check.line())
         passed &= check.passed
     return passed

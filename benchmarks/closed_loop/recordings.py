@@ -73,7 +73,7 @@ RECORDINGS = (
 )  # fmt: skip
 
 
-def write_all(out: Path, say: Callable[[str], None]) -> None:
+def write_all(out: Path, log: Callable[[str], None]) -> None:
     """Fly and write all recordings, replacing those that are there."""
     for recording in RECORDINGS:
         scene = draw_scene(recording.seed, {**_SMALL, **recording.given})
@@ -86,4 +86,4 @@ def write_all(out: Path, say: Callable[[str], None]) -> None:
         write_scene(folder, scene, kept, (flights, truth, departures))
         size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
         pulses = [sum(len(own) for own in flight.pulses) for flight in flights]
-        say(f"{recording.name}: {size / 1e3:.0f} kB, {pulses} pulses, {own:.1f} sigma")
+        log(f"{recording.name}: {size / 1e3:.0f} kB, {pulses} pulses, {own:.1f} sigma")

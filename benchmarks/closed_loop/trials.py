@@ -54,7 +54,7 @@ class NothingClearError(Exception):
     """No effect of a believable size stands out on a flight."""
 
 
-def run(setting: Setting, index: int, say: Callable[[str], None]) -> None:
+def run(setting: Setting, index: int, log: Callable[[str], None]) -> None:
     """Do one trial, unless it has been done."""
     from closed_loop.scene import draw_scene, write_scene
 
@@ -81,7 +81,7 @@ def run(setting: Setting, index: int, say: Callable[[str], None]) -> None:
     try:
         effects, flown = choose(stratum, scene, rng)
     except NothingClearError as nothing:
-        _keep(record | {"not_flown": str(nothing)}, record_file, say)
+        _keep(record | {"not_flown": str(nothing)}, record_file, log)
         return
     write_scene(folder / "record", scene, effects, flown)
     record["flight_s"] = time.monotonic() - began
@@ -99,18 +99,18 @@ def run(setting: Setting, index: int, say: Callable[[str], None]) -> None:
         summary = folder / "fit" / "summary.csv"
         table = summary.read_text("utf-8") if summary.exists() else None
         record["fit"] = fitted | {"summary": table}
-    _keep(record, record_file, say)
+    _keep(record, record_file, log)
     if not setting.keep:
         shutil.rmtree(folder)
 
 
-def _keep(record: Mapping[str, Any], path: Path, say: Callable[[str], None]) -> None:
+def _keep(record: Mapping[str, Any], path: Path, log: Callable[[str], None]) -> None:
     """Write a trial's record whole or not at all, and say it in a line."""
     part = path.with_suffix(".part")
     part.parent.mkdir(parents=True, exist_ok=True)
     part.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
     part.replace(path)
-    say(line(record))
+    log(line(record))
 
 
 def choose(

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
+from inspect import Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -34,6 +36,8 @@ Work = Annotated[Path, typer.Option("--work", help="Folder of finished repetitio
 Out = Annotated[Path, typer.Option("--out", help="Folder of the results page.")]
 Totals = Annotated[Path, typer.Option("--events", help="Template totals CSV.")]
 ScenarioFile = Annotated[Path, typer.Option("--scenario", help="Scenario that is flown.")]
+EventIds = Annotated[str, typer.Option("--events", help="Ids of the scenario's events.")]
+PriorsFolder = Annotated[Path, typer.Option("--priors", help="Folder of priors files.")]
 
 WORK = Path("runs/studies")
 OUT = Path("docs/results")
@@ -57,7 +61,7 @@ def _study(
 
     reporter = ConsoleReporter(quiet)
     command = ("cassini-bayes", *sys.argv[1:])
-    with workers_at(jobs, dask, reporter.say) as workers:
+    with workers_at(jobs, dask, reporter.log) as workers:
         yield Study(seed, work, page, workers, command, reporter.count)
 
 
@@ -78,73 +82,92 @@ def _end(page: Path, passed: bool = True) -> None:
     raise typer.Exit(0 if passed else 1)
 
 
-@app.command("totals")
-def calibrate_totals_command(
+def _shared(
+    trials: Trials = None,
+    quick: Quick = False,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    dask: Dask = None,
+    work: Work = WORK,
+    out: Out = OUT,
+    quiet: Quiet = False,
+) -> None:
+    """Options that studies with repetitions have in common."""
+
+
+Campaign = Callable[..., bool | None]
+
+
+def _campaign(name: str, page: str, seed: int, module: str) -> Callable[[Campaign], Campaign]:
+    """A study with repetitions as a command: its own options, then those of all.
+
+    The function gets the study and the repetitions of its parts, which ``FULL`` and ``QUICK`` of
+    ``module`` (below ``studies``) say, and its own options; it returns whether the study passed, or
+    nothing where there is nothing to pass. Seed: that of the page as it is published.
+    """
+
+    def register(run: Campaign) -> Campaign:
+        def command(**options: Any) -> None:
+            given = {key: options.pop(key) for key in own}
+            parts = import_module(f"cassini_bayes.studies.{module}")
+            numbers = _numbers(parts.FULL, parts.QUICK, options["trials"], options["quick"])
+            path, kept = options["out"] / f"{page}.md", options["work"] / page
+            started = (options[key] for key in ("quiet", "jobs", "dask"))
+            with _study(path, options["seed"], kept, *started) as study:
+                passed = run(study, numbers, **given)
+            _end(path, passed is not False)
+
+        written = signature(run, locals={"Study": object}, eval_str=True).parameters
+        own = {key: it for key, it in written.items() if key not in ("study", "numbers")}
+        shared = dict(signature(_shared, eval_str=True).parameters)
+        shared["seed"] = shared["seed"].replace(default=seed)
+        both = {**own, **shared}
+        vars(command)["__signature__"] = Signature(list(both.values()))
+        command.__annotations__ = {key: it.annotation for key, it in both.items()}
+        command.__doc__ = run.__doc__
+        app.command(name)(command)
+        return run
+
+    return register
+
+
+@_campaign("totals", "totals-sbc", 20_261_121, "totals_campaign")
+def totals(
+    study: Study,
+    numbers: Mapping[str, int],
     events: Totals = FLIGHT,
     priors: PriorsFile = TOTALS_PRIORS,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 20_261_121,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
+) -> bool:
     """Simulation-based calibration of the totals model, with two negative controls."""
-    from cassini_bayes.studies.totals_campaign import FULL, QUICK, calibrate_totals
+    from cassini_bayes.studies.totals_campaign import calibrate_totals
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "totals-sbc.md"
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        passed = calibrate_totals(study, str(events), str(priors), numbers)
-    _end(page, passed)
+    return calibrate_totals(study, str(events), str(priors), numbers)
 
 
-@app.command("sbc")
-def calibrate_sbc_command(
+@_campaign("sbc", "telemetry-sbc", 20_261_122, "telemetry_campaign")
+def sbc(
+    study: Study,
+    numbers: Mapping[str, int],
     scenario: ScenarioFile = SCENARIO,
     priors: PriorsFile = TELEMETRY_PRIORS,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 20_261_122,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
+) -> bool:
     """Simulation-based calibration of the joint model on closed-loop telemetry."""
-    from cassini_bayes.studies.telemetry_campaign import FULL, QUICK, calibrate_telemetry
+    from cassini_bayes.studies.telemetry_campaign import calibrate_telemetry
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "telemetry-sbc.md"
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        passed = calibrate_telemetry(study, str(scenario), str(priors), numbers)
-    _end(page, passed)
+    return calibrate_telemetry(study, str(scenario), str(priors), numbers)
 
 
-@app.command("conditions")
-def calibrate_conditions_command(
+@_campaign("conditions", "conditions", 20_261_123, "conditions_calibration")
+def conditions(
+    study: Study,
+    numbers: Mapping[str, int],
     scenario: ScenarioFile = SCENARIO,
-    priors: Annotated[Path, typer.Option("--priors", help="Folder of priors files.")] = PRIORS,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 20_261_123,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
+    priors: PriorsFolder = PRIORS,
+) -> bool:
     """Calibration over conditions: controllers, steps of counters, cadence, noise, events."""
-    from cassini_bayes.studies.conditions_calibration import FULL, QUICK, calibrate_conditions
+    from cassini_bayes.studies.conditions_calibration import calibrate_conditions
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "conditions.md"
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        passed = calibrate_conditions(study, str(scenario), str(priors), numbers)
-    _end(page, passed)
+    return calibrate_conditions(study, str(scenario), str(priors), numbers)
 
 
 @app.command("attitude")
@@ -158,36 +181,24 @@ def calibrate_attitude_command(out: Out = OUT, quiet: Quiet = False) -> None:
     _end(page)
 
 
-@app.command("perturbations")
-def calibrate_perturbations_command(
+@_campaign("perturbations", "perturbation-coverage", 20_120_813, "perturbation_campaign")
+def perturbations(
+    study: Study,
+    numbers: Mapping[str, int],
     events: Totals = FLIGHT,
     priors: PriorsFile = TOTALS_PRIORS,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 20_120_813,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
+) -> bool:
     """Coverage and length of perturbation bars, least squares, Laplace and posterior."""
-    from cassini_bayes.studies.perturbation_campaign import FULL, QUICK, compare_error_bars
+    from cassini_bayes.studies.perturbation_campaign import compare_error_bars
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "perturbation-coverage.md"
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        passed = compare_error_bars(study, str(events), str(priors), numbers)
-    _end(page, passed)
+    return compare_error_bars(study, str(events), str(priors), numbers)
 
 
 @app.command("blind")
 def calibrate_blind_command(
     scenario: ScenarioFile = SCENARIO,
     priors: PriorsFile = TELEMETRY_PRIORS,
-    events: Annotated[str, typer.Option("--events", help="Ids of the scenario's events.")] = (
-        "bias-1,slews"
-    ),
+    events: EventIds = "bias-1,slews",
     trials: Trials = None,
     quick: Quick = False,
     seed: Seed = 20_261_121,
@@ -212,76 +223,44 @@ def calibrate_blind_command(
         typer.echo(json.dumps(write_results(study)))
 
 
-@app.command("two-wheels")
-def calibrate_two_wheels_command(
+@_campaign("two-wheels", "two-wheels", 20_120_223, "blind.two_wheels")
+def two_wheels(
+    study: Study,
+    numbers: Mapping[str, int],
     scenario: ScenarioFile = HYBRID_SCENARIO,
     priors: PriorsFile = HYBRID_PRIORS,
-    events: Annotated[str, typer.Option("--events", help="Ids of the scenario's events.")] = (
-        "mosaic"
-    ),
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 20_120_223,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
+    events: EventIds = "mosaic",
 ) -> None:
     """Hide a platform's angle or a leak in events of two wheels, and count what is named."""
-    from cassini_bayes.studies.blind.two_wheels import FULL, QUICK, run_two_wheels
+    from cassini_bayes.studies.blind.two_wheels import run_two_wheels
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "two-wheels.md"
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        run_two_wheels(study, scenario, priors, events.split(","), numbers["trials"])
-    _end(page)
+    run_two_wheels(study, scenario, priors, events.split(","), numbers["trials"])
 
 
-@app.command("mistakes")
-def calibrate_mistakes_command(
+@_campaign("mistakes", "mistakes", 20_261_122, "mistakes")
+def mistakes(
+    study: Study,
+    numbers: Mapping[str, int],
     scenario: ScenarioFile = SCENARIO,
-    priors: Annotated[Path, typer.Option("--priors", help="Folder of priors files.")] = PRIORS,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 20_261_122,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
+    priors: PriorsFolder = PRIORS,
+) -> bool:
     """Hide mistakes in telemetry and totals; count what is named, and what honest data get."""
-    from cassini_bayes.studies.mistakes import FULL, QUICK, run_mistakes
+    from cassini_bayes.studies.mistakes import run_mistakes
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "mistakes.md"
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        passed = run_mistakes(study, scenario, priors, numbers)
-    _end(page, passed)
+    return run_mistakes(study, scenario, priors, numbers)
 
 
-@app.command("missions")
-def calibrate_missions_command(
+@_campaign("missions", "missions", 19_971_015, "missions")
+def missions(
+    study: Study,
+    numbers: Mapping[str, int],
     events: Totals = FLIGHT,
     priors: PriorsFile = MISSION_PRIORS,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 19_971_015,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
+) -> bool:
     """Simulated missions with known failures: names, onsets, false alarms, delays."""
-    from cassini_bayes.studies.missions import FULL, QUICK, study_missions
+    from cassini_bayes.studies.missions import study_missions
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "missions.md"
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        passed = study_missions(study, str(events), str(priors), numbers)
-    _end(page, passed)
+    return study_missions(study, str(events), str(priors), numbers)
 
 
 @app.command("prediction")
@@ -345,26 +324,16 @@ def calibrate_leaks_command(
     _end(page)
 
 
-@app.command("hybrid")
-def calibrate_hybrid_command(
+@_campaign("hybrid", "hybrid", 0, "hybrid")
+def hybrid(
+    study: Study,
+    numbers: Mapping[str, int],
     scenario: ScenarioFile = HYBRID_SCENARIO,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 0,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
 ) -> None:
     """Fly the controllers of two wheels, and compare with the published closed-loop figures."""
-    from cassini_bayes.studies.hybrid import FULL, QUICK, fly_hybrid
+    from cassini_bayes.studies.hybrid import fly_hybrid
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "hybrid.md"
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
-        fly_hybrid(study, scenario, numbers)
-    _end(page)
+    fly_hybrid(study, scenario, numbers)
 
 
 def diagnose_published_command(
@@ -377,6 +346,6 @@ def diagnose_published_command(
     """Diagnose published cases: flight biases and on-times, printed thrusts, test bed, A branch."""
     from cassini_bayes.studies.published_diagnosis import NAME, write_published_diagnosis
 
-    say = ConsoleReporter(quiet).say
+    log = ConsoleReporter(quiet).log
     with _study(out / f"{NAME}.md", seed, WORK, quiet) as study:
-        typer.echo(json.dumps(write_published_diagnosis(study, totals, priors, say)))
+        typer.echo(json.dumps(write_published_diagnosis(study, totals, priors, log)))

@@ -46,11 +46,11 @@ def check_command(
         events,
         priors,
         effects=effect or (),
-        own_effects=effects or (),
+        effect_files=effects or (),
         source=source,
         accept=accept or [],
         leave_out=leave_out,
-        say=reporter.say,
+        log=reporter.log,
     )
     if as_json:
         typer.echo(json.dumps(found.as_record()))

@@ -16,10 +16,10 @@ from cassini_bayes.cli.options import (
     Force,
     Json,
     LeaveOut,
-    OwnSeed,
     PriorsFile,
     Quiet,
     Resume,
+    SeedOverride,
     Source,
     Strict,
 )
@@ -41,7 +41,7 @@ def diagnose_command(
     then_fit: Annotated[
         bool, typer.Option("--then-fit", help="Sample the extended model with emcee.")
     ] = False,
-    seed: OwnSeed = None,
+    seed: SeedOverride = None,
     accept: Accept = None,
     leave_out: LeaveOut = False,
     strict: Strict = False,
@@ -60,7 +60,7 @@ def diagnose_command(
     result = diagnose(
         events,
         priors,
-        own_effects=effects or (),
+        effect_files=effects or (),
         source=source,
         gain=gain,
         accept=accept or [],
@@ -69,12 +69,12 @@ def diagnose_command(
         folder=out,
         force=force,
         resume=resume,
-        log=reporter.say,
+        log=reporter.log,
         progress=reporter.count,
         command=["cassini-bayes", *sys.argv[1:]],
     )
     if then_fit:
-        result.fit(log=reporter.say)
+        result.fit(log=reporter.log)
     if as_json:
         typer.echo(diagnosis_json(result.record).rstrip())
     elif not quiet:

@@ -25,7 +25,7 @@ def causes_command(
     """Causes that a diagnosis weighs, and effects that a fit takes by name, with their priors."""
     from cassini_bayes.pipeline.listings import causes
 
-    _show(causes(priors, own_effects=effects or ()), as_json)
+    _show(causes(priors, effect_files=effects or ()), as_json)
 
 
 def parameters_command(

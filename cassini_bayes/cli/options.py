@@ -17,7 +17,7 @@ from cassini_bayes.files.checks import LARGEST_SEED
 if TYPE_CHECKING:
     from cassini_bayes.sampling.ensembles import ProgressReport
 
-OwnSeed = Annotated[
+SeedOverride = Annotated[
     int | None,
     typer.Option("--seed", min=0, max=LARGEST_SEED, help="Random seed (overrides the run file)."),
 ]
@@ -57,7 +57,7 @@ FittedEffects = Annotated[
 ]
 Effects = Annotated[
     list[Path] | None,
-    typer.Option("--effects", help="Own effects (.py) or tables of effects (.toml)."),
+    typer.Option("--effects", help="Effects of your own (.py) or tables of effects (.toml)."),
 ]
 
 
@@ -73,7 +73,7 @@ class ConsoleReporter:
         self._first: dict[str, tuple[float, int]] = {}
         self._counted = -math.inf
 
-    def say(self, text: str, *, stays: bool = True) -> None:
+    def log(self, text: str, *, stays: bool = True) -> None:
         """A line with the seconds since the start; in a terminal it may make way for the next."""
         if self._console.is_terminal and not self._console.quiet:
             self._console.control(
@@ -88,12 +88,12 @@ class ConsoleReporter:
         if report.failed:
             seconds = report.seconds_left
             duration = "" if math.isnan(seconds) else f", {seconds:.0f} s"
-            self.say(
+            self.log(
                 f"step {report.step}: about {report.steps_left} steps{duration} left; "
                 f"waiting for {', '.join(report.failed)}"
             )
         else:
-            self.say(f"step {report.step}: stop rule met")
+            self.log(f"step {report.step}: stop rule met")
 
     def count(self, what: str, done: int, total: int) -> None:
         """What is done of a stage or campaign, and the time left.
@@ -110,6 +110,6 @@ class ConsoleReporter:
         since, already = self._first[what]
         left = (total - done) * (now - since) / (done - already) if done > already else float("nan")
         rest = f", {left:.0f} s left" if left == left else ""
-        self.say(f"{what}: {done} of {total}{rest}", stays=done == total)
+        self.log(f"{what}: {done} of {total}{rest}", stays=done == total)
         if done == total:
             del self._first[what]  # the next stage of that name has a time of its own

@@ -67,7 +67,7 @@ def predict_command(
         quaternion=quaternion,
         events=events,
         priors=priors,
-        own_effects=effects or (),
+        effect_files=effects or (),
         accept=accept or [],
         seed=seed,
     )
@@ -134,7 +134,7 @@ def plan_command(
         top=top,
         events=events,
         priors=priors,
-        own_effects=effects or (),
+        effect_files=effects or (),
         accept=accept or [],
         seed=seed,
     )

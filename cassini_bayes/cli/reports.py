@@ -25,6 +25,6 @@ def report_command(
     """Write summary, tables, figures and report.html of a finished run or fit."""
     from cassini_bayes.pipeline.fits import report
 
-    page = report(fit, out, base=base, own_effects=effects or (), reporter=ConsoleReporter(quiet))
+    page = report(fit, out, base=base, effect_files=effects or (), reporter=ConsoleReporter(quiet))
     if not quiet:
         typer.echo(str(page))

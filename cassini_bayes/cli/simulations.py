@@ -29,9 +29,9 @@ def simulate_command(
         scenario,
         out,
         seed=seed,
-        own_effects=effects or (),
+        effect_files=effects or (),
         force=force,
-        reporter=ConsoleReporter(quiet),
+        log=ConsoleReporter(quiet).log,
     )
     if plot:
         from cassini_bayes.report.plots import save_figures

@@ -14,8 +14,8 @@ from cassini_bayes.cli.options import (
     ConsoleReporter,
     Json,
     LeaveOut,
-    OwnSeed,
     Quiet,
+    SeedOverride,
     Strict,
 )
 
@@ -31,7 +31,7 @@ def trend_command(
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Tables only: no figures, no page.")
     ] = False,
-    seed: OwnSeed = None,
+    seed: SeedOverride = None,
     accept: Accept = None,
     leave_out: LeaveOut = False,
     strict: Strict = False,

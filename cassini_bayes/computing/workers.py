@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.processes import as_finished
 from cassini_bayes.errors import InputError
 
@@ -79,15 +80,13 @@ def cores() -> int:
 
 
 @contextmanager
-def workers_at(
-    jobs: int | None, dask: str | None, say: Callable[[str], object] | None = None
-) -> Iterator[Workers]:
+def workers_at(jobs: int | None, dask: str | None, log: Log = silent) -> Iterator[Workers]:
     """Local processes, or the workers of a Dask cluster at an address.
 
     Parameters
     ----------
     jobs
-        Local processes, None for one on each core; no more than that are started, and ``say`` is
+        Local processes, None for one on each core; no more than that are started, and ``log`` is
         told so.
     dask
         An address like tcp://host:8786.
@@ -99,8 +98,8 @@ def workers_at(
     """
     if dask is None:
         most = cores()
-        if jobs is not None and jobs > most and say is not None:
-            say(f"{jobs} jobs on {most} cores: {most} processes")
+        if jobs is not None and jobs > most:
+            log(f"{jobs} jobs on {most} cores: {most} processes")
         yield LocalWorkers(most if jobs is None else min(jobs, most))
         return
     try:

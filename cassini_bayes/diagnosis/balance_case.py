@@ -12,9 +12,9 @@ import numpy as np
 from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
-from cassini_bayes.diagnosis.case import Case, Log, Ranking, Shown, Size, Weighed, Work, silent
+from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.diagnosis.case import Case, Ranking, Shown, Size, Weighed, Work
 from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests, strongest
-from cassini_bayes.diagnosis.crew import ALONE, Crew
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.drafts import Draft, drafted
 from cassini_bayes.diagnosis.events import Events
@@ -36,7 +36,7 @@ from cassini_bayes.diagnosis.hypotheses import (
 )
 from cassini_bayes.diagnosis.innovations import innovations
 from cassini_bayes.diagnosis.modes import Mode, find_mode
-from cassini_bayes.diagnosis.nuisances import Trade, bent, traded
+from cassini_bayes.diagnosis.nuisances import Trade, nuisance_shifts, traded
 from cassini_bayes.diagnosis.onsets import Beginnings
 from cassini_bayes.diagnosis.overlay import Overlay, overlays
 from cassini_bayes.diagnosis.p_value import p_value
@@ -45,6 +45,7 @@ from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole
 from cassini_bayes.diagnosis.separation import separating_measurement
 from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
+from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
 from cassini_bayes.diagnosis.visible import visible_record
@@ -58,7 +59,7 @@ NEAR_NATS: Final = 10.0
 Laplace's evidence agreed with draws to 0.03 nats in the study before this package."""
 MOST_DRAWN: Final = 3  # of the best: what a reader compares
 DRAWS: Final = 2_000  # of these: 0.015 nats at an efficiency of 0.7, and sizes by their draws
-BENT: Final = 5.0
+FAR_FROM_PRIOR: Final = 5.0
 """Prior standard deviations of the baseline's parameters: with an inertia of half its value (ten of
 them) no search from the baseline's mode found the cause, 28,000 nats better
 (docs/topics/criticism.md §1). Five is judgement: a search from the centre takes as long as all
@@ -108,7 +109,9 @@ class BalanceCase(Case[Hypothesis]):
         """Of reading the events."""
         return self.events.findings
 
-    def weigh(self, rng: np.random.Generator, log: Log, workers: Crew = ALONE) -> list[Candidate]:
+    def weigh(
+        self, rng: np.random.Generator, log: Log, workers: StageRunner = SERIAL
+    ) -> list[Candidate]:
         """Evidence by searches from the baseline's mode, by draws near the best."""
         events = self.events
         full = none_hypothesis(events)
@@ -140,7 +143,7 @@ class BalanceCase(Case[Hypothesis]):
             what = "searches for further beginnings"
             _, near = _side_by_side((), (), further, base, what, workers)
             causes += weigh_extensions(further, near, base, log, workers, floor)
-        if causes and _is_bent(base) and not _is_mended(causes, unknown_mode):
+        if causes and _is_far_from_prior(base) and not _is_explained(causes, unknown_mode):
             log(
                 "no cause mends a baseline that bent: searched from the centre of the prior, "
                 "best first"
@@ -155,7 +158,12 @@ class BalanceCase(Case[Hypothesis]):
         return beginnings.summed(_sampled_near_best(weighed, rng, workers))
 
     def _settled(
-        self, effect: Effect, beside: Sequence[Effect], base: Mode, best: float, workers: Crew
+        self,
+        effect: Effect,
+        beside: Sequence[Effect],
+        base: Mode,
+        best: float,
+        workers: StageRunner,
     ) -> Candidate:
         """An effect as its search has settled it, beside other effects or alone."""
         effects = [*beside, effect]
@@ -182,7 +190,7 @@ class BalanceCase(Case[Hypothesis]):
         return by_width(verdict, rng)
 
     def pairs(
-        self, first: Candidate, least: float, rng: np.random.Generator, workers: Crew
+        self, first: Candidate, least: float, rng: np.random.Generator, workers: StageRunner
     ) -> list[Candidate]:
         """By searches from the first cause's mode, by draws for what could be the best pair."""
         (effect,) = first.hypothesis.effects
@@ -275,7 +283,7 @@ class BalanceCase(Case[Hypothesis]):
             [asdict(symptom) for symptom in find_symptoms(before.rows, tests)],
             _closure(tests, extended_tests),
             {
-                "taken_up": [] if cause is None else bent(baseline, cause),
+                "taken_up": [] if cause is None else nuisance_shifts(baseline, cause),
                 "trade": None if trade is None else trade.record,
                 "fit_percent": [row for overlay in laid_over for row in overlay.record],
                 "spectrum": [spectrum.record for spectrum in lines],
@@ -351,7 +359,7 @@ def _side_by_side(
     hypotheses: Sequence[Hypothesis],
     base: Mode,
     what: str,
-    workers: Crew,
+    workers: StageRunner,
     worth: float = -np.inf,
 ) -> tuple[list[Any], list[ModeSearch]]:
     """Modes, searches before a fit, and the causes' searches beside the baseline, in one stage.
@@ -369,18 +377,18 @@ def _side_by_side(
     return results[:first], results[first:]
 
 
-def _is_bent(mode: Mode) -> bool:
-    return bool(np.abs(mode.point).max() > BENT)
+def _is_far_from_prior(mode: Mode) -> bool:
+    return bool(np.abs(mode.point).max() > FAR_FROM_PRIOR)
 
 
-def _is_mended(causes: Sequence[Candidate], unknown: Mode) -> bool:
+def _is_explained(causes: Sequence[Candidate], unknown: Mode) -> bool:
     """Whether the best cause beats ``unknown`` with parameters that are not far out themselves."""
     best = max(causes, key=lambda cause: cause.log_evidence)
-    return best.log_evidence > unknown.log_evidence and not _is_bent(best.mode)
+    return best.log_evidence > unknown.log_evidence and not _is_far_from_prior(best.mode)
 
 
 def _from_centre(
-    causes: Sequence[Candidate], base: Mode, unknown: Mode, workers: Crew
+    causes: Sequence[Candidate], base: Mode, unknown: Mode, workers: StageRunner
 ) -> list[Candidate]:
     """Causes searched from the centre of the prior, the best first, until one mends the baseline.
 
@@ -399,7 +407,7 @@ def _from_centre(
         for i, mode in zip(part, modes, strict=True):
             if mode is not None:
                 candidates[i] = by_laplace(causes[i].hypothesis, mode)
-        if _is_mended(candidates, unknown):
+        if _is_explained(candidates, unknown):
             break
     return candidates
 
@@ -412,7 +420,7 @@ def _higher_from_centre(weighed: Candidate) -> Mode | None:
 
 
 def _sampled_near_best(
-    weighed: Sequence[Candidate], rng: np.random.Generator, workers: Crew
+    weighed: Sequence[Candidate], rng: np.random.Generator, workers: StageRunner
 ) -> list[Candidate]:
     """Importance-sampled evidence for the hypotheses nearest the best, more draws for the best."""
     candidates = list(weighed)

@@ -16,14 +16,14 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.crew import Crew
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.score import HeldOut
+from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.sampling.warmstart import Proposal
 
-Log = Callable[[str], None]
 Work = Callable[[], Any]
 NONE: Final = "none"
 UNKNOWN: Final = "unknown"
@@ -31,11 +31,6 @@ LEAST_SHARE: Final = 1e-3
 """Probability of a beginning below which it changes no digit of a size or a score."""
 TRUSTED_K: Final = 0.7
 """Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
-
-
-def silent(text: str) -> None:
-    """Tell nobody."""
-    del text
 
 
 class Hypothesis(Protocol):
@@ -218,7 +213,7 @@ class Case(ABC, Generic[H]):
         return ()
 
     @abstractmethod
-    def weigh(self, rng: np.random.Generator, log: Log, workers: Crew) -> list[Weighed[H]]:
+    def weigh(self, rng: np.random.Generator, log: Log, workers: StageRunner) -> list[Weighed[H]]:
         """Evidence of ``none``, ``unknown`` and every cause."""
 
     @abstractmethod
@@ -271,7 +266,7 @@ class Case(ABC, Generic[H]):
         """The measurement that would tell two causes apart."""
 
     def pairs(
-        self, first: Weighed[H], least: float, rng: np.random.Generator, workers: Crew
+        self, first: Weighed[H], least: float, rng: np.random.Generator, workers: StageRunner
     ) -> list[Weighed[H]]:
         """The best cause together with every other; ``least`` is the evidence that counts."""
         del first, least, rng, workers

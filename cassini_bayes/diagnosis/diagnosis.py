@@ -10,9 +10,10 @@ from typing import Any, Final, Generic
 
 import numpy as np
 
-from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Log, Shown, Size, Weighed, Work, silent
-from cassini_bayes.diagnosis.crew import ALONE, Crew
+from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Shown, Size, Weighed, Work
 from cassini_bayes.diagnosis.score import HeldOut
+from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
 from cassini_bayes.effects.wording import Stated
 
@@ -24,7 +25,7 @@ THROUGHOUT: Final = "throughout"
 SURE: Final = 0.95  # probability that a cause acts in all events, above which it is not said
 MOST_SAID: Final = 0.99  # probability of an onset: more digits are not worth reading
 SIGNIFICANT: Final = 0.05  # p-value below which a model is called discrepant still
-Drawing = Callable[[Any], Sequence[Any]]
+Drawer = Callable[[Any], Sequence[Any]]
 PARTS: Final = 4  # in which the records of causes are made: work for up to four processes
 KEPT: Final[Mapping[str, Any]] = {
     "causes": list,
@@ -73,8 +74,8 @@ def diagnose(
     measure_gain: bool = True,
     pairs: bool = True,
     log: Log = silent,
-    workers: Crew = ALONE,
-    drawing: Drawing = undrawn,
+    workers: StageRunner = SERIAL,
+    drawing: Drawer = undrawn,
 ) -> Diagnosis[H]:
     """Show, name, extend and measure; returns everything for JSON and report.
 
@@ -150,7 +151,7 @@ def diagnose(
     )
 
 
-def _then(drawing: Drawing, work: Work) -> tuple[Any, Sequence[Any]]:
+def _then(drawing: Drawer, work: Work) -> tuple[Any, Sequence[Any]]:
     """A piece of work and what is drawn of it."""
     shown = work()
     return shown, drawing(shown)
@@ -197,7 +198,7 @@ def _record(
         "second_cause_nats": None
         if pair is None or verdict.best_cause is None
         else float(pair.net_evidence - verdict.best_cause.net_evidence),
-        "second_cause_like": list(verdict.pair_alike),
+        "second_cause_like": list(verdict.equal_seconds),
         "separation": [
             {"cause": other, "measurement": case.separation(best.name, other)}
             for other in verdict.confounded_with(best.name)

@@ -32,6 +32,7 @@ from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
 from cassini_bayes.diagnosis.innovations import innovations
+from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.priors.distributions import Distribution
 
 MODES: Final = 32
@@ -65,20 +66,22 @@ def curves_of(
     """The curves of some events, about the mode of ``unknown``; none without telemetry."""
     if not events.telemetry:
         return ()
-    full, point = baseline_at(events, unknown)
-    left = innovations(full, point)
+    _, point, left = baseline_at(events, unknown)
     prior = events.catalogue.unknown.torque_noise
     return discrepancy_curves(left.linear, left.rows, point, prior, rng)
 
 
-def baseline_at(events: Events, unknown: Weighed[Hypothesis]) -> tuple[Hypothesis, Array]:
-    """The baseline, and its point (d,) at the mode of ``unknown``.
+def baseline_at(
+    events: Events, unknown: Weighed[Hypothesis]
+) -> tuple[Hypothesis, Array, Remainder]:
+    """The baseline, its point (d,) at the mode of ``unknown``, and what it leaves there.
 
     There nuisances are not bent to explain what is missing, as they are at the baseline's mode.
     """
     full = none_hypothesis(events)
     at = dict(zip(unknown.hypothesis.model.space.names, unknown.mode.point, strict=True))
-    return full, np.array([at[name] for name in full.model.space.names])
+    point = np.array([at[name] for name in full.model.space.names])
+    return full, point, innovations(full, point)
 
 
 def discrepancy_curves(

@@ -29,7 +29,7 @@ from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.discrepancy import baseline_at
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
+from cassini_bayes.diagnosis.innovations import thrust_columns
 from cassini_bayes.diagnosis.score import LEAST_PIECES, STANDARD_ERRORS, summed
 from cassini_bayes.diagnosis.spectrum import AXES, spectra
 from cassini_bayes.effects.wording import decimals_of, rounded
@@ -145,7 +145,7 @@ class _Columns:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Information:
     """Information of some of the rows on all columns: M (q, q) and h (q,)."""
 
     matrix: Array
@@ -207,8 +207,7 @@ def _change(kappa: Array, rotated: Array, amplitudes: Array) -> Array:
 
 def drafted(events: Events, unknown: Weighed[Hypothesis]) -> tuple[Draft, ...]:
     """One draft of every form, that of the largest held-out gain first; for telemetry."""
-    full, point = baseline_at(events, unknown)
-    left = innovations(full, point)
+    full, point, left = baseline_at(events, unknown)
     thrusts = [thrust_columns(full, point, place) for place in range(len(left.rows))]
     common = full.model.thrust_prior.common_mean_n
     return drafts_of(left.linear, left.rows, point, thrusts, common)
@@ -238,8 +237,8 @@ def drafts_of(
     white = columns.white()
     target = linear.target + linear.columns[:, : len(point)] @ point  # about the prior mean
     pieces, what = _pieces(linear)
-    whole = _told(linear, target, white, ())
-    without = [_told(linear, target, white, (piece,)) for piece in pieces]
+    whole = _information(linear, target, white, ())
+    without = [_information(linear, target, white, (piece,)) for piece in pieces]
     drafts = []
     for form, candidates in columns.forms.items():
         scores = []
@@ -270,7 +269,9 @@ def _pieces(linear: Linear) -> tuple[list[slice], str]:
     return pieces, "quarter of an event"
 
 
-def _told(linear: Linear, target: Array, white: Array, without: Sequence[slice]) -> _Told:
+def _information(
+    linear: Linear, target: Array, white: Array, without: Sequence[slice]
+) -> _Information:
     used = np.ones(len(target), dtype=bool)
     for piece in without:
         used[piece] = False
@@ -286,8 +287,8 @@ def _told(linear: Linear, target: Array, white: Array, without: Sequence[slice])
         gram[np.ix_(kept, kept)] += block.T @ block
         across[kept] += block.T @ both
         own += both.T @ both
-    told = own - across.T @ cho_solve(cho_factor(gram, lower=True), across)
-    return _Told(told[:-1, :-1], told[:-1, -1])
+    remaining = own - across.T @ cho_solve(cho_factor(gram, lower=True), across)
+    return _Information(remaining[:-1, :-1], remaining[:-1, -1])
 
 
 def _columns(rows: Sequence[EventRows], thrusts: Sequence[Array]) -> _Columns:

@@ -18,13 +18,14 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Flags
-from cassini_bayes.diagnosis.case import TRUSTED_K, Case, Log, Ranking, Size, Weighed, silent
-from cassini_bayes.diagnosis.crew import ALONE, Crew
+from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.diagnosis.case import TRUSTED_K, Case, Ranking, Size, Weighed
 from cassini_bayes.diagnosis.estimates import EstimateHypothesis, Estimates, Prediction
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import LEAST_PIECES, HeldOut
 from cassini_bayes.diagnosis.separation import OTHERWISE, separating_measurement
 from cassini_bayes.diagnosis.sizes import summarised
+from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.effects.registry import Kinds, standard
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import Proposal, importance, pareto_k, refined
@@ -64,7 +65,7 @@ class EstimateCase(Case[EstimateHypothesis]):
         """Names of the estimates."""
         return self.names
 
-    def weigh(self, rng: np.random.Generator, log: Log, _: Crew = ALONE) -> list[Candidate]:
+    def weigh(self, rng: np.random.Generator, log: Log, _: StageRunner = SERIAL) -> list[Candidate]:
         """Evidence by draws from prior and posterior together."""
         weighed = self.weighed(self.hypotheses(1.0), rng)
         log(f"{len(weighed)} hypotheses weighed")
@@ -137,7 +138,7 @@ class EstimateCase(Case[EstimateHypothesis]):
         return {w.name: w.score for w in weighed}
 
     def pairs(
-        self, first: Candidate, _: float, rng: np.random.Generator, __: Crew
+        self, first: Candidate, _: float, rng: np.random.Generator, __: StageRunner
     ) -> list[Candidate]:
         """Weighed as all others are."""
         return self.weighed(self.beside(first.name), rng)

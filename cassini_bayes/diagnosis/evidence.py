@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.diagnosis.case import TRUSTED_K, Log, Weighed
-from cassini_bayes.diagnosis.crew import ALONE, Crew
+from cassini_bayes.computing.log import Log
+from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.search import (
@@ -21,6 +21,7 @@ from cassini_bayes.diagnosis.search import (
     search_from_starts,
     with_whole_curvature,
 )
+from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, importance, refined
 
 Candidate = Weighed[Hypothesis]
@@ -54,7 +55,7 @@ def weigh_extensions(
     searches: Sequence[ModeSearch],
     base: Mode,
     log: Log,
-    workers: Crew = ALONE,
+    workers: StageRunner = SERIAL,
     floor: float = -np.inf,
 ) -> list[Candidate]:
     """Extensions of one baseline by Laplace evidence.
@@ -162,7 +163,7 @@ def with_draws(
     which: Sequence[int],
     draws: int,
     rng: np.random.Generator,
-    workers: Crew,
+    workers: StageRunner,
 ) -> list[Candidate]:
     """Those named (places) with importance draws, each with a generator of its own."""
     generators = dict(zip(which, rng.spawn(len(which)), strict=True))

@@ -20,7 +20,8 @@ from scipy.special import logsumexp
 
 from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import UNKNOWN, Log, Weighed, silent
+from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.diagnosis.case import UNKNOWN, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import (
     Hypothesis,

@@ -28,6 +28,8 @@ MOST_STEPS: Final = 40  # judgement: a few are enough but on kinks
 SETTLED: Final = 1e-4  # standard normals that a last step moves
 SHORTER: Final = 0.5 ** np.arange(8)  # shares of a step that are tried
 DEGREES: Final = 8.0  # of the Student-t proposal, as in evidence
+BATCH: Final = 250
+"""Points predicted at once: judgement, arrays of a lot stay within some tens of megabytes."""
 LOG_2PI: Final = float(np.log(2.0 * np.pi))
 
 
@@ -129,7 +131,7 @@ def predict_left_out(
 
 
 def importance_draws(
-    y: Array, model: Model, fitted: Fit, rng: np.random.Generator, n: int, batch: int = 250
+    y: Array, model: Model, fitted: Fit, rng: np.random.Generator, n: int, batch: int = BATCH
 ) -> ImportanceDraws:
     """Importance draws from the posterior with the noise as at the mode: they check the evidence.
 

@@ -45,6 +45,10 @@ SLOPE_LEFT: Final = 0.01
 """Nats that a last Newton step may still predict (docs/topics/criticism.md §1)."""
 NEWTON_STEPS: Final = 8  # before L-BFGS: in white axes three or four are enough (judgement)
 GAIN_LEFT: Final = 1e-3  # nats: a tenth of SLOPE_LEFT
+MOST_STEPS: Final = 60
+"""Of L-BFGS: judgement, it goes on only where Newton steps failed, and mostly ends by itself."""
+LBFGS_LEFT: Final = 1e-8
+"""Relative to the log density, of its gain in a step: 1e-3 nats of the 1e5 of a long event."""
 LEAST_SHARE: Final = 0.2
 """Of the gain that a Newton step predicts; less, and the density is not quadratic there (judgement,
 the sufficient decrease of line searches)."""
@@ -81,7 +85,7 @@ def value_and_gradient(log_density: LogDensity, point: Array, axes: Array) -> tu
     return float(values[0]), (values[1:] - values[0]) / STEP + 0.5 * STEP
 
 
-def maximise(log_density: LogDensity, point: Array, axes: Array, steps: int = 60) -> Array:
+def maximise(log_density: LogDensity, point: Array, axes: Array, steps: int = MOST_STEPS) -> Array:
     """Maximum (d,) from ``point`` (d,) in the coordinates that ``axes`` (d, k) make white.
 
     Where the axes are white a gradient is a Newton step; L-BFGS goes on where that does not gain
@@ -102,7 +106,7 @@ def maximise(log_density: LogDensity, point: Array, axes: Array, steps: int = 60
         value, gradient = value_and_gradient(log_density, point + axes @ u, axes)
         return -value, -gradient
 
-    options = {"maxiter": steps, "ftol": 1e-8}
+    options = {"maxiter": steps, "ftol": LBFGS_LEFT}
     start = np.zeros(axes.shape[1])
     result = minimize(objective, start, jac=True, method="L-BFGS-B", options=options)
     return np.asarray(point + axes @ result.x)

@@ -23,15 +23,15 @@ from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_draws, effect_values
 from cassini_bayes.effects.effect import Remainder
 
-LEAST_BENT: Final = 0.5
+LEAST_SHIFT: Final = 0.5
 """Prior standard deviations that a cause gives back before a quantity is said to take it up."""
-MOST_BENT: Final = 4  # of these: more are not read
+MOST_SHIFTS: Final = 4  # of these: more are not read
 LEVEL: Final = "thrust level of"
 DRAWS: Final = 2_000  # of a trade: its contours are drawn, not read
 
 
 @dataclass(frozen=True)
-class Bent:
+class NuisanceShift:
     """A quantity that the baseline bends: departures from its prior mean in prior σ.
 
     ``baseline`` without the cause, ``extended`` with it.
@@ -77,18 +77,22 @@ class _Gaussian:
     covariance: Array
 
 
-def bent(before: Weighed[Hypothesis], after: Weighed[Hypothesis]) -> list[dict[str, Any]]:
+def nuisance_shifts(
+    before: Weighed[Hypothesis], after: Weighed[Hypothesis]
+) -> list[dict[str, Any]]:
     """What the baseline bends further from its prior than the extended model, most first.
 
     Both with what they leave of telemetry.
     """
     without, with_cause = _departures(before), _departures(after)
     found = [
-        Bent(name, value, with_cause[name]) for name, value in without.items() if name in with_cause
+        NuisanceShift(name, value, with_cause[name])
+        for name, value in without.items()
+        if name in with_cause
     ]
-    taken_up = [b for b in found if abs(b.baseline) - abs(b.extended) > LEAST_BENT]
+    taken_up = [b for b in found if abs(b.baseline) - abs(b.extended) > LEAST_SHIFT]
     taken_up.sort(key=lambda b: abs(b.extended) - abs(b.baseline))
-    return [asdict(b) for b in taken_up[:MOST_BENT]]
+    return [asdict(b) for b in taken_up[:MOST_SHIFTS]]
 
 
 def traded(weighed: Weighed[Hypothesis], rng: np.random.Generator) -> Trade | None:

@@ -17,19 +17,17 @@ from scipy.special import logsumexp
 from scipy.stats import chi2, norm
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.case import (
     NONE,
     TRUSTED_K,
     UNKNOWN,
     Case,
-    Log,
     Ranking,
     Size,
     Weighed,
     over_beginnings,
-    silent,
 )
-from cassini_bayes.diagnosis.crew import Crew
 from cassini_bayes.diagnosis.gauss_newton import (
     Fit,
     Model,
@@ -49,13 +47,14 @@ from cassini_bayes.diagnosis.on_times import (
 )
 from cassini_bayes.diagnosis.onsets import (
     Beginnings,
+    information_from_each,
     sizes_tried,
-    told_from_each,
     without_event,
 )
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
 from cassini_bayes.diagnosis.separation import separating_measurement
 from cassini_bayes.diagnosis.sizes import effect_draws, mixed, summarised
+from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect, onsets
 from cassini_bayes.effects.registry import Kinds
@@ -86,7 +85,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         """All events."""
         return self.data.event_ids
 
-    def weigh(self, rng: np.random.Generator, log: Log, _: Crew) -> list[Candidate]:
+    def weigh(self, rng: np.random.Generator, log: Log, _: StageRunner) -> list[Candidate]:
         """Evidence by linearisation, by importance draws near the best."""
         effects = self.catalogue.effects
         none = self._fitted(())
@@ -110,7 +109,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         """Events that causes may begin with, and what they gain linearised about the baseline."""
         data, z = self.data, none.mode.point
 
-        def tell() -> list[tuple[Array, Array]]:
+        def information() -> list[tuple[Array, Array]]:
             fitted = linearised(data.printed_s, none.hypothesis.model, z)
             place = len(z) - data.thrusters
             added = []
@@ -122,7 +121,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
             everything = np.concatenate(added)  # (S, E, U)
             in_time = [data.event_ids.index(name) for name in data.order]
             white = {i: np.linalg.inv(np.linalg.cholesky(fitted.noise[i])) for i in in_time}
-            return told_from_each(
+            return information_from_each(
                 [white[i] @ fitted.slope[i] for i in in_time],
                 [white[i] @ (data.printed_s[i] - fitted.mean[i]) for i in in_time],
                 [white[i] @ everything[:, i].T for i in in_time],
@@ -130,7 +129,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
                 -z,
             )
 
-        return Beginnings.told(effects, data.order, self.catalogue.odds, tell)
+        return Beginnings.of_information(effects, data.order, self.catalogue.odds, information)
 
     def _fitted(self, effects: tuple[Effect, ...], start: Array | None = None) -> Candidate:
         """A hypothesis fitted from ``start``, the place of another that lacks its last effects."""
@@ -200,7 +199,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         return scores | {UNKNOWN: verdict.named(UNKNOWN).score}
 
     def pairs(
-        self, first: Candidate, _: float, __: np.random.Generator, ___: Crew
+        self, first: Candidate, _: float, __: np.random.Generator, ___: StageRunner
     ) -> list[Candidate]:
         """By linearisation."""
         (effect,) = first.hypothesis.effects

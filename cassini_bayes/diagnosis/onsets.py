@@ -66,24 +66,25 @@ class Beginnings:
     factors: Array
 
     @classmethod
-    def told(
+    def of_information(
         cls,
         effects: Sequence[Effect],
         order: Sequence[str],
         odds: Odds,
-        tell: Callable[[], Sequence[tuple[Array, Array]]],
+        information: Callable[[], Sequence[tuple[Array, Array]]],
     ) -> Beginnings:
         """Beginnings by what effects at :func:`sizes_tried` are told from every event on.
 
-        ``tell`` (as :func:`told_from_each`) is asked where there is a choice.
+        ``information`` (as :func:`information_from_each`) is asked where there is a choice.
         """
         if len(order) < 2 or odds.throughout == 1.0 or not effects:
             nothing = np.zeros((len(effects), 1))
             return cls(tuple(effects), tuple(order[:1]), odds, nothing, nothing)
-        told = tell()
+        matrices = information()
         ends = np.cumsum([0, *(len(sizes_tried(effect)) for effect in effects)])
         own = [
-            [(matrix[a:c, a:c], vector[a:c]) for matrix, vector in told] for a, c in pairwise(ends)
+            [(matrix[a:c, a:c], vector[a:c]) for matrix, vector in matrices]
+            for a, c in pairwise(ends)
         ]
         gains = np.array([[_gain(*one) for one in each] for each in own])
         factors = np.array([[log_bayes(*one) for one in each] for each in own])
@@ -101,11 +102,11 @@ class Beginnings:
         """Beginnings of causes beside a hypothesis with the mode z (d,), and what it leaves."""
         order = events.in_order
 
-        def tell() -> list[tuple[Array, Array]]:
+        def information() -> list[tuple[Array, Array]]:
             linear = None if remainder is None else remainder.linear
             return linear_model(full, z, linear, effects, order)
 
-        return cls.told(effects, order, events.catalogue.odds, tell)
+        return cls.of_information(effects, order, events.catalogue.odds, information)
 
     def likely(self) -> list[Effect]:
         """Every cause throughout, and from such events on as may come near the best."""
@@ -233,7 +234,7 @@ def linear_model(
     in_time = [place[name] for name in order]
     mean = np.zeros(len(linear.precision))
     mean[: len(z)] = -z
-    return told_from_each(
+    return information_from_each(
         [linear.columns[linear.parts[i]] for i in in_time],
         [linear.target[linear.parts[i]] for i in in_time],
         [added[i] for i in in_time],
@@ -242,7 +243,7 @@ def linear_model(
     )
 
 
-def told_from_each(
+def information_from_each(
     columns: Sequence[Array],
     target: Sequence[Array],
     added: Sequence[Array],
@@ -269,13 +270,13 @@ def told_from_each(
     fitted = cho_solve(factor, seen)
     size = added[0].shape[1]
     across, square, along = np.zeros((len(mean), size)), np.zeros((size, size)), np.zeros(size)
-    told = []
+    matrices = []
     for own, y, effect in zip(columns[::-1], target[::-1], added[::-1], strict=True):
         across = across + own.T @ effect
         square, along = square + effect.T @ effect, along + effect.T @ y
         matrix = square - across.T @ cho_solve(factor, across)
-        told.append((matrix, along - across.T @ fitted))
-    return told[::-1]
+        matrices.append((matrix, along - across.T @ fitted))
+    return matrices[::-1]
 
 
 def sizes_tried(effect: Effect) -> Array:

@@ -23,6 +23,7 @@ from cassini_bayes.diagnosis.spectrum import LEAST_CYCLES, line_powers
 MODES: Final = 16
 """Slowest cosines of an event: judgement, drifts down to a sixteenth of it; more would hide them
 among noise."""
+LEAST_SPAN_S: Final = 1e-9  # of an event of a single row: any above 0 gives it phase 0
 REPLICATES: Final = 400  # 200 gave 0.005 where 600 gave 0.03 on a flight with nothing hidden
 
 
@@ -33,7 +34,7 @@ def slow_statistic(linear: Linear, left: Array, times: Sequence[Array]) -> Array
     for n, time in zip(linear.rows, times, strict=True):
         residual = left[place : place + 3 * n].reshape(n, 3, -1)
         place += 3 * n
-        phase = np.pi * (time - time[0]) / max(time[-1] - time[0], 1e-9)
+        phase = np.pi * (time - time[0]) / max(time[-1] - time[0], LEAST_SPAN_S)
         modes = np.cos(phase[:, None] * np.arange(1, MODES + 1))
         norms = (modes**2).sum(0)
         power = np.einsum("nm,nar->mar", modes, residual) ** 2 / norms[:, None, None]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cassini_bayes.diagnosis.case import Log, silent
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.estimate_case import EstimateCase, estimate_case
 from cassini_bayes.diagnosis.estimates import estimates_of, is_estimates, read_estimates
 from cassini_bayes.diagnosis.events import Events, prepare

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -12,6 +11,7 @@ import pandas as pd
 
 from cassini_bayes import __version__
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.log import Log
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.evidence import DOF
@@ -55,7 +55,7 @@ def fit_extended(
     diagnosis: Diagnosis[Hypothesis],
     folder: Path,
     seed: int,
-    log: Callable[[str], None],
+    log: Log,
     settings: SamplerSettings = SETTINGS,
     store: CheckpointStore | None = None,
 ) -> pd.DataFrame:

@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, H, Log, Ranking, Weighed, silent
-from cassini_bayes.diagnosis.crew import ALONE, Crew
+from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, H, Ranking, Weighed
+from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 
 SECOND_CAUSE_NATS: Final = 4.0
 """A second cause has to gain: the largest spurious gain in 34 searches of a study before this
@@ -29,12 +30,12 @@ class Verdict(Ranking[H]):
     """Everything weighed, with a second cause where there is one.
 
     ``pairs`` are the best cause together with each other one that was weighed, ``pair`` the best of
-    them where its second cause earned its place, ``pair_alike`` the seconds that gain as much.
+    them where its second cause earned its place, ``equal_seconds`` the seconds that gain as much.
     """
 
     pairs: tuple[Weighed[H], ...] = ()
     pair: Weighed[H] | None = None
-    pair_alike: tuple[str, ...] = ()
+    equal_seconds: tuple[str, ...] = ()
 
     @property
     def none(self) -> Weighed[H]:
@@ -71,13 +72,13 @@ class Verdict(Ranking[H]):
         return float(weighed.net_evidence - self.none.log_evidence)
 
     def confounded_with(self, name: str) -> tuple[str, ...]:
-        """Real causes that these data cannot tell from a named one (:func:`is_alike`)."""
+        """Real causes that :func:`is_indistinguishable` finds beside a named one."""
         cause = self.named(name)
         others = (w for w in self.weighed if w.is_cause and w.name != name)
-        return tuple(w.name for w in others if cause.is_cause and is_alike(w, cause))
+        return tuple(w.name for w in others if cause.is_cause and is_indistinguishable(w, cause))
 
 
-def is_alike(one: Weighed[H], other: Weighed[H]) -> bool:
+def is_indistinguishable(one: Weighed[H], other: Weighed[H]) -> bool:
     """Whether the data cannot tell two causes apart.
 
     Evidence within three nats; or within five where the best fits are within three, so that most
@@ -110,7 +111,7 @@ def weigh(
     *,
     pairs: bool = True,
     log: Log = silent,
-    workers: Crew = ALONE,
+    workers: StageRunner = SERIAL,
 ) -> Verdict[H]:
     """Weigh ``none``, ``unknown`` and every cause of a case.
 
@@ -140,7 +141,7 @@ def with_second_cause(
     verdict: Verdict[H],
     first: Weighed[H],
     rng: np.random.Generator,
-    workers: Crew = ALONE,
+    workers: StageRunner = SERIAL,
 ) -> Verdict[H]:
     """The verdict with the best pair, if its second cause earns its place, and seconds like it.
 
@@ -155,5 +156,5 @@ def with_second_cause(
     pair = case.confirmed(best, rng)
     if not verdict.best.is_cause and pair.score < verdict.best.score:
         return verdict
-    alike = [w for w in verdict.pairs if w is not best and is_alike(w, best)]
-    return replace(verdict, pair=pair, pair_alike=tuple(w.hypothesis.causes[-1] for w in alike))
+    alike = [w for w in verdict.pairs if w is not best and is_indistinguishable(w, best)]
+    return replace(verdict, pair=pair, equal_seconds=tuple(w.hypothesis.causes[-1] for w in alike))

@@ -31,8 +31,8 @@ from cassini_bayes.effects import (
     wheel_inertia,
 )
 from cassini_bayes.effects.effect import Kind, columns_of
-from cassini_bayes.effects.own_files import load_kind
 from cassini_bayes.effects.tables import CHANGEABLE, Place, Table, check_keys, read_table
+from cassini_bayes.effects.user_files import load_kind
 from cassini_bayes.effects.wording import Sizes, by_keys
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number

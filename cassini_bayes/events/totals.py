@@ -116,7 +116,8 @@ def read_totals(
     InputError
         Names file, line and column, what was expected, what was found and the fix.
     """
-    path, wanted = _split_reference(str(reference))
+    file, wanted = split_reference(str(reference))
+    path = Path(file)
     rows = read_rows(path, *_columns(spacecraft))
     by_source: dict[str, dict[str, Row]] = {}
     for row in rows:
@@ -169,13 +170,16 @@ def write_totals(path: str | Path, events: Iterable[TotalsEvent], spacecraft: Sp
     write_text(Path(path), text)
 
 
-def _split_reference(reference: str) -> tuple[Path, str | None]:
-    """``file.csv`` or ``file.csv:ID``; both names may hold colons, the file that exists decides."""
-    if exists(Path(reference)) or ":" not in reference:
-        return Path(reference), None
+def split_reference(reference: str, base: Path = Path()) -> tuple[str, str | None]:
+    """File and id of ``file.csv`` or ``file.csv:ID``, the file relative to ``base``.
+
+    Both names may hold colons: the file that exists decides.
+    """
+    if exists(base / reference) or ":" not in reference:
+        return reference, None
     ends = [i for i, character in enumerate(reference) if character == ":"]
-    end = next((i for i in reversed(ends) if exists(Path(reference[:i]))), ends[-1])
-    return Path(reference[:end]), reference[end + 1 :]
+    end = next((i for i in reversed(ends) if exists(base / reference[:i])), ends[-1])
+    return reference[:end], reference[end + 1 :]
 
 
 def _columns(spacecraft: Spacecraft) -> tuple[tuple[str, ...], set[str]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
@@ -34,6 +34,7 @@ from cassini_bayes.balance.statistics import (
 from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.statistics.preparation import Prepared, prepare
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.branches import require_branch
 from cassini_bayes.events.plausibility import (
@@ -68,13 +69,12 @@ from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-Say = Callable[[str], None]
 _TAIL_BYTES: Final = 65_536  # of a file's end, for the time of its last row
 WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
 FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
 REDUCED_BY: Final = ("events.telemetry", "events.plausibility", "balance.statistics")
 """Packages whose code, with all that they import, checks telemetry and reduces it."""
-_TELL_S: Final = 5.0  # between lines of progress
+_LOG_EVERY_S: Final = 5.0  # between lines of progress
 _TAIL_SPAN: Final = 5.0  # τ_fall after which 0.7 % of a tail is still to come
 _PRIOR_SPAN: Final = 2.0  # prior standard deviations that τ_fall may exceed its mean by
 _CORNER: Final = 0.5  # of the attitude's noise
@@ -309,7 +309,7 @@ def reduce_event(
     priors: Priors,
     pulse_shape: str,
     cache: Path | None = None,
-    say: Say | None = None,
+    log: Log = silent,
     policy: Policy = STRICT,
 ) -> ReducedEvent:
     """Read an event's telemetry and reduce it, or take the reduction from the cache.
@@ -325,7 +325,7 @@ def reduce_event(
         Key of :data:`cassini_bayes.spacecraft.pulses.PULSE_SHAPES`.
     cache
         Folder of earlier reductions; nothing is written there (:func:`store_reduction` does).
-    say
+    log
         Told what was read.
     policy
         Mistakes in the telemetry that the user accepts.
@@ -355,20 +355,19 @@ def reduce_event(
     if cached is None:
         prepared = looked.prepared
         sampling = sampling_of(priors, event.thrusters, prepared.end_s, pulse_shape)
-        statistics, reading = _reduced(event, rows, prepared, priors, sampling, say, policy)
+        statistics, reading = _reduced(event, rows, prepared, priors, sampling, log, policy)
     else:
         statistics, reading = cached
         sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
-    if say is not None:
-        source = "from the cache" if cached is not None else "reduced"
-        say(
-            f"{event.id} ({event.kind}): {reading.rows:,} rows of telemetry, {statistics.rows:,} "
-            f"in the balance, {source}"
-        )
-        for line in reading.mends:
-            say(f"{event.id}: mended: {line}")
-        for line in reading.findings:
-            say(f"{event.id}: {line}")
+    source = "from the cache" if cached is not None else "reduced"
+    log(
+        f"{event.id} ({event.kind}): {reading.rows:,} rows of telemetry, {statistics.rows:,} in "
+        f"the balance, {source}"
+    )
+    for line in reading.mends:
+        log(f"{event.id}: mended: {line}")
+    for line in reading.findings:
+        log(f"{event.id}: {line}")
     return ReducedEvent(
         statistics,
         sampling,
@@ -464,11 +463,11 @@ class _Reading:
         rows: EventRows,
         check: TelemetryCheck,
         until_s: float,
-        say: Say | None,
+        log: Log,
     ) -> None:
         self._event, self._rows = event, rows
-        self._until_s, self._say = until_s, say
-        self._began = self._told = time.monotonic()
+        self._until_s, self._log = until_s, log
+        self._began = self._logged = time.monotonic()
         self._check = check
         self.rows = 0
         self.start_s, self.end_s = np.nan, np.nan
@@ -484,17 +483,17 @@ class _Reading:
             self.end_s = float(chunk.time_s[-1])
             self._count(chunk)
             yield samples_of(self._check.take(chunk))
-            self._tell()
+            self._log_progress()
 
-    def _tell(self) -> None:
+    def _log_progress(self) -> None:
         """A line every few seconds: how far it is, by the time that the file's tail has."""
         now = time.monotonic()
-        if self._say is None or now - self._told < _TELL_S:
+        if now - self._logged < _LOG_EVERY_S:
             return
-        self._told = now
+        self._logged = now
         share = min((self.end_s - self.start_s) / max(self._until_s - self.start_s, 1e-9), 1.0)
         left = (now - self._began) * (1.0 / max(share, 1e-9) - 1.0)
-        self._say(
+        self._log(
             f"{self._event.id}: {self.rows:,} rows read, {share:.0%} of the time, {left:.0f} s left"
         )
 
@@ -530,12 +529,12 @@ def _reduced(
     prepared: Prepared,
     priors: Priors,
     sampling: Sampling,
-    say: Say | None,
+    log: Log,
     policy: Policy,
 ) -> tuple[EventStatistics, ReadingRecord]:
     layout = Layout(event.wheels, event.thrusters, sampling.couples)
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
-    reading = _Reading(event, rows, check, sampling.duration_s, say)
+    reading = _Reading(event, rows, check, sampling.duration_s, log)
     statistics = reduce_chunks(
         event.id,
         event.kind,

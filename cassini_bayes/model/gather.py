@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import STRICT, Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import TelemetryEvent
@@ -21,7 +22,6 @@ from cassini_bayes.model.event_reduction import (
 from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors
 
-Say = Callable[[str], None]
 PathLike = str | os.PathLike[str]
 EventLike = PathLike | TotalsEvent | ReducedEvent | TelemetryEvent
 READ: Final = (TotalsEvent, ReducedEvent, TelemetryEvent)
@@ -66,7 +66,7 @@ def read_reference(
     pulse_shape: str,
     source: str,
     policy: Policy,
-    say: Say | None = None,
+    log: Log = silent,
     cache: Path | None = None,
 ) -> Read:
     """An event folder or an event that was read, reduced; or rows of a totals file, checked.
@@ -80,7 +80,7 @@ def read_reference(
     """
     if isinstance(given, TelemetryEvent) or is_event_folder(Path(given)):
         folder = given if isinstance(given, TelemetryEvent) else Path(given)
-        reduced = reduce_event(folder, priors, pulse_shape, cache, say, policy)
+        reduced = reduce_event(folder, priors, pulse_shape, cache, log, policy)
         return Read((reduced,), reduced.reading.findings, (reduced.reading.content,))
     rows = read_totals(str(given), priors.spacecraft, source)
     findings = check_rows(rows, priors, str(given), policy)
@@ -94,7 +94,7 @@ def gather(
     pulse_shape: str = "first_order",
     source: str = "flight",
     policy: Policy = STRICT,
-    say: Say | None = None,
+    log: Log = silent,
 ) -> tuple[tuple[Event, ...], tuple[str, ...]]:
     """Events ready for a model, and what was accepted or fits nothing known.
 
@@ -123,7 +123,7 @@ def gather(
             read = Read((given,), given.reading.findings, (given.reading.content,))
         else:
             read = read_reference(
-                given, priors, pulse_shape=pulse_shape, source=source, policy=policy, say=say
+                given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
             )
         found += read.events
         findings += read.findings

@@ -160,7 +160,7 @@ _UNKNOWN: Final = np.full((1, 1), np.nan)
 
 
 @dataclass(frozen=True)
-class OwnFactors:
+class UnknownsGivenThrusts:
     """Conditional normal of an event's own unknowns given its thrusts.
 
     In standardised coordinates v = (u − mean)/sd: precision with the lower ``factor``, mean
@@ -198,7 +198,7 @@ class TelemetryAt:
         )
 
     @cached_property
-    def _collapsed(self) -> tuple[OwnFactors, Array, Array, Array]:
+    def _collapsed(self) -> tuple[UnknownsGivenThrusts, Array, Array, Array]:
         """Own unknowns integrated out: their factors, and matrix, vector, constant of the thrusts.
 
         With M the normal equations and v the standardised own unknowns, their precision is
@@ -212,7 +212,12 @@ class TelemetryAt:
             system.own_sd,
             np.ascontiguousarray(self.points.common_n),
         )
-        return OwnFactors(factor, shift, coupling), matrix, vector, system.log_scale + constant
+        return (
+            UnknownsGivenThrusts(factor, shift, coupling),
+            matrix,
+            vector,
+            system.log_scale + constant,
+        )
 
     @property
     def log_likelihood(self) -> Array:

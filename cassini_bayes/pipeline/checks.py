@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.events.plausibility import Policy
@@ -135,13 +136,13 @@ def check(
     priors: PriorsLike | None = None,
     *,
     effects: Sequence[str | Effect] = (),
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     pulse_shape: str = "first_order",
     delta_v: DeltaVUse = "as-declared",
     source: str = "flight",
     accept: Sequence[str] = (),
     leave_out: bool = False,
-    say: Callable[[str], None] | None = None,
+    log: Log = silent,
 ) -> CheckResult:
     """All that is known before sampling: plausibility, rows used, what can be seen, conflicts.
 
@@ -152,9 +153,9 @@ def check(
 
     Parameters
     ----------
-    events, priors, effects, own_effects, pulse_shape, delta_v, source, accept, leave_out
+    events, priors, effects, effect_files, pulse_shape, delta_v, source, accept, leave_out
         As for :func:`build_model`; or a model alone.
-    say
+    log
         Told what was read.
 
     Raises
@@ -168,9 +169,9 @@ def check(
         known = priors_of(priors)
         policy = Policy.of(accept, leave_out=leave_out)
         given, findings = gather(
-            events, known, pulse_shape=pulse_shape, source=source, policy=policy, say=say
+            events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
         )
-        kinds = read_kinds([Path(path) for path in own_effects])
+        kinds = read_kinds([Path(path) for path in effect_files])
         model = model_of(given, known, pulse_shape, delta_v, effects, kinds)
     seen = observability(model)
     mode = find_mode(partial(log_posterior, model), np.zeros(model.space.dimension))

@@ -14,25 +14,27 @@ import pandas as pd
 import tomli_w
 import xarray as xr
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.diagnosis.balance_case import BalanceCase
-from cassini_bayes.diagnosis.case import Case, Log, silent
-from cassini_bayes.diagnosis.crew import Crew, Progress, untold
-from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawing, undrawn
+from cassini_bayes.diagnosis.case import Case
+from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawer, undrawn
 from cassini_bayes.diagnosis.diagnosis import diagnose as diagnose_case
 from cassini_bayes.diagnosis.estimates import is_estimates
 from cassini_bayes.diagnosis.read import read_estimate_case, read_events
 from cassini_bayes.diagnosis.refit import fit_extended
 from cassini_bayes.diagnosis.sizes import size_draws
+from cassini_bayes.diagnosis.stages import Progress, StageRunner, no_progress
 from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
+from cassini_bayes.events.totals import split_reference
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest, write_text
 from cassini_bayes.model.event_reduction import is_event_folder
 from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
-from cassini_bayes.pipeline.inputs import file_of, paths_of
+from cassini_bayes.pipeline.inputs import paths_of
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
 from cassini_bayes.pipeline.provenance import (
     library_versions,
@@ -47,7 +49,7 @@ from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 
 if TYPE_CHECKING:
-    from cassini_bayes.report.diagnosis_pictures import Picture
+    from cassini_bayes.report.page import Drawing
     from cassini_bayes.report.plots import Figure
 
 INTERVAL: Final = "shortest 90 %"
@@ -230,18 +232,18 @@ class DiagnosisResult:
         return html_of(title, self.sentences, self.summary().head(_MOST_SHOWN))
 
 
-def _drawn(pictures: Sequence[Picture], name: str) -> Figure | None:
+def _drawn(pictures: Sequence[Drawing], name: str) -> Figure | None:
     """The picture of that name as a figure in the house style; None where nothing is shown."""
     from cassini_bayes.report.plots import draw
 
-    return draw({p.name: p.make for p in pictures if p.name == name}).get(name)
+    return draw({p.name: p.draw for p in pictures if p.name == name}).get(name)
 
 
 def diagnose(
     events: EventLike | Iterable[EventLike],
     priors: PriorsLike,
     *,
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     source: str = "flight",
     gain: bool = True,
     accept: Sequence[str] = (),
@@ -251,7 +253,7 @@ def diagnose(
     force: bool = False,
     resume: bool = False,
     log: Log = silent,
-    progress: Progress = untold,
+    progress: Progress = no_progress,
     workers: int | None = None,
     command: Sequence[str] = ("cassini_bayes.diagnose",),
 ) -> DiagnosisResult:
@@ -268,7 +270,7 @@ def diagnose(
         estimates, on their own.
     priors
         A priors file, or what :func:`read_priors` made of it.
-    own_effects
+    effect_files
         Files of causes beyond those of the package.
     source, accept, leave_out
         As for :func:`build_model`.
@@ -298,7 +300,7 @@ def diagnose(
     """
     given = each_event(events)
     names = [] if folder is None else [*paths_of(given), *paths_of([priors])]
-    kinds = read_kinds([Path(path) for path in own_effects])
+    kinds = read_kinds([Path(path) for path in effect_files])
     policy = Policy.of(accept, leave_out=leave_out)
     case = _case(given, priors, kinds, source, policy, log)
     digests = _digests(given, priors, case)
@@ -308,7 +310,7 @@ def diagnose(
         settings = {
             "events": names[:-1],
             "priors": names[-1],
-            "own_effects": [os.fspath(path) for path in own_effects],
+            "own_effects": [os.fspath(path) for path in effect_files],
             "source": source,
             "accept": sorted(accept),
             "leave_out": leave_out,
@@ -323,7 +325,7 @@ def diagnose(
         np.random.default_rng(seed),
         measure_gain=gain,
         log=log,
-        workers=Crew(processes, store, progress),
+        workers=StageRunner(processes, store, progress),
         drawing=undrawn if place is None else _drawing(),
     )
     found.record.update(
@@ -365,7 +367,7 @@ def _opened(
     return CheckpointStore(folder / CHECKPOINT, provenance.identity)
 
 
-def _drawing() -> Drawing:
+def _drawing() -> Drawer:
     from cassini_bayes.report.diagnosis_pictures import drawings
 
     return drawings
@@ -374,7 +376,8 @@ def _drawing() -> Drawing:
 def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -> dict[str, str]:
     """SHA-256 of the files that were read, of every telemetry event and its channel map."""
     given = [event for event in events if not isinstance(event, READ)]
-    tables = [file_of(Path(), str(name)) for name in given if not is_event_folder(Path(name))]
+    references = [str(name) for name in given if not is_event_folder(Path(name))]
+    tables = [split_reference(reference)[0] for reference in references]
     files = [str(path) for path in (priors, *tables) if not isinstance(path, Priors)]
     found = {path: digest(Path(path)) for path in files}
     if isinstance(case, BalanceCase):

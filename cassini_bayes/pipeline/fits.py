@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
+from cassini_bayes.computing.log import Log
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds
@@ -52,7 +53,7 @@ RESOLVED: Final = "resolved.toml"
 class Quiet:
     """A reporter that does nothing: a library does not print."""
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """Nothing."""
 
     def progress(self, report: ProgressReport) -> None:
@@ -262,7 +263,7 @@ def fit(
     priors: PriorsLike | None = None,
     *,
     effects: Sequence[str | Effect] = (),
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     pulse_shape: str = "first_order",
     delta_v: DeltaVUse = "as-declared",
     source: str = "flight",
@@ -287,7 +288,7 @@ def fit(
         model (:func:`build_model`); or a run file (``.toml``), which says all the rest.
     priors
         A priors file, or what :func:`read_priors` made of it; a model or run file has its own.
-    effects, own_effects, pulse_shape, delta_v, source, accept, leave_out
+    effects, effect_files, pulse_shape, delta_v, source, accept, leave_out
         As for :func:`build_model`.
     sampler
         :class:`SamplerSettings`, or some of its fields as a mapping.
@@ -327,7 +328,7 @@ def fit(
         if sampler is not None or seed is not None:
             run = run.model_copy(update={"sampler": _merged(run.sampler, settings, seed)})
         target = folder or path.parent / (run.output.folder or path.stem)
-        return _written(run, path.parent, target, own_effects, force, resume, told)
+        return _written(run, path.parent, target, effect_files, force, resume, told)
     if folder is not None:
         table = {
             "events": paths_of(events),
@@ -348,18 +349,18 @@ def fit(
             },
         }
         run = check_run(table, "fit")
-        return _written(run, Path(), folder, own_effects, force, resume, told)
+        return _written(run, Path(), folder, effect_files, force, resume, told)
     model, findings = _model(
-        *(events, priors, effects, own_effects, pulse_shape, delta_v, source),
+        *(events, priors, effects, effect_files, pulse_shape, delta_v, source),
         Policy.of(accept, leave_out=leave_out),
-        told.say,
+        told.log,
     )
     sampled = fit_model(
         model,
         settings,
         draws_per_ensemble=draws_per_ensemble,
         prior_draws=prior_draws,
-        say=told.say,
+        log=told.log,
         progress=told.progress,
         threads=cores(),
     )
@@ -381,12 +382,12 @@ def _model(
     events: PathLike | EventLike | Iterable[EventLike] | Model,
     priors: PriorsLike | None,
     effects: Sequence[str | Effect],
-    own_effects: Sequence[PathLike],
+    effect_files: Sequence[PathLike],
     pulse_shape: str,
     delta_v: DeltaVUse,
     source: str,
     policy: Policy,
-    say: Callable[[str], None],
+    log: Log,
 ) -> tuple[Model, tuple[str, ...]]:
     """The model to fit, and what was found in its data."""
     if isinstance(events, Model):
@@ -397,9 +398,9 @@ def _model(
         return events, ()
     known = priors_of(priors)
     found, findings = gather(
-        events, known, pulse_shape=pulse_shape, source=source, policy=policy, say=say
+        events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
     )
-    kinds = read_kinds([Path(path) for path in own_effects])
+    kinds = read_kinds([Path(path) for path in effect_files])
     return model_of(found, known, pulse_shape, delta_v, effects, kinds), findings
 
 
@@ -430,7 +431,7 @@ def _written(
     run: RunFile,
     base: Path,
     folder: PathLike,
-    own_effects: Sequence[PathLike],
+    effect_files: Sequence[PathLike],
     force: bool,
     resume: bool,
     reporter: Reporter,
@@ -446,7 +447,7 @@ def _written(
         reporter=reporter,
         force=force,
         resume=resume,
-        kinds=read_kinds([Path(path) for path in own_effects]),
+        kinds=read_kinds([Path(path) for path in effect_files]),
     )
     return result_of(outcome.review, target / FIT_FILE)
 
@@ -458,7 +459,7 @@ def result_of(review: Review, path: Path | None = None) -> FitResult:
 
 
 def read_fit(
-    path: PathLike, *, base: PathLike | None = None, own_effects: Sequence[PathLike] = ()
+    path: PathLike, *, base: PathLike | None = None, effect_files: Sequence[PathLike] = ()
 ) -> FitResult:
     """Read a fit back: a run's folder, or its ``fit.nc``.
 
@@ -468,7 +469,7 @@ def read_fit(
         Folder of a run, or a ``fit.nc``.
     base
         Folder that the run's paths of events and priors are relative to, where they have moved.
-    own_effects
+    effect_files
         Files of effects that the run was given.
 
     Raises
@@ -480,12 +481,12 @@ def read_fit(
     file = place / FIT_FILE if place.is_dir() else place
     stored = record.read_fit(file)
     name = file.parent.name or file.stem
-    make = partial(_review_of, file, stored, name, base, tuple(own_effects))
+    make = partial(_review_of, file, stored, name, base, tuple(effect_files))
     return FitResult(stored.groups, stored.attributes, name, make, file)
 
 
 def _review_of(
-    file: Path, stored: Fit, name: str, base: PathLike | None, own_effects: Sequence[PathLike]
+    file: Path, stored: Fit, name: str, base: PathLike | None, effect_files: Sequence[PathLike]
 ) -> Review:
     """The review of a fit that was stored, its model built again."""
     folder = file.parent
@@ -503,7 +504,7 @@ def _review_of(
         priors = read_priors(priors_path)
         events = [str(locate(file, event, "base", priors)) for event in run.events]
         run = run.model_copy(update={"events": events, "priors": str(priors_path)})
-    kinds = read_kinds([Path(path) for path in own_effects])
+    kinds = read_kinds([Path(path) for path in effect_files])
     inputs = read_inputs(run, Path() if base is None else Path(base), folder, kinds=kinds)
     model = inputs.model
     z = model.space.to_standard(
@@ -530,7 +531,7 @@ def report(
     folder: PathLike | None = None,
     *,
     base: PathLike | None = None,
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     reporter: Reporter | None = None,
 ) -> Path:
     """Write tables, figures and the page of a fit: what a run writes of it.
@@ -541,7 +542,7 @@ def report(
         A fit, or the folder of a finished run.
     folder
         Where to write; by default the run's own folder.
-    base, own_effects
+    base, effect_files
         As for :func:`read_fit`.
     reporter
         Told of stages.
@@ -560,9 +561,9 @@ def report(
             raise InputError("folder", "where to write", "nothing", 'add folder="…"')
         result, target = fit, Path(folder)
     else:
-        result = read_fit(fit, base=base, own_effects=own_effects)
+        result = read_fit(fit, base=base, effect_files=effect_files)
         place = Path(fit)
         target = Path(folder) if folder else (place if place.is_dir() else place.parent)
     review = replace(result.review, what_if=True)
-    write_results(review, target, (reporter or Quiet()).say, report=True)
+    write_results(review, target, (reporter or Quiet()).log, report=True)
     return target / "report.html"

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, refuse_duplicates
-from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.events.totals import TotalsEvent, split_reference
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import ReducedEvent, store_reduction
 from cassini_bayes.model.gather import read_reference
@@ -47,7 +48,7 @@ def read_inputs(
     run: RunFile,
     base: Path,
     folder: Path | None = None,
-    say: Callable[[str], None] | None = None,
+    log: Log = silent,
     kinds: Kinds | None = None,
 ) -> Inputs:
     """Read the events and priors a run file names, relative to ``base``, and build the model.
@@ -58,7 +59,7 @@ def read_inputs(
     ----------
     folder
         The run's folder: telemetry that an earlier run there reduced is taken from it.
-    say
+    log
         Told what was read of the telemetry.
     kinds
         The effects that a run file may name; those of the package by default.
@@ -81,12 +82,12 @@ def read_inputs(
             pulse_shape=run.model.pulse_shape,
             source=run.source,
             policy=policy,
-            say=say,
+            log=log,
             cache=cache,
         )
         found = read.events
         findings += read.findings
-        file = file_of(base, reference)
+        file, _ = split_reference(reference, base)
         for event, content in zip(found, read.contents, strict=True):
             if isinstance(event, ReducedEvent):
                 digests[reference] = event.digest
@@ -152,11 +153,3 @@ def paths_of(given: Any) -> list[str]:
     if not several:
         raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
     return [os.fspath(one) for one in several]
-
-
-def file_of(base: Path, reference: str) -> str:
-    """The file that ``file.csv`` or ``file.csv:ID`` names; names and ids may hold colons."""
-    file = reference
-    while not (base / file).is_file() and ":" in file:
-        file = file.rpartition(":")[0]
-    return file

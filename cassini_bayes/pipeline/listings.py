@@ -20,14 +20,14 @@ from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.sweep.models import scalar_names
 
 
-def causes(priors: PriorsLike, *, own_effects: Sequence[PathLike] = ()) -> pd.DataFrame:
+def causes(priors: PriorsLike, *, effect_files: Sequence[PathLike] = ()) -> pd.DataFrame:
     """Causes that a diagnosis weighs, and effects that a fit takes by name.
 
     Parameters
     ----------
     priors
         Their spacecraft and branch give the targets, their widths the scale of departures.
-    own_effects
+    effect_files
         Files of effects beyond those of the package.
 
     Returns
@@ -42,7 +42,7 @@ def causes(priors: PriorsLike, *, own_effects: Sequence[PathLike] = ()) -> pd.Da
         Bad priors or effects.
     """
     known = priors_of(priors)
-    kinds = read_kinds([Path(path) for path in own_effects])
+    kinds = read_kinds([Path(path) for path in effect_files])
     tables = {kind.name: table for kind, table in kinds.kinds}
     catalogue = read_catalogue(known, known.wheels, INPUTS, kinds)
     rows = [

@@ -41,7 +41,7 @@ def build_model(
     pulse_shape: str = "first_order",
     delta_v: DeltaVUse = "as-declared",
     effects: Sequence[str | Effect] = (),
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     source: str = "flight",
     accept: Sequence[str] = (),
     leave_out: bool = False,
@@ -62,7 +62,7 @@ def build_model(
     effects
         Names of effects to fit beyond the standard physics, e.g. ``"thruster_leak:z3"``
         (:func:`causes` lists them).
-    own_effects
+    effect_files
         Files of effects that are not of this package.
     source
         Which rows of totals files.
@@ -82,7 +82,7 @@ def build_model(
     known = priors_of(priors)
     policy = Policy.of(accept, leave_out=leave_out)
     found, _ = gather(events, known, pulse_shape=pulse_shape, source=source, policy=policy)
-    kinds = read_kinds([Path(path) for path in own_effects])
+    kinds = read_kinds([Path(path) for path in effect_files])
     return model_of(found, known, pulse_shape, delta_v, effects, kinds)
 
 

@@ -249,7 +249,7 @@ def predict(
     quaternion: str | None = None,
     events: PathLike | None = None,
     priors: PathLike | None = None,
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     accept: Sequence[str] = (),
     seed: int = 1,
 ) -> PredictionResult:
@@ -271,7 +271,7 @@ def predict(
         body, for inertial ΔV too.
     events, priors
         Where the fit's files have moved.
-    own_effects
+    effect_files
         Files of effects that the fit was given.
     accept
         Mistakes in the data that are none.
@@ -284,7 +284,7 @@ def predict(
         A fit without wheel biases; files that have moved; an impossible bias.
     """
     began = time.perf_counter()
-    sources, draws = _sources(fit, events, priors, accept, own_effects)
+    sources, draws = _sources(fit, events, priors, accept, effect_files)
     requests = _requests(sources, bias, epoch, branch, quaternion)
     learned = learn_from_fit(draws, sources, seed)
     found = tuple(
@@ -307,7 +307,7 @@ def plan(
     top: int = 10,
     events: PathLike | None = None,
     priors: PathLike | None = None,
-    own_effects: Sequence[PathLike] = (),
+    effect_files: Sequence[PathLike] = (),
     accept: Sequence[str] = (),
     seed: int = 1,
 ) -> PlanResult | CheapestResult:
@@ -318,7 +318,7 @@ def plan(
 
     Parameters
     ----------
-    fit, events, priors, own_effects, accept, seed
+    fit, events, priors, effect_files, accept, seed
         As for :func:`predict`.
     quantity
         ``thrust_level_z1_n``, ``tau_fall_s``, ``cm_x_m`` … (:func:`quantities` lists them).
@@ -342,7 +342,7 @@ def plan(
             "neither" if quantity is None else "both",
             "write e.g. --minimise z_throughput",
         )
-    sources, draws = _sources(fit, events, priors, accept, own_effects)
+    sources, draws = _sources(fit, events, priors, accept, effect_files)
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(draws, sources, seed)
     warnings = doubts(learned, sources.within)
@@ -361,7 +361,7 @@ def _sources(
     events: PathLike | None,
     priors: PathLike | None,
     accept: Sequence[str],
-    own_effects: Sequence[PathLike],
+    effect_files: Sequence[PathLike],
 ) -> tuple[Sources, Path | FitResult]:
     """What a fit was made of, and where its draws are."""
     if isinstance(fit, FitResult) and fit.path is None:
@@ -376,7 +376,7 @@ def _sources(
         None if events is None else str(events),
         None if priors is None else Path(priors),
         accept=accept,
-        own_effects=[Path(own) for own in own_effects],
+        effect_files=[Path(own) for own in effect_files],
     )
     return sources, file
 

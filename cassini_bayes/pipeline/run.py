@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
@@ -16,6 +16,7 @@ from typing import Final, Protocol
 import tomli_w
 
 from cassini_bayes import __version__
+from cassini_bayes.computing.log import Log
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
@@ -52,7 +53,7 @@ WRITTEN: Final = (
 class Reporter(Protocol):
     """How a run reports what it is doing."""
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """One line about a stage that begins or has ended."""
 
     def progress(self, report: ProgressReport) -> None:
@@ -173,7 +174,7 @@ def execute(
         Anything wrong with the inputs or the folder; nothing is sampled then.
     """
     began = time.monotonic()
-    inputs = read_inputs(run, base, folder, reporter.say, kinds)
+    inputs = read_inputs(run, base, folder, reporter.log, kinds)
     settings = run.sampler.settings()
     settings.walkers_for(len(inputs.model.space.names))
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
@@ -181,7 +182,7 @@ def execute(
         refuse_other_run(folder / "provenance.json", provenance.identity)
     if inputs.model.telemetry or inputs.model.effects:
         for sentence in observability(inputs.model).sentences:
-            reporter.say(sentence)
+            reporter.log(sentence)
     prepare_folder(folder, force=force, resume=resume)
     write_text(folder / "resolved.toml", tomli_w.dumps(run.model_dump()))
     if not (folder / "provenance.json").exists():
@@ -193,7 +194,7 @@ def execute(
         draws_per_ensemble=run.output.draws_per_ensemble,
         prior_draws=run.output.prior_draws,
         store=CheckpointStore(folder / "checkpoint", provenance.identity),
-        say=reporter.say,
+        log=reporter.log,
         progress=reporter.progress,
         threads=cores(),
     )
@@ -212,15 +213,13 @@ def execute(
     )
     review.work_out(cores())
     converged = _is_converged(review)
-    write_results(review, folder, reporter.say, report=run.output.report)
+    write_results(review, folder, reporter.log, report=run.output.report)
     seconds = time.monotonic() - began
-    reporter.say(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
+    reporter.log(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
     return Outcome(folder, review, converged, seconds, tuple(verdict(review)))
 
 
-def write_results(
-    review: Review, folder: Path, say: Callable[[str], None], *, report: bool
-) -> None:
+def write_results(review: Review, folder: Path, log: Log, *, report: bool) -> None:
     """Write what a run makes of its fit: ``summary.csv``, ``tables/``, figures and report.
 
     Parameters
@@ -228,7 +227,7 @@ def write_results(
     report
         Whether to draw ``figures/`` and write ``report.html`` too.
     """
-    say("tables")
+    log("tables")
     sections = sections_of(review)
     write_text(folder / "summary.csv", frame_csv(review.summary))
     write_tables(sections, folder / "tables")
@@ -236,7 +235,7 @@ def write_results(
         from cassini_bayes.report import write_report
         from cassini_bayes.report.plots import save_pictures
 
-        say("figures and report")
+        log("figures and report")
         pictures = pictures_of(sections, cores())
         save_pictures(pictures, folder / "figures")
         write_report(review, sections, pictures, folder / "report.html")

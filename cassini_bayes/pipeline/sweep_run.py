@@ -41,7 +41,7 @@ FOLDER: Final = "sweep"
 class Reporter(Protocol):
     """How a sweep reports what it is doing."""
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """One line about a stage that begins or has ended."""
 
     def count(self, what: str, done: int, total: int) -> None:
@@ -123,23 +123,23 @@ def execute_sweep(
     target = folder / FOLDER
     store = _store(planned, target, inputs)
     write_text(target / "resolved.toml", tomli_w.dumps(sweep.model_dump()))
-    reporter.say(f"{len(planned.cells)} cells, {len(planned.baseline.names)} quantities")
-    with workers_at(jobs, dask, reporter.say) as workers:
+    reporter.log(f"{len(planned.cells)} cells, {len(planned.baseline.names)} quantities")
+    with workers_at(jobs, dask, reporter.log) as workers:
         for done, total in planned.run(store, workers):
             reporter.count("cells", done, total)
-    reporter.say("tables")
+    reporter.log("tables")
     tables = tables_of(planned, store, factory, fit)
     for name, table in tables.files().items():
         write_text(target / f"{name}.csv", frame_csv(table))
     if report or page is not None:
-        reporter.say("figures")
+        reporter.log("figures")
         figures = _figures(planned, store, tables)
         if report:
             _write_report(planned, tables, figures, folder)
         if page is not None:
             _write_page(page, planned, tables, figures, folder, command)
     seconds = time.monotonic() - began
-    reporter.say(f"done in {seconds:.0f} s: {target}")
+    reporter.log(f"done in {seconds:.0f} s: {target}")
     return SweepOutcome(target, tables, len(planned.cells), seconds, inputs.findings)
 
 
@@ -147,7 +147,7 @@ def _read(run: RunFile, base: Path, folder: Path, reporter: Reporter) -> tuple[I
     path = folder / "fit.nc"
     if not path.exists():
         raise InputError(str(path), "the fit of this run", "no such file", "run it first")
-    return read_inputs(run, base, folder, reporter.say), read_fit(path)
+    return read_inputs(run, base, folder, reporter.log), read_fit(path)
 
 
 def _store(sweep: Sweep, target: Path, inputs: Inputs) -> CheckpointStore:

@@ -137,7 +137,7 @@ def execute_trend(
     from cassini_bayes.report.plots.mission import mission_drawings
 
     began = time.monotonic()
-    inputs = read_mission(mission, base, where, folder / CHECKPOINT / "statistics", reporter.say)
+    inputs = read_mission(mission, base, where, folder / CHECKPOINT / "statistics", reporter.log)
     if folder.is_dir():
         remove_leftovers(folder)
     laws = _laws(mission, inputs)
@@ -160,7 +160,7 @@ def execute_trend(
         made = f"Made by {' '.join(command)} with cassini_bayes {__version__}."
         write_trend_report(folder / "report.html", name, fit, mission, trend, figures, made)
     seconds = time.monotonic() - began
-    reporter.say(f"{'done' if fit.converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
+    reporter.log(f"{'done' if fit.converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
     return TrendOutcome(folder, fit, trend, record, seconds, dated, inputs.findings)
 
 
@@ -177,7 +177,7 @@ def _fitted(
     state = CheckpointStore(work / f"draws_{laws[:16]}", laws)
     earlier = earlier_draws(inputs.digests, state)
     if earlier is not None:
-        reporter.say("going on from the draws of an earlier trend")
+        reporter.log("going on from the draws of an earlier trend")
     fit = fit_mission(
         inputs.model,
         loss_prior(inputs.priors),
@@ -186,7 +186,7 @@ def _fitted(
         proposals=mission.trend.proposals,
         earlier=earlier,
         store_of=store_of,
-        say=reporter.say,
+        log=reporter.log,
     )
     if fit.converged:
         save_state(fit, inputs.digests, state)

@@ -16,7 +16,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.recorded_totals import is_bias, recorded_totals
 from cassini_bayes.events.telemetry import TelemetryEvent, read_event
-from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.events.totals import TotalsEvent, read_totals, split_reference
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.reading import exists
@@ -59,7 +59,7 @@ def read_sources(
     priors: Path | None = None,
     source: str | None = None,
     accept: Sequence[str] = (),
-    own_effects: Sequence[Path] = (),
+    effect_files: Sequence[Path] = (),
 ) -> Sources:
     """Read what a fit was made of.
 
@@ -112,7 +112,7 @@ def read_sources(
     refuse_duplicates([(event.id, content_of_totals(event)) for event in printed], policy)
     folders = (Path(name) for name in references if is_event_folder(Path(name)))
     recordings = [read_event(folder, read.spacecraft) for folder in folders]
-    files = [*own_effects, *map(Path, _names(resolved, "own_effects", record))]
+    files = [*effect_files, *map(Path, _names(resolved, "own_effects", record))]
     each = [*(event.wheels for event in printed), *(event.wheels for event in recordings)]
     wheels = {number for own in each for number in own}
     effects = fitted_effects(names, read, wheels, list(dict.fromkeys(files)))
@@ -249,8 +249,8 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
             if digests.get(name) in (None, read_event(path, priors.spacecraft).digest):
                 return path
             continue
-        file = base / _file_of(name)
-        known = digests.get(_file_of(name))
+        table, _ = split_reference(name, base)
+        file, known = base / table, digests.get(table)
         if exists(file) and file.is_file() and known in (None, digest(file)):
             return path
     raise InputError(
@@ -259,12 +259,6 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
         "no such file, or a changed one",
         f"name it with {option}, or run the fit again",
     )
-
-
-def _file_of(name: str) -> str:
-    """``file.csv`` of ``file.csv:ID``."""
-    head, found, tail = name.rpartition(":")
-    return head if found and head.endswith(".csv") and "/" not in tail else name
 
 
 def _digests(folder: Path) -> dict[str, str]:

@@ -12,6 +12,7 @@ from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.balance_case import BalanceDetail
 from cassini_bayes.diagnosis.case import Shown
 from cassini_bayes.diagnosis.discrepancy import Curve
+from cassini_bayes.report.page import Drawing
 from cassini_bayes.report.plots import Figure, encode, settle
 from cassini_bayes.report.plots.criticism import (
     cause_figure,
@@ -49,23 +50,12 @@ CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A figure of the report: the name is that of its file, ``alt`` what it says, in words.
-
-    ``make`` makes it, or nothing where there is nothing to show.
-    """
-
-    name: str
-    alt: str
-    make: Callable[[], Figure | None]
-
-
-@dataclass(frozen=True)
 class Drawn:
-    """A picture drawn, for its files and the page."""
+    """A figure drawn, for its files and the page."""
 
     name: str
     alt: str
+    caption: str
     png: bytes
     svg: bytes
 
@@ -74,24 +64,24 @@ class Drawn:
         """What it is one of several of."""
         return self.name.partition("_")[0]
 
-    @property
-    def caption(self) -> str:
-        """What it shows; of several of a kind the same."""
-        return CAPTIONS[self.kind]
+
+def _drawing(name: str, alt: str, draw: Callable[[], Figure | None]) -> Drawing:
+    """A figure whose caption is that of its kind."""
+    return Drawing(name, alt, CAPTIONS[name.partition("_")[0]], draw)
 
 
-def cause_picture(record: Mapping[str, Any]) -> Picture:
+def cause_picture(record: Mapping[str, Any]) -> Drawing:
     """Probability and evidence of the causes of a record."""
     best = record["causes"][0]
     alt = f"Bars of the causes; the most probable is {best['name']} at {best['probability']:.3f}."
-    return Picture("causes", alt, partial(cause_figure, record["causes"]))
+    return _drawing("causes", alt, partial(cause_figure, record["causes"]))
 
 
-def pictures_of(shown: Shown | Sequence[Curve]) -> list[Picture]:
+def pictures_of(shown: Shown | Sequence[Curve]) -> list[Drawing]:
     """Pictures of what a case shows, or of curves; none where nothing was shown."""
     if not isinstance(shown, Shown):
         alt = "Unexplained momentum against time about X, Y and Z of every event, with 90 % bands."
-        return [Picture("discrepancy", alt, partial(discrepancy_figure, tuple(shown)))]
+        return [_drawing("discrepancy", alt, partial(discrepancy_figure, tuple(shown)))]
     if not isinstance(shown.detail, BalanceDetail):
         return []
     return _balance_pictures(shown.detail)
@@ -102,27 +92,28 @@ def drawings(shown: Shown | Sequence[Curve]) -> list[Drawn]:
     return drawn(pictures_of(shown))
 
 
-def drawn(pictures: Sequence[Picture], processes: int = 1) -> list[Drawn]:
+def drawn(pictures: Sequence[Drawing], processes: int = 1) -> list[Drawn]:
     """Pictures that show something made, laid out and drawn, shared out among processes."""
     results = in_processes(_drawn, pictures, processes)
     return [image for image in results if image is not None]
 
 
-def _drawn(picture: Picture) -> Drawn | None:
-    figure = picture.make()
+def _drawn(picture: Drawing) -> Drawn | None:
+    figure = picture.draw()
     if figure is None:
         return None
     settle(figure, solutions=1)
-    return Drawn(picture.name, picture.alt, encode(figure, "png"), encode(figure, "svg"))
+    png, svg = encode(figure, "png"), encode(figure, "svg")
+    return Drawn(picture.name, picture.alt, picture.caption, png, svg)
 
 
-def _balance_pictures(detail: BalanceDetail) -> list[Picture]:
+def _balance_pictures(detail: BalanceDetail) -> list[Drawing]:
     has_cause = bool(detail.extended_rows)
     after = detail.after if has_cause else None
     trade = detail.trade
     both = "the baseline and the extended model" if has_cause else "the baseline"
     pictures = [
-        Picture(
+        _drawing(
             f"overlay_{i}",
             f"{overlay.event}: "
             + "; ".join(_fit_words(c.name, *c.fit) for c in overlay.channels)
@@ -136,9 +127,9 @@ def _balance_pictures(detail: BalanceDetail) -> list[Picture]:
             f"{trade.size} of {trade.cause} against {trade.quantity}, correlation "
             f"{trade.correlation:+.2f}, with their priors."
         )
-        pictures.append(Picture("trade", alt, partial(trade_figure, trade)))
+        pictures.append(_drawing("trade", alt, partial(trade_figure, trade)))
     pictures += [
-        Picture(
+        _drawing(
             "spectrum",
             "; ".join(
                 f"{s.event} {s.axis.upper()}: largest power {s.power[s.peak]:.3g} at "
@@ -148,20 +139,20 @@ def _balance_pictures(detail: BalanceDetail) -> list[Picture]:
             + ".",
             partial(spectrum_figure, detail.spectra),
         ),
-        Picture(
+        _drawing(
             "innovations",
             f"Innovations of every event about X, Y and Z with running means of {both}.",
             partial(innovation_figure, detail.rows, detail.extended_rows),
         ),
         *(
-            Picture(
+            _drawing(
                 f"correlation_{i}",
                 f"{event.event}: correlation of the innovations of {both} with every driver, in σ.",
                 partial(correlation_figure, event.event, detail.before, after),
             )
             for i, event in enumerate(detail.rows, start=1)
         ),
-        Picture(
+        _drawing(
             "whiteness",
             f"Autocorrelation against lag, per event and axis, of {both}, with 95 % bands.",
             partial(whiteness_figure, detail.before, after),

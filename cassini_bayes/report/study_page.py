@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -69,6 +69,13 @@ def write_page(
         text = table if isinstance(table, str) else frame_csv(table, digits=6)
         write_text(page.with_name(f"{page.stem}{name}.csv"), text)
     write_text(page, f"# {title}\n\n{body.strip()}\n\n{made.line()}\n")
+
+
+def markdown_table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A table in Markdown: names of columns, and the cells of every row."""
+    names = list(header)
+    lines = [names, ["---"] * len(names), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _without_place(argument: str) -> str:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from cassini_bayes.report.cells import Table
 from cassini_bayes.report.plots import Figure
-from cassini_bayes.report.study_page import Made, write_page
+from cassini_bayes.report.study_page import Made, markdown_table, write_page
 from cassini_bayes.report.sweep import changes_table, scaling_table, strongest_sentence
 from cassini_bayes.sweep.tables import SweepTables
 
@@ -109,6 +109,4 @@ def _knowledge_sentences(knowledge: pd.DataFrame) -> str:
 
 
 def _markdown(table: Table) -> str:
-    lines = [f"| {' | '.join(table.columns)} |", f"| {' | '.join('---' for _ in table.columns)} |"]
-    lines += [f"| {' | '.join(cell.text for cell in row)} |" for row in table.rows]
-    return "\n".join(lines)
+    return markdown_table(table.columns, ((cell.text for cell in row) for row in table.rows))

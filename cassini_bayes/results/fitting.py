@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.processes import in_parts, in_processes
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
@@ -102,7 +103,7 @@ def fit_model(
     draws_per_ensemble: int = 4_000,
     prior_draws: int = 4_000,
     store: CheckpointStore | None = None,
-    say: Callable[[str], None] | None = None,
+    log: Log = silent,
     progress: Callable[[ProgressReport], None] | None = None,
     threads: int = 1,
 ) -> Sampled:
@@ -118,7 +119,7 @@ def fit_model(
         How many draws the fit keeps.
     store
         Where finished blocks are kept, to go on from after a kill.
-    say, progress
+    log, progress
         Told about stages and sampling progress.
     threads
         For the likelihood; the draws do not depend on it.
@@ -138,18 +139,17 @@ def fit_model(
             str(draws_per_ensemble),
             "keep more draws, or ask for a smaller target_ess",
         )
-    tell = say or (lambda _: None)
-    tell(
+    log(
         f"{_count(model.event_ids)}, {len(model.space.names)} walked and "
         f"{collapsed_size(model)} collapsed parameters"
     )
     with in_parts(partial(log_posterior, model), threads) as density_of:
         warm, chains, last = _sampled(
-            model, density_of, settings, draws_per_ensemble, store, tell, progress, threads
+            model, density_of, settings, draws_per_ensemble, store, log, progress, threads
         )
     z, density = chains.thinned(draws_per_ensemble)
     convergence = chains.convergence
-    tell(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
+    log(f"drawing thrusts back, {z.shape[0] * z.shape[1]} draws")
     attributes: dict[str, str | float | int] = {
         "seed": settings.seed,
         "target_ess": settings.target_ess,
@@ -196,7 +196,7 @@ def _sampled(
     settings: SamplerSettings,
     draws_per_ensemble: int,
     store: CheckpointStore | None,
-    tell: Callable[[str], None],
+    log: Log,
     progress: Callable[[ProgressReport], None] | None,
     processes: int,
 ) -> tuple[WarmStart, Chains, _DrawnBack | None]:
@@ -205,14 +205,14 @@ def _sampled(
     Also what the stop rule drew back last.
     """
     warm = _warm_start(density_of, len(model.space.names), settings.seed, store)
-    tell(
+    log(
         f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
         f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
     )
     moves = settings
     if warm.draws.pareto_k > WORST_PARETO_K and settings.independence_share > FALLBACK_INDEPENDENCE:
         moves = replace(settings, independence_share=FALLBACK_INDEPENDENCE)
-        tell(
+        log(
             f"the proposal is poor (Pareto k̂ > {WORST_PARETO_K}): falling back on differential "
             f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
         )

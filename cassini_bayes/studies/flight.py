@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.report.shown import html_of, names_shown
 from cassini_bayes.simulation import read_scenario
 from cassini_bayes.studies.scenario import (
-    Reporter,
     Simulation,
     simulate_file,
     simulate_scenario,
@@ -66,9 +66,9 @@ def simulate(
     folder: str | Path | None = None,
     *,
     seed: int,
-    own_effects: Sequence[str | Path] = (),
+    effect_files: Sequence[str | Path] = (),
     force: bool = False,
-    reporter: Reporter | None = None,
+    log: Log = silent,
 ) -> Flight:
     """Fly a scenario in closed loop: telemetry of wheel biases, slews, burns, with hidden effects.
 
@@ -80,11 +80,11 @@ def simulate(
         Where to write event folders, ``totals.csv`` and ``truth.json``; nothing without it.
     seed
         The same scenario and seed give the same bytes.
-    own_effects
+    effect_files
         Files of effects that are not of this package.
     force
         Replace what an earlier simulation left in ``folder``.
-    reporter
+    log
         Told of every event.
 
     Raises
@@ -92,9 +92,9 @@ def simulate(
     InputError
         Anything wrong with the scenario, or a folder that holds something already.
     """
-    own = simulated_sides([Path(path) for path in own_effects])
+    own = simulated_sides([Path(path) for path in effect_files])
     if folder is None:
-        flown = simulate_file(read_scenario(scenario, own), seed, reporter)
+        flown = simulate_file(read_scenario(scenario, own), seed, log)
     else:
-        flown = simulate_scenario(scenario, folder, seed, reporter, force, own)
+        flown = simulate_scenario(scenario, folder, seed, log, force, own)
     return Flight(flown.file, flown.seed, flown.events)

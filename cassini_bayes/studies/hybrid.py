@@ -17,6 +17,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.published.constants import published_constants
+from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.simulation.arrays import prime_wheels
 from cassini_bayes.simulation.motion import Motion
@@ -201,20 +202,16 @@ By the formulas the spin has a period of {period:.0f} s and peaks of {peak:.0f} 
 
 def body(scenario: Path, flown: Sequence[Mapping[str, Array]]) -> str:
     """Text of the page, of the flights as printed and with products of inertia."""
-    lines = [
-        "| event | figure | published | ours | with products |",
-        "| --- | --- | --- | --- | --- |",
-    ]
-    for figure in FIGURES:
-        cells = [_cell(rows[f"{figure.event}.{figure.key}"]) for rows in flown]
-        lines.append(
-            f"| {figure.event} | {figure.label} | {figure.published} | {' | '.join(cells)} |"
-        )
+    rows = (
+        (own.event, own.label, own.published, *(_cell(f[f"{own.event}.{own.key}"]) for f in flown))
+        for own in FIGURES
+    )
+    table = markdown_table(("event", "figure", "published", "ours", "with products"), rows)
     printed = published_constants()
     return BODY.format(
         seeds=len(flown[0][f"{SPIN}.period_s"]),
         scenario=scenario,
-        table="\n".join(lines),
+        table=table,
         period=printed.value("paper_004_spin", "period_s"),
         peak=printed.value("paper_004_spin", "wheel_peak_rpm"),
         with_products=float(flown[1][f"{SPIN}.period_s"].mean()),

@@ -16,8 +16,9 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.balance_case import BalanceCase
-from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, Log, Size, silent
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Case, Size
 from cassini_bayes.diagnosis.diagnosis import diagnose
 from cassini_bayes.diagnosis.estimate_case import Candidate, EstimateCase, untrusted
 from cassini_bayes.diagnosis.read import read_events

@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Log, silent
+from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.diagnosis import Diagnosis, diagnose
 from cassini_bayes.diagnosis.on_time_case import OnTimeCase
 from cassini_bayes.diagnosis.on_times import COMMON, OnTimeHypothesis, read_on_times
@@ -151,7 +152,7 @@ def _second(case: OnTimeCase, verdict: Verdict[OnTimeHypothesis]) -> str:
         return "No second cause was looked for."
     name = max(gains, key=lambda second: gains[second])
     if verdict.pair is not None:
-        alike = f" (as good: {', '.join(verdict.pair_alike)})" if verdict.pair_alike else ""
+        alike = f" (as good: {', '.join(verdict.equal_seconds)})" if verdict.equal_seconds else ""
         return f"Second cause: `{name}`, {gains[name]:+.1f} nats{alike}."
     space = first.hypothesis.space
     place = space.names.index(COMMON)

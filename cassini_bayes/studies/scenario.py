@@ -11,14 +11,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.effects.own_files import guarded, load_module
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.effects.tables import Place, read_table
+from cassini_bayes.effects.user_files import guarded, load_module
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, write_totals
 from cassini_bayes.files.storage import write_text
@@ -51,13 +52,6 @@ if TYPE_CHECKING:
 TRUTH_FILE: Final = "truth.json"
 TOTALS_FILE: Final = "totals.csv"
 MOST_RPM: Final = 1_000.0  # of wheel rates drawn anew
-
-
-class Reporter(Protocol):
-    """Where progress goes."""
-
-    def say(self, text: str) -> None:
-        """Take one line of progress."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +204,7 @@ def _draw(priors: Priors, name: str, seed: int, *labels: str) -> float:
 def simulate_file(
     file: ScenarioFile,
     seed: int,
-    reporter: Reporter | None = None,
+    log: Log = silent,
     truth: Truth | None = None,
     priors: Priors | None = None,
 ) -> Simulation:
@@ -222,7 +216,7 @@ def simulate_file(
         A checked scenario, from a file or a mapping.
     seed
         Of all draws: the same scenario, truth and seed give the same arrays in any process.
-    reporter
+    log
         Told of every event.
     truth
         The parameters, instead of drawing them.
@@ -243,8 +237,7 @@ def simulate_file(
         plan = make_plan(file.scenario, file.spacecraft, event, truth, file.effects)
         _check_physical(file, plan.thrust_n.items())
         done = simulate_plan(plan, file.scenario, seed)
-        if reporter is not None:
-            reporter.say(f"{event.id}: {done.motion.duration_s:.0f} s of {event.kind} simulated")
+        log(f"{event.id}: {done.motion.duration_s:.0f} s of {event.kind} simulated")
         events.append(done)
     return Simulation(file, seed, tuple(events))
 
@@ -264,7 +257,7 @@ def simulate_scenario(
     path: str | Path,
     out: str | Path,
     seed: int,
-    reporter: Reporter | None = None,
+    log: Log = silent,
     force: bool = False,
     own: Mapping[str, Effect] = MappingProxyType({}),
 ) -> Simulation:
@@ -276,7 +269,7 @@ def simulate_scenario(
         The scenario file, and the folder to write.
     seed
         The same scenario and seed give the same bytes.
-    reporter
+    log
         Told of every event.
     force
         Replace what an earlier simulation left in ``out``.
@@ -301,7 +294,7 @@ def simulate_scenario(
             "one with files in it",
             "choose another, or --force",
         )
-    simulation = simulate_file(file, seed, reporter)
+    simulation = simulate_file(file, seed, log)
     write_simulation(simulation, folder)
     return simulation
 

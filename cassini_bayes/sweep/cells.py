@@ -103,7 +103,7 @@ def _cell_arrays(
     found = _arrays("0", REWEIGHTED, weights, values, change)
     if refit == "always" or (refit == "auto" and not weights.trusted):
         rng = baseline.stream(variation.key)
-        kind, weights, values, batches = fitted_anew(model, baseline.names, rng)
+        kind, weights, values, batches = refitted(model, baseline.names, rng)
         change = change_between(baseline.values, baseline.batches, values, weights.values, batches)
         found |= _arrays("1", kind, weights, values, change)
     return found
@@ -166,7 +166,7 @@ def log_prior_ratio(
     return log_ratio
 
 
-def fitted_anew(
+def refitted(
     model: SweepModel, names: tuple[str, ...], rng: np.random.Generator
 ) -> tuple[str, Weights, Array, NDArray[np.int64] | None]:
     """Importance draws from a proposal of the varied model's own; a chain where they fail.

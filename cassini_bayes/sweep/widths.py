@@ -70,11 +70,11 @@ def width_effects(
     found = []
     for group in groups:
         narrow = _weights(priors, group, draws, len(values), WIDTHS[0])
-        weights = narrow.values if _told(narrow) else even
+        weights = narrow.values if _in_support(narrow) else even
         shift = np.abs(weights @ values - mean) / sd
         width = np.abs(np.sqrt(weights @ (values - weights @ values) ** 2) / sd - 1.0)
-        chance = ERRORS / np.sqrt(narrow.effective) if _told(narrow) else 0.0
-        if max(shift.max(), width.max()) >= max(least, chance) or not _told(narrow):
+        chance = ERRORS / np.sqrt(narrow.effective) if _in_support(narrow) else 0.0
+        if max(shift.max(), width.max()) >= max(least, chance) or not _in_support(narrow):
             found.append(_effect(priors, group, draws, values, order))
     return tuple(found)
 
@@ -88,8 +88,8 @@ def _effect(
 ) -> WidthEffect:
     n, even = len(values), np.full(len(values), 1.0 / len(values))
     found = [_weights(priors, group, draws, n, width) for width in WIDTHS]
-    told = np.array([_told(own) for own in found])[:, None]
-    every = [moments(values, own.values if _told(own) else even, order) for own in found]
+    told = np.array([_in_support(own) for own in found])[:, None]
+    every = [moments(values, own.values if _in_support(own) else even, order) for own in found]
 
     def stacked(rows: Sequence[Array]) -> Array:
         return np.where(told, np.stack(rows), np.nan)
@@ -113,6 +113,6 @@ def _weights(
     return smoothed_weights(log_prior_ratio(priors, changed, group.parameters, draws, n))
 
 
-def _told(weights: Weights) -> bool:
+def _in_support(weights: Weights) -> bool:
     """Whether any draws are left inside the changed prior."""
     return bool(np.isfinite(weights.pareto_k))

@@ -28,7 +28,7 @@ def test_a_terminal_has_one_live_line() -> None:
     reporter._console = Console(file=shown, force_terminal=True, highlight=False, width=100)
     for done in range(3):
         reporter.count("searches", done, 3)
-    reporter.say("none: log evidence 1.0")
+    reporter.log("none: log evidence 1.0")
     reporter.count("searches", 3, 3)
     lines = shown.getvalue().split("\n")
     assert len(lines) == 3  # the last is empty
@@ -40,6 +40,6 @@ def test_a_terminal_has_one_live_line() -> None:
 def test_quiet_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing at all."""
     reporter = ConsoleReporter(quiet=True)
-    reporter.say("reading")
+    reporter.log("reading")
     reporter.count("searches", 0, 3)
     assert capsys.readouterr().err == ""

@@ -103,7 +103,7 @@ def test_what_bends_the_baseline_to_its_walls_is_found_from_the_centre() -> None
     """An inertia of half its value: no search from the baseline's own mode gets there."""
     name, value = "inertia:xx", 3_283.5
     hidden = {"name": name, "parameters": {"inertia_xx_kg_m2": value}}
-    events = flown(SEED, [hidden])
+    events = flown(SEED, [hidden], ("slews",))
     verdict = verdict_of(events)
     assert np.abs(verdict.none.mode.point).max() > 5.0
     assert verdict.best.name == name

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cassini_bayes.balance.linearised import EventRows, Linear
-from cassini_bayes.diagnosis.drafts import Draft, _Candidate, _told, drafts_of
+from cassini_bayes.diagnosis.drafts import Draft, _Candidate, _information, drafts_of
 from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.report.draft_file import write_drafts
 
@@ -101,7 +101,7 @@ def test_the_change_of_evidence_is_that_of_two_normal_densities() -> None:
     rng = np.random.default_rng(3)
     columns, white, target = rng.normal(size=(24, 3)), rng.normal(size=(24, 2)), rng.normal(size=24)
     linear = Linear(target, columns, np.array([0.5, 2.0, 1.0]), (8,))
-    told = _told(linear, target, white, ())
+    told = _information(linear, target, white, ())
     plain = np.eye(24) + columns @ np.diag(1.0 / linear.precision) @ columns.T
     a = 0.7
     expected = multivariate_normal(cov=plain + a**2 * white @ white.T).logpdf(target)

@@ -18,11 +18,11 @@ from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.diagnosis import diagnose
 from cassini_bayes.diagnosis.events import Events, prepare
+from cassini_bayes.diagnosis.evidence import by_laplace
 from cassini_bayes.diagnosis.gain import held_out_telemetry, held_out_totals
-from cassini_bayes.diagnosis.hypotheses import none_hypothesis
-from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
+from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import WORSE, HeldOut
-from cassini_bayes.diagnosis.verdict import weigh
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.posterior import build_model, log_posterior
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -63,8 +63,9 @@ def leak_scores(events: Events) -> tuple[HeldOut, HeldOut]:
     """Events held out without and with a leak of Z3 in the model."""
     leak = events.catalogue.effect("thruster_leak:z3")
     only = replace(events, catalogue=replace(events.catalogue, effects=(leak,)))
-    verdict = weigh(BalanceCase(only), np.random.default_rng(1), pairs=False)
-    none, own = verdict.none, verdict.named(leak.name)
+    full = none_hypothesis(only)
+    models = [compact(full), compact(extend(full, [leak]))]
+    none, own = (by_laplace(m, find_mode(m.log_density, m.dimension)) for m in models)
     return held_out_telemetry(only, none), held_out_telemetry(only, own)
 
 

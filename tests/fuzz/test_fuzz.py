@@ -36,7 +36,7 @@ OWN = {"balance/statistics/reduction.py", "model/event_reduction.py", "priors/ch
 
 
 def test_damaged_files_are_taken_or_refused() -> None:
-    """Two thousand of them, over all readers, each within two seconds."""
+    """A thousand of them, over all readers, each within two seconds."""
     tallies = fuzz(SEED, SHORT)
     assert [fault for tally in tallies.values() for fault in tally.faults] == []
     assert sum(tally.refused for tally in tallies.values()) > SHORT // 2

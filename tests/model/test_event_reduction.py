@@ -64,9 +64,9 @@ def test_a_wrong_guess_of_the_last_time_changes_nothing(monkeypatch: pytest.Monk
 
 def test_long_reading_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines of progress with rows, share and time left, all of the rows by the last one."""
-    monkeypatch.setattr(event_reduction, "_TELL_S", 0.0)
+    monkeypatch.setattr(event_reduction, "_LOG_EVERY_S", 0.0)
     lines: list[str] = []
-    reduced = reduce_event(simulated() / "bias", priors(), "first_order", say=lines.append)
+    reduced = reduce_event(simulated() / "bias", priors(), "first_order", log=lines.append)
     assert lines[-2].startswith(f"bias: {reduced.reading.rows:,} rows read, 100% of the time, 0 s")
 
 

@@ -17,7 +17,7 @@ from test_run import Silent
 from cassini_bayes.diagnosis.events import prepare
 from cassini_bayes.diagnosis.hypotheses import TORQUE_NOISE, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import find_mode
-from cassini_bayes.effects.catalogue import named_effects
+from cassini_bayes.effects.catalogue import named_effects, read_catalogue
 from cassini_bayes.effects.registry import KINDS
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import build_model, log_posterior, observability
@@ -81,7 +81,7 @@ def test_a_leak_and_a_gyro_bias_are_recovered_by_name(tmp_path: Path) -> None:
 @cache
 def of_every_kind() -> tuple[str, ...]:
     """One effect of every kind that telemetry shows and that needs no search."""
-    catalogue = prepare(events("bias", "slews"), priors()).catalogue
+    catalogue = read_catalogue(priors(), WHEELS, ("telemetry",))
     names = {e.kind.name: e.name for e in catalogue.effects if not e.needs_search}
     return tuple(names.values())
 

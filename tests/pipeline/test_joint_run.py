@@ -29,7 +29,7 @@ from cassini_bayes.results.record import GROUPS, read_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings
 from cassini_bayes.sampling.warmstart import WarmStart
 
-SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
+SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 64, "max_steps": 100}
 OUTPUT = {"report": False, "draws_per_ensemble": 500, "prior_draws": 500}
 
 
@@ -237,7 +237,7 @@ def test_a_bad_proposal_is_said_and_survived(monkeypatch: pytest.MonkeyPatch) ->
         SamplerSettings(ensembles=2, target_ess=100, first_check=40, max_steps=40),
         draws_per_ensemble=500,
         prior_draws=500,
-        say=said.append,
+        log=said.append,
     )
     assert any("falling back on differential evolution" in line for line in said)
     assert any("not reliable" in line for line in sampled.warnings)

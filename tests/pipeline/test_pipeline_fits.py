@@ -22,7 +22,7 @@ from cassini_bayes.pipeline.fits import FitResult
 from cassini_bayes.prediction.sources import read_sources, sources_of
 from cassini_bayes.results.review import Review
 
-SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 40, "max_steps": 100}
+SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 64, "max_steps": 100}
 FEW = {"draws_per_ensemble": 500, "prior_draws": 500}
 BIAS = "rwa1: -200 -> 150, rwa2: 300 -> -100, rwa4: 250 -> -50"
 
@@ -203,7 +203,7 @@ def test_the_report_command_goes_on_from_the_stored_draws(
     """It writes what a run writes, of the same draws, into the run's folder or another."""
     written: list[tuple[Review, Path]] = []
 
-    def write(review: Review, folder: Path, say: object, *, report: bool) -> None:
+    def write(review: Review, folder: Path, log: object, *, report: bool) -> None:
         assert report
         written.append((review, folder))
 

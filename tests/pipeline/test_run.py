@@ -35,7 +35,7 @@ class Silent:
         self.lines: list[str] = []
         self.reports: list[ProgressReport] = []
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """Keep a line."""
         self.lines.append(text)
 

@@ -38,7 +38,7 @@ from cassini_bayes.studies.scenario import simulate_file, write_simulation
 
 LEVELS = "thrust_level_n"
 DRAWS = 8_000
-MORE_DRAWS = 12_000  # of telemetry, whose walked parameters are more
+MORE_DRAWS = 5_000  # of telemetry, whose walked parameters are more
 
 
 def fitted(model: Model, seed: int, draws: int = DRAWS) -> tuple[WarmStart, Fit]:

@@ -16,7 +16,7 @@ from cassini_bayes.report.diagnosis_pictures import Drawn
 from cassini_bayes.report.diagnosis_slider import width_slider
 from cassini_bayes.report.plots.overlays import overlay_figure, trade_figure
 
-PICTURE = Drawn("causes", "Bars of <the> causes.", b"png", b"svg")
+PICTURE = Drawn("causes", "Bars of <the> causes.", "Causes.", b"png", b"svg")
 
 
 class Page(HTMLParser):

@@ -69,8 +69,8 @@ def gyro_nats(count: int) -> NDArray[np.float64]:
 
 def test_gyros_without_errors_gain_as_chance_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of a χ² of two: mean 1; with the walk of rate noise left to chance it is far more."""
-    nats = gyro_nats(120)
+    nats = gyro_nats(80)
     assert abs(nats.mean() - 1.0) < 4.0 / np.sqrt(len(nats))
     assert nats.max() < np.log(len(nats)) + 5.0
     monkeypatch.setattr(module, "high_difference_noise", lambda *_: np.zeros(3))
-    assert gyro_nats(120).max() > np.log(len(nats)) + 5.0
+    assert gyro_nats(20).max() > np.log(len(nats)) + 5.0

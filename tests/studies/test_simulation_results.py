@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection
 from study_cases import study_in
 
 from cassini_bayes.report.plots.simulation import motion_figure
+from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.simulation import read_scenario
 from cassini_bayes.simulation.settings import PropulsionSettings
 from cassini_bayes.studies.simulation import biases, page, simulation_results
@@ -29,7 +30,6 @@ from cassini_bayes.studies.simulation.propellant import (
     hydrazine_g,
     propellant_section,
 )
-from cassini_bayes.studies.simulation.tables import markdown
 
 ROOT = Path(__file__).parents[2]
 
@@ -163,4 +163,4 @@ def test_a_picture_of_a_slew_has_no_firings() -> None:
 
 def test_a_markdown_table_is_one() -> None:
     """Header, rule, rows."""
-    assert markdown(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
+    assert markdown_table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import read_event
@@ -26,8 +27,6 @@ from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.model.mission.model import MissionModel, build_mission
 from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors, read_priors
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ def read_mission(
     base: Path,
     where: str,
     cache: Path | None = None,
-    say: Say = lambda _: None,
+    log: Log = silent,
 ) -> MissionInputs:
     """Read priors and events that a mission file names, relative to ``base``.
 
@@ -84,7 +83,7 @@ def read_mission(
         place = base / reference
         if is_event_folder(place):
             found: list[tuple[Event, EventFacts, str]] = [
-                _telemetry(place, priors, mission.pulse_shape, cache, say, policy)
+                _telemetry(place, priors, mission.pulse_shape, cache, log, policy)
             ]
         else:
             rows = read_totals(str(place), priors.spacecraft, mission.source)
@@ -119,12 +118,12 @@ def read_mission(
 
 
 def _telemetry(
-    folder: Path, priors: Priors, pulse_shape: str, cache: Path | None, say: Say, policy: Policy
+    folder: Path, priors: Priors, pulse_shape: str, cache: Path | None, log: Log, policy: Policy
 ) -> tuple[Event, EventFacts, str]:
     """A folder of telemetry, reduced; its tank pressure is the mean of its readings."""
     described = read_event(folder, priors.spacecraft)
     of_branch = priors.for_branch(described.branch)
-    reduced = reduce_event(folder, of_branch, pulse_shape, cache, say, policy)
+    reduced = reduce_event(folder, of_branch, pulse_shape, cache, log, policy)
     if cache is not None:
         store_reduction(reduced, cache)
     readings = [

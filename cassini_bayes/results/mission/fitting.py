@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.mission.losses import (
     Hypothesis,
@@ -55,7 +56,6 @@ _KEPT: Final = 100  # points whose densities one file keeps
 _WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
 _DOF: Final = 15.0  # of the proposal, as in a warm start
 
-Say = Callable[[str], None]
 StoreOf = Callable[[str], CheckpointStore | None]
 References = Mapping[str, Hypothesis]
 """Branch → losses that the draws of a fit take as given."""
@@ -256,7 +256,7 @@ def fit_mission(
     proposals: int,
     earlier: EarlierDraws | None = None,
     store_of: StoreOf = lambda _: None,
-    say: Say = lambda _: None,
+    log: Log = silent,
 ) -> MissionFit:
     """Draws of a mission, its likeliest losses found on the way.
 
@@ -281,12 +281,12 @@ def fit_mission(
     if earlier is not None:
         references = {**references, **earlier.references}
         density = Remembered(target(model, references, prior), store_of(repr(references)))
-        found = _weighed_anew(earlier, model, density, rng)
+        found = _reweighted(earlier, model, density, rng)
         proposal = moments(found)
         found = found if trusted(found) else None
     for look in range(LOOKS):
         density = Remembered(target(model, references, prior), store_of(repr(references)))
-        say(f"draws with {describe(model, references)}")
+        log(f"draws with {describe(model, references)}")
         start = proposal or _prior_proposal(model.space.dimension)
         if found is None:
             found, proposal = _importance(density, start, rng, proposals)
@@ -336,7 +336,7 @@ def _importance(
     return found, proposal
 
 
-def _weighed_anew(
+def _reweighted(
     earlier: EarlierDraws, model: MissionModel, density: LogDensity, rng: np.random.Generator
 ) -> ImportanceDraws:
     """Draws of a shorter mission with the weights that the longer one gives them."""

@@ -192,7 +192,7 @@ def _record(
         if verdict.pair is None
         else float(verdict.pair.net_evidence - first.net_evidence),
         "pair_first_like": list(verdict.confounded_with(first.name)),
-        "pair_second_like": list(verdict.pair_alike),
+        "pair_second_like": list(verdict.equal_seconds),
         "p_value": p,
     }
 

@@ -18,7 +18,7 @@ LEAST_SIGMA: Final = 5.0
 
 
 @dataclass(frozen=True)
-class Strange:
+class UncataloguedKind:
     """A kind outside the catalogue: parameters of unit size, those that do not grow, log10 span."""
 
     name: str
@@ -32,7 +32,7 @@ class Strange:
         return Hidden(self.name, {**grown, **self.constant}, float("nan"))
 
 
-def draw_strange(events: Events, rng: np.random.Generator) -> Strange:
+def draw_kind(events: Events, rng: np.random.Generator) -> UncataloguedKind:
     """An atmospheric torque, a pressure surge, a tachometer scale or plume impingement."""
     kinds = ("atmospheric_torque", "pressure_surge", "tachometer_scale", "plume_impingement")
     kind = str(rng.choice(kinds))
@@ -44,18 +44,18 @@ def draw_strange(events: Events, rng: np.random.Generator) -> Strange:
             "centre_s": float(rng.uniform(0.2, 0.8) * event.sampling.duration_s),
             "width_s": float(rng.uniform(50.0, 250.0)),
         }
-        return Strange(kind, direction, when, (-4.7, -3.3))
+        return UncataloguedKind(kind, direction, when, (-4.7, -3.3))
     if kind == "pressure_surge":
         when = {
             "start_s": float(rng.uniform(0.1, 0.6) * event.sampling.duration_s),
             "decay_s": float(rng.uniform(100.0, 500.0)),
         }
-        return Strange(kind, {"thrust_fraction": 1.0}, when, (-1.5, -0.5))
+        return UncataloguedKind(kind, {"thrust_fraction": 1.0}, when, (-1.5, -0.5))
     if kind == "tachometer_scale":
         sign = float(rng.choice([-1.0, 1.0]))
-        return Strange(kind, {"slope_per_rpm": sign}, {}, (-6.0, -4.5))
+        return UncataloguedKind(kind, {"slope_per_rpm": sign}, {}, (-6.0, -4.5))
     thruster = str(rng.choice(event.thrusters))
-    return Strange(f"{kind}:{thruster}", {"lever_m": 1.0}, {}, (-1.5, -0.3))
+    return UncataloguedKind(f"{kind}:{thruster}", {"lever_m": 1.0}, {}, (-1.5, -0.3))
 
 
 def draw_uncatalogued(stage: Stage, rng: np.random.Generator) -> Hidden | None:
@@ -63,14 +63,14 @@ def draw_uncatalogued(stage: Stage, rng: np.random.Generator) -> Hidden | None:
 
     None where even the largest of its kind is smaller on this flight.
     """
-    strange = draw_strange(stage.events, rng)
-    low, high = strange.span
-    top = _measured(stage, strange.hidden(10.0**high))
+    kind = draw_kind(stage.events, rng)
+    low, high = kind.span
+    top = _measured(stage, kind.hidden(10.0**high))
     if top is None or top.sigma < LEAST_SIGMA:
         return None
     low = max(low, high - float(np.log10(top.sigma / LEAST_SIGMA)))
     for _ in range(MOST_FLIGHTS):
-        measured = _measured(stage, strange.hidden(10.0 ** float(rng.uniform(low, high))))
+        measured = _measured(stage, kind.hidden(10.0 ** float(rng.uniform(low, high))))
         if measured is not None and measured.sigma >= LEAST_SIGMA:
             return measured
     return top

@@ -12,6 +12,7 @@ from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.published import wheel_bias_tables
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.plots.simulation import OnTimePanel, comparison_figure, motion_figure
+from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.simulation import read_scenario
 from cassini_bayes.studies.bias_comparison import (
     KINDS,
@@ -26,7 +27,6 @@ from cassini_bayes.studies.bias_comparison import (
     simulate_biases,
 )
 from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated, with_settings
-from cassini_bayes.studies.simulation.tables import markdown
 
 TAIL_OFFS_S: Final = (0.032, 0.040, 0.044)
 
@@ -83,10 +83,10 @@ def bias_sections(
         "_event": motion_figure(simulated(file, seeds[0])[0]),
     }
     sections = [
-        markdown(header, skill),
+        markdown_table(header, skill),
         _on_time_table(full),
         _pulse_table(full),
-        markdown(scan_header, scan_rows),
+        markdown_table(scan_header, scan_rows),
     ]
     return sections, files, figures
 
@@ -166,7 +166,7 @@ def _event_table(comparison: Comparison, header: Sequence[str], rows: Sequence[i
             lines.append([table.event if i == 0 else "", _COLUMN_NAMES[column], *cells])
         simulated_cells = [f"{_plain(mean[row], row)} ± {spread[row]:.2f}" for row in rows]
         lines.append(["", "simulated", *simulated_cells])
-    return markdown(["event", "", *header], lines)
+    return markdown_table(["event", "", *header], lines)
 
 
 def _plain(value: float, row: int) -> str:

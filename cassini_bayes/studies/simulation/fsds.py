@@ -11,10 +11,10 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published import published_constants
+from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.simulation import Motion, SimulatedEvent, read_scenario
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated
-from cassini_bayes.studies.simulation.tables import markdown
 
 SEEDS: Final = range(1, 9)
 DIGITS: Final = (2, 0, 0, 0, 1, 0, 3, 4, 3)
@@ -60,7 +60,7 @@ def fsds_section() -> tuple[str, list[list[str]]]:
             changed = replace(file, scenario=scenario)
             found = [_figures(simulated(changed, seed)[0], lever) for seed in SEEDS]
             rows.append([f"{shape}{name}", *_cells(np.array(found))])
-    return markdown(header, rows), [header, *rows]
+    return markdown_table(header, rows), [header, *rows]
 
 
 def _paper_fsds_cells() -> list[str]:

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.simulation import (
     Motion,
     ScenarioFile,
@@ -25,7 +26,6 @@ from cassini_bayes.simulation.telemetry import record_interval_s
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.studies.scenario import draw_truth, simulate_file
 from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated
-from cassini_bayes.studies.simulation.tables import markdown
 
 WIDTHS_S: Final = (0.007, 0.02, 0.06, 0.125, 0.25, 0.5, 0.75)
 STREAMS: Final = ("start", "knowledge", "torque noise")
@@ -81,7 +81,7 @@ def momentum_section() -> str:
         ["in memory, wheel bias of 1291 s to telemetry", f"{in_memory_s(biases, 1):.2f} s", "–"],
         ["in memory, slews of 4200 s to telemetry", f"{in_memory_s(slews, 0):.2f} s", "–"],
     ]
-    return markdown(["figure", "measured", "required"], rows)
+    return markdown_table(["figure", "measured", "required"], rows)
 
 
 def integrator_orders(file: ScenarioFile) -> tuple[float, ...]:

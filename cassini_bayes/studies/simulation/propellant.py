@@ -15,9 +15,9 @@ from scipy.optimize import least_squares
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published import WheelBiasTable, wheel_bias_tables
+from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.simulation.kernel import STANDARD_GRAVITY_M_S2
 from cassini_bayes.studies.bias_comparison import PRINTED, UNITS, printed_rows
-from cassini_bayes.studies.simulation.tables import markdown
 
 THRUSTERS_PER_UNIT: Final = np.array([2.0 if "_" in unit else 1.0 for unit in UNITS])
 START: Final = (180.0, 10.0, 100.0)
@@ -108,4 +108,4 @@ def propellant_section() -> tuple[str, list[list[str]]]:
                 *(f"{full.at(duty):.1f}" for duty in (0.005, 0.02)),
             ]
         )
-    return markdown(header, rows), [header, *rows]
+    return markdown_table(header, rows), [header, *rows]

@@ -1,4 +1,4 @@
-"""Who works on a diagnosis: processes that share out its stages, and what is finished already.
+"""Stages of a diagnosis: shared out among processes, and kept as soon as they are finished.
 
 The stages of a diagnosis follow each other as the data have it, whoever works on them. So a piece
 of work is kept under the number of its stage and its place there, and a diagnosis that was killed
@@ -20,13 +20,13 @@ Result = TypeVar("Result")
 Progress = Callable[[str, int, int], None]
 
 
-def untold(what: str, done: int, total: int) -> None:
-    """Tell nobody."""
+def no_progress(what: str, done: int, total: int) -> None:
+    """Report nothing."""
     del what, done, total
 
 
 @dataclass(frozen=True)
-class Crew:
+class StageRunner:
     """Processes, the folder of what they have finished, who is told how far a stage has got.
 
     Neither changes a result. ``progress`` gets the stage's name, how much is done, of how much.
@@ -34,7 +34,7 @@ class Crew:
 
     processes: int = 1
     store: CheckpointStore | None = None
-    progress: Progress = untold
+    progress: Progress = no_progress
     _stages: Iterator[int] = field(default_factory=count, init=False, repr=False, compare=False)
 
     def results(
@@ -66,12 +66,12 @@ class Crew:
             if arrays is not None:
                 found[place] = value_of(kinds[place], arrays)
         missing = [place for place in range(len(work)) if place not in found]
-        self._tell(what, len(found), len(work))
+        self._report(what, len(found), len(work))
         due = [work[place] for place in missing]
         for i, result in as_finished(_called, due, self.processes, meanwhile):
             place = missing[i]
             found[place] = self._kept(names[place], kinds[place], result)
-            self._tell(what, len(found), len(work))
+            self._report(what, len(found), len(work))
         return [found[place] for place in range(len(work))]
 
     def _kept(self, name: str, kind: Any, result: Result) -> Result:
@@ -83,12 +83,12 @@ class Crew:
         kept: Result = value_of(kind, arrays)
         return kept
 
-    def _tell(self, what: str, done: int, total: int) -> None:
+    def _report(self, what: str, done: int, total: int) -> None:
         if what and total > 1:
             self.progress(what, done, total)
 
 
-ALONE: Final = Crew()
+SERIAL: Final = StageRunner()
 """One process that keeps nothing."""
 
 

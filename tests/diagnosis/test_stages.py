@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cassini_bayes.diagnosis.crew import Crew
 from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 
@@ -22,7 +22,7 @@ def mode_of(seed: int, made: list[int]) -> Mode:
     return Mode(rng.standard_normal(4), np.asfortranarray(rng.standard_normal((4, 4))), 0.1 * seed)
 
 
-def stages(crew: Crew, made: list[int], failing: int = -1) -> list[Mode]:
+def stages(crew: StageRunner, made: list[int], failing: int = -1) -> list[Mode]:
     """Two stages of three pieces, of which one may fail."""
 
     def piece(seed: int) -> Mode:
@@ -35,10 +35,10 @@ def stages(crew: Crew, made: list[int], failing: int = -1) -> list[Mode]:
     return [*first, *second]
 
 
-def crew_in(folder: Path, told: Callable[[str, int, int], None] | None = None) -> Crew:
+def crew_in(folder: Path, told: Callable[[str, int, int], None] | None = None) -> StageRunner:
     """One process that keeps what it finishes."""
     store = CheckpointStore(folder, "own")
-    return Crew(1, store) if told is None else Crew(1, store, told)
+    return StageRunner(1, store) if told is None else StageRunner(1, store, told)
 
 
 @pytest.mark.parametrize("failing", range(6))
@@ -77,4 +77,4 @@ def test_pieces_of_another_diagnosis_are_refused(tmp_path: Path) -> None:
     """Never silently continued."""
     stages(crew_in(tmp_path), [])
     with pytest.raises(InputError, match="one of another run"):
-        stages(Crew(1, CheckpointStore(tmp_path, "other")), [])
+        stages(StageRunner(1, CheckpointStore(tmp_path, "other")), [])
