@@ -282,8 +282,8 @@ def test_findings_say_what_was_measured() -> None:
     points = points_of(case(), *(held_out(case(), verdict, n) for n in ("none", "firing_logic")))
     assert len(points) == 24
     missed = points["flight_s"] - points["first_s"]
-    assert f"RMS residual {np.sqrt((missed**2).mean()):.2f} s" in found.details
-    assert ": gain." in found.details
+    assert f"| `firing_logic` | – | {np.sqrt((missed**2).mean()):.2f} |" in found.details
+    assert "Verdict: gain." in found.details
     assert "below 0.001" in found.remains
     assert "pairing_share" in found.sizes["firing_logic"]
     left, right = found.figure.axes
