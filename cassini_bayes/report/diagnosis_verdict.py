@@ -112,9 +112,9 @@ def _reconciled(record: Record, best: Record) -> list[str]:
         )
     if best["name"] == "unknown" and p is not None and not is_small:
         sentences.append(
-            f"p = {p:.2g} does not see it: {_lower(_TESTED)}, as slow drifts and lines, and what "
-            "wanders otherwise, or what free quantities were bent to take up, is not among them. "
-            "The probability weighs all rows."
+            f"p = {p:.2g} does not see it. {_TESTED}, for slow drifts and lines. They miss what "
+            "wanders otherwise, and what free quantities have taken up. The probability weighs all "
+            "rows."
         )
     if best["name"] not in ("none", "unknown"):
         if p is not None and not is_small:
@@ -220,7 +220,7 @@ def _traces(record: Record) -> list[str]:
     drivers = [item for item in record.get("drivers", []) if abs(item["z"]) > item["band_z"]]
     if drivers:
         named = ", ".join(f"{item['driver']} ({rounded(item['z'], 0)} σ)" for item in drivers[:3])
-        sentences.append(f"What is left goes most with {named}.")
+        sentences.append(f"What is left is correlated most with {named}.")
     return sentences
 
 
@@ -259,7 +259,3 @@ def _second(record: Record) -> list[str]:
         return []
     second = record["extended"]["causes"][-1]
     return [f"A second cause, {second}, gains {record['second_cause_nats']:.1f} nats beside it."]
-
-
-def _lower(sentence: str) -> str:
-    return sentence[0].lower() + sentence[1:]
