@@ -168,8 +168,8 @@ def kill_and_resume(
         delay = float(rng.uniform(0.0, 0.9 * share * lengths[stage]))
         kill = None
         while kill is None:
-            log = work / f"kill_{number:02d}.log"
-            kill = kill_once(start, arguments, killed, log, stage, delay)
+            printed = work / f"kill_{number:02d}.log"
+            kill = kill_once(start, arguments, killed, printed, stage, delay)
             delay /= 2.0  # the run had ended: a shorter wait is left of what it has to do
         log(f"kill {number + 1}: {kill.stage}, {kill.delay_s:.2f} s in, after {kill.last_line!r}")
         done.append(kill)

@@ -228,9 +228,8 @@ def test_a_study_of_leaks_writes_its_page(tmp_path: Path, monkeypatch: pytest.Mo
     compare_leak_monitors(study, SCENARIO, PRIORS, {"trials": 40}, calibrated=True)
     assert asked == [index % 10 < 7 for index in range(40)]
     text = study.page.read_text(encoding="utf-8")
-    assert text.startswith(
-        "# Leaks with calibrated thrusters\n\n28 wheel biases with a leak and 12"
-    )
+    assert text.startswith("# Leaks with calibrated thrusters\n\nWhich monitor finds")
+    assert "28 wheel biases with a leak and 1" in text
     assert all(monitor.label in text for monitor in MONITORS)
     assert {path.name for path in tmp_path.glob("leaks.*")} == {
         "leaks.md",
