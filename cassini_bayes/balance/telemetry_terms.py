@@ -445,9 +445,8 @@ def band_covariances(
     What counters leave open is slower than the rows: it differs by band.
     """
     white = covariance_beside_wheels(event, physics, parameters)
-    bands = (event.slow, *event.fast)
-    each = [_open_covariance(event, physics, thrust_n, own.cut, own.level) for own in bands]
-    return np.ascontiguousarray(white[:, None] + np.stack(each, axis=1))
+    left_open = _open_covariances(event, physics, thrust_n, (event.slow, *event.fast))
+    return np.ascontiguousarray(white[:, None] + np.stack(left_open, axis=1))
 
 
 @dataclass(frozen=True)
@@ -499,26 +498,27 @@ def _shared_turn_covariances(
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     lasting = rounding * _lasting_share(event, parameters)[:, None]
     by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
+    left_open = _open_covariances(event, physics, thrust_n, event.turns)
     each = [
         (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])
         @ np.swapaxes(wheels, -1, -2)
         + band.walked_s3 * by_torque
-        + _open_covariance(event, physics, thrust_n, band.cut, band.level)
-        for band in event.turns
+        + own
+        for band, own in zip(event.turns, left_open, strict=True)
     ]
     return np.array(each).reshape(-1, *by_torque.shape).swapaxes(0, 1)
 
 
-def _open_covariance(
-    event: TelemetryBalance, physics: Physics, thrust_n: float, cut: Array, level: Array
-) -> Array:
-    """Covariance (n, 3, 3) of tails and on-times that counters leave open, by couple (G,)."""
-    n = len(physics.inertia_kg_m2)
-    if not event.fires or not (cut.any() or level.any()):
-        return np.zeros((n, 3, 3))
+def _open_covariances(
+    event: TelemetryBalance, physics: Physics, thrust_n: float, bands: Sequence[Band | TurnBand]
+) -> list[Array]:
+    """Covariance (n, 3, 3) in each band of tails and on-times that counters leave open."""
+    if not event.fires or not any(band.cut.any() or band.level.any() for band in bands):
+        return [np.zeros((len(physics.inertia_kg_m2), 3, 3))] * len(bands)
     torque, tail = open_scales(event, physics, thrust_n)
-    square = tail[:, None] ** 2 * cut + level
-    return np.asarray((torque * square[:, None]) @ np.swapaxes(torque, -1, -2))
+    across = np.swapaxes(torque, -1, -2)
+    squares = (tail[:, None] ** 2 * band.cut + band.level for band in bands)
+    return [(torque * square[:, None]) @ across for square in squares]
 
 
 def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> tuple[Array, Array]:

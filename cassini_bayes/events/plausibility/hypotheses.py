@@ -494,11 +494,10 @@ def _of_physical_lags(evidence: Evidence) -> Iterator[Explanation]:
     if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
         return
     shift, row_s = _Shift(evidence, rows, motion, "counter-time"), _row_s(motion)
-    number = int(PHYSICAL_LAG_S / row_s)
+    number, misfit = int(PHYSICAL_LAG_S / row_s), evidence.misfit()
     for late in (row_s * n for n in range(-number, number + 1) if n):
-        left = evidence.misfit() * shift.share(late)
         what = f"counters that come {late:.3g} s late"
-        yield Explanation(PHYSICS, what, "", left, FREE_PRICE)
+        yield Explanation(PHYSICS, what, "", misfit * shift.share(late), FREE_PRICE)
 
 
 def _row_s(motion: Motion) -> float:

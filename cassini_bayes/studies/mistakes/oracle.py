@@ -140,20 +140,21 @@ def _densest(events: Events, rows: int) -> Physics:
     wide, catalogue = with_catalogue(events.priors), events.catalogue
     full = build_model(events.all, wide, keep_idle=True)
     base = _mode(without_idle(full))
-    peak = base.value + 0.5 * LOG_2_PI * len(base.point)
     causes = {}
     for effect in catalogue.effects:
         if not effect.needs_search:
             model = without_idle(with_effects(full, [effect]))
             cause = Hypothesis(effect.name, model, effect.prior_probability)
-            found = newton_search(cause, base).mode
-            # with priors at their peaks taken as one, a coordinate more is no loss of density
-            causes[effect.name] = found.value + 0.5 * LOG_2_PI * len(found.point)
+            causes[effect.name] = _peak(newton_search(cause, base).mode)
     if events.telemetry:
         unknown = wide.with_distribution(TORQUE_NOISE, catalogue.unknown.torque_noise)
-        found = _mode(build_model(events.all, unknown))
-        causes[UNKNOWN] = found.value + 0.5 * LOG_2_PI * len(found.point)
-    return Physics(peak, causes, rows)
+        causes[UNKNOWN] = _peak(_mode(build_model(events.all, unknown)))
+    return Physics(_peak(base), causes, rows)
+
+
+def _peak(mode: Mode) -> float:
+    """Log density at a mode, with priors at their peaks as one: a coordinate more is no loss."""
+    return mode.value + 0.5 * LOG_2_PI * len(mode.point)
 
 
 def _mode(model: Model) -> Mode:
