@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
@@ -48,7 +49,7 @@ WIDTHS: Final[Mapping[str, float]] = {
     "warm-up": 0.25,  # of the thrust, while a thruster's bed is cold
     "lag": 1.0,  # s of the counters
     "torque": 0.003,  # N m, each axis: a leak of a few mN
-    "bias": 2e-5,  # rad/s of every rate
+    "bias": 2e-5,  # rad/s of every rate, and no more than turns of the attitude leave
     "drift": 0.002,  # N m s per √s, each axis: torque that nothing catalogued explains
     "cut": 0.02,  # s of thrust, cut off the tail of each pulse that another may follow at once
     "swing": 2e-5,  # rad/s of a boom's oscillation, where one is looked for
@@ -57,6 +58,12 @@ WIDTHS: Final[Mapping[str, float]] = {
 to ten times the published uncertainties; drift: twice the median of `unknown`
 there, as a mistake that explains more than a torque of nobody's catalogue has to win against it."""
 WARM_UP_S: Final = 5.0
+DRIFT_LEVELS: Final = (0.05, 0.2, 0.5, 1.0)
+"""Shares of its width that a torque which nothing explains may have: inferred from each event."""
+USUAL_DRIFT: Final = 1e-4
+"""N m s per √s: the median of the priors', whose logarithm has a width of 1."""
+LEAST_STRENGTH: Final = 1e-9
+"""Of a free column, in units of noise: nothing is known of it."""
 DRIFT_MODES: Final = 24
 """Of a torque that wanders: with 12, what a strong one has left was no noise (by trial)."""
 CUT_MODES: Final = 24
@@ -146,6 +153,11 @@ class Correction:
         """Everything as recorded."""
         return cls(np.eye(3), np.eye(wheels), np.eye(thrusters))
 
+    @property
+    def is_free(self) -> bool:
+        """Whether a size is free."""
+        return bool(self.offset.shape[1] or self.wheel_factor or self.wheel_jump)
+
     def with_rate(self, rate: Array) -> Correction:
         """The same with other rates."""
         return replace(self, rate=rate)
@@ -187,6 +199,7 @@ class Columns:
             "flow": thrusters,
             "torque": 1,
             "fixed": 1,
+            "bias": 1,
             "jump": wheels,
             "drift": DRIFT_MODES,
             "cut": CUT_MODES,
@@ -281,13 +294,73 @@ class Momentum:
         factors = 1.0 + _FREE * solution[len(solution) - len(correction.wheel_factor) :]
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
         excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
-        if "common" in names:
-            share = self._share_of_impulse(names, nominal, correction)
-            # a tail may grow by more than there is of it, but not shrink
-            less = np.where(np.array(names) == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
-            variance_of_less = float(np.sum((less * share) ** 2))
-            excess += vanishing(1.0 + float(share @ solution), variance_of_less)
+        excess += float(self._vanished(names, nominal, correction, solution[:, None])[0])
         return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
+
+    def gains(self, nominal: Nominal, corrections: Sequence[Correction]) -> tuple[Array, Array]:
+        """By how much corrections raise the evidence, as −2 log, and their sizes (1 where fixed).
+
+        A correction moves what is to be closed by a column, once or, where its size is free, by as
+        much as fits best; a factor is 1 and the size.
+        """
+        nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        names, design = nominal.departures
+        target = nominal.exchanges[:, 0]
+        moves = [self._move(nominal, target, each) for each in corrections]
+        free = np.array([each.is_free for each in corrections])
+        weights = np.concatenate([design, np.stack([*moves, target], axis=1)], axis=1)
+        inner = weights.T @ (self.gram @ weights) / self.noise(nominal, nothing) ** 2
+        number, wanders = len(names), np.array(names) == "drift"
+        recorded, left, sizes = [], [], []
+        for level in DRIFT_LEVELS:
+            scale = np.where(wanders, level, 1.0)
+            covariance = np.eye(number) + scale[:, None] * inner[:number, :number] * scale
+            factor = np.linalg.cholesky(covariance)
+            solved = solve_triangular(factor, scale[:, None] * inner[:number, number:], lower=True)
+            # what departures do not take of the columns
+            rest = inner[number:, number:] - solved.T @ solved
+            strength, common = np.diag(rest)[:-1], rest[:-1, -1]
+            size = np.where(free, -common / np.maximum(strength, LEAST_STRENGTH), 1.0)
+            price = np.log(level * WIDTHS["drift"] / USUAL_DRIFT) ** 2
+            base = rest[-1, -1] + 2.0 * np.log(np.diag(factor)).sum() + price
+            taken = solve_triangular(factor, solved, lower=True, trans="T")
+            departures = -scale[:, None] * (taken[:, :-1] * size + taken[:, -1:])
+            gone = self._vanished(names, nominal, nothing, departures)
+            none = self._vanished(names, nominal, nothing, -scale[:, None] * taken[:, -1:])
+            recorded.append(base + float(none[0]))
+            left.append(base + size * (2.0 * common + size * strength) + gone)
+            sizes.append(size)
+        best = np.argmin(left, axis=0)
+        return min(recorded) - np.min(left, axis=0), np.array(sizes)[best, np.arange(len(best))]
+
+    def _move(self, nominal: Nominal, target: Array, correction: Correction) -> Array:
+        """Weights (p,) by which a correction moves what is to be closed, per unit of a free size."""
+        if correction.offset.shape[1]:
+            return self.columns.weights(fixed=correction.offset[:, 0])
+        for name, of in (
+            ("wheel_around", correction.wheel_factor),
+            ("jump", correction.wheel_jump),
+        ):
+            if of:
+                own = np.outer(nominal.spins[:, of[0]], np.eye(nominal.spins.shape[1])[of[0]])
+                return self.columns.weights(**{name: own})
+        return corrected(self.columns, target[:, None], correction)[:, 0] - target
+
+    def _vanished(
+        self,
+        names: Sequence[str],
+        nominal: Nominal,
+        correction: Correction,
+        departures: Array,
+    ) -> Array:
+        """Price (C,) of the impulse that departures (J, C) leave of all firings."""
+        if "common" not in names:
+            return np.zeros(departures.shape[1])
+        share = self._share_of_impulse(names, nominal, correction)
+        # a tail may grow by more than there is of it, but not shrink
+        less = np.where(np.array(names) == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
+        variance = float(np.sum((less * share) ** 2))
+        return np.array([vanishing(level, variance) for level in 1.0 + share @ departures])
 
     def _share_of_impulse(
         self, names: Sequence[str], nominal: Nominal, correction: Correction
@@ -408,7 +481,7 @@ def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, .
         each += _thruster_departures(columns, nominal)
     for axis in np.eye(3):
         each.append(("torque", columns.weights(torque=WIDTHS["torque"] * axis)))
-        each.append(("bias", columns.weights(fixed=WIDTHS["bias"] * size * axis)))
+        each.append(("bias", columns.weights(bias=size * axis)))
         for mode in np.eye(DRIFT_MODES):
             drift = columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
             each.append(("drift", drift))
@@ -459,11 +532,16 @@ def vanishing(level: float, variance: float) -> float:
 
 
 def momentum_of(
-    rows: Rows, torques: Array, along: Array | None = None, swing_hz: float = 0.0
+    rows: Rows,
+    torques: Array,
+    along: Array | None = None,
+    swing_hz: float = 0.0,
+    bias_rad_s: Array | None = None,
 ) -> Momentum:
     """Columns of an event's rows and their Gram matrices.
 
     ``torques``: (3, K) of the thrusters. ``swing_hz``: of a boom that may oscillate; 0: of none.
+    ``bias_rad_s``: (3,) that rates may be off by, 1 σ; without it that of :data:`WIDTHS`.
     ``along``: a body axis (3,) along which nothing is known, so that rows speak of the plane across
     it alone: the columns are those of a wheel that says nothing.
     """
@@ -499,6 +577,8 @@ def momentum_of(
     table[:, :, of["flow"]] = np.gradient(fired, time, axis=0) if thrusters else fired
     table[:, :, of["torque"]] = accumulated(np.diff(time)[:, None])
     table[:, :, of["fixed"]] = carried(np.ones((count, 1)))
+    off = np.full(3, WIDTHS["bias"]) if bias_rad_s is None else bias_rad_s
+    table[:, :, of["bias"]] = turn * off
     jumped = np.arange(count)[:, None] >= largest_jumps(rows.wheel_rpm)
     table[:, :, of["jump"]] = carried(jumped.astype(np.float64))
     table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)

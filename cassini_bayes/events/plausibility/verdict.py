@@ -145,14 +145,20 @@ class Findings:
 
 
 def best_explanations(
-    misfit: float, explanations: Sequence[Explanation], least_gain: float = LEAST_GAIN
+    misfit: float,
+    explanations: Sequence[Explanation],
+    least_gain: float = LEAST_GAIN,
+    passes: float = 0.0,
 ) -> tuple[Explanation, ...]:
-    """The explanation that leaves least, and those as good; empty if none explains the misfit."""
+    """The explanation that leaves least, and those as good; empty if none explains the misfit.
+
+    A mistake explains it if it leaves a third of it, or no more than what ``passes``.
+    """
     ranked = sorted(explanations, key=lambda each: each.score)
     if not ranked or misfit - ranked[0].score < least_gain:
         return ()
     # of a large misfit a third is as large as no honest event's: that is not explained either
-    if ranked[0].left > min(EXPLAINED * misfit, UNKNOWN):
+    if ranked[0].left > min(max(EXPLAINED * misfit, passes), UNKNOWN):
         return ()
     close = [each for each in ranked if each.score <= ranked[0].score + AS_GOOD]
     return tuple(close[:MOST_NAMED])
