@@ -20,6 +20,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     Evidence,
     by_evidence,
     explanations,
+    likelier_rates,
     likeliest,
     with_noise_of_lags,
     with_swing,
@@ -31,6 +32,7 @@ from cassini_bayes.events.plausibility.verdict import (
     STRICT,
     SUSPECT,
     UNKNOWN,
+    Explanation,
     Findings,
     Policy,
     best_explanations,
@@ -218,14 +220,19 @@ class TelemetryCheck:
     def _is_unlikely(self, evidence: Evidence) -> bool:
         """Whether a mistake makes an event much likelier whose misfit is as honest ones have it."""
         found = by_evidence(evidence, self._event.wheels, self._event.thrusters)
-        return bool(found) and found[0].gain > LIKELIER
+        return bool(likelier_rates(evidence) or (found and found[0].gain > LIKELIER))
+
+    def _likeliest(self, evidence: Evidence) -> tuple[Explanation, ...]:
+        """Mistakes by how much likelier they make an event: of rates, or of wheels and counters."""
+        event = self._event
+        return likelier_rates(evidence) or likeliest(evidence, event.wheels, event.thrusters)
 
     def _explain(self, evidence: Evidence, misfit: float, findings: Findings) -> None:
         event = self._event
         where = str(event.telemetry)
         expected = "attitude, rates, wheels and counters of one motion"
         if misfit <= SUSPECT:
-            best = likeliest(evidence, event.wheels, event.thrusters)
+            best = self._likeliest(evidence)
             if best:
                 refuse_best(where, expected, misfit, best, self._policy, findings)
             return
@@ -237,7 +244,7 @@ class TelemetryCheck:
         best = ()
         if misfit > SUSPECT:
             best = best_explanations(min(sharper.misfit(), physical), mistakes)
-        best = best or likeliest(evidence, event.wheels, event.thrusters)
+        best = best or self._likeliest(evidence)
         if best:
             refuse_best(where, expected, misfit, best, self._policy, findings)
             return

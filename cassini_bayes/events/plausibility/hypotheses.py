@@ -29,6 +29,8 @@ from cassini_bayes.events.plausibility.undone import (
     ORDER_PRICE,
     Undone,
     of_counters,
+    of_late_wheels,
+    of_scaled_rates,
     of_wheels,
 )
 from cassini_bayes.events.plausibility.verdict import (
@@ -73,6 +75,12 @@ AnyRows = TypeVar("AnyRows", bound=Motion)
 LEAST_TURNED: Final = 10.0
 """Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
 MOST_SHIFTS: Final = 16
+BESIDE: Final = 1.4
+"""Factor between a unit of wheel rates and what it has to fit better than: units are further
+apart."""
+MOST_FACTOR: Final = 5.0
+"""Of body rates: where instruments are weak, a factor of 0.03 may fit by chance."""
+RATE_FIX: Final = "give rate_…_rad_s about the body axes, in rad/s"
 LIKELIER: Final = 20.0
 """Twice the logarithm of a ratio of evidences, ten nats: honest events gain 19 at most."""
 
@@ -188,6 +196,7 @@ def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanatio
     jumps_s = rows.time_s[largest_jumps(rows.wheel_rpm)]
     for each in of_wheels(evidence.as_recorded, evidence.nominal, wheels, jumps_s):
         yield from _scored(evidence, each)
+    yield from _scored(evidence, of_scaled_rates(evidence.as_recorded))
 
 
 def _scored(evidence: Evidence, undone: Undone) -> Iterator[Explanation]:
@@ -195,12 +204,29 @@ def _scored(evidence: Evidence, undone: Undone) -> Iterator[Explanation]:
     fit = evidence.balance(undone.correction)
     assert fit is not None
     left, what = fit.excess + evidence.turned(), undone.what
+    if undone.is_unit and not _is_sharp(evidence, undone.correction):
+        return
     if len(fit.factors):
         factor = float(fit.factors[0])
         if abs(factor - 1.0) <= LEAST_FACTOR_STEP or abs(factor) <= LEAST_FACTOR:
             return
         what = what.format(factor=factor)
     yield Explanation(undone.mistake, what, undone.fix, left, undone.price)
+
+
+def _is_sharp(evidence: Evidence, correction: Correction) -> bool:
+    """Whether a unit that makes wheel rates smaller fits better than factors nearby do.
+
+    Small enough a factor takes the wheels out of the balance; then all small ones fit alike.
+    """
+    momentum, nominal = evidence.momentum, evidence.nominal
+    if momentum is None or np.trace(correction.wheel) >= len(correction.wheel):
+        return True
+    steps = (1.0, 1.0 / BESIDE, BESIDE)
+    beside = [correction.with_wheel(step * correction.wheel) for step in steps]
+    noise = momentum.noise(nominal, correction)
+    (own, *others), _ = momentum.gains(nominal, beside, noise)
+    return bool(own > max(others) + AS_GOOD)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,11 +255,13 @@ def by_evidence(
     undone = [
         *(each for each in of_wheels(nothing, nominal, wheels, jumps_s) if not each.is_unit),
         *of_counters(nothing, nominal, thrusters),
+        of_late_wheels(nothing),
+        of_scaled_rates(nothing),
     ]
     gains, sizes = momentum.gains(nominal, [each.correction for each in undone])
     found = []
     for each, gain, size in zip(undone, gains.tolist(), sizes.tolist(), strict=True):
-        if each.correction.wheel_factor:
+        if "{factor" in each.what:
             if abs(size) <= LEAST_FACTOR_STEP or abs(1.0 + size) <= LEAST_FACTOR:
                 continue
             each = replace(each, what=each.what.format(factor=1.0 + size))
@@ -254,11 +282,48 @@ def likeliest(
         found = by_evidence(each, wheels, thrusters)
         if not found or found[0].gain < LIKELIER:
             return ()
-    undone = [each.undone for each in found if each.gain > found[0].gain - AS_GOOD]
-    explained = [one for each in undone for one in _scored(evidence, each)]
-    # so fine a question is for events that the rest of the balance explains
-    most = max(SUSPECT, EXPLAINED * found[0].gain)
+    if found[0].undone.correction.wheel_lag:
+        return _late_wheels(evidence, found[0].undone)
+    close = [each.undone for each in found if each.gain > found[0].gain - AS_GOOD]
+    explained = [
+        one
+        for undone in close
+        if not undone.correction.wheel_lag
+        for one in _scored(evidence, undone)
+    ]
+    # what is likelier must also close the balance better
+    most = max(SUSPECT, evidence.misfit() - LIKELIER)
     return tuple(each for each in explained if each.left <= most)[:MOST_NAMED]
+
+
+def likelier_rates(evidence: Evidence) -> tuple[Explanation, ...]:
+    """A factor of body rates that makes turns much likelier; empty if none does."""
+    turning = evidence.turning
+    if turning is None:
+        return ()
+    recorded, found = turning.misfit(np.eye(3)), []
+    for named, matrix, factor in _rate_factors(turning):
+        if MOST_FACTOR**-1 < factor < MOST_FACTOR:
+            gain = recorded - turning.misfit(matrix) - FREE_PRICE
+            what = f"{named} that have to be multiplied by {factor:.4g}"
+            left = evidence.turned(matrix)
+            found.append((gain, Explanation("rate-factor", what, RATE_FIX, left, FREE_PRICE)))
+    gain, best = max(found, key=lambda each: each[0], default=(0.0, None))
+    return () if best is None or gain < LIKELIER or best.left > LEAST_TURNED else (best,)
+
+
+def _late_wheels(evidence: Evidence, undone: Undone) -> tuple[Explanation, ...]:
+    """Wheels that come late by as much as makes the event likeliest."""
+    rows, motion = evidence.rows, evidence.motion
+    assert rows is not None
+    assert motion is not None
+    shift = _Shift(evidence, rows, motion, "wheel-time")
+    late = max(shift.lags_s(), key=shift.raises, default=0.0)
+    if abs(late) <= PHYSICAL_LAG_S or shift.raises(late) < LIKELIER + FREE_PRICE:
+        return ()
+    what = f"{undone.what} that come some {abs(late):.3g} s {'late' if late > 0.0 else 'early'}"
+    left = evidence.misfit() * shift.share(late)
+    return (Explanation(undone.mistake, what, undone.fix, left, undone.price),)
 
 
 def _with_physical_lag(evidence: Evidence) -> Evidence:
@@ -369,7 +434,6 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
     if turning is None:
         return
     known = evidence.turned() > LEAST_TURNED
-    fix = "give rate_…_rad_s about the body axes, in rad/s"
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         matrix = np.diag(signs)[:, list(order)]
         plain = order == (0, 1, 2)
@@ -387,7 +451,7 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
         yield Explanation(
             "rate-sign" if plain else "rate-axes",
             f"columns of body rates x, y, z that look like {held}",
-            fix,
+            RATE_FIX,
             evidence.misfit(nothing.with_rate(matrix)),
             ORDER_PRICE,
         )
@@ -398,27 +462,36 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
         yield Explanation(
             "rate-unit",
             f"body rates that look like {unit} (times {factor:.4g})",
-            fix,
+            RATE_FIX,
             evidence.misfit(nothing.with_rate(factor * np.eye(3))),
         )
-    yield from _of_rate_factors(evidence, turning, fix)
+    yield from _of_rate_factors(evidence, turning)
 
 
-def _of_rate_factors(evidence: Evidence, turning: Turning, fix: str) -> Iterator[Explanation]:
+def _of_rate_factors(evidence: Evidence, turning: Turning) -> Iterator[Explanation]:
     nothing = evidence.as_recorded
+    for named, matrix, factor in _rate_factors(turning):
+        yield Explanation(
+            "rate-factor",
+            f"{named} that have to be multiplied by {factor:.4g}",
+            RATE_FIX,
+            evidence.misfit(nothing.with_rate(matrix)),
+            FREE_PRICE,
+        )
+
+
+def _rate_factors(turning: Turning) -> Iterator[tuple[str, Array, float]]:
+    """Which body rates, a matrix (3, 3), and the factor of them that fits turns best."""
     for axes in ((0, 1, 2), (0,), (1,), (2,)):
         factor = turning.factor(axes)
         if not np.isfinite(factor) or abs(factor - 1.0) < 0.5 * LEAST_FACTOR_STEP:
             continue
         matrix = np.eye(3)
         matrix[list(axes), list(axes)] = factor
-        named = "body rates" if len(axes) == 3 else f"body rates about {AXES[axes[0]]}"
-        yield Explanation(
-            "rate-factor",
-            f"{named} that have to be multiplied by {factor:.4g}",
-            fix,
-            evidence.misfit(nothing.with_rate(matrix)),
-            FREE_PRICE,
+        yield (
+            "body rates" if len(axes) == 3 else f"body rates about {AXES[axes[0]]}",
+            matrix,
+            factor,
         )
 
 
@@ -559,6 +632,18 @@ class _Shift:
         """Misfit that it removes."""
         before, after = self._misfits(late_s)
         return before - after
+
+    def raises(self, late_s: float) -> float:
+        """By how much it raises the evidence of the rows that it knows, as 2 log."""
+        nominal, nothing = self.evidence.nominal, self.evidence.as_recorded
+        as_is, shifted = self.moved(self.rows, late_s)
+        if len(as_is.time_s) < LEAST_ROWS:
+            return -np.inf
+        rows, moved = (replace(self.evidence, rows=each).momentum for each in (as_is, shifted))
+        assert rows is not None
+        assert moved is not None
+        noise = min(each.noise(nominal, nothing) for each in (rows, moved))
+        return rows.evidence(nominal, noise) - moved.evidence(nominal, noise)
 
     def _misfits(self, late_s: float) -> tuple[float, float]:
         """Of rows that the shift knows: as they are, and with the channel moved back."""

@@ -14,7 +14,7 @@ units of the rows' noise, and the price together are the misfit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -136,8 +136,10 @@ class Correction:
 
     ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
     a constant error; ``wheel_factor``: wheels whose column has a free factor;
-    ``wheel_jump``: wheels with a constant error from their largest jump on; ``on_time``: factor of
-    on-times, not of pulses.
+    ``wheel_jump``: wheels with a constant error from their largest jump on; ``wheel_lag``: whether
+    all wheels come late by some time, to first order (of :meth:`Momentum.gains` alone);
+    ``rate_factor``: whether body rates have a free factor;
+    ``on_time``: factor of on-times, not of pulses.
     """
 
     rate: Array  # (3, 3)
@@ -146,6 +148,8 @@ class Correction:
     offset: Array = field(default_factory=lambda: np.zeros((3, 0)))
     wheel_factor: tuple[int, ...] = ()
     wheel_jump: tuple[int, ...] = ()
+    wheel_lag: bool = False
+    rate_factor: bool = False
     on_time: float = 1.0
 
     @classmethod
@@ -156,7 +160,7 @@ class Correction:
     @property
     def is_free(self) -> bool:
         """Whether a size is free."""
-        return bool(self.offset.shape[1] or self.wheel_factor or self.wheel_jump)
+        return bool(self.offset.shape[1] or self.wheel_factor or self.wheel_jump or self.wheel_lag)
 
     def with_rate(self, rate: Array) -> Correction:
         """The same with other rates."""
@@ -179,7 +183,6 @@ def exchanged(order: Array, pairs: Sequence[tuple[int, int]]) -> Array:
     return np.asarray(order[rows])
 
 
-_NONE: Final = np.zeros(0)
 _FREE: Final = 30.0
 """Standard deviation of a free factor, and of a free offset in N m s: as good as none."""
 
@@ -201,6 +204,7 @@ class Columns:
             "fixed": 1,
             "bias": 1,
             "jump": wheels,
+            "wheel flow": wheels,
             "drift": DRIFT_MODES,
             "cut": CUT_MODES,
             "swing": SWING_MODES,
@@ -291,56 +295,81 @@ class Momentum:
         # what nobody believes explains nothing
         vector = target + design @ np.clip(solution, -MOST_SIGMAS, MOST_SIGMAS)
         open_nms = np.sqrt(max(float(vector @ self.gram @ vector), 0.0) / self.rows)
-        factors = 1.0 + _FREE * solution[len(solution) - len(correction.wheel_factor) :]
+        factors = 1.0 + _FREE * solution[np.array(names) == "factor"]
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
         excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
         excess += float(self._vanished(names, nominal, correction, solution[:, None])[0])
-        return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
+        return MomentumFit(excess, float(open_nms), factors)
 
-    def gains(self, nominal: Nominal, corrections: Sequence[Correction]) -> tuple[Array, Array]:
-        """By how much corrections raise the evidence, as −2 log, and their sizes (1 where fixed).
+    def evidence(self, nominal: Nominal, noise: float) -> float:
+        """−2 log of the evidence of rows with a noise in N m s, but for a constant."""
+        return min(
+            each.cost for each in self._levels(nominal, np.zeros((self.columns.size, 0)), noise)
+        )
+
+    def gains(
+        self, nominal: Nominal, corrections: Sequence[Correction], noise: float | None = None
+    ) -> tuple[Array, Array]:
+        """By how much corrections raise the evidence, as 2 log, and their sizes (1 where fixed).
 
         A correction moves what is to be closed by a column, once or, where its size is free, by as
-        much as fits best; a factor is 1 and the size.
+        much as fits best; a factor is 1 and the size. ``noise`` of a row, N m s; without it that of
+        the channels as recorded.
         """
         nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
-        names, design = nominal.departures
+        noise = self.noise(nominal, nothing) if noise is None else noise
         target = nominal.exchanges[:, 0]
-        moves = [self._move(nominal, target, each) for each in corrections]
+        moves = np.stack([self._move(nominal, target, each) for each in corrections], axis=1)
         free = np.array([each.is_free for each in corrections])
-        weights = np.concatenate([design, np.stack([*moves, target], axis=1)], axis=1)
-        inner = weights.T @ (self.gram @ weights) / self.noise(nominal, nothing) ** 2
-        number, wanders = len(names), np.array(names) == "drift"
         recorded, left, sizes = [], [], []
-        for level in DRIFT_LEVELS:
-            scale = np.where(wanders, level, 1.0)
-            covariance = np.eye(number) + scale[:, None] * inner[:number, :number] * scale
-            factor = np.linalg.cholesky(covariance)
-            solved = solve_triangular(factor, scale[:, None] * inner[:number, number:], lower=True)
-            # what departures do not take of the columns
-            rest = inner[number:, number:] - solved.T @ solved
-            strength, common = np.diag(rest)[:-1], rest[:-1, -1]
-            size = np.where(free, -common / np.maximum(strength, LEAST_STRENGTH), 1.0)
-            price = np.log(level * WIDTHS["drift"] / USUAL_DRIFT) ** 2
-            base = rest[-1, -1] + 2.0 * np.log(np.diag(factor)).sum() + price
-            taken = solve_triangular(factor, solved, lower=True, trans="T")
-            departures = -scale[:, None] * (taken[:, :-1] * size + taken[:, -1:])
-            gone = self._vanished(names, nominal, nothing, departures)
-            none = self._vanished(names, nominal, nothing, -scale[:, None] * taken[:, -1:])
-            recorded.append(base + float(none[0]))
-            left.append(base + size * (2.0 * common + size * strength) + gone)
+        for level in self._levels(nominal, moves, noise):
+            size = np.where(free, -level.common / np.maximum(level.strength, LEAST_STRENGTH), 1.0)
+            departures = level.departures + level.moved * size
+            none, *gone = self._vanished(
+                level.names, nominal, nothing, np.column_stack([level.departures, departures])
+            )
+            recorded.append(level.cost + none)
+            closed = size * (2.0 * level.common + size * level.strength)
+            left.append(level.cost + closed + np.array(gone))
             sizes.append(size)
         best = np.argmin(left, axis=0)
         return min(recorded) - np.min(left, axis=0), np.array(sizes)[best, np.arange(len(best))]
 
+    def _levels(self, nominal: Nominal, moves: Array, noise: float) -> Iterator[_Level]:
+        """The balance with each size of the torque that wanders, and columns ``moves`` (p, C)."""
+        names, design = nominal.departures
+        weights = np.concatenate([design, moves, nominal.exchanges[:, :1]], axis=1)
+        inner = weights.T @ (self.gram @ weights) / noise**2
+        number, wanders = len(names), np.array(names) == "drift"
+        for level in DRIFT_LEVELS:
+            scale = np.where(wanders, level, 1.0)[:, None]
+            covariance = np.eye(number) + scale * inner[:number, :number] * scale.T
+            factor = np.linalg.cholesky(covariance)
+            solved = solve_triangular(factor, scale * inner[:number, number:], lower=True)
+            taken = -scale * solve_triangular(factor, solved, lower=True, trans="T")
+            # what departures do not take of the columns
+            rest = inner[number:, number:] - solved.T @ solved
+            volume = 2.0 * float(np.log(np.diag(factor)).sum())
+            price = float(np.log(level * WIDTHS["drift"] / USUAL_DRIFT) ** 2)
+            yield _Level(
+                names,
+                float(rest[-1, -1]) + volume + price,
+                np.diag(rest)[:-1],
+                rest[:-1, -1],
+                taken[:, -1:],
+                taken[:, :-1],
+            )
+
     def _move(self, nominal: Nominal, target: Array, correction: Correction) -> Array:
-        """Weights (p,) by which a correction moves what is to be closed, per unit of a free size."""
+        """Weights (p,) by which a correction moves what is to be closed, at a size of 1."""
         if correction.offset.shape[1]:
             return self.columns.weights(fixed=correction.offset[:, 0])
-        for name, of in (
-            ("wheel_around", correction.wheel_factor),
-            ("jump", correction.wheel_jump),
-        ):
+        if correction.wheel_lag:
+            return self.columns.weights(wheel_flow=nominal.spins)
+        if correction.rate_factor:
+            return self.columns.weights(rate_around=nominal.inertia)
+        free = {"wheel_around": correction.wheel_factor, "jump": correction.wheel_jump}
+        for name, of in free.items():
             if of:
                 own = np.outer(nominal.spins[:, of[0]], np.eye(nominal.spins.shape[1])[of[0]])
                 return self.columns.weights(**{name: own})
@@ -390,6 +419,23 @@ class MomentumFit:
     excess: float
     open_nms: float
     factors: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """A balance with one size of the torque that wanders, and C columns that may move it.
+
+    ``cost`` is −2 log of its evidence but for a constant; ``strength`` and ``common`` (C,) are
+    inner products of the columns with themselves and with what is to be closed, departures
+    projected out; ``departures`` (J, 1) fit best, and a column moves them by ``moved`` (J, C).
+    """
+
+    names: Sequence[str]
+    cost: float
+    strength: Array
+    common: Array
+    departures: Array
+    moved: Array
 
 
 def corrected(columns: Columns, weights: Array, correction: Correction) -> Array:
@@ -454,6 +500,9 @@ def departures_of(
     for w in correction.wheel_factor:
         own = np.outer(nominal.spins[:, w], np.eye(len(correction.wheel))[w])
         free.append(columns.weights(wheel_around=_FREE * own))
+        names += ("factor",)
+    if correction.rate_factor:
+        free.append(columns.weights(rate_around=_FREE * nominal.inertia))
         names += ("factor",)
     for w in correction.wheel_jump:
         spin = nominal.spins[:, w] / np.linalg.norm(nominal.spins[:, w])
@@ -581,6 +630,8 @@ def momentum_of(
     table[:, :, of["bias"]] = turn * off
     jumped = np.arange(count)[:, None] >= largest_jumps(rows.wheel_rpm)
     table[:, :, of["jump"]] = carried(jumped.astype(np.float64))
+    flow = np.gradient(rows.wheel_rpm, time, axis=0)
+    table[:, :, of["wheel flow"]] = carried(RAD_S_PER_RPM * flow)
     table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)
     shots = np.cumsum(close_pulses(rows) @ (torques**2).T, axis=0)
     walks = np.stack([brownian_modes(clock, CUT_MODES) for clock in shots.T], axis=1)
