@@ -23,6 +23,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     likelier_rates,
     likeliest,
     with_noise_of_lags,
+    with_scaled_rates,
     with_swing,
 )
 from cassini_bayes.events.plausibility.momentum import Nominal
@@ -246,6 +247,7 @@ class TelemetryCheck:
             best = best_explanations(min(sharper.misfit(), physical), mistakes)
         best = best or self._likeliest(evidence)
         if best:
+            best = with_scaled_rates(evidence, best)
             refuse_best(where, expected, misfit, best, self._policy, findings)
             return
         if misfit <= SUSPECT:

@@ -30,7 +30,6 @@ from cassini_bayes.events.plausibility.undone import (
     Undone,
     of_counters,
     of_late_wheels,
-    of_scaled_rates,
     of_wheels,
 )
 from cassini_bayes.events.plausibility.verdict import (
@@ -81,8 +80,8 @@ apart."""
 MOST_FACTOR: Final = 5.0
 """Of body rates: where instruments are weak, a factor of 0.03 may fit by chance."""
 RATE_FIX: Final = "give rate_…_rad_s about the body axes, in rad/s"
-LIKELIER: Final = 20.0
-"""Twice the logarithm of a ratio of evidences, ten nats: honest events gain 19 at most."""
+LIKELIER: Final = 18.0
+"""Twice the logarithm of a ratio of evidences, nine nats: honest events gain 11 at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +195,6 @@ def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanatio
     jumps_s = rows.time_s[largest_jumps(rows.wheel_rpm)]
     for each in of_wheels(evidence.as_recorded, evidence.nominal, wheels, jumps_s):
         yield from _scored(evidence, each)
-    yield from _scored(evidence, of_scaled_rates(evidence.as_recorded))
 
 
 def _scored(evidence: Evidence, undone: Undone) -> Iterator[Explanation]:
@@ -256,7 +254,6 @@ def by_evidence(
         *(each for each in of_wheels(nothing, nominal, wheels, jumps_s) if not each.is_unit),
         *of_counters(nothing, nominal, thrusters),
         of_late_wheels(nothing),
-        of_scaled_rates(nothing),
     ]
     gains, sizes = momentum.gains(nominal, [each.correction for each in undone])
     found = []
@@ -291,8 +288,8 @@ def likeliest(
         if not undone.correction.wheel_lag
         for one in _scored(evidence, undone)
     ]
-    # what is likelier must also close the balance better
-    most = max(SUSPECT, evidence.misfit() - LIKELIER)
+    # what is likelier must also close the balance better, and not leave much
+    most = max(SUSPECT, min(evidence.misfit() - LIKELIER, 2.0 * SUSPECT))
     return tuple(each for each in explained if each.left <= most)[:MOST_NAMED]
 
 
@@ -310,6 +307,26 @@ def likelier_rates(evidence: Evidence) -> tuple[Explanation, ...]:
             found.append((gain, Explanation("rate-factor", what, RATE_FIX, left, FREE_PRICE)))
     gain, best = max(found, key=lambda each: each[0], default=(0.0, None))
     return () if best is None or gain < LIKELIER or best.left > LEAST_TURNED else (best,)
+
+
+def with_scaled_rates(evidence: Evidence, best: Sequence[Explanation]) -> tuple[Explanation, ...]:
+    """The best explanations, and doubled or halved body rates where they explain as much.
+
+    Momentum does not speak of the size of rates, whose noise changes with them, but what looks like
+    a wheel of another size may be rates of another size: then both are said.
+    """
+    if not best or best[0].mistake not in _LIKE_SCALED_RATES:
+        return tuple(best)
+    nothing, found = evidence.as_recorded, list(best)
+    for factor in (0.5, 2.0):
+        left = evidence.misfit(nothing.with_rate(factor * np.eye(3)))
+        if left <= best[0].left + AS_GOOD:
+            what = f"body rates that have to be multiplied by some {factor:g}"
+            found.append(Explanation("rate-factor", what, RATE_FIX, left, best[0].price))
+    return tuple(sorted(found, key=lambda each: each.score))
+
+
+_LIKE_SCALED_RATES: Final = ("wheel-factor", "wheel-unit")
 
 
 def _late_wheels(evidence: Evidence, undone: Undone) -> tuple[Explanation, ...]:

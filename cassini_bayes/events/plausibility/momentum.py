@@ -138,7 +138,6 @@ class Correction:
     a constant error; ``wheel_factor``: wheels whose column has a free factor;
     ``wheel_jump``: wheels with a constant error from their largest jump on; ``wheel_lag``: whether
     all wheels come late by some time, to first order (of :meth:`Momentum.gains` alone);
-    ``rate_factor``: whether body rates have a free factor;
     ``on_time``: factor of on-times, not of pulses.
     """
 
@@ -149,7 +148,6 @@ class Correction:
     wheel_factor: tuple[int, ...] = ()
     wheel_jump: tuple[int, ...] = ()
     wheel_lag: bool = False
-    rate_factor: bool = False
     on_time: float = 1.0
 
     @classmethod
@@ -366,8 +364,6 @@ class Momentum:
             return self.columns.weights(fixed=correction.offset[:, 0])
         if correction.wheel_lag:
             return self.columns.weights(wheel_flow=nominal.spins)
-        if correction.rate_factor:
-            return self.columns.weights(rate_around=nominal.inertia)
         free = {"wheel_around": correction.wheel_factor, "jump": correction.wheel_jump}
         for name, of in free.items():
             if of:
@@ -500,9 +496,6 @@ def departures_of(
     for w in correction.wheel_factor:
         own = np.outer(nominal.spins[:, w], np.eye(len(correction.wheel))[w])
         free.append(columns.weights(wheel_around=_FREE * own))
-        names += ("factor",)
-    if correction.rate_factor:
-        free.append(columns.weights(rate_around=_FREE * nominal.inertia))
         names += ("factor",)
     for w in correction.wheel_jump:
         spin = nominal.spins[:, w] / np.linalg.norm(nominal.spins[:, w])

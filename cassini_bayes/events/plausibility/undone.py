@@ -103,17 +103,6 @@ def of_wheels(
         )
 
 
-def of_scaled_rates(nothing: Correction) -> Undone:
-    """All body rates times a factor, as momentum shows it: beyond what inertias explain."""
-    return Undone(
-        "rate-factor",
-        "body rates that have to be multiplied by {factor:.4g}",
-        "give rate_…_rad_s about the body axes, in rad/s",
-        replace(nothing, rate_factor=True),
-        FREE_PRICE,
-    )
-
-
 def of_late_wheels(nothing: Correction) -> Undone:
     """All wheels early or late, to first order: what a search for the time begins with."""
     fix = "bring all channels to the same clock"
