@@ -77,6 +77,8 @@ MOST_SHIFTS: Final = 16
 BESIDE: Final = 1.4
 """Factor between a unit of wheel rates and what it has to fit better than: units are further
 apart."""
+SHARPER: Final = 5.0
+"""Misfit that these have to leave beyond it."""
 MOST_FACTOR: Final = 5.0
 """Of body rates: where instruments are weak, a factor of 0.03 may fit by chance."""
 RATE_FIX: Final = "give rate_…_rad_s about the body axes, in rad/s"
@@ -202,7 +204,7 @@ def _scored(evidence: Evidence, undone: Undone) -> Iterator[Explanation]:
     fit = evidence.balance(undone.correction)
     assert fit is not None
     left, what = fit.excess + evidence.turned(), undone.what
-    if undone.is_unit and not _is_sharp(evidence, undone.correction):
+    if undone.is_unit and not _is_sharp(evidence, undone.correction, fit.excess):
         return
     if len(fit.factors):
         factor = float(fit.factors[0])
@@ -212,19 +214,16 @@ def _scored(evidence: Evidence, undone: Undone) -> Iterator[Explanation]:
     yield Explanation(undone.mistake, what, undone.fix, left, undone.price)
 
 
-def _is_sharp(evidence: Evidence, correction: Correction) -> bool:
+def _is_sharp(evidence: Evidence, correction: Correction, excess: float) -> bool:
     """Whether a unit that makes wheel rates smaller fits better than factors nearby do.
 
     Small enough a factor takes the wheels out of the balance; then all small ones fit alike.
     """
-    momentum, nominal = evidence.momentum, evidence.nominal
-    if momentum is None or np.trace(correction.wheel) >= len(correction.wheel):
+    wheel = correction.wheel
+    if np.trace(wheel) >= len(wheel):
         return True
-    steps = (1.0, 1.0 / BESIDE, BESIDE)
-    beside = [correction.with_wheel(step * correction.wheel) for step in steps]
-    noise = momentum.noise(nominal, correction)
-    (own, *others), _ = momentum.gains(nominal, beside, noise)
-    return bool(own > max(others) + AS_GOOD)
+    beside = [evidence.balance(correction.with_wheel(k * wheel)) for k in (1.0 / BESIDE, BESIDE)]
+    return all(fit is not None and fit.excess > excess + SHARPER for fit in beside)
 
 
 @dataclass(frozen=True, eq=False)

@@ -305,17 +305,14 @@ class Momentum:
             each.cost for each in self._levels(nominal, np.zeros((self.columns.size, 0)), noise)
         )
 
-    def gains(
-        self, nominal: Nominal, corrections: Sequence[Correction], noise: float | None = None
-    ) -> tuple[Array, Array]:
+    def gains(self, nominal: Nominal, corrections: Sequence[Correction]) -> tuple[Array, Array]:
         """By how much corrections raise the evidence, as 2 log, and their sizes (1 where fixed).
 
         A correction moves what is to be closed by a column, once or, where its size is free, by as
-        much as fits best; a factor is 1 and the size. ``noise`` of a row, N m s; without it that of
-        the channels as recorded.
+        much as fits best; a factor is 1 and the size.
         """
         nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
-        noise = self.noise(nominal, nothing) if noise is None else noise
+        noise = self.noise(nominal, nothing)
         target = nominal.exchanges[:, 0]
         moves = np.stack([self._move(nominal, target, each) for each in corrections], axis=1)
         free = np.array([each.is_free for each in corrections])
