@@ -287,8 +287,10 @@ def likeliest(
         if not undone.correction.wheel_lag
         for one in _scored(evidence, undone)
     ]
-    # what is likelier must also close the balance better, and not leave much
-    most = max(SUSPECT, min(evidence.misfit() - LIKELIER, 2.0 * SUSPECT))
+    # what is likelier must also close the balance: quick firing leaves more than any mistake here
+    most = SUSPECT
+    if not thrusters:
+        most = max(SUSPECT, min(evidence.misfit() - LIKELIER, 2.0 * SUSPECT))
     return tuple(each for each in explained if each.left <= most)[:MOST_NAMED]
 
 
