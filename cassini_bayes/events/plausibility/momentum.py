@@ -58,7 +58,7 @@ WIDTHS: Final[Mapping[str, float]] = {
 to ten times the published uncertainties; drift: twice the median of `unknown`
 there, as a mistake that explains more than a torque of nobody's catalogue has to win against it."""
 WARM_UP_S: Final = 5.0
-DRIFT_LEVELS: Final = (0.05, 0.2, 0.5, 1.0)
+DRIFT_LEVELS: Final = (0.05, 0.25, 1.0)
 """Shares of its width that a torque which nothing explains may have: inferred from each event."""
 USUAL_DRIFT: Final = 1e-4
 """N m s per √s: the median of the priors', whose logarithm has a width of 1."""
@@ -181,6 +181,7 @@ def exchanged(order: Array, pairs: Sequence[tuple[int, int]]) -> Array:
     return np.asarray(order[rows])
 
 
+MAY_LACK: Final = ("cut", "swing")
 _FREE: Final = 30.0
 """Standard deviation of a free factor, and of a free offset in N m s: as good as none."""
 
@@ -272,7 +273,7 @@ class Momentum:
         Eigenvalues, eigenvectors and right-hand side of these, in units of the noise.
         """
         target = corrected(self.columns, nominal.exchanges[:, :1], correction)[:, 0]
-        names, design = departures_of(self.columns, nominal, correction)
+        names, design = self._present(*departures_of(self.columns, nominal, correction))
         variance = self.noise(nominal, correction) ** 2
         strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
         pull = -axes.T @ (design.T @ (self.gram @ target)) / variance
@@ -296,8 +297,15 @@ class Momentum:
         factors = 1.0 + _FREE * solution[np.array(names) == "factor"]
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
         excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
-        excess += float(self._vanished(names, nominal, correction, solution[:, None])[0])
+        share, spread = self._impulse(names, nominal, correction)
+        excess += vanishing(1.0 + float(share @ solution), spread)
         return MomentumFit(excess, float(open_nms), factors)
+
+    def _present(self, names: Sequence[str], design: Array) -> tuple[tuple[str, ...], Array]:
+        """Departures without those of cut tails or a swing that an event has not."""
+        known = self.gram.diagonal() > 0.0
+        kept = np.any(design[known] != 0.0, axis=0) | ~np.isin(names, MAY_LACK)
+        return tuple(np.array(names)[kept].tolist()), design[:, kept]
 
     def evidence(self, nominal: Nominal, noise: float) -> float:
         """−2 log of the evidence of rows with a noise in N m s, but for a constant."""
@@ -319,12 +327,10 @@ class Momentum:
         recorded, left, sizes = [], [], []
         for level in self._levels(nominal, moves, noise):
             size = np.where(free, -level.common / np.maximum(level.strength, LEAST_STRENGTH), 1.0)
-            departures = level.departures + level.moved * size
-            none, *gone = self._vanished(
-                level.names, nominal, nothing, np.column_stack([level.departures, departures])
-            )
-            recorded.append(level.cost + none)
             closed = size * (2.0 * level.common + size * level.strength)
+            impulse = level.impulse + level.moved * size
+            gone = [vanishing(each, level.spread) for each in impulse.tolist()]
+            recorded.append(level.cost + vanishing(level.impulse, level.spread))
             left.append(level.cost + closed + np.array(gone))
             sizes.append(size)
         best = np.argmin(left, axis=0)
@@ -332,27 +338,30 @@ class Momentum:
 
     def _levels(self, nominal: Nominal, moves: Array, noise: float) -> Iterator[_Level]:
         """The balance with each size of the torque that wanders, and columns ``moves`` (p, C)."""
-        names, design = nominal.departures
+        names, design = self._present(*nominal.departures)
         weights = np.concatenate([design, moves, nominal.exchanges[:, :1]], axis=1)
         inner = weights.T @ (self.gram @ weights) / noise**2
         number, wanders = len(names), np.array(names) == "drift"
+        nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        share, spread = self._impulse(names, nominal, nothing)
+        right = np.column_stack([inner[:number, number:], share])
         for level in DRIFT_LEVELS:
             scale = np.where(wanders, level, 1.0)[:, None]
             covariance = np.eye(number) + scale * inner[:number, :number] * scale.T
             factor = np.linalg.cholesky(covariance)
-            solved = solve_triangular(factor, scale * inner[:number, number:], lower=True)
-            taken = -scale * solve_triangular(factor, solved, lower=True, trans="T")
+            solved = solve_triangular(factor, scale * right, lower=True, check_finite=False)
+            impulse, solved = -solved[:, -1] @ solved[:, :-1], solved[:, :-1]
             # what departures do not take of the columns
             rest = inner[number:, number:] - solved.T @ solved
             volume = 2.0 * float(np.log(np.diag(factor)).sum())
             price = float(np.log(level * WIDTHS["drift"] / USUAL_DRIFT) ** 2)
             yield _Level(
-                names,
                 float(rest[-1, -1]) + volume + price,
                 np.diag(rest)[:-1],
                 rest[:-1, -1],
-                taken[:, -1:],
-                taken[:, :-1],
+                1.0 + float(impulse[-1]),
+                impulse[:-1],
+                spread,
             )
 
     def _move(self, nominal: Nominal, target: Array, correction: Correction) -> Array:
@@ -368,21 +377,14 @@ class Momentum:
                 return self.columns.weights(**{name: own})
         return corrected(self.columns, target[:, None], correction)[:, 0] - target
 
-    def _vanished(
-        self,
-        names: Sequence[str],
-        nominal: Nominal,
-        correction: Correction,
-        departures: Array,
-    ) -> Array:
-        """Price (C,) of the impulse that departures (J, C) leave of all firings."""
-        if "common" not in names:
-            return np.zeros(departures.shape[1])
+    def _impulse(
+        self, names: Sequence[str], nominal: Nominal, correction: Correction
+    ) -> tuple[Array, float]:
+        """What 1 σ of each departure (J,) adds to the impulse of all firings, and its variance."""
         share = self._share_of_impulse(names, nominal, correction)
         # a tail may grow by more than there is of it, but not shrink
         less = np.where(np.array(names) == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
-        variance = float(np.sum((less * share) ** 2))
-        return np.array([vanishing(level, variance) for level in 1.0 + share @ departures])
+        return share, float(np.sum((less * share) ** 2))
 
     def _share_of_impulse(
         self, names: Sequence[str], nominal: Nominal, correction: Correction
@@ -420,15 +422,16 @@ class _Level:
 
     ``cost`` is −2 log of its evidence but for a constant; ``strength`` and ``common`` (C,) are
     inner products of the columns with themselves and with what is to be closed, departures
-    projected out; ``departures`` (J, 1) fit best, and a column moves them by ``moved`` (J, C).
+    projected out; ``impulse`` is the share of the nominal impulse that the best departures leave of
+    all firings, a column moves it by ``moved`` (C,), and ``spread`` is the variance of its prior.
     """
 
-    names: Sequence[str]
     cost: float
     strength: Array
     common: Array
-    departures: Array
+    impulse: float
     moved: Array
+    spread: float
 
 
 def corrected(columns: Columns, weights: Array, correction: Correction) -> Array:
@@ -454,14 +457,12 @@ def exchanges_of(nominal: Nominal) -> list[tuple[tuple[int, int], ...]]:
     """Pairs of thrusters that may be exchanged, and two pairs at once of those that push alike."""
     pairs = list(combinations(range(nominal.torques.shape[1]), 2))
     pushes = nominal.pushes.T
+    alike = np.isclose(pushes[:, None], pushes).all(axis=-1)
+    alike |= np.isclose(pushes[:, None], -pushes).all(axis=-1)
     both = [
         (a, b)
         for a, b in combinations(pairs, 2)
-        if not set(a) & set(b)
-        and all(
-            np.allclose(pushes[k], pushes[a[0]]) or np.allclose(pushes[k], -pushes[a[0]])
-            for k in (*a, *b)
-        )
+        if not set(a) & set(b) and all(alike[a[0], k] for k in (*a, *b))
     ]
     return [*((pair,) for pair in pairs), *both]
 
