@@ -457,8 +457,8 @@ def exchanges_of(nominal: Nominal) -> list[tuple[tuple[int, int], ...]]:
     """Pairs of thrusters that may be exchanged, and two pairs at once of those that push alike."""
     pairs = list(combinations(range(nominal.torques.shape[1]), 2))
     pushes = nominal.pushes.T
-    alike = np.isclose(pushes[:, None], pushes).all(axis=-1)
-    alike |= np.isclose(pushes[:, None], -pushes).all(axis=-1)
+    same, against = (np.isclose(pushes[:, None], each) for each in (pushes, -pushes))
+    alike = np.asarray(same.all(axis=-1) | against.all(axis=-1))
     both = [
         (a, b)
         for a, b in combinations(pairs, 2)
