@@ -62,7 +62,15 @@ def reached(*modules: str) -> frozenset[str]:
 def imports(module: str) -> frozenset[str]:
     """Modules of the package that one of them imports, anywhere in its source."""
     tree = ast.parse(_source(module).read_bytes())
-    return frozenset(name for node in ast.walk(tree) for name in _named(node) if name)
+    return frozenset(name for node in _statements(tree) for name in _named(node) if name)
+
+
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Statements at any depth; expressions, nine nodes of ten, hold no import."""
+    for child in ast.iter_child_nodes(node):
+        if not isinstance(child, ast.expr):
+            yield child
+            yield from _statements(child)
 
 
 def _named(node: ast.AST) -> Iterator[str]:
