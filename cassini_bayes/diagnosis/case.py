@@ -153,7 +153,7 @@ def over_beginnings(weighed: Weighed[H], change: Callable[[Weighed[H], float], f
 
 
 @dataclass(frozen=True)
-class Shown:
+class Discrepancies:
     """What tests say of the baseline and of the extended model, for the record.
 
     ``more`` are further fields of the record, ``detail`` is what the case's own figures need.
@@ -286,7 +286,9 @@ class Case(ABC, Generic[H]):
         del weighed, rng
         return None
 
-    def show(self, baseline: Weighed[H], extended: Weighed[H], rng: np.random.Generator) -> Shown:
+    def show(
+        self, baseline: Weighed[H], extended: Weighed[H], rng: np.random.Generator
+    ) -> Discrepancies:
         """Tests of what two hypotheses leave."""
         del baseline, extended, rng
-        return Shown()
+        return Discrepancies()

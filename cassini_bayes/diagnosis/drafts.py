@@ -431,12 +431,12 @@ def _error(draft: Draft, factor: float, unit: str) -> str:
     return f"{rounded(factor * mean, places)} ± {rounded(factor * sd, places)} {unit}"
 
 
-def _said_thrust(draft: Draft) -> str:
+def _thrust_sentence(draft: Draft) -> str:
     who = "all thrusters push" if draft.target == "all" else f"{draft.target.upper()} pushes"
     return f"{who} {_error(draft, 100.0, '%')} more{_window(draft)}"
 
 
-def _said_wheel(draft: Draft) -> str:
+def _wheel_sentence(draft: Draft) -> str:
     shape = "the square of the speed" if draft.numbers["power"] == 2 else "the speed"
     values = ", ".join(f"{1e3 * mean:+.2g}" for mean, _ in draft.sizes.values())
     unit = "(1000 rpm)²" if draft.numbers["power"] == 2 else "1000 rpm"
@@ -458,6 +458,6 @@ _WORDS: Final[dict[str, Callable[[Draft], str]]] = {
     "torque": lambda d: (
         f"a torque of {_error(d, 1e6, 'µN m')} about {d.target.upper()}{_window(d)}"
     ),
-    "thrust": _said_thrust,
-    "wheel": _said_wheel,
+    "thrust": _thrust_sentence,
+    "wheel": _wheel_sentence,
 }

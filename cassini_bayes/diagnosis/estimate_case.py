@@ -242,6 +242,6 @@ def _log_prior(z: Array) -> Array:
 
 
 def _log_likelihood(estimate_n: Array, sd_n: Array, prediction: Prediction, kept: Flags) -> Array:
-    variance = sd_n**2 + prediction.own_sd_n[:, kept] ** 2
+    variance = sd_n**2 + prediction.independent_sd_n[:, kept] ** 2
     misfit = (estimate_n - prediction.estimate_n[:, kept]) ** 2 / variance
     return np.asarray(-0.5 * (misfit + np.log(2.0 * np.pi * variance)).sum(-1))

@@ -49,11 +49,11 @@ FARTHEST: Final = 37.0
 class Prediction:
     """What a hypothesis predicts: estimates and the parameters behind them, each (n,).
 
-    ``own_sd_n`` is the spread of every estimate about its prediction that nothing shares.
+    ``independent_sd_n`` is the spread of every estimate about its prediction that nothing shares.
     """
 
     estimate_n: Array  # (n, E)
-    own_sd_n: Array  # (n, E)
+    independent_sd_n: Array  # (n, E)
     parameters: Mapping[str, Array]
 
 

@@ -217,9 +217,9 @@ class CollapsedThrusts:
     """
 
     log_likelihood: Array  # (n,)
-    own_factor: Array  # (n, E, p, p) lower Cholesky factor of an event's own precision
-    own_coupling: Array  # (n, E, p, q) own_factor⁻¹ Λ_ξη
-    own_shift: Array  # (n, E, p) own_factor⁻¹ ν_ξ
+    event_factor: Array  # (n, E, p, p) lower Cholesky factor of an event's own precision
+    event_coupling: Array  # (n, E, p, q) event_factor⁻¹ Λ_ξη
+    event_shift: Array  # (n, E, p) event_factor⁻¹ ν_ξ
     shared_factor: Array  # (n, q, q) lower Cholesky factor of the shared precision
     shared_shift: Array  # (n, q) shared_factor⁻¹ ν_η
     common_n: Array  # (n,)
@@ -250,11 +250,13 @@ def collapse_thrusts(
     matrix, vector = information.matrix, information.vector
     by_shared = _times(matrix, shared)
     own_precision = _times(np.swapaxes(_times(matrix, own), -1, -2), own)
-    own_factor = _cholesky(own_precision + np.eye(own.shape[-1]))
+    event_factor = _cholesky(own_precision + np.eye(own.shape[-1]))
     right = _times(
         np.concatenate([np.swapaxes(by_shared, -1, -2), vector[..., None, :]], axis=-2), own
     )
-    solved: Array = np.asarray(np.linalg.solve(own_factor, np.swapaxes(right, -1, -2)), dtype=float)
+    solved: Array = np.asarray(
+        np.linalg.solve(event_factor, np.swapaxes(right, -1, -2)), dtype=float
+    )
     schur = np.swapaxes(solved, -1, -2) @ solved
     if shared.ndim == 2:
         precision, linear = shared.T @ by_shared.sum(-3), vector.sum(-2) @ shared
@@ -265,7 +267,7 @@ def collapse_thrusts(
     shared_linear = linear - schur[..., :-1, -1].sum(-2)
     shared_factor = _cholesky(shared_precision + np.eye(shared.shape[-1]))
     shared_shift = np.linalg.solve(shared_factor, shared_linear[..., None])[..., 0]
-    own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
+    own_log_det = np.log(np.diagonal(event_factor, axis1=-2, axis2=-1)).sum(-1)
     shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
     log_likelihood = (
         (information.constant + 0.5 * schur[..., -1, -1] - own_log_det).sum(-1)
@@ -274,9 +276,9 @@ def collapse_thrusts(
     )
     return CollapsedThrusts(
         log_likelihood=log_likelihood,
-        own_factor=own_factor,
-        own_coupling=solved[..., :-1],
-        own_shift=solved[..., -1],
+        event_factor=event_factor,
+        event_coupling=solved[..., :-1],
+        event_shift=solved[..., -1],
         shared_factor=shared_factor,
         shared_shift=shared_shift,
         common_n=common_n,
@@ -310,12 +312,14 @@ def draw_thrusts(
     prior: ThrustPrior, collapsed: CollapsedThrusts, rng: np.random.Generator
 ) -> ThrustDraws:
     """One draw of all events' thrusts from their conditional normal at every parameter point."""
-    n, n_events, n_own, n_shared = collapsed.own_coupling.shape
+    n, n_events, n_own, n_shared = collapsed.event_coupling.shape
     shared = _solve_transposed(
         collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
     )
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
-    own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
+    pull = collapsed.event_shift - (collapsed.event_coupling @ shared[:, None, :, None])[..., 0]
+    own = _solve_transposed(
+        collapsed.event_factor, pull + rng.standard_normal((n, n_events, n_own))
+    )
     common = collapsed.common_n
     if prior.shared.ndim > 2:
         raise ValueError("levels differ between events: draw the shared coefficients instead")
@@ -359,11 +363,13 @@ def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Arr
     own, shared = prior.own, prior.scaled(collapsed.factor).shared
     shared_inverse = np.linalg.inv(collapsed.shared_factor)
     shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
-    own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.own_factor), -1, -2)
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared_mean[:, None, :, None])[..., 0]
+    own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.event_factor), -1, -2)
+    pull = (
+        collapsed.event_shift - (collapsed.event_coupling @ shared_mean[:, None, :, None])[..., 0]
+    )
     own_mean = (own_inverse_t @ pull[..., None])[..., 0]
     # thrust = … + [S − L gain] (η − η̂) + L (own noise)
-    gain = own_inverse_t @ collapsed.own_coupling
+    gain = own_inverse_t @ collapsed.event_coupling
     response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
     spread = own @ own_inverse_t
     common = collapsed.common_n[:, None, None]

@@ -69,7 +69,7 @@ WRITTEN: Final = (
     RESOLVED,
 )
 """What a diagnosis writes into its folder: all that ``force`` removes, what makes it one last."""
-FOUND_BY: Final = ("diagnosis.read", "diagnosis.diagnosis")
+DIAGNOSED_BY: Final = ("diagnosis.read", "diagnosis.diagnosis")
 """Modules whose code, with all that they import, a diagnosis depends on."""
 _MOST_SHOWN: Final = 5
 
@@ -354,7 +354,7 @@ def _opened(
     resume: bool,
 ) -> CheckpointStore:
     """Where a diagnosis keeps what it has finished, in a folder that says what it is of."""
-    depends_on = {"settings": settings, "data": digests, "code": code_digest(*FOUND_BY)}
+    depends_on = {"settings": settings, "data": digests, "code": code_digest(*DIAGNOSED_BY)}
     provenance = recorded(depends_on, digests, int(settings["seed"]), command)
     if resume:
         refuse_other_run(folder / PROVENANCE, provenance.identity)

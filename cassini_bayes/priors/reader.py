@@ -46,7 +46,7 @@ ZERO_CENTRED: Final = (
 )
 _TABLES: Final = ("spacecraft", "parameters", "from_fit", "branch")
 _LEVELS: Final = ("thrust_common_n", "thrust_individual_n")  # what an earlier fit's levels replace
-_OWN_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
+_PRIOR_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
 _NEVER_NEGATIVE_BLOCKS: Final = ("tail-off", "wheel inertia", "mass", "noise")
 _BUT_SIGNED: Final = (
     "rate_bias_x_rad_s",
@@ -481,7 +481,7 @@ def _read_distribution(
 ) -> Distribution:
     name = _text(f"{where}.dist", table["dist"], "a scipy.stats name", 'write e.g. dist = "norm"')
     keywords = check_keywords(
-        where, name, {k: v for k, v in table.items() if k not in _OWN_KEYS}, _OWN_KEYS
+        where, name, {k: v for k, v in table.items() if k not in _PRIOR_KEYS}, _PRIOR_KEYS
     )
     low, high = (
         finite_number(f"{where}.{key}", table[key], spec.unit) if key in table else None

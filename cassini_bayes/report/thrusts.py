@@ -30,7 +30,7 @@ from cassini_bayes.report.page import (
     Drawing,
     Paragraph,
     Section,
-    Shown,
+    TableBlock,
 )
 from cassini_bayes.report.plots.corners import joint_corner, thrust_corner
 from cassini_bayes.report.plots.quantities import (
@@ -110,7 +110,7 @@ def thrust_numbers(review: Review) -> Iterator[Section]:
                 f"prior means.{bars}"
             ),
             Cards(thrust_cards(review)),
-            Shown(
+            TableBlock(
                 thrust_matrix(review),
                 style="total dense",
                 fold="All thrusts in one table (mean ± sd in newton; last row the thruster's level "

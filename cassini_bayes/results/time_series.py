@@ -135,11 +135,11 @@ class EventSeries:
 
 def event_series(model: Model, z: Array, rng: np.random.Generator) -> tuple[EventSeries, ...]:
     """Series of every telemetry event from posterior points z (n, d), of which some are used."""
-    chosen = z[shown_places(len(z))]
+    chosen = z[thinned_draws(len(z))]
     return tuple(_series(own) for own in balances(model, chosen, draw(model, chosen, rng)))
 
 
-def shown_places(n: int) -> Places:
+def thinned_draws(n: int) -> Places:
     """Places of the posterior draws that are shown: at most ``DRAWS`` of n, evenly spaced."""
     return np.linspace(0, n - 1, min(DRAWS, n)).round().astype(np.int64)
 

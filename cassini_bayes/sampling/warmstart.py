@@ -25,7 +25,7 @@ HESSIAN_STEP = 2e-2
 LEAST_CURVATURE = 0.25
 WHITENED_STEP = 0.25  # standard deviations
 WHITENED_GRADIENT_STEP = 0.01
-WHITENED_LOOKS = 4
+WHITENED_PASSES = 4
 WHITENED_LEAST_CURVATURE = 1e-2  # a look may widen a direction tenfold
 SETTLED = 0.1
 ROUGH, FINE = 2e-9, 1e-13
@@ -165,7 +165,7 @@ def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
     mode = start
     _, curvature = hessian(log_density, mode)
     factor = _covariance_factor(-curvature, LEAST_CURVATURE)
-    for _ in range(WHITENED_LOOKS):
+    for _ in range(WHITENED_PASSES):
         mode = find_mode(log_density, mode, factor, WHITENED_GRADIENT_STEP, FINE)
         _, curvature = hessian(log_density, mode, factor, WHITENED_STEP)
         factor = no_wider_than_prior(

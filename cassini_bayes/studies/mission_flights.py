@@ -32,7 +32,7 @@ from cassini_bayes.results.mission.fitting import Losses, fit_mission, loss_prio
 from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.studies.bias_estimates import bias_estimates
-from cassini_bayes.studies.mission_looks import looks
+from cassini_bayes.studies.mission_looks import analyses
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 MODULE: Final = "studies.mission_flights"
@@ -59,7 +59,7 @@ FIXED: Final = (
 """Nuisances held at their means: they shift all of a thruster's estimates alike."""
 ROOM_S: Final = 10.0
 MOST_FAILING: Final = 2
-FIRST_LOOK, EVERY = 6, 2
+FIRST_ANALYSIS, EVERY = 6, 2
 DRAWS, PROPOSALS = 400, 800
 
 
@@ -243,13 +243,13 @@ def judge_flight(
             chances[names.index(losses.branch), last] = losses.failing(8)
 
     whole = len(flown.events)
-    counts = range(FIRST_LOOK + (whole - FIRST_LOOK) % EVERY, whole, EVERY)
+    counts = range(FIRST_ANALYSIS + (whole - FIRST_ANALYSIS) % EVERY, whole, EVERY)
     first = _model(flown.events[: counts[0]], flown.table, priors)
     fit = partial(fit_mission, draws=DRAWS, proposals=PROPOSALS)
     begun = fit(first, prior, rng)
     note(counts[0], begun.losses)
     untrusted, earlier = 0, begun.draws
-    for look in looks(flown.model, prior, earlier, counts[1:], DRAWS, rng):
+    for look in analyses(flown.model, prior, earlier, counts[1:], DRAWS, rng):
         note(look.events, look.losses)
         untrusted, earlier = untrusted + (not look.trusted), look.draws
     fits = fit(flown.model, prior, rng, earlier=earlier)

@@ -20,7 +20,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.mission.losses import LossPrior, log_bayes
 from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.results.mission.fitting import (
-    LOOKS,
+    PASSES,
     EarlierDraws,
     Losses,
     References,
@@ -99,7 +99,7 @@ def _worked_up(model: MissionModel, z: Array) -> tuple[BranchAt, ...]:
 
 
 @dataclass(frozen=True)
-class Look:
+class Analysis:
     """What is believed of losses once a mission has so many events."""
 
     events: int
@@ -108,14 +108,14 @@ class Look:
     draws: EarlierDraws  # what a fit of further events goes on from
 
 
-def looks(
+def analyses(
     model: MissionModel,
     prior: LossPrior,
     begun: EarlierDraws,
     counts: range,
     draws: int,
     rng: np.random.Generator,
-) -> Iterator[Look]:
+) -> Iterator[Analysis]:
     """Looks at a mission after its first ``counts`` events, in their order.
 
     Parameters
@@ -131,7 +131,7 @@ def looks(
     z, _ = embedded(begun, model, rng)
     pool = Pool.begun(model, moments(weighted(z, np.zeros(len(z)))), rng)
     for count in counts:
-        for look in range(LOOKS):
+        for look in range(PASSES):
             pool, found, log_density = _weighed(pool, count, references, prior, rng)
             branches = pool.first(count)
             places = found.places(rng, WEIGHED)
@@ -140,11 +140,11 @@ def looks(
             losses = weighed_at([lot], prior, references, back)
             best = {one.branch: one.best for one in losses}
             settled = all(set(best[b]) == set(references[b]) for b in best)
-            if settled or look == LOOKS - 1:
+            if settled or look == PASSES - 1:
                 break
             references = references | best
         places = found.places(rng, draws)
-        yield Look(
+        yield Analysis(
             count,
             losses,
             trusted(found),

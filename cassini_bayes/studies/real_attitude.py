@@ -30,7 +30,7 @@ from cassini_bayes.studies.study import Study
 
 MODULE: Final = "studies.real_attitude"
 BLOCK_ROWS: Final = 16  # 64 s: the turn of a block is known ten times better than by its rates
-TOLD: Final = 0.1  # standard error of a scale beyond which a record says nothing of it
+LARGEST_ERROR: Final = 0.1  # standard error of a scale beyond which a record says nothing of it
 NORMAL_MEDIAN: Final = 0.6745  # of |x|, in standard deviations
 AXES: Final = "xyz"
 
@@ -123,7 +123,7 @@ def measured(record: AttitudeRecord) -> pd.DataFrame:
 
 def _scale_text(scale: float, error: float) -> str:
     """In 10⁻³, where the record turns enough to tell."""
-    return "not determined" if error > TOLD else f"{1e3 * scale:+.2f} ± {1e3 * error:.2f}"
+    return "not determined" if error > LARGEST_ERROR else f"{1e3 * scale:+.2f} ± {1e3 * error:.2f}"
 
 
 def study_real_attitude(study: Study) -> None:

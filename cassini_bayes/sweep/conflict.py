@@ -27,7 +27,7 @@ from cassini_bayes.results.ranks import holm
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.coordinates import Coordinates
 
-TOLD: Final = 1.0 - 0.95**2
+INFORMED: Final = 1.0 - 0.95**2
 RANK: Final = 1e-6
 LEVEL: Final = 0.05
 LEAST_PULL: Final = 0.5
@@ -145,13 +145,13 @@ def pull_before(own: Coordinates, fit: Fit) -> Pull:
 def _pull(names: tuple[str, ...], mean: Array, variance: Array) -> Pull:
     """mᵀ V⁺ m over the directions that the data tell."""
     values, vectors = np.linalg.eigh(0.5 * (variance + variance.T))
-    told = values > TOLD
+    told = values > INFORMED
     if not told.any():
         return Pull(np.nan, 0, "", np.nan)
     along = vectors[:, told].T @ mean
     distance = float((along**2 / values[told]).sum())
     own = np.diagonal(variance)
-    pulls = np.where(own > TOLD, mean / np.sqrt(np.where(own > TOLD, own, 1.0)), 0.0)
+    pulls = np.where(own > INFORMED, mean / np.sqrt(np.where(own > INFORMED, own, 1.0)), 0.0)
     strongest = int(np.argmax(np.abs(pulls)))
     return Pull(
         p_value=float(chi2.sf(distance, told.sum())),

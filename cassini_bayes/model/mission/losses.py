@@ -23,7 +23,7 @@ _SMALL: Final = 1e-8  # probability below which rounding takes a share of it
 _NEAR: Final = 12.0  # nats from the likeliest hypothesis within which pairs are kept
 _MOST_PAIRS: Final = 150  # pairs that are weighed, those with the highest bounds (judgement)
 _FIRST: Final = 25  # losses that a pair may start from
-_LOOKED_AT: Final = 16  # draws at which pairs are looked for
+_SCREENING_DRAWS: Final = 16  # draws at which pairs are looked for
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def near_hypotheses(
     rank[best] = np.arange(len(best))
     new = (k[left] != k[right]) & (rank[left] < rank[right])
     left, right = left[new], right[new]
-    few = slice(0, _LOOKED_AT)
+    few = slice(0, _SCREENING_DRAWS)
     bound = _pair_bound(
         np.stack([linear[few, left], linear[few, right]], axis=-1),
         np.stack([square[few, left], square[few, right]], axis=-1),
@@ -371,7 +371,7 @@ def chosen(log_prior: Array, log_ratio: Array) -> Array:
     return np.asarray(np.exp(total - logsumexp(total)))
 
 
-def place_of(which: Sequence[Hypothesis], hypothesis: Hypothesis) -> int:
+def index_of_hypothesis(which: Sequence[Hypothesis], hypothesis: Hypothesis) -> int:
     """Number of a hypothesis, its losses in either order."""
     wanted = frozenset(hypothesis)
     return next(i for i, losses in enumerate(which) if frozenset(losses) == wanted)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from cassini_bayes.report.plots.style import INK, STYLE
 
-LEAST_FOUND: Final = 5
+LEAST_DETECTED: Final = 5
 """Leaks whose median delay is shown: one of fewer is chance."""
 _BY_WINDOW: Final = ("#332288", "#117733", "#CC6677", "#BB8800")
 _MARKERS: Final = ("o", "s", "^", "D")
@@ -32,11 +32,11 @@ def leak_figure(table: pd.DataFrame) -> Figure:
             colour, marker = (each[i // 2 % len(each)] for each in (_BY_WINDOW, _MARKERS))
             look = {"color": colour, "marker": marker, "ms": 4, "lw": (1.0, 2.0)[i % 2]}
             left.plot(middle, own["found"], "-", label=str(label), **look)
-            enough = own["found"] * own["leaks"] > LEAST_FOUND - 0.5
+            enough = own["found"] * own["leaks"] > LEAST_DETECTED - 0.5
             right.plot(middle, own["delay_s"].where(enough), "-", **look)
         for axes, what in (
             (left, "share found"),
-            (right, f"median delay where {LEAST_FOUND} or more are found, s"),
+            (right, f"median delay where {LEAST_DETECTED} or more are found, s"),
         ):
             _in_millinewtons(axes)
             axes.set_ylabel(what)

@@ -25,12 +25,12 @@ from cassini_bayes.model.mission.losses import (
     Hypothesis,
     LossPrior,
     chosen,
+    index_of_hypothesis,
     log_bayes,
     log_bayes_of,
     log_prior_of,
     loss_terms,
     near_hypotheses,
-    place_of,
 )
 from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
@@ -50,7 +50,7 @@ MOST_K: Final = 0.7
 """Pareto k̂ beyond which importance draws are no result (Vehtari et al. 2024)."""
 LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
-LOOKS: Final = 4  # at the hypotheses, each with draws of its own
+PASSES: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
 _KEPT: Final = 100  # points whose densities one file keeps
 _WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
@@ -284,7 +284,7 @@ def fit_mission(
         found = _reweighted(earlier, model, density, rng)
         proposal = moments(found)
         found = found if trusted(found) else None
-    for look in range(LOOKS):
+    for look in range(PASSES):
         density = Remembered(target(model, references, prior), store_of(repr(references)))
         log(f"draws with {describe(model, references)}")
         start = proposal or _prior_proposal(model.space.dimension)
@@ -293,7 +293,7 @@ def fit_mission(
         z = found.resample(rng, draws)
         losses = weighed_losses(model, prior, z, references)
         best = {one.branch: one.best for one in losses}
-        if look == LOOKS - 1 or all(set(best[b]) == set(references[b]) for b in best):
+        if look == PASSES - 1 or all(set(best[b]) == set(references[b]) for b in best):
             break
         references, found = best, None
     assert found is not None  # the loop ends with draws
@@ -417,14 +417,14 @@ def weighed_at(
                 which[name] = near_hypotheses(terms, prior, references[name])
                 shapes[name] = (len(branch.thrusts.events), len(branch.thrusts.thrusters))
             found = log_bayes_of(terms, which[name], prior.scale)
-            reference = place_of(which[name], references[name])
+            reference = index_of_hypothesis(which[name], references[name])
             ratios.setdefault(name, []).append(found - found[:, [reference]])
     weighed = []
     for name, hypotheses in which.items():
         log_prior = log_prior_of(hypotheses, prior, shapes[name])
         ratio = np.concatenate(ratios.pop(name))[back]
         probability = chosen(log_prior, ratio)
-        reference = place_of(hypotheses, references[name])
+        reference = index_of_hypothesis(hypotheses, references[name])
         weighed.append(Losses(name, hypotheses, log_prior, probability, reference, ratio))
     return tuple(weighed)
 
