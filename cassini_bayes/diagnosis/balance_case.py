@@ -153,8 +153,8 @@ class BalanceCase(Case[Hypothesis]):
         for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:
                 best = max(w.log_evidence for w in weighed)
-                found = replace(effect, search_result=settled)
-                weighed.append(self._settled(found, (), base, best, workers))
+                result = replace(effect, search_result=settled)
+                weighed.append(self._settled(result, (), base, best, workers))
         return beginnings.summed(_sampled_near_best(weighed, rng, workers))
 
     def _settled(
@@ -371,8 +371,8 @@ def _side_by_side(
     """
     near = [partial(newton_search, hypothesis, base, worth) for hypothesis in hypotheses]
     work: list[Work] = [*modes, *(search for _, search in to_find), *near]
-    found = (_searched(effect.kind.search) for effect, _ in to_find)
-    kinds = [*(Mode for _ in modes), *found, *(ModeSearch for _ in near)]
+    result = (_searched(effect.kind.search) for effect, _ in to_find)
+    kinds = [*(Mode for _ in modes), *result, *(ModeSearch for _ in near)]
     # importance draws need ArviZ, whose import takes most of a second
     results: list[Any] = workers.results(what, work, kinds, arviz)
     first = len(modes) + len(to_find)

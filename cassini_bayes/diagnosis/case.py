@@ -100,15 +100,15 @@ class Weighed(Generic[H]):
         Only those that were searched for.
         """
         return tuple(
-            (own.event, own.probability, own.weighed)
-            for own in self.beginnings
-            if own.weighed is not None and own.probability > LEAST_SHARE
+            (beginning.event, beginning.probability, beginning.weighed)
+            for beginning in self.beginnings
+            if beginning.weighed is not None and beginning.probability > LEAST_SHARE
         )
 
     @property
     def begins(self) -> Beginning[H] | None:
         """The likeliest of its beginnings that were searched for; None where there is no choice."""
-        likely = (own for own in self.beginnings if own.weighed is not None)
+        likely = (beginning for beginning in self.beginnings if beginning.weighed is not None)
         return max(likely, key=lambda own: own.probability, default=None)
 
     @property
@@ -148,7 +148,7 @@ def over_beginnings(weighed: Weighed[H], change: Callable[[Weighed[H], float], f
     if not weighed.beginnings:
         return change(weighed, 1.0)
     kept = max(1.0 - sum(share for _, share, _ in weighed.searched), LEAST_SHARE**2)
-    changes = [np.log(share) + change(own, share) for _, share, own in weighed.searched]
+    changes = [np.log(share) + change(way, share) for _, share, way in weighed.searched]
     return float(logsumexp([np.log(kept), *changes]))
 
 

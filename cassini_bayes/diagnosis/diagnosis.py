@@ -95,8 +95,8 @@ def diagnose(
         Share out causes and measures and keep what is finished, all but what is drawn and what it
         shows; the result does not depend on them.
     drawing
-        Draws what is shown (:class:`.Discrepancies`) and the curves as soon as they are there, in the
-        process that has made them.
+        Draws what is shown (:class:`.Discrepancies`) and the curves as soon as they are there, in
+        the process that has made them.
     """
     at_start = deepcopy(rng)
     verdict = weigh(case, rng, pairs=pairs, log=log, workers=workers)
@@ -289,7 +289,9 @@ def _onset_record(weighed: Weighed[H]) -> dict[str, Any] | None:
     return {
         "event": begins.event or None,
         "probability": begins.probability,
-        "probabilities": {own.event or THROUGHOUT: own.probability for own in weighed.beginnings},
+        "probabilities": {
+            beginning.event or THROUGHOUT: beginning.probability for beginning in weighed.beginnings
+        },
     }
 
 
@@ -306,7 +308,8 @@ def _sentence(case: Case[H], weighed: Weighed[H], sizes: Mapping[str, Size]) -> 
         return said
     when = f"from {begins.event} on" if begins.event else THROUGHOUT
     sure = begins.probability > MOST_PRINTED
-    return f"{said}, {when} (probability {f'> {MOST_PRINTED}' if sure else f'{begins.probability:.2f}'})"
+    probability = f"> {MOST_PRINTED}" if sure else f"{begins.probability:.2f}"
+    return f"{said}, {when} (probability {probability})"
 
 
 def _runner_up(

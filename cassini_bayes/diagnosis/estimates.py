@@ -174,9 +174,9 @@ def _estimate(row: Row, thrusters: Sequence[str]) -> Estimate:
 
 
 def _numbers(row: Row, column: str) -> tuple[float, ...]:
-    found = [parse_number(text.strip()) for text in row.cells[column].split(";")]
-    values = tuple(value for value in found if value is not None and value > 0.0)
-    if len(values) < len(found):
+    result = [parse_number(text.strip()) for text in row.cells[column].split(";")]
+    values = tuple(value for value in result if value is not None and value > 0.0)
+    if len(values) < len(result):
         raise row.refuse(column, "positive numbers", "mend it")
     return values
 

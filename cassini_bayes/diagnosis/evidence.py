@@ -85,8 +85,8 @@ def weigh_extensions(
         for part in (due[:FIRST], due[FIRST:]):
             still = [i for i in worth_continuing(ended, floor) if i in part]
             each = [partial(search, i) for i in still]
-            found = workers.results(f"causes {what}", each, ModeSearch)
-            for i, result in zip(still, found, strict=True):
+            results = workers.results(f"causes {what}", each, ModeSearch)
+            for i, result in zip(still, results, strict=True):
                 ended[i] = result
     weighed = [by_laplace(h, at.mode) for h, at in zip(hypotheses, ended, strict=True)]
     return [

@@ -142,10 +142,10 @@ def effect_columns(
     model, thrust = base.model, base.model.thrust_prior.common_mean_n
     located = model.points(z[None])
     points = [
-        own.model.points(np.column_stack([np.tile(z, (len(values), 1)), values]))
-        for own, values in extended
+        hypothesis.model.points(np.column_stack([np.tile(z, (len(values), 1)), values]))
+        for hypothesis, values in extended
     ]
-    found = []
+    result = []
     for place, term in enumerate(model.telemetry):
         terms, k = term.balance, term.balance.pattern.thrusters
         physics = term.physics(located)
@@ -166,8 +166,8 @@ def effect_columns(
         noise = noise_covariance(terms, physics, located.parameters)[0]
         inverse = np.linalg.inv(np.linalg.cholesky(noise))
         white = np.einsum("ab,nbs->nas", inverse, added)
-        found.append(white.reshape(-1, added.shape[2]))
-    return found
+        result.append(white.reshape(-1, added.shape[2]))
+    return result
 
 
 def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) -> Array:

@@ -48,14 +48,14 @@ def identity(settings: object, inputs: Sequence[str | Path], *modules: str) -> s
 
 def reached(*modules: str) -> frozenset[str]:
     """Names of some modules and of all modules of the package that they import, at any remove."""
-    found: set[str] = set()
+    result: set[str] = set()
     waiting = list(modules)
     while waiting:
         name = waiting.pop()
-        if name and name not in found:
-            found.add(name)
+        if name and name not in result:
+            result.add(name)
             waiting += [*imports(name), name.rpartition(".")[0]]
-    return frozenset(found)
+    return frozenset(result)
 
 
 @cache

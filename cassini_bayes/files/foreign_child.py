@@ -36,13 +36,13 @@ def main(path: str, kind: str, folder: str) -> None:
     refused: dict[str, str] = {}
     arrays: dict[str, NDArray[Any]] = {}
     places = {name: str(i) for i, name in enumerate(wanted)}
-    for name, found in _columns(path, kind):
-        if isinstance(found, str):
-            refused[name] = found
+    for name, result in _columns(path, kind):
+        if isinstance(result, str):
+            refused[name] = result
             continue
         names.append(name)
         if name in places:
-            arrays[places[name]] = found() if callable(found) else found
+            arrays[places[name]] = result() if callable(result) else result
         if len(names) + len(refused) > MOST_NAMES:
             raise ValueError(f"more than {MOST_NAMES:,} columns")
     if wanted:

@@ -154,9 +154,9 @@ class ReducedEvent:
         """The event reduced with columns that effects need, which see all of it at once."""
         sampling = replace(self.sampling, extra=tuple(extra))
         layout = replace(self.statistics.layout, extra=tuple(column.name for column in extra))
-        samples, found = self.samples, self.rows.prepared.found
+        samples, result = self.samples, self.rows.prepared.found
         statistics = reduce_chunks(
-            self.id, self.kind, [samples], layout, sampling, len(samples), found
+            self.id, self.kind, [samples], layout, sampling, len(samples), result
         )
         return replace(self, statistics=statistics, sampling=sampling, key="")
 
@@ -286,8 +286,8 @@ def reduce_samples(
     """Reduce telemetry that is in memory, as from a simulation."""
     layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples)
     rows = PreparedRows((samples,), sampling.control_cycle_s)
-    found = rows.prepared.found
-    statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=found)
+    result = rows.prepared.found
+    statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=result)
     counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
     gained = np.zeros((2, len(thrusters)))
     if len(counted):
@@ -558,9 +558,9 @@ def check_rows(
 
     Rows of another branch are the model's to refuse. See :func:`check_totals`.
     """
-    own = [row for row in rows if row.branch == priors.branch]
+    of_branch = [row for row in rows if row.branch == priors.branch]
     nominal = nominal_values(priors)
-    return check_totals(own, priors.spacecraft, nominal, where, policy, steady=steady)
+    return check_totals(of_branch, priors.spacecraft, nominal, where, policy, steady=steady)
 
 
 def nominal_values(priors: Priors) -> dict[str, float]:

@@ -274,13 +274,13 @@ def _verdict(ratio: float) -> str:
 def _together(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
     """Pairs of walked parameters whose expected posterior correlation is strong."""
     width = np.sqrt(np.diagonal(covariance))
-    found = []
+    result = []
     for i, first in enumerate(names):
         for j in range(i):
             correlation = float(covariance[i, j] / (width[i] * width[j]))
             if abs(correlation) > TOGETHER:
-                found.append((names[j], first, correlation))
-    return tuple(sorted(found, key=lambda pair: -abs(pair[2])))
+                result.append((names[j], first, correlation))
+    return tuple(sorted(result, key=lambda pair: -abs(pair[2])))
 
 
 def _sentences(
@@ -320,7 +320,9 @@ def _groups(together: tuple[tuple[str, str, float], ...]) -> list[list[str]]:
     """Quantities that are connected by strong correlations, each group once."""
     groups: list[list[str]] = []
     for first, second, _ in together:
-        own = [group for group in groups if first in group or second in group]
-        merged = list(dict.fromkeys([*(name for group in own for name in group), first, second]))
-        groups = [group for group in groups if group not in own] + [merged]
+        touched = [group for group in groups if first in group or second in group]
+        merged = list(
+            dict.fromkeys([*(name for group in touched for name in group), first, second])
+        )
+        groups = [group for group in groups if group not in touched] + [merged]
     return groups

@@ -53,6 +53,6 @@ class Unknowns:
 
     def of_event(self, event: int) -> Places:
         """Places of all that one event depends on."""
-        own = self.events[event]
-        parts = (self.walked, own.levels, own.departures, own.own)
+        slices = self.events[event]
+        parts = (self.walked, slices.levels, slices.departures, slices.own)
         return np.concatenate([np.arange(part.start, part.stop) for part in parts])

@@ -173,13 +173,13 @@ def training_features(
     pulses_per_second: float,
 ) -> list[Features]:
     """Features of the fitted events at their own thrusts."""
-    found = []
+    result = []
     for row, event in enumerate(events):
         solver = solver_of(model, physics, physics.thrust_n[:, row], pulses_per_second)
         rates = (event.rwa_start_rpm, event.rwa_end_rpm)
         demand = demand_of(model, physics, manager, event.wheels, rates, event.duration_s)
-        found.append(features_of(model, solver, demand, event.duration_s))
-    return found
+        result.append(features_of(model, solver, demand, event.duration_s))
+    return result
 
 
 def joint_draws(

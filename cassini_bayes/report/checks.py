@@ -434,8 +434,8 @@ def variant_table(review: Review) -> Table:
     """Mean thrust under each use of ΔV, and the largest shift against the first use."""
     mean, sd = (
         {
-            str(name): grid(own, column, review)
-            for name, own in review.variants.groupby("variant", sort=False)
+            str(name): grid(item, column, review)
+            for name, item in review.variants.groupby("variant", sort=False)
         }
         for column in ("mean_n", "sd_n")
     )
@@ -446,7 +446,7 @@ def variant_table(review: Review) -> Table:
             "use": list(mean),
             "mean": [np.nanmean(thrusts) for thrusts in mean.values()],
             "sd": [np.nanmean(spreads) for spreads in sd.values()],
-            "shift": [own.flat[int(np.nanargmax(np.abs(own)))] for own in shifts.values()],
+            "shift": [shift.flat[int(np.nanargmax(np.abs(shift)))] for shift in shifts.values()],
         }
     )
     rows.loc[0, "shift"] = np.nan

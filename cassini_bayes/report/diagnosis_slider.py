@@ -76,10 +76,10 @@ def _cells(
         return tuple(None for _ in (*sizes, *names))
     cells = []
     for _, _, key, factor, low, high in sizes:
-        own = row["sizes"][key]
-        left, right = (round(100.0 * (end - low) / (high - low), 1) for end in own["hdi_90"])
-        value = plus_minus(factor * own["mean"], factor * own["sd"])
-        ends = interval(*(factor * end for end in own["hdi_90"]))
+        size = row["sizes"][key]
+        left, right = (round(100.0 * (end - low) / (high - low), 1) for end in size["hdi_90"])
+        value = plus_minus(factor * size["mean"], factor * size["sd"])
+        ends = interval(*(factor * end for end in size["hdi_90"]))
         cells.append(SliderRow(value, ends, left, round(right - left, 1)))
     for name in names:
         share = row["probabilities"].get(name, 0.0)

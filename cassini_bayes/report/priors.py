@@ -38,10 +38,10 @@ def prior_slider(review: Review) -> Iterator[Section]:
     if not (columns and len(review.z)):
         return
     values = np.stack([column.posterior for column in columns], axis=-1)
-    found = width_effects(
+    result = width_effects(
         review.priors, groups_of(review), parameter_draws(review), values, LEAST_EFFECT
     )
-    effects = sorted(found, key=lambda effect: -effect.size)
+    effects = sorted(result, key=lambda effect: -effect.size)
     if not effects:
         return
     yield Section(
@@ -115,7 +115,7 @@ def slider_of(review: Review, columns: Sequence[Column], effects: Sequence[Width
             SliderPrior(
                 name=effect.group.name,
                 notes=tuple(_note(review, effect, i) for i in range(len(WIDTHS))),
-                trusted=tuple(bool(own) for own in effect.trusted),
+                trusted=tuple(bool(line) for line in effect.trusted),
                 rows=tuple(
                     tuple(
                         _row(effect, i, j, axes[j]) if effect.trusted[i] else None

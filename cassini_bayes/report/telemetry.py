@@ -194,22 +194,22 @@ def telemetry(review: Review) -> Iterator[Section]:
 
 def series(review: Review) -> Iterator[Section]:
     """The balance of every telemetry event, row by row."""
-    for i, own in enumerate(review.series, start=1):
+    for i, series in enumerate(review.series, start=1):
         above = (
             "angular momentum gained since the first row (body and wheels) against what thrusters "
             "and torque delivered"
-            if own.quantity == "momentum gained"
+            if series.quantity == "momentum gained"
             else "the body's own angular momentum against what the conserved total leaves to it"
         )
         drawing = Drawing(
             f"series_{i}",
-            f"Measured and predicted angular momentum of {own.event} and their difference",
-            f"{own.event}, above: {above}. Below: the difference, on the noise that the model "
+            f"Measured and predicted angular momentum of {series.event} and their difference",
+            f"{series.event}, above: {above}. Below: the difference, on the noise that the model "
             "allows for.",
-            partial(series_figure, own),
-            fold=f"{own.event}, drawn" if i > 1 else "",
+            partial(series_figure, series),
+            fold=f"{series.event}, drawn" if i > 1 else "",
         )
-        yield Section(CHECKS, (drawing,), name=f"series_{i}", frame=own.table())
+        yield Section(CHECKS, (drawing,), name=f"series_{i}", frame=series.table())
 
 
 def _moment(table: pd.DataFrame, element: str) -> str:
@@ -268,9 +268,9 @@ def thrust_method_tables(review: Review) -> list[Table]:
     fired = [term.id for term in review.model.telemetry if term.event.fires]
     rows = review.baseline.assign(label=[_method(str(m)) for m in review.baseline["method"]])
     return [
-        replace(_wide(own, "thruster", "{} [N]", _thrust), title=event)
+        replace(_wide(selected, "thruster", "{} [N]", _thrust), title=event)
         for event in fired
-        if not (own := rows[rows["event"] == event]).empty
+        if not (selected := rows[rows["event"] == event]).empty
     ]
 
 
@@ -281,7 +281,7 @@ def _wide(rows: pd.DataFrame, item: str, head: str, cell: Callable[[pd.Series], 
     return Table(
         ("method", *(head.format(name) for name in items)),
         tuple(
-            (Cell(label), *(cells.get((label, own), Cell(MISSING, "muted")) for own in items))
+            (Cell(label), *(cells.get((label, entry), Cell(MISSING, "muted")) for entry in items))
             for label in labels
         ),
     )
@@ -347,7 +347,7 @@ def observability_table(review: Review) -> Table:
     table = review.observability.table
     widths = table[["unit", "prior_sd", "expected_sd"]].itertuples(index=False)
     return tabulate(
-        in_units(table, [display_scale(*own) for own in widths], "prior_sd", "expected_sd"),
+        in_units(table, [display_scale(*width) for width in widths], "prior_sd", "expected_sd"),
         {
             "quantity": lambda row: observed_name(row["quantity"]),
             "unit": "unit",

@@ -72,28 +72,28 @@ class Sampled:
 
 def fit_warnings(fit: Fit) -> list[str]:
     """Sentences about anything that makes the draws or the evidence of a fit doubtful."""
-    found, kept = [], fit.attributes
+    result, kept = [], fit.attributes
     if kept["stop_rule"] != ALL_MET:
-        found.append(
+        result.append(
             f"Sampling stopped at its limit before the stop rule held: {kept['stop_rule']}"
         )
     pareto_k = float(kept.get("pareto_k", 0.0))
     if pareto_k > WORST_PARETO_K:
-        found.append(
+        result.append(
             "The importance draws behind the evidence are not reliable (Pareto k̂ = "
             f"{pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
             "sampling instead of the independence move."
         )
     stats = fit.groups["sample_stats"]
     if "jacobian_expansion_error" not in stats:
-        return found
+        return result
     error = stats["jacobian_expansion_error"].values.std()
     if error > SERIOUS_EXPANSION_ERROR:
-        found.append(
+        result.append(
             f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
             f"deviation over the posterior; {SERIOUS_EXPANSION_ERROR} is tolerable)."
         )
-    return found
+    return result
 
 
 def fit_model(
@@ -345,6 +345,6 @@ def _derived_ess(drawn: _DrawnBack, walkers: int, processes: int) -> float:
 
 def watched(draws: Draws) -> Array:
     """Draws (n, q) that the stop rule watches beside the walked ones: all but cut tails."""
-    own = [values for part in draws.own for name, values in part.items() if name != TAILS]
-    parts = (draws.thrusts.thrust_n, draws.thrusts.level_n, *own)
+    integrated = [values for part in draws.own for name, values in part.items() if name != TAILS]
+    parts = (draws.thrusts.thrust_n, draws.thrusts.level_n, *integrated)
     return np.concatenate([values.reshape(draws.size, -1) for values in parts], axis=1)

@@ -95,7 +95,7 @@ def channel_replicates(
     """
     shown = thinned_draws(len(z))
     rows = balances(model, z[shown], draws.at(shown), REPLICATED_ROWS)
-    events = [replicated(own, rng) for own in rows]
+    events = [replicated(row, rng) for row in rows]
     if not events:
         return {}
     return channel_datasets(events, coordinates, model.wheels, np.divmod(shown, chain_length))

@@ -127,8 +127,8 @@ def find_mode(
     if not np.isfinite(log_density(start[None])).all():
         raise CassiniBayesError("the posterior is not finite at the centre of the prior")
     options = {"maxiter": 500, "ftol": tolerance}
-    found = minimize(objective, np.zeros(d), jac=True, method="L-BFGS-B", options=options)
-    return np.asarray(start + turned @ found.x, dtype=np.float64)
+    result = minimize(objective, np.zeros(d), jac=True, method="L-BFGS-B", options=options)
+    return np.asarray(start + turned @ result.x, dtype=np.float64)
 
 
 def hessian(

@@ -130,7 +130,7 @@ def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1
     Deficits and a doubted shift are taken at midpoints of their priors' quantiles; a shift that is
     not doubted is narrow and enters the covariance to first order.
     """
-    own = hypothesis.scatter if hypothesis.scatter is not None else scatter
+    spread = hypothesis.scatter if hypothesis.scatter is not None else scatter
     quantiles = (np.arange(NODES) + 0.5) / NODES
     spaces = [halfnorm.ppf(quantiles, scale=DEFICIT_SCALE * width) for _ in hypothesis.weak]
     if hypothesis.doubted:
@@ -143,7 +143,7 @@ def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1
     if hypothesis.doubted:
         shift[:, "xy".index(hypothesis.doubted)] = grid[:, -1]
     log_density, mean, var, common, common_var = _gaussian(
-        table, deficit, shift, own, hypothesis.doubted
+        table, deficit, shift, spread, hypothesis.doubted
     )
     weights = np.exp(log_density - logsumexp(log_density))
     return Weighed(
@@ -224,17 +224,17 @@ def losses(
     rng = np.random.default_rng(1)
     place = rng.choice(len(one.weights), size=100_000, p=one.weights)
     common = one.common_n[place] + np.sqrt(one.common_var[place]) * rng.standard_normal(len(place))
-    found = {}
+    result = {}
     for group in weak:
         spread = np.sqrt(one.thrust_var[place, group])
         thrust = one.thrust_n[place, group] + spread * rng.standard_normal(len(place))
         start = common * (1.0 + scatter * rng.standard_normal(len(place)))
         from_common, since = 1.0 - thrust / common, 1.0 - thrust / start
-        found[GROUPS[group]] = (
+        result[GROUPS[group]] = (
             (float(from_common.mean()), float(from_common.std())),
             (float(since.mean()), float(since.std())),
         )
-    return found
+    return result
 
 
 def shift_from_ratio(table: Table) -> tuple[float, float]:

@@ -108,8 +108,8 @@ def least_leaks(noise: MomentumNoise) -> pd.DataFrame:
 def clear_after_s(table: pd.DataFrame) -> dict[float, float]:
     """Per turn the first time of :func:`after_turns` at which the two are apart; NaN if never."""
     return {
-        float(turn): float(own.loc[own["sigma"] >= CLEAR_SIGMA, "after_s"].min())
-        for turn, own in table.groupby("turn_deg")
+        float(turn): float(rows.loc[rows["sigma"] >= CLEAR_SIGMA, "after_s"].min())
+        for turn, rows in table.groupby("turn_deg")
     }
 
 

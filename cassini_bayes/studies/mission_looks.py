@@ -60,7 +60,7 @@ class Pool:
         """The pool with the points of one more proposal."""
         new = Pool.begun(self.model, proposal, rng)
         proposals, z = (*self.proposals, proposal), np.concatenate([self.z, new.z])
-        log_each = np.stack([own.log_density(z) for own in proposals])
+        log_each = np.stack([item.log_density(z) for item in proposals])
         branches = tuple(
             BranchAt.joined(both) for both in zip(self.branches, new.branches, strict=True)
         )
@@ -85,11 +85,11 @@ class Pool:
 
         Totals rows without a velocity change: what does not depend on thrusts is left out.
         """
-        found = self.log_prior
+        result = self.log_prior
         for branch in branches:
             losses = references[branch.thrusts.branch]
-            found = found + branch.levels.log_likelihood + log_bayes(branch, losses, prior.scale)
-        return np.asarray(found)
+            result = result + branch.levels.log_likelihood + log_bayes(branch, losses, prior.scale)
+        return np.asarray(result)
 
 
 def _worked_up(model: MissionModel, z: Array) -> tuple[BranchAt, ...]:
@@ -132,9 +132,9 @@ def analyses(
     pool = Pool.begun(model, moments(weighted(z, np.zeros(len(z)))), rng)
     for count in counts:
         for look in range(PASSES):
-            pool, found, log_density = _weighed(pool, count, references, prior, rng)
+            pool, result, log_density = _weighed(pool, count, references, prior, rng)
             branches = pool.first(count)
-            places = found.places(rng, WEIGHED)
+            places = result.places(rng, WEIGHED)
             chosen, back = distinct(places)
             lot = tuple(branch.take(places[chosen]) for branch in branches)
             losses = weighed_at([lot], prior, references, back)
@@ -143,18 +143,18 @@ def analyses(
             if settled or look == PASSES - 1:
                 break
             references = references | best
-        places = found.places(rng, draws)
+        places = result.places(rng, draws)
         yield Analysis(
             count,
             losses,
-            trusted(found),
+            trusted(result),
             EarlierDraws(
                 model.space.names,
                 pool.z[places],
                 log_density[places],
                 references,
-                found.log_evidence,
-                found.log_evidence_se,
+                result.log_evidence,
+                result.log_evidence_se,
             ),
         )
 
@@ -172,8 +172,8 @@ def _weighed(
     """
     for attempt in range(_TRIES):
         log_density = pool.log_density(pool.first(events), references, prior)
-        found = weighted(pool.z, log_density - pool.log_mixture)
-        if trusted(found) or attempt == _TRIES - 1:
+        result = weighted(pool.z, log_density - pool.log_mixture)
+        if trusted(result) or attempt == _TRIES - 1:
             break
-        pool = pool.grown(refined(pool.proposals[-1], found), rng)
-    return pool, found, log_density
+        pool = pool.grown(refined(pool.proposals[-1], result), rng)
+    return pool, result, log_density

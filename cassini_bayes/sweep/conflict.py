@@ -53,8 +53,8 @@ def conflict_table(blocks: Mapping[str, Coordinates], fit: Fit) -> pd.DataFrame:
     sentence. A p-value is NaN where the fit has nothing to take it from.
     """
     rows: list[dict[str, object]] = []
-    for block, own in blocks.items():
-        before, after = pull_before(own, fit), pull_after(own)
+    for block, coordinates in blocks.items():
+        before, after = pull_before(coordinates, fit), pull_after(coordinates)
         rows.append(
             {
                 "level": "block",
@@ -150,8 +150,10 @@ def _pull(names: tuple[str, ...], mean: Array, variance: Array) -> Pull:
         return Pull(np.nan, 0, "", np.nan)
     along = vectors[:, told].T @ mean
     distance = float((along**2 / values[told]).sum())
-    own = np.diagonal(variance)
-    pulls = np.where(own > INFORMED, mean / np.sqrt(np.where(own > INFORMED, own, 1.0)), 0.0)
+    diagonal = np.diagonal(variance)
+    pulls = np.where(
+        diagonal > INFORMED, mean / np.sqrt(np.where(diagonal > INFORMED, diagonal, 1.0)), 0.0
+    )
     strongest = int(np.argmax(np.abs(pulls)))
     return Pull(
         p_value=float(chi2.sf(distance, told.sum())),
@@ -165,14 +167,14 @@ def event_p_values(fit: Fit) -> dict[str, tuple[float, float]]:
     """Event → p-values of its on-times before and after fitting; empty without on-times."""
     if _ON_TIME not in fit.groups["observed_data"]:
         return {}
-    found = {}
+    result = {}
     for event in fit.groups["observed_data"].coords["event"].values:
         p_values = []
         for group in ("prior_predictive", "posterior_predictive"):
             draws, observed = _predictive(fit, group, str(event))
             p_values.append(predictive_p_value(draws, observed))
-        found[str(event)] = (p_values[0], p_values[1])
-    return found
+        result[str(event)] = (p_values[0], p_values[1])
+    return result
 
 
 def predictive_p_value(draws: Array, observed: Array) -> float:

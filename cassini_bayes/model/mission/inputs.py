@@ -82,7 +82,7 @@ def read_mission(
     for reference in mission.events:
         place = base / reference
         if is_event_folder(place):
-            found: list[tuple[Event, EventFacts, str]] = [
+            result: list[tuple[Event, EventFacts, str]] = [
                 _telemetry(place, priors, mission.pulse_shape, cache, log, policy)
             ]
         else:
@@ -90,11 +90,11 @@ def read_mission(
             for branch in sorted({row.branch for row in rows}):
                 of_branch = priors.for_branch(branch)
                 findings += check_rows(rows, of_branch, str(place), policy, steady=False)
-            found = [
+            result = [
                 (row, EventFacts(row.id, row.epoch, row.branch, True, None), _row_digest(row))
                 for row in rows
             ]
-        for event, fact, content in found:
+        for event, fact, content in result:
             if fact.id in digests:
                 raise InputError(
                     f"{where}: event {fact.id}",

@@ -189,14 +189,14 @@ def _baseline_rows(
         return []
     events = events_of(review)
     mine = table[table["thruster"] == thruster]
-    found = [
+    result = [
         (events.index(row["event"]), row)
         for _, row in mine[mine["method"] == look.per_event].iterrows()
         if row["event"] in events
     ]
     if look.pooled is not None:
-        found += [(len(events), row) for _, row in mine[mine["method"] == look.pooled].iterrows()]
-    return found
+        result += [(len(events), row) for _, row in mine[mine["method"] == look.pooled].iterrows()]
+    return result
 
 
 def _caret(axes: Axes, x: float, value: float, limits: tuple[float, float], *, valid: bool) -> None:
