@@ -29,8 +29,6 @@ NONE: Final = "none"
 UNKNOWN: Final = "unknown"
 LEAST_SHARE: Final = 1e-3
 """Probability of a beginning below which it changes no digit of a size or a score."""
-TRUSTED_K: Final = 0.7
-"""Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
 
 
 class Hypothesis(Protocol):

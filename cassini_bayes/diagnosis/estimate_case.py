@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.diagnosis.case import TRUSTED_K, Case, Ranking, Size, Weighed
+from cassini_bayes.diagnosis.case import Case, Ranking, Size, Weighed
 from cassini_bayes.diagnosis.estimates import EstimateHypothesis, Estimates, Prediction
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import LEAST_PIECES, HeldOut
@@ -28,7 +28,7 @@ from cassini_bayes.diagnosis.sizes import summarised
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.effects.registry import Kinds, standard
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.sampling.warmstart import Proposal, importance, pareto_k, refined
+from cassini_bayes.sampling.warmstart import TRUSTED_K, Proposal, importance, pareto_k, refined
 
 Candidate = Weighed[EstimateHypothesis]
 DRAWS: Final = 100_000

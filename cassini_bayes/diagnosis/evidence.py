@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.computing.log import Log
-from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed
+from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.search import (
@@ -22,7 +22,13 @@ from cassini_bayes.diagnosis.search import (
     with_whole_curvature,
 )
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
-from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, importance, refined
+from cassini_bayes.sampling.warmstart import (
+    TRUSTED_K,
+    ImportanceDraws,
+    Proposal,
+    importance,
+    refined,
+)
 
 Candidate = Weighed[Hypothesis]
 LEAST_EFFICIENCY: Final = 0.1

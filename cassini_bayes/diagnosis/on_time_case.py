@@ -20,7 +20,6 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.case import (
     NONE,
-    TRUSTED_K,
     UNKNOWN,
     Case,
     Ranking,
@@ -58,6 +57,7 @@ from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect, onsets
 from cassini_bayes.effects.registry import Kinds
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 
 Candidate = Weighed[OnTimeHypothesis]
 NEAR_NATS: Final = 10.0  # behind the best, up to which importance draws decide

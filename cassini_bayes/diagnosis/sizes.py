@@ -8,13 +8,14 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import TRUSTED_K, H, Size, Weighed
+from cassini_bayes.diagnosis.case import H, Size, Weighed
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
 from cassini_bayes.diagnosis.unresolved import timed
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.model.posterior import TORQUES, Model
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 
 SizeDraws = Callable[[Weighed[H], np.random.Generator], tuple[dict[str, Array], Array]]
 SUMMARY_DRAWS: Final = 2_000

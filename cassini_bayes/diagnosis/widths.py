@@ -16,13 +16,13 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import TRUSTED_K, Ranking, Size, Weighed, over_beginnings
+from cassini_bayes.diagnosis.case import Ranking, Size, Weighed, over_beginnings
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import mode_near
 from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.verdict import normalised
-from cassini_bayes.sampling.warmstart import pareto_k
+from cassini_bayes.sampling.warmstart import TRUSTED_K, pareto_k
 from cassini_bayes.sweep.widths import WIDTHS
 
 WORTH_A_SEARCH: Final = 0.01

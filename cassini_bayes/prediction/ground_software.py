@@ -32,7 +32,7 @@ from cassini_bayes.spacecraft import (
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 GRAVITY_M_S2: Final = 9.8065  # as printed in paper 001
-TORQUE_LIMIT_N_M: Final = 0.03
+TORQUE_LIMIT_N_M: Final = 0.03  # of the wheel manager (paper 001, section IV)
 LOOP_S: Final = 16.5
 SAMPLE_S: Final = 1.0
 SPECIFIC_IMPULSE: Final = (160.0, 0.0, 0.0, 0.0, 0.0)

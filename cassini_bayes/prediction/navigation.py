@@ -20,8 +20,8 @@ from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.predict import SOURCES, predict
 from cassini_bayes.prediction.requests import BiasRequest
 
-TOLERANCE: Final = 0.03
-REQUIRED_PROBABILITY: Final = 0.9973
+TOLERANCE: Final = 0.03  # of nominal in each component, 3 σ (paper 001)
+REQUIRED_PROBABILITY: Final = 0.9973  # of a normal within 3 σ
 LEAST_COMPONENT_M_S: Final = 1e-3
 _ONE_SIGMA: Final = (0.158655, 0.841345)
 

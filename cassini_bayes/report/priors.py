@@ -21,9 +21,10 @@ from cassini_bayes.report.plots.tables import (
 )
 from cassini_bayes.report.verdict import IMPULSE, MOMENTS
 from cassini_bayes.results.review import Review
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK
 from cassini_bayes.sweep.variations import Group
-from cassini_bayes.sweep.weights import FEWEST_DRAWS, WORST_PARETO_K
+from cassini_bayes.sweep.weights import FEWEST_DRAWS
 from cassini_bayes.sweep.widths import WIDTHS, WidthEffect, width_effects
 
 LEAST_EFFECT: Final = 0.03  # posterior standard deviations: a prior that moves less is not offered
@@ -157,8 +158,8 @@ def _note(review: Review, effect: WidthEffect, i: int) -> str:
     k = float(effect.pareto_k[i])
     if not effect.trusted[i]:
         reason = (
-            f"Pareto k̂ is {k:.2f}, above {WORST_PARETO_K}"
-            if k > WORST_PARETO_K
+            f"Pareto k̂ is {k:.2f}, above {TRUSTED_K}"
+            if k > TRUSTED_K
             else f"they are worth {effect.effective[i]:.0f}, fewer than {FEWEST_DRAWS:.0f}"
         )
         return f"The draws of this fit cannot say: {reason}. cassini-bayes sweep fits it anew"

@@ -29,6 +29,7 @@ from cassini_bayes.sampling.ensembles import (
     stored_ess,
 )
 from cassini_bayes.sampling.warmstart import (
+    TRUSTED_K,
     ImportanceDraws,
     LogDensity,
     Proposal,
@@ -37,12 +38,11 @@ from cassini_bayes.sampling.warmstart import (
 )
 
 _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
-SERIOUS_EXPANSION_ERROR: Final = 0.1
+SERIOUS_EXPANSION_ERROR: Final = 0.1  # nats: changes weights of draws by a tenth
 WALKED: Final = "walked"
 """Dimension of the statistics of walked parameters."""
 ALL_MET: Final = "all criteria met"
-WORST_PARETO_K: Final = 0.7
-FALLBACK_INDEPENDENCE: Final = 0.2
+FALLBACK_INDEPENDENCE: Final = 0.2  # of the moves, where the proposal is poor (judgement)
 
 
 @dataclass(frozen=True)
@@ -78,10 +78,10 @@ def fit_warnings(fit: Fit) -> list[str]:
             f"Sampling stopped at its limit before the stop rule held: {kept['stop_rule']}"
         )
     pareto_k = float(kept.get("pareto_k", 0.0))
-    if pareto_k > WORST_PARETO_K:
+    if pareto_k > TRUSTED_K:
         result.append(
             "The importance draws behind the evidence are not reliable (Pareto k̂ = "
-            f"{pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
+            f"{pareto_k:.2f} > {TRUSTED_K}); differential evolution did most of the "
             "sampling instead of the independence move."
         )
     stats = fit.groups["sample_stats"]
@@ -210,10 +210,10 @@ def _sampled(
         f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
     )
     moves = settings
-    if warm.draws.pareto_k > WORST_PARETO_K and settings.independence_share > FALLBACK_INDEPENDENCE:
+    if warm.draws.pareto_k > TRUSTED_K and settings.independence_share > FALLBACK_INDEPENDENCE:
         moves = replace(settings, independence_share=FALLBACK_INDEPENDENCE)
         log(
-            f"the proposal is poor (Pareto k̂ > {WORST_PARETO_K}): falling back on differential "
+            f"the proposal is poor (Pareto k̂ > {TRUSTED_K}): falling back on differential "
             f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
         )
 

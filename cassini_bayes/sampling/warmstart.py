@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize
@@ -20,15 +21,18 @@ from cassini_bayes.errors import CassiniBayesError
 
 LogDensity = Callable[[Array], Array]
 
-GRADIENT_STEP = 1e-4
-HESSIAN_STEP = 2e-2
-LEAST_CURVATURE = 0.25
-WHITENED_STEP = 0.25  # standard deviations
-WHITENED_GRADIENT_STEP = 0.01
-WHITENED_PASSES = 4
-WHITENED_LEAST_CURVATURE = 1e-2  # a look may widen a direction tenfold
-SETTLED = 0.1
-ROUGH, FINE = 2e-9, 1e-13
+TRUSTED_K: Final = 0.7
+"""Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
+# Steps in prior standard deviations, then in the posterior's once its axes are known.
+GRADIENT_STEP: Final = 1e-4
+HESSIAN_STEP: Final = 2e-2
+LEAST_CURVATURE: Final = 0.25  # of a direction: none is taken for more than twice its prior's width
+WHITENED_STEP: Final = 0.25  # standard deviations
+WHITENED_GRADIENT_STEP: Final = 0.01
+WHITENED_PASSES: Final = 4  # at most: mode and curvature in turn, until they settle
+WHITENED_LEAST_CURVATURE: Final = 1e-2  # a pass may widen a direction tenfold
+SETTLED: Final = 0.1  # of a curvature: widths are then good to a twentieth
+ROUGH, FINE = 2e-9, 1e-13  # L-BFGS, relative to the log density: before and with whitened axes
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,8 @@ from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.published import a_branch_thrusts
+from cassini_bayes.published import a_branch_thrusts, published_constants
 
-LX_M, LY_M = 1.234, 1.580
 COMMON_N, COMMON_SD_N = 0.75, 0.05  # paper 000, before the recharge and after alike within 2 sigma
 ERROR: Final = 0.02  # of one figure: the two columns differ by 2.3 to 6.3 %
 SHIFT_SD_M: Final[Mapping[str, float]] = {"x": 0.013, "y": 0.0057}  # 10 % (paper 003)
@@ -63,6 +62,11 @@ class Table:
     def sees_torque(self) -> Array:
         """1 for a study figure, 0 for one of navigation."""
         return np.array([1.0] * (6 * self.uses_study) + [0.0] * len(self.navigation_n))
+
+
+def lever_arm_m(axis: str) -> float:
+    """Corner of the thruster pods along an axis of the body, as paper 000 prints it."""
+    return published_constants().value("paper_000_geometry", f"thruster_l{axis}_m")
 
 
 def table_1() -> Table:
@@ -169,8 +173,8 @@ def _gaussian(
     """
     groups, torque = table.groups, table.sees_torque
     n, factor, columns, widths = len(deficit), np.ones((len(deficit), len(groups))), [], []
-    for i, (axis, arm) in enumerate((("x", LX_M), ("y", LY_M))):
-        side = np.array([_SIDES[axis][g] for g in groups]) * torque / arm
+    for i, axis in enumerate("xy"):
+        side = np.array([_SIDES[axis][g] for g in groups]) * torque / lever_arm_m(axis)
         factor = factor * (1.0 - side * shift[:, [i]])
         if axis != doubted:
             columns.append(-side * COMMON_N * (1.0 - deficit[:, groups]))
@@ -240,7 +244,7 @@ def losses(
 def shift_from_ratio(table: Table) -> tuple[float, float]:
     """Shift of the centre of mass along Y by study over navigation alone, mean and sd, m."""
     ratio = table.study_n[:4] / table.navigation_n
-    sides = np.array(_SIDES["y"][:4]) / LY_M
+    sides = np.array(_SIDES["y"][:4]) / lever_arm_m("y")
     sd = ratio * np.hypot(ERROR, ERROR)
     weight = (sides / sd) ** 2
     shift = (sides * (1.0 - ratio) / sd**2).sum() / weight.sum()

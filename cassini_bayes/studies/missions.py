@@ -223,11 +223,11 @@ weigh one pool of points, which grows with the mission and has the same posterio
 
 | what | figure | goal |
 | --- | --- | --- |
-| thruster with a loss of 10 % or more has an alarm | {_share(findings.named)} | 95 % |
-| the same where {ENOUGH} biases or more have fired it since | {_share(findings.in_time)} | |
-| onset of the named within one bias that fired it | {_share(findings.near)} | 90 % of the oracle's |
-| the same for one who knows all but the onset | {_share(findings.oracle_near)} | |
-| missions with a false alarm at any look | {_share(findings.false_alarms)} | at most 5 % |
+| thruster with a loss of 10 % or more has an alarm | {_text(findings.named)} | 95 % |
+| the same where {ENOUGH} biases or more have fired it since | {_text(findings.in_time)} | |
+| onset of the named within one bias that fired it | {_text(findings.near)} | 90 % of the oracle's |
+| the same for one who knows all but the onset | {_text(findings.oracle_near)} | |
+| missions with a false alarm at any look | {_text(findings.false_alarms)} | at most 5 % |
 
 An alarm is a probability of loss above {ALARM}. It is false if the thruster does not fail, or has
 not failed yet. The next table compares rules at equal false alarms, one mission in twenty, for
@@ -255,7 +255,7 @@ def _verdict(findings: MissionFindings) -> str:
     return f"All goals are {'reached' if passes(findings) else '**not** reached'} by the figures."
 
 
-def _share(counts: tuple[int, int]) -> str:
+def _text(counts: tuple[int, int]) -> str:
     """A rate with its central 95 % interval (Clopper-Pearson)."""
     hits, cases = counts
     if not cases:

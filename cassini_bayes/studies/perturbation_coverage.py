@@ -36,7 +36,7 @@ from cassini_bayes.results.baselines import (
     perturbation_bars,
 )
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
-from cassini_bayes.sampling.warmstart import laplace, warm_start
+from cassini_bayes.sampling.warmstart import TRUSTED_K, laplace, warm_start
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 Reading = Literal["one sigma", "maximum"]
@@ -57,7 +57,6 @@ METHODS: Final = (RSS, WORST, SQUARES, BOTH, LAPLACE, POSTERIOR)
 CLAIMS: Final = (0.68, 0.9)
 
 DRAWS: Final = 2_000
-TRUSTED_K: Final = 0.7
 SETS_PER_FILE: Final = 5
 MODULE: Final = "studies.perturbation_coverage"
 """Whose code, with all that it imports, a set runs through."""
