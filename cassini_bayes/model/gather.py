@@ -13,12 +13,8 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import STRICT, Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import TelemetryEvent
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.event_reduction import (
-    ReducedEvent,
-    check_rows,
-    is_event_folder,
-    reduce_event,
-)
+from cassini_bayes.model.event_reduction import ReducedEvent, is_event_folder, reduce_event
+from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors
 

@@ -22,7 +22,8 @@ from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.model.event_reduction import check_rows, is_event_folder
+from cassini_bayes.model.event_reduction import is_event_folder
+from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs

@@ -17,7 +17,6 @@ from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import (
     EventRows,
-    check_rows,
     is_event_folder,
     reduce_event,
     store_reduction,
@@ -25,6 +24,7 @@ from cassini_bayes.model.event_reduction import (
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.model.mission.model import MissionModel, build_mission
+from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors, read_priors
 
