@@ -82,13 +82,11 @@ def estimator_error(ratios: Array) -> EstimatorError:
 
     log_density, wheel = [], []
     for sd in SDS:
-        covariance_of_one = covariance(sd)
-        solved = np.linalg.solve(covariance_of_one, y)
-        log_density.append(
-            -0.5 * (y @ solved + np.linalg.slogdet(2 * np.pi * covariance_of_one)[1])
-        )
+        matrix = covariance(sd)
+        solved = np.linalg.solve(matrix, y)
+        log_density.append(-0.5 * (y @ solved + np.linalg.slogdet(2 * np.pi * matrix)[1]))
         ones = np.ones(len(y))
-        gain = WHEEL_SD**2 * np.linalg.solve(covariance_of_one, ones)
+        gain = WHEEL_SD**2 * np.linalg.solve(matrix, ones)
         wheel.append((gain @ y, WHEEL_SD**2 * (1.0 - gain @ ones)))
     weights = np.exp(np.array(log_density) - logsumexp(log_density))
     mean, variance = np.array(wheel).T

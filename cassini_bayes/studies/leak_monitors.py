@@ -153,11 +153,11 @@ def residual_of(
         return physics_of(craft, priors.branch, arrays)
 
     def momentum(values: Mapping[str, float], thrust_n: Array) -> Array:
-        at_values = physics(values)
-        body = still.rate_rad_s @ at_values.inertia_kg_m2.T
-        body = body + still.wheel_rad_s @ at_values.wheel_weights[:, places].T
-        seconds = columns @ pulse_weights(sampling, at_values)
-        total = np.einsum("nac,nc->na", back, body) - seconds @ (at_values.arms_m * thrust_n).T
+        body_physics = physics(values)
+        body = still.rate_rad_s @ body_physics.inertia_kg_m2.T
+        body = body + still.wheel_rad_s @ body_physics.wheel_weights[:, places].T
+        seconds = columns @ pulse_weights(sampling, body_physics)
+        total = np.einsum("nac,nc->na", back, body) - seconds @ (body_physics.arms_m * thrust_n).T
         return np.asarray(total - total[0])
 
     level = np.full(len(thrusters), means["thrust_common_n"])
@@ -168,7 +168,7 @@ def residual_of(
         moved = momentum({**means, name: means[name] + _STEP * sd}, level)
         slopes.append((moved - at_means) / _STEP)
     common = priors.parameters["thrust_common_n"].sd
-    at_values = np.sqrt(
+    body_physics = np.sqrt(
         sum(
             priors.parameters[f"thrust_{which}_n"].sd ** 2
             for which in ("individual", "event", "jitter")
@@ -176,7 +176,7 @@ def residual_of(
     )
     for k in range(len(thrusters)):
         moved = momentum(means, level + np.eye(len(thrusters))[k])
-        slopes.append(at_values * (moved - at_means))
+        slopes.append(body_physics * (moved - at_means))
     slopes.append(common * (momentum(means, level + 1.0) - at_means))
     time = samples.time_s[rows] - samples.time_s[rows[0]]
     torques = [priors.parameters[f"external_torque_{axis}_n_m"] for axis in "xyz"]
@@ -260,13 +260,13 @@ class Odds:
     @cached_property
     def log_bayes_factor(self) -> Array:
         """By row and thruster (N, K), sizes and starts averaged over their priors."""
-        residual_of_all = self.residual
-        n = len(residual_of_all.time_s)
-        lower = np.linalg.cholesky(residual_of_all.covariance)
-        left = np.linalg.solve(lower, residual_of_all.momentum_n_m_s.ravel())
-        starts = np.arange(0.0, residual_of_all.time_s[-1], STARTS_EVERY_S)
-        running = np.maximum(residual_of_all.time_s[:, None] - starts, 0.0)  # (N, S)
-        columns = np.einsum("ns,ck->ncsk", running, residual_of_all.arms_m).reshape(3 * n, -1)
+        residual = self.residual
+        n = len(residual.time_s)
+        lower = np.linalg.cholesky(residual.covariance)
+        left = np.linalg.solve(lower, residual.momentum_n_m_s.ravel())
+        starts = np.arange(0.0, residual.time_s[-1], STARTS_EVERY_S)
+        running = np.maximum(residual.time_s[:, None] - starts, 0.0)  # (N, S)
+        columns = np.einsum("ns,ck->ncsk", running, residual.arms_m).reshape(3 * n, -1)
         white = np.linalg.solve(lower, columns)
         along = np.cumsum(white * left[:, None], axis=0)[2::3]
         square = np.cumsum(white**2, axis=0)[2::3]
