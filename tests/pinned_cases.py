@@ -464,7 +464,7 @@ def predicted_estimates(name: str) -> Array:
     rng, parts = np.random.default_rng(SEED), []
     for cause in estimates()[name].hypotheses(1.0):
         own = cause.predict(rng.standard_normal((2, cause.dimension)))
-        parts.append(np.stack([own.estimate_n, own.own_sd_n]))
+        parts.append(np.stack([own.estimate_n, own.independent_sd_n]))
     return np.stack(parts)
 
 

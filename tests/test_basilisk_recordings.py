@@ -17,7 +17,7 @@ import pytest
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility import check_telemetry
 from cassini_bayes.events.telemetry import Mends, load_event, read_chunks, read_event
-from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.priors.reader import read_priors
 
 ROOT: Final = Path(__file__).parents[1]

@@ -24,6 +24,21 @@ settings = {
 }
 gain = False""",
 }
+# Run before a notebook that weighs causes and stores no findings: a few of its causes. That all of
+# them are weighed on the same recording, and the right one is named, is what the tutorial shows.
+FEW_CAUSES = """
+from dataclasses import replace
+
+from cassini_bayes.diagnosis import read
+
+def few(*arguments, prepare=read.prepare):
+    events = prepare(*arguments)
+    effects = tuple(e for e in events.catalogue.effects if e.name.startswith("thruster_degraded"))
+    assert effects
+    return replace(events, catalogue=replace(events.catalogue, effects=effects))
+
+read.prepare = few
+"""
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
@@ -86,6 +101,7 @@ def test_notebook_runs(path: Path) -> None:
     stored = texts(notebook)
     if path.stem in SHORT:
         shortened(notebook, SHORT[path.stem])
+        notebook.cells.insert(0, nbformat.v4.new_code_cell(FEW_CAUSES))
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(ROOT)}}).execute()
     assert all(cell.execution_count for cell in notebook.cells if cell.cell_type == "code")
     if path.stem in EXECUTED:

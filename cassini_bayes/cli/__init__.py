@@ -71,17 +71,17 @@ def main() -> None:
         with one_thread():
             app()
     except CassiniBayesError as error:
-        _say_error(str(error))
+        _print_error(str(error))
         sys.exit(error.exit_code)
     except ImportError as error:
         if (error.name or "").startswith(__name__.partition(".")[0]):
             raise  # a mistake of this package, not of its environment
-        _say_error(f"{error.name or 'a library'}: {error}; install the package anew")
+        _print_error(f"{error.name or 'a library'}: {error}; install the package anew")
         sys.exit(2)
     except OSError as error:
         place = error.filename or "the system"
         reason = error.strerror or str(error)
-        _say_error(f"{place}: {reason}; check the path, its permissions and the free space")
+        _print_error(f"{place}: {reason}; check the path, its permissions and the free space")
         sys.exit(2)
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
@@ -95,5 +95,5 @@ def main() -> None:
         gc.freeze()  # what is left goes with the process: a last collection takes most of a second
 
 
-def _say_error(text: str) -> None:
+def _print_error(text: str) -> None:
     typer.echo(f"error: {' '.join(text.split())}", err=True)

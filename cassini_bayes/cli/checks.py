@@ -42,7 +42,7 @@ def check_command(
     from cassini_bayes.pipeline.checks import check
 
     reporter = ConsoleReporter(quiet)
-    found = check(
+    result = check(
         events,
         priors,
         effects=effect or (),
@@ -53,10 +53,10 @@ def check_command(
         log=reporter.log,
     )
     if as_json:
-        typer.echo(json.dumps(found.as_record()))
+        typer.echo(json.dumps(result.as_record()))
     elif not quiet:
-        typer.echo(repr(found))
+        typer.echo(repr(result))
     if quiet or as_json:
-        for sentence in found.warnings:
+        for sentence in result.warnings:
             typer.echo(f"warning: {sentence}", err=True)
-    raise typer.Exit(1 if strict and found.warnings else 0)
+    raise typer.Exit(1 if strict and result.warnings else 0)

@@ -59,7 +59,7 @@ def predict_command(
     """Predict planned wheel biases: on-times, pulses, ΔV, hydrazine, duration."""
     from cassini_bayes.pipeline.predictions import predict
 
-    found = predict(
+    result = predict(
         fit,
         bias,
         epoch=epoch,
@@ -71,16 +71,16 @@ def predict_command(
         accept=accept or [],
         seed=seed,
     )
-    _warn(found.warnings)
-    flown = [_closed_loop(found, own, simulations) if simulate else {} for own in found]
-    document = found.as_record(flown)
+    _warn(result.warnings)
+    flown = [_closed_loop(result, weights, simulations) if simulate else {} for weights in result]
+    document = result.as_record(flown)
     if out is not None:
-        found.save(out, document)
+        result.save(out, document)
     if as_json:
         typer.echo(json.dumps(document))
     elif not quiet:
-        typer.echo("\n\n".join(_text(p, r) for p, r in zip(found, flown, strict=True)))
-        typer.echo(f"\nanswered in {found.seconds:.2f} s", err=True)
+        typer.echo("\n\n".join(_text(p, r) for p, r in zip(result, flown, strict=True)))
+        typer.echo(f"\nanswered in {result.seconds:.2f} s", err=True)
 
 
 def plan_command(
@@ -122,7 +122,7 @@ def plan_command(
     """Rank wheel biases by what they teach of a quantity, or find the one that costs least."""
     from cassini_bayes.pipeline.predictions import PlanResult, plan
 
-    found = plan(
+    result = plan(
         fit,
         quantity,
         minimise=minimise,
@@ -138,13 +138,13 @@ def plan_command(
         accept=accept or [],
         seed=seed,
     )
-    _warn(found.warnings)
-    if out is not None and isinstance(found, PlanResult):
-        found.save(out)
+    _warn(result.warnings)
+    if out is not None and isinstance(result, PlanResult):
+        result.save(out)
     if as_json:
-        typer.echo(json.dumps(found.as_record()))
+        typer.echo(json.dumps(result.as_record()))
     elif not quiet:
-        typer.echo(repr(found))
+        typer.echo(repr(result))
 
 
 def _warn(warnings: Sequence[str]) -> None:

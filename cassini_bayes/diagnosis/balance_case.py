@@ -13,7 +13,7 @@ from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.diagnosis.case import Case, Ranking, Shown, Size, Weighed, Work
+from cassini_bayes.diagnosis.case import Case, Discrepancies, Ranking, Size, Weighed, Work
 from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests, strongest
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.drafts import Draft, drafted
@@ -153,8 +153,8 @@ class BalanceCase(Case[Hypothesis]):
         for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:
                 best = max(w.log_evidence for w in weighed)
-                found = replace(effect, search_result=settled)
-                weighed.append(self._settled(found, (), base, best, workers))
+                result = replace(effect, search_result=settled)
+                weighed.append(self._settled(result, (), base, best, workers))
         return beginnings.summed(_sampled_near_best(weighed, rng, workers))
 
     def _settled(
@@ -265,11 +265,13 @@ class BalanceCase(Case[Hypothesis]):
             return None
         return p_value(left.linear, [event.time_s for event in left.rows], rng)
 
-    def show(self, baseline: Candidate, extended: Candidate, rng: np.random.Generator) -> Shown:
+    def show(
+        self, baseline: Candidate, extended: Candidate, rng: np.random.Generator
+    ) -> Discrepancies:
         """Symptoms, closure, tests, what bends and trades, overlays; nothing for totals alone."""
         before = baseline.remainder
         if before is None:
-            return Shown()
+            return Discrepancies()
         of_tests, of_trade = rng, rng.spawn(1)[0]
         after = extended.remainder or before
         tests = extended_tests = innovation_tests(before.linear, before.rows, of_tests)
@@ -279,7 +281,7 @@ class BalanceCase(Case[Hypothesis]):
         laid_over = overlays(self.events, baseline, cause)
         trade = None if cause is None else traded(cause, of_trade)
         lines = spectra(before.rows)
-        return Shown(
+        return Discrepancies(
             [asdict(symptom) for symptom in find_symptoms(before.rows, tests)],
             _closure(tests, extended_tests),
             {
@@ -339,7 +341,7 @@ def _to_find(events: Events, remainder: Remainder) -> list[tuple[Effect, Work]]:
     return to_find
 
 
-def _found(search: Callable[..., Any] | None) -> Any:
+def _searched(search: Callable[..., Any] | None) -> Any:
     """Type of what one of the package's searches before a fit finds; None of an effect of others.
 
     Nobody knows whether arrays can stand for what these find.
@@ -369,8 +371,8 @@ def _side_by_side(
     """
     near = [partial(newton_search, hypothesis, base, worth) for hypothesis in hypotheses]
     work: list[Work] = [*modes, *(search for _, search in to_find), *near]
-    found = (_found(effect.kind.search) for effect, _ in to_find)
-    kinds = [*(Mode for _ in modes), *found, *(ModeSearch for _ in near)]
+    result = (_searched(effect.kind.search) for effect, _ in to_find)
+    kinds = [*(Mode for _ in modes), *result, *(ModeSearch for _ in near)]
     # importance draws need ArviZ, whose import takes most of a second
     results: list[Any] = workers.results(what, work, kinds, arviz)
     first = len(modes) + len(to_find)

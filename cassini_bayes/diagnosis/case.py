@@ -29,8 +29,6 @@ NONE: Final = "none"
 UNKNOWN: Final = "unknown"
 LEAST_SHARE: Final = 1e-3
 """Probability of a beginning below which it changes no digit of a size or a score."""
-TRUSTED_K: Final = 0.7
-"""Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
 
 
 class Hypothesis(Protocol):
@@ -100,15 +98,15 @@ class Weighed(Generic[H]):
         Only those that were searched for.
         """
         return tuple(
-            (own.event, own.probability, own.weighed)
-            for own in self.beginnings
-            if own.weighed is not None and own.probability > LEAST_SHARE
+            (beginning.event, beginning.probability, beginning.weighed)
+            for beginning in self.beginnings
+            if beginning.weighed is not None and beginning.probability > LEAST_SHARE
         )
 
     @property
     def begins(self) -> Beginning[H] | None:
         """The likeliest of its beginnings that were searched for; None where there is no choice."""
-        likely = (own for own in self.beginnings if own.weighed is not None)
+        likely = (beginning for beginning in self.beginnings if beginning.weighed is not None)
         return max(likely, key=lambda own: own.probability, default=None)
 
     @property
@@ -148,12 +146,12 @@ def over_beginnings(weighed: Weighed[H], change: Callable[[Weighed[H], float], f
     if not weighed.beginnings:
         return change(weighed, 1.0)
     kept = max(1.0 - sum(share for _, share, _ in weighed.searched), LEAST_SHARE**2)
-    changes = [np.log(share) + change(own, share) for _, share, own in weighed.searched]
+    changes = [np.log(share) + change(way, share) for _, share, way in weighed.searched]
     return float(logsumexp([np.log(kept), *changes]))
 
 
 @dataclass(frozen=True)
-class Shown:
+class Discrepancies:
     """What tests say of the baseline and of the extended model, for the record.
 
     ``more`` are further fields of the record, ``detail`` is what the case's own figures need.
@@ -286,7 +284,9 @@ class Case(ABC, Generic[H]):
         del weighed, rng
         return None
 
-    def show(self, baseline: Weighed[H], extended: Weighed[H], rng: np.random.Generator) -> Shown:
+    def show(
+        self, baseline: Weighed[H], extended: Weighed[H], rng: np.random.Generator
+    ) -> Discrepancies:
         """Tests of what two hypotheses leave."""
         del baseline, extended, rng
-        return Shown()
+        return Discrepancies()

@@ -117,12 +117,12 @@ def innovation_tests(
 
 def strongest(tests: InnovationTests) -> list[dict[str, Any]]:
     """What the innovations of every event go with most, one driver each, largest |z| first."""
-    found: dict[str, Tested] = {}
+    result: dict[str, Tested] = {}
     for tested in sorted((t for t in tests.drivers if np.isfinite(t.z)), key=lambda t: -abs(t.z)):
-        found.setdefault(tested.driver, tested)
+        result.setdefault(tested.driver, tested)
     return [
         {"driver": t.driver, "event": t.event, "axis": t.axis, "z": t.z, "band_z": tests.family_z}
-        for t in list(found.values())[:MOST_DRIVERS]
+        for t in list(result.values())[:MOST_DRIVERS]
     ]
 
 

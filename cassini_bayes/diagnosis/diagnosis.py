@@ -11,7 +11,7 @@ from typing import Any, Final, Generic
 import numpy as np
 
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.diagnosis.case import UNKNOWN, Case, H, Shown, Size, Weighed, Work
+from cassini_bayes.diagnosis.case import UNKNOWN, Case, Discrepancies, H, Size, Weighed, Work
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
@@ -23,7 +23,7 @@ LEAST_PROBABILITY: Final = 1e-6
 reads them, and sizes of fifty causes take as long as their searches."""
 THROUGHOUT: Final = "throughout"
 SURE: Final = 0.95  # probability that a cause acts in all events, above which it is not said
-MOST_SAID: Final = 0.99  # probability of an onset: more digits are not worth reading
+MOST_PRINTED: Final = 0.99  # probability of an onset: more digits are not worth reading
 SIGNIFICANT: Final = 0.05  # p-value below which a model is called discrepant still
 Drawer = Callable[[Any], Sequence[Any]]
 PARTS: Final = 4  # in which the records of causes are made: work for up to four processes
@@ -54,7 +54,7 @@ class Diagnosis(Generic[H]):
     verdict: Verdict[H]
     extended: Weighed[H]
     widths: Mapping[float, Mapping[str, float]]
-    shown: Shown
+    shown: Discrepancies
     record: dict[str, Any]
     curves: tuple[Any, ...] = ()
     drafts: tuple[Any, ...] = ()
@@ -95,8 +95,8 @@ def diagnose(
         Share out causes and measures and keep what is finished, all but what is drawn and what it
         shows; the result does not depend on them.
     drawing
-        Draws what is shown (:class:`.Shown`) and the curves as soon as they are there, in the
-        process that has made them.
+        Draws what is shown (:class:`.Discrepancies`) and the curves as soon as they are there, in
+        the process that has made them.
     """
     at_start = deepcopy(rng)
     verdict = weigh(case, rng, pairs=pairs, log=log, workers=workers)
@@ -168,7 +168,7 @@ def _record(
     base_score: HeldOut | None = measured.get("baseline score")
     own_score: HeldOut | None = measured.get("score", base_score)
     none, best, pair = verdict.none, verdict.best, verdict.pair
-    shown: Shown = measured["shown"]
+    shown: Discrepancies = measured["shown"]
     left_by = extended if extended.is_cause else none
     return {
         "format": 1,
@@ -191,9 +191,10 @@ def _record(
             **_fit_record(case.unit, extended, own_score, case.rmse(left_by)),
         },
         "gain": _gain(base_score, own_score, measured.get("extended p", measured["p"])),
-        "sensitivity": {f"{width:g}": _told(shares) for width, shares in widths.items()},
+        "sensitivity": {f"{width:g}": _not_negligible(shares) for width, shares in widths.items()},
         "by_width": [
-            {**row, "probabilities": _told(row["probabilities"])} for row in measured["by width"]
+            {**row, "probabilities": _not_negligible(row["probabilities"])}
+            for row in measured["by width"]
         ],
         "second_cause_nats": None
         if pair is None or verdict.best_cause is None
@@ -207,7 +208,7 @@ def _record(
     }
 
 
-def _told(shares: Mapping[str, float]) -> dict[str, float]:
+def _not_negligible(shares: Mapping[str, float]) -> dict[str, float]:
     """Probabilities that somebody reads."""
     return {name: share for name, share in shares.items() if share > LEAST_PROBABILITY}
 
@@ -257,7 +258,7 @@ def _cause_records(
             "parameters": {
                 key: _size_record(size, case.kinds.unit(w.name, key)) for key, size in sizes.items()
             },
-            "says": _said(case, w, sizes),
+            "says": _sentence(case, w, sizes),
             "onset": _onset_record(w),
             "confounded_with": list(verdict.confounded_with(w.name)) if is_shown else [],
             "log_evidence_se": w.log_evidence_se,
@@ -288,11 +289,13 @@ def _onset_record(weighed: Weighed[H]) -> dict[str, Any] | None:
     return {
         "event": begins.event or None,
         "probability": begins.probability,
-        "probabilities": {own.event or THROUGHOUT: own.probability for own in weighed.beginnings},
+        "probabilities": {
+            beginning.event or THROUGHOUT: beginning.probability for beginning in weighed.beginnings
+        },
     }
 
 
-def _said(case: Case[H], weighed: Weighed[H], sizes: Mapping[str, Size]) -> str | None:
+def _sentence(case: Case[H], weighed: Weighed[H], sizes: Mapping[str, Size]) -> str | None:
     """What the sizes of a cause mean and when it begins, in words; None without sizes."""
     if not sizes:
         return None
@@ -304,10 +307,9 @@ def _said(case: Case[H], weighed: Weighed[H], sizes: Mapping[str, Size]) -> str 
     if begins is None or (not begins.event and begins.probability > SURE):
         return said
     when = f"from {begins.event} on" if begins.event else THROUGHOUT
-    sure = begins.probability > MOST_SAID
-    return (
-        f"{said}, {when} (probability {f'> {MOST_SAID}' if sure else f'{begins.probability:.2f}'})"
-    )
+    sure = begins.probability > MOST_PRINTED
+    probability = f"> {MOST_PRINTED}" if sure else f"{begins.probability:.2f}"
+    return f"{said}, {when} (probability {probability})"
 
 
 def _runner_up(

@@ -138,9 +138,9 @@ class _Columns:
         """All columns (m, q), whitened."""
         parts = []
         for place, event in enumerate(self.rows):
-            own = np.stack([block[place] for block in self.blocks], axis=2)
+            whitened = np.stack([block[place] for block in self.blocks], axis=2)
             inverse = np.linalg.inv(event.noise_factor)
-            parts.append(np.einsum("ab,nbq->naq", inverse, own).reshape(3 * len(own), -1))
+            parts.append(np.einsum("ab,nbq->naq", inverse, whitened).reshape(3 * len(whitened), -1))
         return np.concatenate(parts)
 
 
@@ -172,8 +172,8 @@ class _Information:
 
     def best(self, candidates: Sequence[_Candidate]) -> tuple[_Candidate, float]:
         """The candidate of largest Δ, and its a."""
-        found = [(*self._amplitude(candidate), candidate) for candidate in candidates]
-        _, amplitude, candidate = max(found, key=lambda entry: entry[0])
+        result = [(*self._amplitude(candidate), candidate) for candidate in candidates]
+        _, amplitude, candidate = max(result, key=lambda entry: entry[0])
         return candidate, amplitude
 
     def _amplitude(self, candidate: _Candidate) -> tuple[float, float]:
@@ -302,8 +302,8 @@ def _columns(rows: Sequence[EventRows], thrusts: Sequence[Array]) -> _Columns:
     names = next((event.thrusters for event in rows if event.on_time_s.shape[1]), ())
     every: dict[str, slice] = {name: slice(k, k + 1) for k, name in enumerate(names)}
     for name, which in ({"all": slice(None)} | every).items() if names else ():
-        own = [thrust[:, :, which].sum(2) for thrust in thrusts]
-        fired = [columns.add(_fired_since(start, own)) for start in times]
+        of_event = [thrust[:, :, which].sum(2) for thrust in thrusts]
+        fired = [columns.add(_fired_since(start, of_event)) for start in times]
         _windows(columns, "thrust", name, times, fired)
     for number in sorted({number for event in rows for number in event.wheels}):
         for power in (1, 2):
@@ -336,10 +336,10 @@ def _windows(
 
 def _oscillations(columns: _Columns, rows: Sequence[EventRows]) -> None:
     """Lines of most power, a phase and an amplitude in every event."""
-    found = spectra(rows)
+    result = spectra(rows)
     for c, axis in enumerate(AXES):
-        own = [s for s in found if s.axis == axis]
-        for spectrum in sorted(own, key=lambda s: -s.power[s.peak])[:LINES]:
+        along = [s for s in result if s.axis == axis]
+        for spectrum in sorted(along, key=lambda s: -s.power[s.peak])[:LINES]:
             frequency = float(spectrum.frequency_hz[spectrum.peak])
             places = tuple(
                 columns.add(_about(c, _wave(frequency, wave), event.event))
@@ -431,12 +431,12 @@ def _error(draft: Draft, factor: float, unit: str) -> str:
     return f"{rounded(factor * mean, places)} ± {rounded(factor * sd, places)} {unit}"
 
 
-def _said_thrust(draft: Draft) -> str:
+def _thrust_sentence(draft: Draft) -> str:
     who = "all thrusters push" if draft.target == "all" else f"{draft.target.upper()} pushes"
     return f"{who} {_error(draft, 100.0, '%')} more{_window(draft)}"
 
 
-def _said_wheel(draft: Draft) -> str:
+def _wheel_sentence(draft: Draft) -> str:
     shape = "the square of the speed" if draft.numbers["power"] == 2 else "the speed"
     values = ", ".join(f"{1e3 * mean:+.2g}" for mean, _ in draft.sizes.values())
     unit = "(1000 rpm)²" if draft.numbers["power"] == 2 else "1000 rpm"
@@ -458,6 +458,6 @@ _WORDS: Final[dict[str, Callable[[Draft], str]]] = {
     "torque": lambda d: (
         f"a torque of {_error(d, 1e6, 'µN m')} about {d.target.upper()}{_window(d)}"
     ),
-    "thrust": _said_thrust,
-    "wheel": _said_wheel,
+    "thrust": _thrust_sentence,
+    "wheel": _wheel_sentence,
 }

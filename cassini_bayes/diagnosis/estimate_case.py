@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.diagnosis.case import TRUSTED_K, Case, Ranking, Size, Weighed
+from cassini_bayes.diagnosis.case import Case, Ranking, Size, Weighed
 from cassini_bayes.diagnosis.estimates import EstimateHypothesis, Estimates, Prediction
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import LEAST_PIECES, HeldOut
@@ -28,7 +28,7 @@ from cassini_bayes.diagnosis.sizes import summarised
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.effects.registry import Kinds, standard
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.sampling.warmstart import Proposal, importance, pareto_k, refined
+from cassini_bayes.sampling.warmstart import TRUSTED_K, Proposal, importance, pareto_k, refined
 
 Candidate = Weighed[EstimateHypothesis]
 DRAWS: Final = 100_000
@@ -242,6 +242,6 @@ def _log_prior(z: Array) -> Array:
 
 
 def _log_likelihood(estimate_n: Array, sd_n: Array, prediction: Prediction, kept: Flags) -> Array:
-    variance = sd_n**2 + prediction.own_sd_n[:, kept] ** 2
+    variance = sd_n**2 + prediction.independent_sd_n[:, kept] ** 2
     misfit = (estimate_n - prediction.estimate_n[:, kept]) ** 2 / variance
     return np.asarray(-0.5 * (misfit + np.log(2.0 * np.pi * variance)).sum(-1))

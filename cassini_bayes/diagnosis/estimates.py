@@ -49,11 +49,11 @@ FARTHEST: Final = 37.0
 class Prediction:
     """What a hypothesis predicts: estimates and the parameters behind them, each (n,).
 
-    ``own_sd_n`` is the spread of every estimate about its prediction that nothing shares.
+    ``independent_sd_n`` is the spread of every estimate about its prediction that nothing shares.
     """
 
     estimate_n: Array  # (n, E)
-    own_sd_n: Array  # (n, E)
+    independent_sd_n: Array  # (n, E)
     parameters: Mapping[str, Array]
 
 
@@ -174,9 +174,9 @@ def _estimate(row: Row, thrusters: Sequence[str]) -> Estimate:
 
 
 def _numbers(row: Row, column: str) -> tuple[float, ...]:
-    found = [parse_number(text.strip()) for text in row.cells[column].split(";")]
-    values = tuple(value for value in found if value is not None and value > 0.0)
-    if len(values) < len(found):
+    result = [parse_number(text.strip()) for text in row.cells[column].split(";")]
+    values = tuple(value for value in result if value is not None and value > 0.0)
+    if len(values) < len(result):
         raise row.refuse(column, "positive numbers", "mend it")
     return values
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.computing.log import Log
-from cassini_bayes.diagnosis.case import TRUSTED_K, Weighed
+from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.search import (
@@ -22,7 +22,13 @@ from cassini_bayes.diagnosis.search import (
     with_whole_curvature,
 )
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
-from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, importance, refined
+from cassini_bayes.sampling.warmstart import (
+    TRUSTED_K,
+    ImportanceDraws,
+    Proposal,
+    importance,
+    refined,
+)
 
 Candidate = Weighed[Hypothesis]
 LEAST_EFFICIENCY: Final = 0.1
@@ -85,8 +91,8 @@ def weigh_extensions(
         for part in (due[:FIRST], due[FIRST:]):
             still = [i for i in worth_continuing(ended, floor) if i in part]
             each = [partial(search, i) for i in still]
-            found = workers.results(f"causes {what}", each, ModeSearch)
-            for i, result in zip(still, found, strict=True):
+            results = workers.results(f"causes {what}", each, ModeSearch)
+            for i, result in zip(still, results, strict=True):
                 ended[i] = result
     weighed = [by_laplace(h, at.mode) for h, at in zip(hypotheses, ended, strict=True)]
     return [

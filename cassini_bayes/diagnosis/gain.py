@@ -87,7 +87,7 @@ def taught(events: Events, weighed: Weighed[Hypothesis], event: str) -> list[Tau
     order = events.in_order
     shares = events.catalogue.odds.of_onsets(len(order))
     fits: dict[int, tuple[Hypothesis, Mode]] = {}
-    found = []
+    result = []
     for first, member in without_event(weighed, order, event):
         if id(member) not in fits:
             fits[id(member)] = fitted_to(others, member)
@@ -98,8 +98,8 @@ def taught(events: Events, weighed: Weighed[Hypothesis], event: str) -> list[Tau
             onset = (None, *onsets(order))[first]
             whole = built(events, member.name, (*before, replace(last, onset=onset)))
         score = mode.log_evidence + float(np.log(shares[first]))
-        found.append(Taught(score, hypothesis, mode, whole, member.mode.point))
-    return found
+        result.append(Taught(score, hypothesis, mode, whole, member.mode.point))
+    return result
 
 
 def by_all(events: Events, weighed: Weighed[Hypothesis]) -> float:
@@ -109,7 +109,7 @@ def by_all(events: Events, weighed: Weighed[Hypothesis]) -> float:
         return mode.log_evidence if mode.is_whole else fitted_to(events, weighed)[1].log_evidence
     order = events.in_order
     shares = dict(zip(("", *order[1:]), events.catalogue.odds.of_onsets(len(order)), strict=True))
-    each = [by_all(events, own) + np.log(shares[name]) for name, _, own in weighed.searched]
+    each = [by_all(events, way) + np.log(shares[name]) for name, _, way in weighed.searched]
     return float(logsumexp(each))
 
 

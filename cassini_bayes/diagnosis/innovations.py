@@ -93,7 +93,7 @@ def linearise(
     located = model.points(points)
     thrust = model.thrust_prior.common_mean_n
     levels = model.thrust_prior.shared
-    targets, blocks, own_precision, factors = [], [], [], []
+    targets, blocks, event_precision, factors = [], [], [], []
     for term in model.telemetry:
         terms, physics, rows = term.balance, term.physics(located), term.event.usable_rows
         weights = balance_weights(terms, physics, thrust)
@@ -118,13 +118,13 @@ def linearise(
             else slopes
         )
         individual = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
-        sd = _own_sd(terms, model.torque_sd_n_m)
+        sd = _event_sd(terms, model.torque_sd_n_m)
         blocks.append((shared, np.concatenate([individual, rest], axis=2)))
-        own_precision.append(np.concatenate([np.ones(individual.shape[2]), sd**-2]))
+        event_precision.append(np.concatenate([np.ones(individual.shape[2]), sd**-2]))
         targets.append(target)
         factors.append(factor)
     shared_width = d + (levels.shape[1] if levels.size else 0)
-    return _stacked(targets, blocks, own_precision, factors, shared_width), factors
+    return _stacked(targets, blocks, event_precision, factors, shared_width), factors
 
 
 def effect_columns(
@@ -142,10 +142,10 @@ def effect_columns(
     model, thrust = base.model, base.model.thrust_prior.common_mean_n
     located = model.points(z[None])
     points = [
-        own.model.points(np.column_stack([np.tile(z, (len(values), 1)), values]))
-        for own, values in extended
+        hypothesis.model.points(np.column_stack([np.tile(z, (len(values), 1)), values]))
+        for hypothesis, values in extended
     ]
-    found = []
+    result = []
     for place, term in enumerate(model.telemetry):
         terms, k = term.balance, term.balance.pattern.thrusters
         physics = term.physics(located)
@@ -166,8 +166,8 @@ def effect_columns(
         noise = noise_covariance(terms, physics, located.parameters)[0]
         inverse = np.linalg.inv(np.linalg.cholesky(noise))
         white = np.einsum("ab,nbs->nas", inverse, added)
-        found.append(white.reshape(-1, added.shape[2]))
-    return found
+        result.append(white.reshape(-1, added.shape[2]))
+    return result
 
 
 def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) -> Array:
@@ -190,7 +190,7 @@ def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) 
     )
 
 
-def _own_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
+def _event_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
     sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
     return np.concatenate([sd, np.ones(len(terms.pattern.cuts))])
 
@@ -198,12 +198,12 @@ def _own_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
 def _stacked(
     targets: Sequence[Array],
     blocks: Sequence[tuple[Array, Array]],
-    own_precision: Sequence[Array],
+    event_precision: Sequence[Array],
     factors: Sequence[Array],
     shared: int,
 ) -> Linear:
     sizes = [3 * len(target) for target in targets]
-    widths = [len(precision) for precision in own_precision]
+    widths = [len(precision) for precision in event_precision]
     columns = np.zeros((sum(sizes), shared + sum(widths)))
     target = np.zeros(sum(sizes))
     row, column = 0, shared
@@ -219,7 +219,7 @@ def _stacked(
             "ab,nbp->nap", inverse, of_event
         ).reshape(size, -1)
         row, column = stop, column + width
-    precision = np.concatenate([np.ones(shared), *own_precision])
+    precision = np.concatenate([np.ones(shared), *event_precision])
     return Linear(target, columns, precision, tuple(size // 3 for size in sizes))
 
 

@@ -85,12 +85,12 @@ def nuisance_shifts(
     Both with what they leave of telemetry.
     """
     without, with_cause = _departures(before), _departures(after)
-    found = [
+    result = [
         NuisanceShift(name, value, with_cause[name])
         for name, value in without.items()
         if name in with_cause
     ]
-    taken_up = [b for b in found if abs(b.baseline) - abs(b.extended) > LEAST_SHIFT]
+    taken_up = [b for b in result if abs(b.baseline) - abs(b.extended) > LEAST_SHIFT]
     taken_up.sort(key=lambda b: abs(b.extended) - abs(b.baseline))
     return [asdict(b) for b in taken_up[:MOST_SHIFTS]]
 
@@ -139,8 +139,8 @@ def _drawn(weighed: Weighed[Hypothesis], rng: np.random.Generator) -> Array:
     z, weights = effect_draws(weighed, rng, DRAWS)
     z = z[rng.choice(len(z), DRAWS, p=weights / weights.sum())]
     gaussian, d = _gaussian(weighed), z.shape[1]
-    own, across = gaussian.covariance[:d, :d], gaussian.covariance[:d, d:]
-    slope = np.linalg.solve(own, across)
+    of_model, across = gaussian.covariance[:d, :d], gaussian.covariance[:d, d:]
+    slope = np.linalg.solve(of_model, across)
     left = gaussian.covariance[d:, d:] - across.T @ slope
     spread = np.linalg.cholesky(0.5 * (left + left.T))
     levels = gaussian.mean[d:] + (z - gaussian.mean[:d]) @ slope
@@ -154,9 +154,9 @@ def _values(
     """Sizes of the effects, and everything else that is free, by name, each (n,)."""
     model = weighed.hypothesis.model
     d = len(weighed.mode.point)
-    own = {p.name for effect in weighed.hypothesis.effects for p in effect.parameters}
+    of_effects = {p.name for effect in weighed.hypothesis.effects for p in effect.parameters}
     walked = model.space.to_parameters(drawn[:, :d])
-    free = {name: np.asarray(walked[name]) for name in model.space.names if name not in own}
+    free = {name: np.asarray(walked[name]) for name in model.space.names if name not in of_effects}
     prior = model.thrust_prior
     levels = prior.common_mean_n + drawn[:, d:] @ prior.shared.T
     free |= {_level(name): levels[:, k] for k, name in enumerate(_thrusters(weighed))}
@@ -167,10 +167,10 @@ def _departures(weighed: Weighed[Hypothesis]) -> dict[str, float]:
     """Departures from the prior mean in prior standard deviations, by name."""
     mean, prior = _gaussian(weighed).mean, weighed.hypothesis.model.thrust_prior
     d = len(weighed.mode.point)
-    found = dict(zip(weighed.hypothesis.model.space.names, mean[:d].tolist(), strict=True))
+    result = dict(zip(weighed.hypothesis.model.space.names, mean[:d].tolist(), strict=True))
     spread = np.sqrt((prior.shared**2).sum(-1))
     level = (prior.shared @ mean[d:]) / np.where(spread > 0.0, spread, np.inf)
-    return found | {
+    return result | {
         _level(name): float(z) for name, z in zip(_thrusters(weighed), level, strict=True)
     }
 

@@ -20,7 +20,6 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.case import (
     NONE,
-    TRUSTED_K,
     UNKNOWN,
     Case,
     Ranking,
@@ -58,6 +57,7 @@ from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect, onsets
 from cassini_bayes.effects.registry import Kinds
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 
 Candidate = Weighed[OnTimeHypothesis]
 NEAR_NATS: Final = 10.0  # behind the best, up to which importance draws decide
@@ -253,8 +253,8 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         for event, name in enumerate(self.event_ids):
             log(f"{weighed.name}: {name} held out")
             ways = [
-                (np.log(share), *predict_left_out(y, own.hypothesis.model, event, own.mode.point))
-                for share, own in self._ways(weighed, name)
+                (np.log(share), *predict_left_out(y, way.hypothesis.model, event, way.mode.point))
+                for share, way in self._ways(weighed, name)
             ]
             known = np.array([share + evidence for share, _, _, evidence in ways])
             known -= logsumexp(known)
@@ -276,12 +276,12 @@ class OnTimeCase(Case[OnTimeHypothesis]):
             return [(1.0, weighed)]
         order = self.data.order
         shares, each = self.catalogue.odds.of_onsets(len(order)), (None, *onsets(order))
-        found = []
+        result = []
         for first, own in without_event(weighed, order, event):
             effects = tuple(replace(e, onset=each[first]) for e in own.hypothesis.effects)
             moved = hypothesis(self.data, effects, own.hypothesis.prior_probability)
-            found.append((shares[first], replace(own, hypothesis=moved)))
-        return found
+            result.append((shares[first], replace(own, hypothesis=moved)))
+        return result
 
     def rmse(self, weighed: Candidate) -> float:
         """Of printed less predicted on-times at the mode, s."""

@@ -305,10 +305,10 @@ def hypothesis(
 
     def flown(z: Array, nudge: Nudge) -> Flown:
         each = [_fly(data, _some(effects, acts), space, z, nudge) for acts in together]
-        found = each[0]
+        result = each[0]
         for i, other in enumerate(each[1:], 1):
-            found = found.where(which == i, other)
-        return found
+            result = result.where(which == i, other)
+        return result
 
     return OnTimeHypothesis(
         "+".join(effect.name for effect in effects) or NONE,

@@ -146,13 +146,13 @@ class Beginnings:
             return list(weighed)
         place = {effect.name: c for c, effect in enumerate(self.effects)}
         by_cause: dict[str, list[Weighed[Any]]] = {}
-        for own in weighed:
-            by_cause.setdefault(own.hypothesis.causes[-1] if own.is_cause else own.name, []).append(
-                own
-            )
+        for candidate in weighed:
+            by_cause.setdefault(
+                candidate.hypothesis.causes[-1] if candidate.is_cause else candidate.name, []
+            ).append(candidate)
         return [
-            self._sum(own, place[cause]) if cause in place else own[0]
-            for cause, own in by_cause.items()
+            self._sum(mode, place[cause]) if cause in place else mode[0]
+            for cause, mode in by_cause.items()
         ]
 
     def _sum(self, own: Sequence[Weighed[Any]], c: int) -> Weighed[Any]:
@@ -191,7 +191,7 @@ def without_event(
     """
     acting = [frozenset(order[first:]) - {event} for first in range(len(order))]
     place = {name: first for first, name in enumerate(("", *order[1:]))}
-    members = {acting[place[name]]: own for name, _, own in weighed.searched}
+    members = {acting[place[name]]: way for name, _, way in weighed.searched}
     throughout = weighed.beginnings[0].weighed
     if frozenset() in members and throughout is not None:
         members.setdefault(acting[0], throughout)
@@ -336,8 +336,9 @@ def _with_totals(
     slopes = (left[1 + d :] - left[1 : 1 + d]) / (2.0 * STEP)
     effects = np.concatenate(
         [
-            left[0] - _unexplained(own, np.column_stack([np.tile(z, (len(values), 1)), values]))
-            for own, values in extended
+            left[0]
+            - _unexplained(hypothesis, np.column_stack([np.tile(z, (len(values), 1)), values]))
+            for hypothesis, values in extended
         ]
     )
     targets, shared, departures, added = [], [], [], []
@@ -349,19 +350,21 @@ def _with_totals(
         shared.append(inverse @ np.column_stack([slopes[:, row].T, design @ prior.shared]))
         departures.append(inverse @ design @ prior.own)
         added.append(inverse @ effects[:, row].T)
-    width, own = shared[0].shape[1], block_diag(*departures)
-    rows = np.concatenate([np.concatenate(shared), own], axis=1)
+    width, by_event = shared[0].shape[1], block_diag(*departures)
+    rows = np.concatenate([np.concatenate(shared), by_event], axis=1)
     counts, precision = (1,) * len(targets), np.ones(rows.shape[1])
     if telemetry is None:
         return Linear(np.concatenate(targets), rows, precision, counts), added
-    columns = np.zeros((len(rows) + len(telemetry.target), own.shape[1] + len(telemetry.precision)))
+    columns = np.zeros(
+        (len(rows) + len(telemetry.target), by_event.shape[1] + len(telemetry.precision))
+    )
     columns[: len(rows), :width] = rows[:, :width]
-    columns[: len(rows), len(telemetry.precision) :] = own
+    columns[: len(rows), len(telemetry.precision) :] = by_event
     columns[len(rows) :, : len(telemetry.precision)] = telemetry.columns
     return Linear(
         np.concatenate([*targets, telemetry.target]),
         columns,
-        np.concatenate([telemetry.precision, np.ones(own.shape[1])]),
+        np.concatenate([telemetry.precision, np.ones(by_event.shape[1])]),
         (*counts, *telemetry.rows),
     ), added
 

@@ -106,11 +106,11 @@ def cause_part(events: Events, weighed: Weighed[Hypothesis]) -> list[Array]:
     """Momentum (n, 3), N m s, of every event's rows that a cause adds at its mode."""
     left: Remainder | None = weighed.remainder
     assert left is not None
-    own = weighed.hypothesis
-    without = compact(none_hypothesis(events.with_columns_of(own.effects)))
-    at = dict(zip(own.model.space.names, weighed.mode.point, strict=True))
+    hypothesis = weighed.hypothesis
+    without = compact(none_hypothesis(events.with_columns_of(hypothesis.effects)))
+    at = dict(zip(hypothesis.model.space.names, weighed.mode.point, strict=True))
     shared = np.array([at[name] for name in without.model.space.names])
-    linear, factors = linearise(own, weighed.mode.point)
+    linear, factors = linearise(hypothesis, weighed.mode.point)
     plain, plain_factors = linearise(without, shared)
     seen = left.linear.columns.T @ left.linear.target
     fitted = np.asarray(np.linalg.solve(left.linear.gram(), seen), dtype=np.float64)
@@ -155,6 +155,6 @@ def _overlay(
             value = factor * measured[:, c]
             after = None if extended_n_m_s is None else value - extended_n_m_s @ to_channel[c]
             part = None if cause_n_m_s is None else cause_n_m_s @ to_channel[c]
-            own = value - rows.residual_n_m_s @ to_channel[c]
-            channels.append(Channel(name, unit, value, own, after, part))
+            corrected = value - rows.residual_n_m_s @ to_channel[c]
+            channels.append(Channel(name, unit, value, corrected, after, part))
     return Overlay(rows.event, rows.time_s, tuple(channels))

@@ -50,9 +50,9 @@ def read_events(
         Bad data or priors, as when fitting.
     """
     known = priors if isinstance(priors, Priors) else read_priors(priors)
-    found, findings = gather(references, known, source=source, policy=policy)
-    telemetry = [event for event in found if isinstance(event, ReducedEvent)]
-    rows = [event for event in found if isinstance(event, TotalsEvent)]
+    result, findings = gather(references, known, source=source, policy=policy)
+    telemetry = [event for event in result if isinstance(event, ReducedEvent)]
+    rows = [event for event in result if isinstance(event, TotalsEvent)]
     log(f"read {len(telemetry)} telemetry events and {len(rows)} totals rows")
     return replace(prepare(telemetry, known, rows, kinds), findings=findings)
 

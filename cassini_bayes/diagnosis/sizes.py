@@ -8,13 +8,14 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import TRUSTED_K, H, Size, Weighed
+from cassini_bayes.diagnosis.case import H, Size, Weighed
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
 from cassini_bayes.diagnosis.unresolved import timed
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.model.posterior import TORQUES, Model
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 
 SizeDraws = Callable[[Weighed[H], np.random.Generator], tuple[dict[str, Array], Array]]
 SUMMARY_DRAWS: Final = 2_000
@@ -46,7 +47,7 @@ def mixed(
     drawn: SizeDraws[H], weighed: Weighed[H], rng: np.random.Generator
 ) -> tuple[dict[str, Array], Array]:
     """Draws of sizes over the events that a cause may begin with, each with its probability."""
-    each = [(share, drawn(own, rng)) for _, share, own in weighed.searched]
+    each = [(share, drawn(way, rng)) for _, share, way in weighed.searched]
     if not each:
         return drawn(weighed, rng)
     keys = each[0][1][0]
@@ -74,7 +75,7 @@ def effect_draws(
 def effect_values(hypothesis: Hypothesis, z: Array) -> dict[str, Array]:
     """Sizes (n,) of a hypothesis's effects at z: departures added to the baseline's parameter."""
     sizes = (sizes_of(hypothesis.model, effect, z) for effect in hypothesis.effects)
-    return {key: values for own in sizes for key, values in own.items()}
+    return {key: values for size in sizes for key, values in size.items()}
 
 
 def sizes_of(model: Model, effect: Effect, z: Array) -> dict[str, Array]:

@@ -39,8 +39,8 @@ class Spectrum:
         """
         padded = np.concatenate([self.power, [0.0]])
         first = LEAST_CYCLES - 1
-        own, before, after = padded[first:-1], padded[first - 1 : -2], padded[first + 1 :]
-        summits = np.where((own >= before) & (own >= after), own, 0.0)
+        centre, before, after = padded[first:-1], padded[first - 1 : -2], padded[first + 1 :]
+        summits = np.where((centre >= before) & (centre >= after), centre, 0.0)
         return first + int(summits.argmax())
 
     @property
@@ -84,9 +84,9 @@ def line_powers(time_s: Array, white: Array) -> tuple[Array, Array]:
 
 def spectra(rows: Sequence[EventRows]) -> tuple[Spectrum, ...]:
     """Spectra of every event of more than sixteen rows, about every body axis."""
-    found = []
+    result = []
     for event in rows:
         if len(event.time_s) > FEWEST_ROWS:
             frequency, power = line_powers(event.time_s, event.white)
-            found += [Spectrum(event.event, a, frequency, power[:, c]) for c, a in enumerate(AXES)]
-    return tuple(found)
+            result += [Spectrum(event.event, a, frequency, power[:, c]) for c, a in enumerate(AXES)]
+    return tuple(result)

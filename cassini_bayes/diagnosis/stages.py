@@ -60,19 +60,19 @@ class StageRunner:
         stage = next(self._stages)
         kinds = kind if isinstance(kind, list) else [kind] * len(work)
         names = [f"stage_{stage:03d}_{place:03d}" for place in range(len(work))]
-        found: dict[int, Result] = {}
+        results: dict[int, Result] = {}
         for place, name in enumerate(names):
             arrays = None if self.store is None or kinds[place] is None else self.store.load(name)
             if arrays is not None:
-                found[place] = value_of(kinds[place], arrays)
-        missing = [place for place in range(len(work)) if place not in found]
-        self._report(what, len(found), len(work))
+                results[place] = value_of(kinds[place], arrays)
+        missing = [place for place in range(len(work)) if place not in results]
+        self._report(what, len(results), len(work))
         due = [work[place] for place in missing]
         for i, result in as_finished(_called, due, self.processes, meanwhile):
             place = missing[i]
-            found[place] = self._kept(names[place], kinds[place], result)
-            self._report(what, len(found), len(work))
-        return [found[place] for place in range(len(work))]
+            results[place] = self._kept(names[place], kinds[place], result)
+            self._report(what, len(results), len(work))
+        return [results[place] for place in range(len(work))]
 
     def _kept(self, name: str, kind: Any, result: Result) -> Result:
         """A result as it will be read back, so that it does not matter when it was worked out."""

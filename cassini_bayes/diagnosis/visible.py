@@ -123,13 +123,15 @@ def visible_size(
     z = parameter.distribution.standard_of(no_effect(parameter) + sizes)
     fall = _falls(density, base, z[np.isfinite(z)])
     sd = size_sd(np.abs(sizes[: len(fall)]), fall)
-    size = None if sd is None else seen_from(sd, width, needed_nats, one_sided=len(signs) == 1)
+    size = (
+        None if sd is None else detectable_size(sd, width, needed_nats, one_sided=len(signs) == 1)
+    )
     if size is not None and size > FARTHEST * width:
         size = None
     return Visible(effect.name, parameter.key, parameter.unit, size, sd, width)
 
 
-def seen_from(sd: float, width: float, needed_nats: float, *, one_sided: bool) -> float:
+def detectable_size(sd: float, width: float, needed_nats: float, *, one_sided: bool) -> float:
     """True size from which nine of ten flights give the evidence needed (module's text)."""
     share = width**2 / (sd**2 + width**2)
     nats = needed_nats - 0.5 * np.log1p(-share) - (np.log(2.0) if one_sided else 0.0)

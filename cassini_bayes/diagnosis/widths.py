@@ -16,13 +16,13 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import TRUSTED_K, Ranking, Size, Weighed, over_beginnings
+from cassini_bayes.diagnosis.case import Ranking, Size, Weighed, over_beginnings
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import mode_near
 from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.verdict import normalised
-from cassini_bayes.sampling.warmstart import pareto_k
+from cassini_bayes.sampling.warmstart import TRUSTED_K, pareto_k
 from cassini_bayes.sweep.widths import WIDTHS
 
 WORTH_A_SEARCH: Final = 0.01
@@ -89,7 +89,7 @@ def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dic
     after. ``trusted`` is false where that is above 0.7, or where the cause has no draws.
     """
     cause = next((w for w in verdict.weighed if w.is_cause), None)
-    found = []
+    result = []
     for width in WIDTHS:
         scores, reach = {}, {}
         for weighed, score in zip(verdict.weighed, verdict.log_probabilities, strict=True):
@@ -99,7 +99,7 @@ def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dic
         worst = max(reach[name] for name in told)
         sizes = None if cause is None else _sizes_at(cause, width, deepcopy(rng))
         is_trusted = worst <= TRUSTED_K and (sizes is not None or cause is None)
-        found.append(
+        result.append(
             {
                 "width": width,
                 "pareto_k": worst if np.isfinite(worst) else None,
@@ -112,7 +112,7 @@ def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dic
                 },
             }
         )
-    return found
+    return result
 
 
 def _score_at(weighed: Weighed[Hypothesis], score: float, width: float) -> tuple[float, float]:
@@ -134,8 +134,8 @@ def _sizes_at(
     cause: Weighed[Hypothesis], width: float, rng: np.random.Generator
 ) -> dict[str, Size] | None:
     """Sizes of a cause; None where it has no importance draws that could be weighted."""
-    each = [own for _, _, own in cause.searched] or [cause]
-    if any(own.z is None or own.pareto_k >= TRUSTED_K for own in each):
+    each = [way for _, _, way in cause.searched] or [cause]
+    if any(candidate.z is None or candidate.pareto_k >= TRUSTED_K for candidate in each):
         return None
 
     def drawn(own: Weighed[Hypothesis], rng: np.random.Generator) -> tuple[dict[str, Array], Array]:

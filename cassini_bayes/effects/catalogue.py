@@ -158,16 +158,16 @@ def named_effects(
 
 def _onset(given: str, event: str, order: Sequence[str], where: str) -> Onset:
     """The onset that a name gives behind its ``@``."""
-    found = {onset.event: onset for onset in onsets(order)}
-    if event in found:
-        return found[event]
+    result = {onset.event: onset for onset in onsets(order)}
+    if event in result:
+        return result[event]
     raise InputError(
         where,
         "behind @ an event of this fit, but not the first in time",
         repr(given),
         "leave @ and what follows out: it acts in all events"
         if event in order[:1]
-        else nearest(event, list(found)),
+        else nearest(event, list(result)),
     )
 
 

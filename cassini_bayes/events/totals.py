@@ -210,7 +210,7 @@ def _choose(
     if wanted is None:
         return list(rows.values())
     if wanted not in rows:
-        others = [kind for kind, own in by_source.items() if wanted in own]
+        others = [kind for kind, rows_of in by_source.items() if wanted in rows_of]
         raise InputError(
             f"{file}:{wanted}",
             f"the id of an event of source {source!r}",

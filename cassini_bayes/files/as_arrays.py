@@ -79,7 +79,7 @@ def value_of(kind: Any, arrays: Mapping[str, NDArray[np.generic]], name: str = "
 
 
 def _joined(name: str, parts: Mapping[str, object]) -> Arrays:
-    found: Arrays = {}
+    result: Arrays = {}
     for key, part in parts.items():
-        found |= arrays_of(part, f"{name}.{key}")
-    return found
+        result |= arrays_of(part, f"{name}.{key}")
+    return result

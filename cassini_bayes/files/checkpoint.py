@@ -87,5 +87,5 @@ class RecordStore:
             record = read_json(self.folder / f"{name}.json", "a record")
         except InputError:
             return None
-        own = all(record.get(key) == value for key, value in self.made_by.items())
-        return record if own else None
+        is_ours = all(record.get(key) == value for key, value in self.made_by.items())
+        return record if is_ours else None

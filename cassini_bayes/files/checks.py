@@ -63,7 +63,7 @@ def in_utc(time: str | datetime) -> datetime | None:
     None for other text, and for a zone that leads beyond the years 1 to 9999.
     """
     try:
-        found = datetime.fromisoformat(time) if isinstance(time, str) else time
-        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+        result = datetime.fromisoformat(time) if isinstance(time, str) else time
+        return result.replace(tzinfo=UTC) if result.tzinfo is None else result.astimezone(UTC)
     except (ValueError, OverflowError):
         return None

@@ -48,21 +48,29 @@ def identity(settings: object, inputs: Sequence[str | Path], *modules: str) -> s
 
 def reached(*modules: str) -> frozenset[str]:
     """Names of some modules and of all modules of the package that they import, at any remove."""
-    found: set[str] = set()
+    result: set[str] = set()
     waiting = list(modules)
     while waiting:
         name = waiting.pop()
-        if name and name not in found:
-            found.add(name)
+        if name and name not in result:
+            result.add(name)
             waiting += [*imports(name), name.rpartition(".")[0]]
-    return frozenset(found)
+    return frozenset(result)
 
 
 @cache
 def imports(module: str) -> frozenset[str]:
     """Modules of the package that one of them imports, anywhere in its source."""
     tree = ast.parse(_source(module).read_bytes())
-    return frozenset(name for node in ast.walk(tree) for name in _named(node) if name)
+    return frozenset(name for node in _statements(tree) for name in _named(node) if name)
+
+
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Statements at any depth; expressions, nine nodes of ten, hold no import."""
+    for child in ast.iter_child_nodes(node):
+        if not isinstance(child, ast.expr):
+            yield child
+            yield from _statements(child)
 
 
 def _named(node: ast.AST) -> Iterator[str]:

@@ -25,7 +25,7 @@ MOST_TEXT: Final = 64  # characters of a time
 MOST_NAMES: Final = 10_000
 DEEPEST: Final = 32
 
-Found = tuple[str, Any]  # name → array, or why there is none
+NamedColumn = tuple[str, Any]  # name → array, or why there is none
 
 
 def main(path: str, kind: str, folder: str) -> None:
@@ -36,13 +36,13 @@ def main(path: str, kind: str, folder: str) -> None:
     refused: dict[str, str] = {}
     arrays: dict[str, NDArray[Any]] = {}
     places = {name: str(i) for i, name in enumerate(wanted)}
-    for name, found in _columns(path, kind):
-        if isinstance(found, str):
-            refused[name] = found
+    for name, result in _columns(path, kind):
+        if isinstance(result, str):
+            refused[name] = result
             continue
         names.append(name)
         if name in places:
-            arrays[places[name]] = found() if callable(found) else found
+            arrays[places[name]] = result() if callable(result) else result
         if len(names) + len(refused) > MOST_NAMES:
             raise ValueError(f"more than {MOST_NAMES:,} columns")
     if wanted:
@@ -51,7 +51,7 @@ def main(path: str, kind: str, folder: str) -> None:
     (Path(folder) / "names.json").write_text(record, encoding="utf-8")
 
 
-def _columns(path: str, kind: str) -> Iterator[Found]:
+def _columns(path: str, kind: str) -> Iterator[NamedColumn]:
     with Path(path).open("rb") as stream:
         start = stream.read(520)
     if b"\x89HDF\r\n\x1a\n" in (start[:8], start[512:520]):
@@ -62,7 +62,7 @@ def _columns(path: str, kind: str) -> Iterator[Found]:
         raise ValueError("other bytes than those that HDF5 begins with")
 
 
-def _hdf5_columns(path: str, separator: str) -> Iterator[Found]:
+def _hdf5_columns(path: str, separator: str) -> Iterator[NamedColumn]:
     import h5py
 
     datasets: list[tuple[str, Any]] = []
@@ -80,7 +80,7 @@ def _hdf5_columns(path: str, separator: str) -> Iterator[Found]:
             yield from _dataset_columns(name.replace("/", separator), dataset)
 
 
-def _dataset_columns(name: str, dataset: Any) -> Iterator[Found]:
+def _dataset_columns(name: str, dataset: Any) -> Iterator[NamedColumn]:
     import h5py
 
     if dataset.shape is None or math.prod(dataset.shape) > MOST_VALUES:
@@ -102,7 +102,7 @@ def _dataset_columns(name: str, dataset: Any) -> Iterator[Found]:
         yield from _array_columns(name, values.T if "MATLAB_class" in dataset.attrs else values)
 
 
-def _matlab_columns(path: str) -> Iterator[Found]:
+def _matlab_columns(path: str) -> Iterator[NamedColumn]:
     from scipy.io import loadmat
 
     for name, value in loadmat(path, chars_as_strings=True).items():
@@ -110,7 +110,7 @@ def _matlab_columns(path: str) -> Iterator[Found]:
             yield from _value_columns(name, value, 1)
 
 
-def _value_columns(name: str, value: Any, depth: int) -> Iterator[Found]:
+def _value_columns(name: str, value: Any, depth: int) -> Iterator[NamedColumn]:
     """Columns of a variable; those of a structure by its fields."""
     if depth > DEEPEST:
         yield name, f"more than {DEEPEST} levels of structures"
@@ -123,7 +123,7 @@ def _value_columns(name: str, value: Any, depth: int) -> Iterator[Found]:
         yield from _array_columns(name, value)
 
 
-def _array_columns(name: str, values: NDArray[Any]) -> Iterator[Found]:
+def _array_columns(name: str, values: NDArray[Any]) -> Iterator[NamedColumn]:
     """A vector, or the columns of a matrix; rows go along the side too long for columns."""
     if values.dtype.kind == "U" and values.ndim == 1:
         yield name, _texts(values) if values.dtype.itemsize <= 4 * MOST_TEXT else "long text"

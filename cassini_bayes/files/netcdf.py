@@ -72,7 +72,7 @@ def _check_seal(path: Path, what: str) -> None:
     with open_file(path, what) as stream:
         size = stream.seek(0, io.SEEK_END)
         stream.seek(max(0, size - _LENGTH))
-        mark, found = (tail := stream.read())[: len(_SEAL)], tail[len(_SEAL) :]
+        mark, result = (tail := stream.read())[: len(_SEAL)], tail[len(_SEAL) :]
         if mark != _SEAL:
             return
         stream.seek(0)
@@ -80,7 +80,7 @@ def _check_seal(path: Path, what: str) -> None:
         while left and (block := stream.read(min(left, 1 << 20))):
             digest.update(block)
             left -= len(block)
-    if digest.digest() != found:
+    if digest.digest() != result:
         fix = "run the fit again, or restore the file"
         raise InputError(str(path), what, "one that was damaged after it was written", fix)
 

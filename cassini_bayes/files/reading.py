@@ -49,9 +49,9 @@ def open_file(path: Path, what: str) -> BufferedReader:
     """
     try:
         mode = path.stat().st_mode
-        for test, found in _SPECIAL:
+        for test, result in _SPECIAL:
             if test(mode):
-                raise InputError(str(path), what, found, "name the file itself")
+                raise InputError(str(path), what, result, "name the file itself")
         return path.open("rb")
     except OSError as error:
         raise _unreadable(path, what, error) from None

@@ -35,7 +35,7 @@ class Draws:
     @property
     def torque_n_m(self) -> Array:
         """Steady external torque (n, E, 3) of all events."""
-        return np.concatenate([own[TORQUE] for own in self.own], axis=1)
+        return np.concatenate([part[TORQUE] for part in self.own], axis=1)
 
     def at(self, places: Places | slice) -> Draws:
         """Some of the draws, by their places among the n."""
@@ -51,14 +51,14 @@ class Draws:
                 thrusts.level_n[places],
                 np.asarray(thrusts.factor)[places] if np.ndim(thrusts.factor) else 1.0,
             ),
-            tuple({name: values[places] for name, values in own.items()} for own in self.own),
+            tuple({name: values[places] for name, values in part.items()} for part in self.own),
         )
 
 
 def draw(model: Model, z: Array, rng: np.random.Generator) -> Draws:
     """Draw all that is integrated out from its exact conditional at z (n, d)."""
     parts = [_drawn(model, collapse(model, z[rows]), rng) for rows in model.batches(len(z))]
-    thrusts, own = zip(*parts, strict=True)
+    thrusts, integrated = zip(*parts, strict=True)
     return Draws(
         model.space.to_parameters(z),
         ThrustDraws(
@@ -67,7 +67,7 @@ def draw(model: Model, z: Array, rng: np.random.Generator) -> Draws:
             np.concatenate([part.level_n for part in thrusts]),
             np.concatenate([np.asarray(part.factor) for part in thrusts]),
         ),
-        tuple(_joined(batches) for batches in zip(*own, strict=True)),
+        tuple(_joined(batches) for batches in zip(*integrated, strict=True)),
     )
 
 
@@ -92,29 +92,29 @@ def draw_prior(model: Model, n: int, rng: np.random.Generator) -> Draws:
     thrusts = prior_thrusts(model.thrust_prior, parameters, shape, rng, factor)
     normals = rng.standard_normal((n, len(model.event_ids), 3))
     torque = model.torque_mean_n_m + model.torque_sd_n_m * normals
-    own = tuple(
+    integrated = tuple(
         term.draw_prior(torque[:, events], rng)
         for term, events in zip(model.terms, model.events_of_term, strict=True)
     )
-    return Draws(parameters, thrusts, own)
+    return Draws(parameters, thrusts, integrated)
 
 
 def event_log_density(model: Model, z: Array, draws: Draws) -> Array:
     """Log density (n, E) of each event's data given everything, its thrusts and torque included."""
-    found = []
+    result = []
     for rows in model.batches(len(z)):
         points, some = model.points(z[rows]), draws.at(rows)
         parts = zip(model.terms, model.fired_of_term, some.own, strict=True)
-        found.append(
+        result.append(
             np.concatenate(
                 [
-                    term.at(points).log_density(some.thrusts.thrust_n[:, fired], own)
-                    for term, fired, own in parts
+                    term.at(points).log_density(some.thrusts.thrust_n[:, fired], integrated)
+                    for term, fired, integrated in parts
                 ],
                 axis=1,
             )
         )
-    return np.concatenate(found)
+    return np.concatenate(result)
 
 
 def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array | None) -> Array:
@@ -131,7 +131,7 @@ def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array |
     software
         Constants (n, 2) of the on-board ΔV, where a model has rows with one.
     """
-    found = []
+    result = []
     for rows in model.batches(len(z)):
         points = model.points(z[rows])
         offset = level_n[rows] - points.common_n[:, None]
@@ -144,8 +144,8 @@ def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array |
                 if factor is not None:
                     each = factor * level_n[rows, None, :]
                     moved = each - points.common_n[:, None, None]
-                own = model.thrust_prior.own
-                parts.append(at.information.without_own(own).about(moved).constant)
+                loading = model.thrust_prior.own
+                parts.append(at.information.without_own(loading).about(moved).constant)
             else:
                 parts.append(at.log_likelihood[:, None])
         for i, term in enumerate(model.totals):
@@ -154,5 +154,5 @@ def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array |
                 parts[i] = parts[i] + event_channel_log_likelihood(
                     term.computed, software[rows], variance
                 )
-        found.append(np.concatenate(parts, axis=1))
-    return np.concatenate(found)
+        result.append(np.concatenate(parts, axis=1))
+    return np.concatenate(result)

@@ -20,7 +20,7 @@ import numpy as np
 
 from cassini_bayes.balance.accelerometer import AccelerometerStatistics, accelerometer_statistics
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
-from cassini_bayes.balance.physics import INERTIA_PARAMETERS, PULSE_PARAMETERS
+from cassini_bayes.balance.physics import PULSE_PARAMETERS
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     ExtraColumn,
@@ -44,7 +44,6 @@ from cassini_bayes.events.plausibility import (
     Plausibility,
     Policy,
     TelemetryCheck,
-    check_totals,
     without_cells,
 )
 from cassini_bayes.events.telemetry import (
@@ -55,23 +54,18 @@ from cassini_bayes.events.telemetry import (
     read_chunks,
     read_event,
 )
-from cassini_bayes.events.telemetry.files import PARQUET
-from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.files.cells import cells_of
+from cassini_bayes.events.telemetry.tail import last_time
 from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.foreign import SUFFIXES
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
+from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import Spacecraft, couples
-from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-_TAIL_BYTES: Final = 65_536  # of a file's end, for the time of its last row
 WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
-FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
 REDUCED_BY: Final = ("events.telemetry", "events.plausibility", "balance.statistics")
 """Packages whose code, with all that they import, checks telemetry and reduces it."""
 _LOG_EVERY_S: Final = 5.0  # between lines of progress
@@ -154,9 +148,9 @@ class ReducedEvent:
         """The event reduced with columns that effects need, which see all of it at once."""
         sampling = replace(self.sampling, extra=tuple(extra))
         layout = replace(self.statistics.layout, extra=tuple(column.name for column in extra))
-        samples, found = self.samples, self.rows.prepared.found
+        samples, result = self.samples, self.rows.prepared.found
         statistics = reduce_chunks(
-            self.id, self.kind, [samples], layout, sampling, len(samples), found
+            self.id, self.kind, [samples], layout, sampling, len(samples), result
         )
         return replace(self, statistics=statistics, sampling=sampling, key="")
 
@@ -286,8 +280,8 @@ def reduce_samples(
     """Reduce telemetry that is in memory, as from a simulation."""
     layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples)
     rows = PreparedRows((samples,), sampling.control_cycle_s)
-    found = rows.prepared.found
-    statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=found)
+    result = rows.prepared.found
+    statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=result)
     counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
     gained = np.zeros((2, len(thrusters)))
     if len(counted):
@@ -544,75 +538,3 @@ def _reduced(
         prepared=prepared.found,
     )
     return statistics, reading.record(check.verdict())
-
-
-def check_rows(
-    rows: Sequence[TotalsEvent],
-    priors: Priors,
-    where: str,
-    policy: Policy = STRICT,
-    *,
-    steady: bool = True,
-) -> tuple[str, ...]:
-    """Check totals rows of the priors' branch against the balance of momentum.
-
-    Rows of another branch are the model's to refuse. See :func:`check_totals`.
-    """
-    own = [row for row in rows if row.branch == priors.branch]
-    nominal = nominal_values(priors)
-    return check_totals(own, priors.spacecraft, nominal, where, policy, steady=steady)
-
-
-def nominal_values(priors: Priors) -> dict[str, float]:
-    """Prior means of all parameters; wheels that the priors know nothing of weigh nothing.
-
-    Raises
-    ------
-    InputError
-        Inertia, wheels, or what fires is missing: momentum cannot be computed.
-    """
-    spacecraft = priors.spacecraft
-    geometry = spacecraft.geometry[priors.branch]
-    needed = (*INERTIA_PARAMETERS, *CENTRE_OF_MASS, *geometry.parameters, *FIRING_PARAMETERS)
-    priors.require(needed, "telemetry")
-    return {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **priors.means()}
-
-
-def last_time(event: TelemetryEvent) -> float:
-    """Time of the last row of an event as its file's tail has it, s; 1 where it does not tell.
-
-    Only a guess that spares a pass over the file: a wrong one is noticed and put right. Of columns
-    that are not ours, or in memory, none is made.
-    """
-    telemetry = event.telemetry
-    if event.channels is not None or not isinstance(telemetry, Path):
-        return 1.0
-    if telemetry.suffix.lower() in SUFFIXES:
-        return 1.0
-    try:
-        if telemetry.suffix.lower() in PARQUET:
-            return _last_time_of_parquet(telemetry)
-        with telemetry.open("rb") as stream:
-            header = stream.readline().decode("utf-8-sig")
-            place = next(cells_of("", header))[1].index("time_s")
-            stream.seek(0, 2)
-            stream.seek(max(stream.tell() - _TAIL_BYTES, 0))
-            lines = stream.read().decode("utf-8", "replace").splitlines()
-        for line in reversed(lines):
-            if line.strip():
-                value = float(next(cells_of("", line))[1][place])
-                return value if np.isfinite(value) and value > 0 else 1.0
-    except (OSError, ValueError, IndexError, StopIteration, InputError):
-        return 1.0
-    return 1.0
-
-
-def _last_time_of_parquet(telemetry: Path) -> float:
-    import pyarrow.parquet as parquet  # an extra, only there with Parquet files
-
-    file = parquet.ParquetFile(telemetry)
-    if file.metadata.num_row_groups == 0:
-        return 1.0
-    column = file.read_row_group(file.metadata.num_row_groups - 1, columns=["time_s"])
-    value = float(column.column("time_s")[-1].as_py() or 1.0)
-    return value if value > 0 else 1.0

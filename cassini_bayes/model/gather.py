@@ -13,12 +13,8 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import STRICT, Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import TelemetryEvent
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.event_reduction import (
-    ReducedEvent,
-    check_rows,
-    is_event_folder,
-    reduce_event,
-)
+from cassini_bayes.model.event_reduction import ReducedEvent, is_event_folder, reduce_event
+from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors
 
@@ -38,8 +34,8 @@ def each_event(events: EventLike | Iterable[EventLike]) -> tuple[EventLike, ...]
     """
     if isinstance(events, _EVENTS):
         return (events,)
-    found = tuple(events)
-    for event in found:
+    result = tuple(events)
+    for event in result:
         if not isinstance(event, _EVENTS):
             raise InputError(
                 "events",
@@ -47,7 +43,7 @@ def each_event(events: EventLike | Iterable[EventLike]) -> tuple[EventLike, ...]
                 type(event).__name__,
                 "read it with read_totals, read_event or event_from_frame",
             )
-    return found
+    return result
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ def gather(
     InputError
         Bad data: file, row and column are named.
     """
-    found: list[Event] = []
+    result: list[Event] = []
     findings: list[str] = []
     contents: list[tuple[str, str]] = []
     for given in each_event(events):
@@ -125,12 +121,12 @@ def gather(
             read = read_reference(
                 given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
             )
-        found += read.events
+        result += read.events
         findings += read.findings
         names = (_place(given, event) for event in read.events)
         contents += zip(names, read.contents, strict=True)
     findings += refuse_duplicates([pair for pair in contents if pair[1]], policy)
-    return tuple(found), tuple(findings)
+    return tuple(result), tuple(findings)
 
 
 def _place(given: EventLike, event: Event) -> str:

@@ -27,12 +27,12 @@ from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK
 STEP: Final = 0.05  # in prior standard deviations
 # Posterior over prior width, by which quantities are called seen well, seen, hardly seen. Judgement
 # of where to cut: at 0.3 data weigh ten times as much as the prior, at 0.7 as much, at 0.95 0.1.
-SEEN_WELL: Final = 0.3
-SEEN: Final = 0.7
-HARDLY: Final = 0.95
+WELL_CONSTRAINED: Final = 0.3
+CONSTRAINED: Final = 0.7
+HARDLY_CONSTRAINED: Final = 0.95
 TOGETHER: Final = 0.9  # correlation from which on two quantities are called tied together
 NOISE_BLOCK: Final = "noise"
-NOT_SEEN: Final = "not seen"
+UNCONSTRAINED: Final = "not seen"
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Observability:
     def unseen_effects(self) -> tuple[str, ...]:
         """In words: parameters of effects about which the events have no information."""
         of_effects = self.table["block"] == EFFECT_BLOCK
-        unseen = self.table[of_effects & (self.table["verdict"] == NOT_SEEN)]["quantity"]
+        unseen = self.table[of_effects & (self.table["verdict"] == UNCONSTRAINED)]["quantity"]
         return tuple(
             f"These events cannot see {name}: its posterior is its prior." for name in unseen
         )
@@ -261,22 +261,26 @@ def _row(name: str, block: str, unit: str, prior: float, ratio: float) -> dict[s
 
 
 def _verdict(ratio: float) -> str:
-    for limit, word in ((SEEN_WELL, "seen well"), (SEEN, "seen"), (HARDLY, "hardly seen")):
+    for limit, word in (
+        (WELL_CONSTRAINED, "seen well"),
+        (CONSTRAINED, "seen"),
+        (HARDLY_CONSTRAINED, "hardly seen"),
+    ):
         if ratio < limit:
             return word
-    return NOT_SEEN
+    return UNCONSTRAINED
 
 
 def _together(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
     """Pairs of walked parameters whose expected posterior correlation is strong."""
     width = np.sqrt(np.diagonal(covariance))
-    found = []
+    result = []
     for i, first in enumerate(names):
         for j in range(i):
             correlation = float(covariance[i, j] / (width[i] * width[j]))
             if abs(correlation) > TOGETHER:
-                found.append((names[j], first, correlation))
-    return tuple(sorted(found, key=lambda pair: -abs(pair[2])))
+                result.append((names[j], first, correlation))
+    return tuple(sorted(result, key=lambda pair: -abs(pair[2])))
 
 
 def _sentences(
@@ -298,7 +302,7 @@ def _sentences(
         if rows.empty:
             continue
         parts = []
-        for verdict in ("seen well", "seen", "hardly seen", NOT_SEEN):
+        for verdict in ("seen well", "seen", "hardly seen", UNCONSTRAINED):
             members = rows[rows["verdict"] == verdict]["quantity"]
             if len(members):
                 labels = [str(m).removeprefix("thrust[all events,").rstrip("]") for m in members]
@@ -316,7 +320,9 @@ def _groups(together: tuple[tuple[str, str, float], ...]) -> list[list[str]]:
     """Quantities that are connected by strong correlations, each group once."""
     groups: list[list[str]] = []
     for first, second, _ in together:
-        own = [group for group in groups if first in group or second in group]
-        merged = list(dict.fromkeys([*(name for group in own for name in group), first, second]))
-        groups = [group for group in groups if group not in own] + [merged]
+        touched = [group for group in groups if first in group or second in group]
+        merged = list(
+            dict.fromkeys([*(name for group in touched for name in group), first, second])
+        )
+        groups = [group for group in groups if group not in touched] + [merged]
     return groups

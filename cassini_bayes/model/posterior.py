@@ -101,8 +101,8 @@ class Model(Shared):
     @property
     def integrated(self) -> tuple[str, ...]:
         """Parameters whose priors act although they are integrated out."""
-        own = dict.fromkeys(name for term in self.terms for name in term.integrated)
-        return (*self.thrust_prior.integrated, *TORQUES, *own)
+        integrated_names = dict.fromkeys(name for term in self.terms for name in term.integrated)
+        return (*self.thrust_prior.integrated, *TORQUES, *integrated_names)
 
     @cached_property
     def fired_of_term(self) -> tuple[slice, ...]:

@@ -90,8 +90,10 @@ class TelemetryTerm:
     @property
     def events(self) -> tuple[TermEvent, ...]:
         """The event."""
-        own = self.balance.unknowns.own
-        return (TermEvent(self.id, self.event.kind, self.event.fires, own.stop - own.start),)
+        of_event = self.balance.unknowns.own
+        return (
+            TermEvent(self.id, self.event.kind, self.event.fires, of_event.stop - of_event.start),
+        )
 
     def physics(self, points: Points) -> Physics:
         """The event's physics."""
@@ -367,7 +369,7 @@ class TelemetryAt:
     def variables(self, draws: TermDraws) -> Mapping[str, Variable]:
         """Initial momentum, inertia without the wheels' spin, and the mass where ΔV needs it."""
         n = self.points.n
-        found: dict[str, Variable] = {
+        result: dict[str, Variable] = {
             INITIAL: (
                 ("event", "axis"),
                 draws[INITIAL][:, None],
@@ -381,11 +383,11 @@ class TelemetryAt:
         label = "inertia about the centre of mass less the wheels' spin inertia, Σ I_w a aᵀ"
         for i, element in enumerate(ELEMENTS):
             name = WITHOUT_WHEELS.format(element)
-            found[name] = ((), values[:, i], "kg m2", f"{element} element of the {label}")
+            result[name] = ((), values[:, i], "kg m2", f"{element} element of the {label}")
         if self.term.event.delta_v is not None or self.term.event.accelerometer is not None:
             mass = self.points.parameters["mass_kg"][:, None]
-            found["mass_kg"] = (("event",), mass, "kg", "wet mass")
-        return found
+            result["mass_kg"] = (("event",), mass, "kg", "wet mass")
+        return result
 
     def replicates(
         self, _thrust_n: Array, _draws: TermDraws, _rng: np.random.Generator
@@ -403,8 +405,8 @@ def unknowns_of(thrust_n: Array, draws: TermDraws) -> Array:
 
     thrust_n (n, 1, K), or (n, 0, K) where nothing fires.
     """
-    own = (draws[INITIAL], draws[TORQUE][:, 0], draws[TAILS])
-    return np.concatenate([thrust_n.reshape(len(thrust_n), -1), *own], axis=1)
+    integrated = (draws[INITIAL], draws[TORQUE][:, 0], draws[TAILS])
+    return np.concatenate([thrust_n.reshape(len(thrust_n), -1), *integrated], axis=1)
 
 
 def telemetry_parameters(

@@ -217,9 +217,9 @@ class CollapsedThrusts:
     """
 
     log_likelihood: Array  # (n,)
-    own_factor: Array  # (n, E, p, p) lower Cholesky factor of an event's own precision
-    own_coupling: Array  # (n, E, p, q) own_factor⁻¹ Λ_ξη
-    own_shift: Array  # (n, E, p) own_factor⁻¹ ν_ξ
+    event_factor: Array  # (n, E, p, p) lower Cholesky factor of an event's own precision
+    event_coupling: Array  # (n, E, p, q) event_factor⁻¹ Λ_ξη
+    event_shift: Array  # (n, E, p) event_factor⁻¹ ν_ξ
     shared_factor: Array  # (n, q, q) lower Cholesky factor of the shared precision
     shared_shift: Array  # (n, q) shared_factor⁻¹ ν_η
     common_n: Array  # (n,)
@@ -246,15 +246,17 @@ def collapse_thrusts(
     if factor is not None:
         mean = common_n[:, None] if offset_n is None else common_n[:, None] + offset_n
         information = information.about((factor - 1.0) * mean[:, None, :])
-    own, shared = prior.own, prior.scaled(factor).shared
+    loading, shared = prior.own, prior.scaled(factor).shared
     matrix, vector = information.matrix, information.vector
     by_shared = _times(matrix, shared)
-    own_precision = _times(np.swapaxes(_times(matrix, own), -1, -2), own)
-    own_factor = _cholesky(own_precision + np.eye(own.shape[-1]))
+    own_precision = _times(np.swapaxes(_times(matrix, loading), -1, -2), loading)
+    event_factor = _cholesky(own_precision + np.eye(loading.shape[-1]))
     right = _times(
-        np.concatenate([np.swapaxes(by_shared, -1, -2), vector[..., None, :]], axis=-2), own
+        np.concatenate([np.swapaxes(by_shared, -1, -2), vector[..., None, :]], axis=-2), loading
     )
-    solved: Array = np.asarray(np.linalg.solve(own_factor, np.swapaxes(right, -1, -2)), dtype=float)
+    solved: Array = np.asarray(
+        np.linalg.solve(event_factor, np.swapaxes(right, -1, -2)), dtype=float
+    )
     schur = np.swapaxes(solved, -1, -2) @ solved
     if shared.ndim == 2:
         precision, linear = shared.T @ by_shared.sum(-3), vector.sum(-2) @ shared
@@ -265,7 +267,7 @@ def collapse_thrusts(
     shared_linear = linear - schur[..., :-1, -1].sum(-2)
     shared_factor = _cholesky(shared_precision + np.eye(shared.shape[-1]))
     shared_shift = np.linalg.solve(shared_factor, shared_linear[..., None])[..., 0]
-    own_log_det = np.log(np.diagonal(own_factor, axis1=-2, axis2=-1)).sum(-1)
+    own_log_det = np.log(np.diagonal(event_factor, axis1=-2, axis2=-1)).sum(-1)
     shared_log_det = np.log(np.diagonal(shared_factor, axis1=-2, axis2=-1)).sum(-1)
     log_likelihood = (
         (information.constant + 0.5 * schur[..., -1, -1] - own_log_det).sum(-1)
@@ -274,9 +276,9 @@ def collapse_thrusts(
     )
     return CollapsedThrusts(
         log_likelihood=log_likelihood,
-        own_factor=own_factor,
-        own_coupling=solved[..., :-1],
-        own_shift=solved[..., -1],
+        event_factor=event_factor,
+        event_coupling=solved[..., :-1],
+        event_shift=solved[..., -1],
         shared_factor=shared_factor,
         shared_shift=shared_shift,
         common_n=common_n,
@@ -310,12 +312,14 @@ def draw_thrusts(
     prior: ThrustPrior, collapsed: CollapsedThrusts, rng: np.random.Generator
 ) -> ThrustDraws:
     """One draw of all events' thrusts from their conditional normal at every parameter point."""
-    n, n_events, n_own, n_shared = collapsed.own_coupling.shape
+    n, n_events, n_own, n_shared = collapsed.event_coupling.shape
     shared = _solve_transposed(
         collapsed.shared_factor, collapsed.shared_shift + rng.standard_normal((n, n_shared))
     )
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared[:, None, :, None])[..., 0]
-    own = _solve_transposed(collapsed.own_factor, pull + rng.standard_normal((n, n_events, n_own)))
+    pull = collapsed.event_shift - (collapsed.event_coupling @ shared[:, None, :, None])[..., 0]
+    white = _solve_transposed(
+        collapsed.event_factor, pull + rng.standard_normal((n, n_events, n_own))
+    )
     common = collapsed.common_n
     if prior.shared.ndim > 2:
         raise ValueError("levels differ between events: draw the shared coefficients instead")
@@ -324,7 +328,7 @@ def draw_thrusts(
         level = level + collapsed.offset_n
     factor = np.ones((n, n_events, 1)) if collapsed.factor is None else collapsed.factor
     return ThrustDraws(
-        thrust_n=factor * level[:, None, :] + own @ prior.own.T,
+        thrust_n=factor * level[:, None, :] + white @ prior.own.T,
         common_n=_draw_common(prior, common, level, rng),
         level_n=level,
         factor=factor,
@@ -356,22 +360,26 @@ def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Arr
     This is the estimate, and the noise-only variance, that a fit with all nuisances held at these
     points would report; its change with them is the consider-style contribution of each nuisance.
     """
-    own, shared = prior.own, prior.scaled(collapsed.factor).shared
+    loading, shared = prior.own, prior.scaled(collapsed.factor).shared
     shared_inverse = np.linalg.inv(collapsed.shared_factor)
     shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
-    own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.own_factor), -1, -2)
-    pull = collapsed.own_shift - (collapsed.own_coupling @ shared_mean[:, None, :, None])[..., 0]
+    own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.event_factor), -1, -2)
+    pull = (
+        collapsed.event_shift - (collapsed.event_coupling @ shared_mean[:, None, :, None])[..., 0]
+    )
     own_mean = (own_inverse_t @ pull[..., None])[..., 0]
     # thrust = … + [S − L gain] (η − η̂) + L (own noise)
-    gain = own_inverse_t @ collapsed.own_coupling
-    response = (shared - own @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
-    spread = own @ own_inverse_t
+    gain = own_inverse_t @ collapsed.event_coupling
+    response = (shared - loading @ gain) @ np.swapaxes(shared_inverse, -1, -2)[:, None]
+    spread = loading @ own_inverse_t
     common = collapsed.common_n[:, None, None]
     if shared.ndim == 2:
         levels = (shared_mean @ shared.T)[:, None, :]
     else:
         levels = (shared @ shared_mean[:, None, :, None])[..., 0]
-    departures = own_mean @ own.T if own.ndim == 2 else (own @ own_mean[..., None])[..., 0]
+    departures = (
+        own_mean @ loading.T if loading.ndim == 2 else (loading @ own_mean[..., None])[..., 0]
+    )
     centre = common if collapsed.offset_n is None else common + _each_event(collapsed.offset_n)
     if collapsed.factor is not None:
         centre = collapsed.factor * centre
@@ -405,16 +413,16 @@ def _prior_thrusts(
     if not thrusters:
         return ThrustDraws(np.zeros((*shape, 0)), common, np.zeros((n, 0)))
     if prior.chained is not None:
-        own = rng.standard_normal((*shape, prior.own.shape[1]))
+        white = rng.standard_normal((*shape, prior.own.shape[1]))
         spread = rng.standard_normal((n, prior.shared.shape[1])) @ prior.shared.T
         level = prior.chained.levels_n(parameters) + spread
         common = _draw_common(prior, common, level, rng)
-        return ThrustDraws(level[:, None, :] + own @ prior.own.T, common, level)
+        return ThrustDraws(level[:, None, :] + white @ prior.own.T, common, level)
     individual = prior.individual_sd_n * rng.standard_normal((n, thrusters))
     common = common + prior.common_sd_n * rng.standard_normal(n)
-    own = rng.standard_normal((*shape, prior.own.shape[1]))
+    white = rng.standard_normal((*shape, prior.own.shape[1]))
     level = common[:, None] + individual
-    return ThrustDraws(level[:, None, :] + own @ prior.own.T, common, level)
+    return ThrustDraws(level[:, None, :] + white @ prior.own.T, common, level)
 
 
 def thrust_log_prior(prior: ThrustPrior, parameters: Parameters, draws: ThrustDraws) -> Array:

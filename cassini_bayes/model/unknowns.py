@@ -16,7 +16,7 @@ from cassini_bayes.computing.arrays import Places
 
 
 @dataclass(frozen=True)
-class EventPlaces:
+class EventSlices:
     """Where the unknowns stand that one event depends on, beside the walked ones."""
 
     levels: slice  # shared by all events; empty where nothing fires
@@ -30,7 +30,7 @@ class Unknowns:
 
     walked: slice
     levels: slice
-    events: tuple[EventPlaces, ...]
+    events: tuple[EventSlices, ...]
 
     @classmethod
     def of(
@@ -42,7 +42,7 @@ class Unknowns:
         for fires, own in events:
             first = at + departures * fires
             level = shared if fires else slice(at, at)
-            places.append(EventPlaces(level, slice(at, first), slice(first, first + own)))
+            places.append(EventSlices(level, slice(at, first), slice(first, first + own)))
             at = first + own
         return cls(slice(0, walked), shared, tuple(places))
 
@@ -53,6 +53,6 @@ class Unknowns:
 
     def of_event(self, event: int) -> Places:
         """Places of all that one event depends on."""
-        own = self.events[event]
-        parts = (self.walked, own.levels, own.departures, own.own)
+        slices = self.events[event]
+        parts = (self.walked, slices.levels, slices.departures, slices.own)
         return np.concatenate([np.arange(part.start, part.stop) for part in parts])

@@ -87,7 +87,7 @@ class CheckResult:
             "conflicts": list(self._conflicts),
             "walked": len(self.model.space.names),
             "collapsed": collapsed_size(self.model),
-            "seconds": [round(own, 1) for own in self.seconds],
+            "seconds": [round(entry, 1) for entry in self.seconds],
         }
 
     @property

@@ -69,7 +69,7 @@ WRITTEN: Final = (
     RESOLVED,
 )
 """What a diagnosis writes into its folder: all that ``force`` removes, what makes it one last."""
-FOUND_BY: Final = ("diagnosis.read", "diagnosis.diagnosis")
+DIAGNOSED_BY: Final = ("diagnosis.read", "diagnosis.diagnosis")
 """Modules whose code, with all that they import, a diagnosis depends on."""
 _MOST_SHOWN: Final = 5
 
@@ -184,9 +184,9 @@ class DiagnosisResult:
         units = self._units(weighed.name)
         variables = {
             key: xr.DataArray(
-                own[chosen][None], dims=("chain", "draw"), attrs={"units": units.get(key, "")}
+                value[chosen][None], dims=("chain", "draw"), attrs={"units": units.get(key, "")}
             )
-            for key, own in values.items()
+            for key, value in values.items()
         }
         return draws_as_inference_data(variables, "posterior")
 
@@ -320,7 +320,7 @@ def diagnose(
         read = {**digests, **kinds.files}
         store = _opened(place, settings, read, command, force=force, resume=resume)
     processes = cores() if workers is None else workers
-    found: Diagnosis[Any] = diagnose_case(
+    results: Diagnosis[Any] = diagnose_case(
         case,
         np.random.default_rng(seed),
         measure_gain=gain,
@@ -328,7 +328,7 @@ def diagnose(
         workers=StageRunner(processes, store, progress),
         drawing=undrawn if place is None else _drawing(),
     )
-    found.record.update(
+    results.record.update(
         {
             "seed": seed,
             "command": list(command),
@@ -337,7 +337,7 @@ def diagnose(
             "versions": library_versions(),
         }
     )
-    result = DiagnosisResult(found, seed, place)
+    result = DiagnosisResult(results, seed, place)
     if place is not None:
         log("figures and report")
         result.report(place)
@@ -354,7 +354,7 @@ def _opened(
     resume: bool,
 ) -> CheckpointStore:
     """Where a diagnosis keeps what it has finished, in a folder that says what it is of."""
-    depends_on = {"settings": settings, "data": digests, "code": code_digest(*FOUND_BY)}
+    depends_on = {"settings": settings, "data": digests, "code": code_digest(*DIAGNOSED_BY)}
     provenance = recorded(depends_on, digests, int(settings["seed"]), command)
     if resume:
         refuse_other_run(folder / PROVENANCE, provenance.identity)
@@ -379,17 +379,21 @@ def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -
     references = [str(name) for name in given if not is_event_folder(Path(name))]
     tables = [split_reference(reference)[0] for reference in references]
     files = [str(path) for path in (priors, *tables) if not isinstance(path, Priors)]
-    found = {path: digest(Path(path)) for path in files}
+    result = {path: digest(Path(path)) for path in files}
     if isinstance(case, BalanceCase):
         telemetry = case.events.telemetry
-        found |= {f"event {event.id}": event.digest for event in telemetry if event.digest}
+        result |= {f"event {event.id}": event.digest for event in telemetry if event.digest}
         maps = {event.id: event.channels for event in telemetry}
-        found |= {f"channels of {name}": own.digest for name, own in maps.items() if own}
+        result |= {
+            f"channels of {name}": channel_map.digest
+            for name, channel_map in maps.items()
+            if channel_map
+        }
         known = case.events.priors
-        found[f"spacecraft {known.spacecraft.name}"] = known.spacecraft.digest
+        result[f"spacecraft {known.spacecraft.name}"] = known.spacecraft.digest
         if known.earlier is not None:
-            found[known.earlier.path] = known.earlier.digest
-    return found
+            result[known.earlier.path] = known.earlier.digest
+    return result
 
 
 def _case(

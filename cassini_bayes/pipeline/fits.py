@@ -181,7 +181,7 @@ class FitResult(Fit):
         from cassini_bayes.report.sections import sections_of
 
         sections = sections_of(self.review)
-        return {drawing.name: drawing.draw for own in sections for drawing in own.drawings}
+        return {drawing.name: drawing.draw for section in sections for drawing in section.drawings}
 
     def _drawn(self, name: str, make: Callable[[], Figure | None]) -> Figure | None:
         from cassini_bayes.report.plots import draw
@@ -249,9 +249,9 @@ class FitResult(Fit):
     def __repr__(self) -> str:
         lines = [f"FitResult {self.name}: {self._state()}"]
         for row in self._headlines().to_dict(orient="records"):
-            own = value_with_unit(row["mean"], row["sd"], row["unit"])
+            posterior = value_with_unit(row["mean"], row["sd"], row["unit"])
             prior = value_with_unit(row["prior_mean"], row["prior_sd"], row["unit"])
-            lines.append(f"  {row['name']}: {own} (prior {prior})")
+            lines.append(f"  {row['name']}: {posterior} (prior {prior})")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -397,11 +397,11 @@ def _model(
             )
         return events, ()
     known = priors_of(priors)
-    found, findings = gather(
+    result, findings = gather(
         events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
     )
     kinds = read_kinds([Path(path) for path in effect_files])
-    return model_of(found, known, pulse_shape, delta_v, effects, kinds), findings
+    return model_of(result, known, pulse_shape, delta_v, effects, kinds), findings
 
 
 def _sampler_of(
@@ -454,8 +454,8 @@ def _written(
 
 def result_of(review: Review, path: Path | None = None) -> FitResult:
     """The fit of a review as its user holds it."""
-    own = review.fit
-    return FitResult(own.groups, own.attributes, review.name, lambda: review, path)
+    fit = review.fit
+    return FitResult(fit.groups, fit.attributes, review.name, lambda: review, path)
 
 
 def read_fit(

@@ -85,10 +85,10 @@ def read_inputs(
             log=log,
             cache=cache,
         )
-        found = read.events
+        result = read.events
         findings += read.findings
         file, _ = split_reference(reference, base)
-        for event, content in zip(found, read.contents, strict=True):
+        for event, content in zip(result, read.contents, strict=True):
             if isinstance(event, ReducedEvent):
                 digests[reference] = event.digest
                 if event.channels is not None:
@@ -98,7 +98,7 @@ def read_inputs(
                 if file not in digests:
                     digests[file] = digest(base / file)
                 contents.append((f"{base / file}: {event.id}", content))
-        for name in (event.id for event in found):
+        for name in (event.id for event in result):
             if name in given:
                 raise InputError(
                     f"{base / reference}: event {name}",
@@ -106,8 +106,8 @@ def read_inputs(
                     f"the id that {base / given[name]} has given",
                     "leave one of the two out, or rename one of them",
                 )
-        given |= dict.fromkeys((event.id for event in found), reference)
-        events.extend(found)
+        given |= dict.fromkeys((event.id for event in result), reference)
+        events.extend(result)
     findings += refuse_duplicates(contents, policy)
     effects = effects_of(run, events, priors, kinds)
     if kinds is not None:

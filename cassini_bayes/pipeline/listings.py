@@ -124,10 +124,10 @@ def quantities(fit: FitResult | PathLike) -> pd.DataFrame:
     InputError
         No fit there.
     """
-    own = fit if isinstance(fit, FitResult) else read_fit(fit)
+    read = fit if isinstance(fit, FitResult) else read_fit(fit)
     rows = []
-    for name in scalar_names(own.posterior):
-        attributes = own.posterior[name.split("[")[0]].attrs
+    for name in scalar_names(read.posterior):
+        attributes = read.posterior[name.split("[")[0]].attrs
         whole = "[" not in name and not name.startswith("thrust_common")
         rows.append(
             {
@@ -137,8 +137,8 @@ def quantities(fit: FitResult | PathLike) -> pd.DataFrame:
                 "used_by": "summary, sweep, plan" if whole else "summary, sweep",
             }
         )
-    if "thruster" in own.posterior.dims:
-        names = [str(name) for name in own.posterior["thruster"].values]
+    if "thruster" in read.posterior.dims:
+        names = [str(name) for name in read.posterior["thruster"].values]
         of_plans = [
             *((f"{LEVEL}{name}_n", f"level of {name} over all events") for name in names),
             ("thrust_mean_n", "mean level of all thrusters"),

@@ -81,9 +81,9 @@ def build_model(
     """
     known = priors_of(priors)
     policy = Policy.of(accept, leave_out=leave_out)
-    found, _ = gather(events, known, pulse_shape=pulse_shape, source=source, policy=policy)
+    result, _ = gather(events, known, pulse_shape=pulse_shape, source=source, policy=policy)
     kinds = read_kinds([Path(path) for path in effect_files])
-    return model_of(found, known, pulse_shape, delta_v, effects, kinds)
+    return model_of(result, known, pulse_shape, delta_v, effects, kinds)
 
 
 def model_of(

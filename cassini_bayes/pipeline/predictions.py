@@ -83,9 +83,9 @@ class PredictionResult:
         DataFrame with ``attrs["interval"]``: 90 % central.
         """
         rows = [
-            {"bias": own.request.id, **asdict(line)}
-            for own in self.predictions
-            for line in lines(own)
+            {"bias": prediction.request.id, **asdict(line)}
+            for prediction in self.predictions
+            for line in lines(prediction)
         ]
         return with_interval(pd.DataFrame(rows), INTERVAL)
 
@@ -94,13 +94,20 @@ class PredictionResult:
         from cassini_bayes.report.plots import draw
         from cassini_bayes.report.plots.prediction import prediction_figure
 
-        return draw({own.request.id: partial(prediction_figure, own) for own in self.predictions})
+        return draw(
+            {
+                prediction.request.id: partial(prediction_figure, prediction)
+                for prediction in self.predictions
+            }
+        )
 
     def to_arviz(self) -> Any:  # ArviZ carries no types
         """Draws of every bias as the ``predictions`` group of ``arviz.InferenceData``."""
 
         def stacked(name: str, dims: tuple[str, ...], unit: str) -> xr.DataArray:
-            values = np.stack([getattr(own, name) for own in self.predictions], axis=1)
+            values = np.stack(
+                [getattr(prediction, name) for prediction in self.predictions], axis=1
+            )
             return xr.DataArray(values[None], dims=dims, attrs={"units": unit})
 
         first = self.predictions[0]
@@ -116,21 +123,23 @@ class PredictionResult:
         if first.hydrazine_g is not None:
             variables["hydrazine_g"] = stacked("hydrazine_g", each, "g")
         known: dict[str, list[str]] = {
-            "bias": [own.request.id for own in self.predictions],
+            "bias": [prediction.request.id for prediction in self.predictions],
             "thruster": list(first.thrusters),
             "axis": list("xyz"),
         }
         labelled = {
-            name: own.assign_coords({dim: known[str(dim)] for dim in own.dims if dim in known})
-            for name, own in variables.items()
+            name: variable.assign_coords(
+                {dim: known[str(dim)] for dim in variable.dims if dim in known}
+            )
+            for name, variable in variables.items()
         }
         return draws_as_inference_data(labelled, "predictions")
 
     def as_record(self, extra: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
         """Everything as plain JSON types; ``extra`` has more to say of each bias."""
-        biases = [as_dictionary(own) for own in self.predictions]
-        for own, more in zip(biases, extra, strict=False):
-            own |= more
+        biases = [as_dictionary(prediction) for prediction in self.predictions]
+        for record, more in zip(biases, extra, strict=False):
+            record |= more
         return {"seconds": round(self.seconds, 3), "seed": self.seed, "biases": biases}
 
     def save(self, folder: PathLike, record: Mapping[str, Any] | None = None) -> None:
@@ -165,14 +174,14 @@ class PlanResult:
         names = [f"rwa{number}_end_rpm" for number in self.plan.wheels]
         rows = [
             {
-                **dict(zip(names, own.end_rpm, strict=True)),
-                "information_nats": own.information_nats,
+                **dict(zip(names, candidate.end_rpm, strict=True)),
+                "information_nats": candidate.information_nats,
                 "sd_before": self.plan.sd_before,
-                "sd_after": own.sd_after,
-                "hydrazine_g": own.hydrazine_g,
-                "duration_s": own.duration_s,
+                "sd_after": candidate.sd_after,
+                "hydrazine_g": candidate.hydrazine_g,
+                "duration_s": candidate.duration_s,
             }
-            for own in self.plan.candidates
+            for candidate in self.plan.candidates
         ]
         return with_interval(pd.DataFrame(rows), "standard deviations, in the quantity's unit")
 
@@ -287,11 +296,11 @@ def predict(
     sources, draws = _sources(fit, events, priors, accept, effect_files)
     requests = _requests(sources, bias, epoch, branch, quaternion)
     learned = learn_from_fit(draws, sources, seed)
-    found = tuple(
+    result = tuple(
         predict_one(learned, request, stream(seed, i)) for i, request in enumerate(requests)
     )
     warnings = doubts(learned, sources.within)
-    return PredictionResult(found, learned, seed, time.perf_counter() - began, warnings)
+    return PredictionResult(result, learned, seed, time.perf_counter() - began, warnings)
 
 
 def plan(
@@ -347,8 +356,8 @@ def plan(
     learned = learn_from_fit(draws, sources, seed)
     warnings = doubts(learned, sources.within)
     if quantity is not None:
-        found = planning.plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
-        return PlanResult(found, learned, top, warnings)
+        result = planning.plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
+        return PlanResult(result, learned, top, warnings)
     assert minimise is not None
     wanted = {} if to is None else parse_rates(to, sources.model.spacecraft, "--to")
     cheapest = cheapest_bias(learned, minimise, wheels, rates, wanted, stream(seed, 0))
@@ -376,7 +385,7 @@ def _sources(
         None if events is None else str(events),
         None if priors is None else Path(priors),
         accept=accept,
-        effect_files=[Path(own) for own in effect_files],
+        effect_files=[Path(item) for item in effect_files],
     )
     return sources, file
 
@@ -391,16 +400,16 @@ def _requests(
     """The planned biases, checked against the fit; options fill in what a request leaves open."""
     spacecraft = sources.model.spacecraft
     if isinstance(bias, BiasRequest):
-        found: tuple[BiasRequest, ...] = (bias,)
+        result: tuple[BiasRequest, ...] = (bias,)
     elif isinstance(bias, str | Path):
         is_table = str(bias).endswith(".csv")
-        found = (
+        result = (
             read_requests(Path(bias), spacecraft)
             if is_table
             else (parse_bias(str(bias), spacecraft),)
         )
     else:
-        found = tuple(bias)
+        result = tuple(bias)
     when = None if epoch is None else parse_epoch(epoch)
     turned = None if quaternion is None else parse_quaternion(quaternion)
     filled = tuple(
@@ -410,7 +419,7 @@ def _requests(
             branch=request.branch or branch,
             quaternion=request.quaternion or turned,
         )
-        for request in found
+        for request in result
     )
     first = min(event.epoch for event in sources.events)
     for request in filled:

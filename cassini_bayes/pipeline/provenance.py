@@ -100,16 +100,16 @@ def read_provenance(path: Path) -> Provenance:
     InputError
         The file is missing, or is no such record.
     """
-    found = read_json(path, "the record of a run")
+    result = read_json(path, "the record of a run")
     try:
         return Provenance(
-            identity=str(found["identity"]),
-            versions=dict(found["versions"]),
-            digests=dict(found["sha256"]),
-            seed=int(found["seed"]),
-            command=tuple(map(str, found["command"])),
-            started_utc=str(found["started_utc"]),
-            code_sha256=str(found["package"]["code_sha256"]),
+            identity=str(result["identity"]),
+            versions=dict(result["versions"]),
+            digests=dict(result["sha256"]),
+            seed=int(result["seed"]),
+            command=tuple(map(str, result["command"])),
+            started_utc=str(result["started_utc"]),
+            code_sha256=str(result["package"]["code_sha256"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(

@@ -134,8 +134,8 @@ def _priors(start: Start, folder: Path) -> str:
         named = f"file = {json.dumps(_relative(Path(start.reference), folder))}"
     geometry = start.spacecraft.geometry_of(start.branch).parameters
     needed = dict.fromkeys((*geometry, *start.spacecraft.wheel_parameters(start.wheels)))
-    own = known_parameters(start.spacecraft)
-    tables = [_placeholder(own[name]) for name in needed]
+    known = known_parameters(start.spacecraft)
+    tables = [_placeholder(known[name]) for name in needed]
     return "\n".join(
         [
             "# Placeholders, which fit no spacecraft: a fit refuses what contradicts them.\n"
@@ -157,7 +157,7 @@ def _placeholder(spec: ParameterSpec) -> str:
 
 
 def _channels(start: Start, samples: Sequence[Sample]) -> str:
-    own = channel_columns(
+    known = channel_columns(
         start.spacecraft, start.wheels, start.spacecraft.thruster_names(start.branch)
     )
     lines = [
@@ -168,9 +168,9 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
         lines += [
             "# Telemetry in the package's own columns needs no map: then delete this file.",
             "#",
-            *(f"#   {name}: {', '.join(names)} in {UNITS[name]}" for name, names in own.items()),
+            *(f"#   {name}: {', '.join(names)} in {UNITS[name]}" for name, names in known.items()),
             "",
-            *_proposed([Match(name, tuple(names), {}) for name, names in own.items()]),
+            *_proposed([Match(name, tuple(names), {}) for name, names in known.items()]),
         ]
         return "\n".join(lines) + "\n"
     first = samples[0]
@@ -185,10 +185,10 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
     ]
     if len(first.header) > _MOST_LISTED:
         lines.append(f"#   and {len(first.header) - _MOST_LISTED} more")
-    found = matches(first, start.spacecraft, start.wheels, start.branch)
-    used = {source for match in found for source in match.sources}
+    result = matches(first, start.spacecraft, start.wheels, start.branch)
+    used = {source for match in result for source in match.sources}
     left = [name for name in first.header if name not in used]
-    missing = [name for name in own if name not in {match.channel for match in found}]
+    missing = [name for name in known if name not in {match.channel for match in result}]
     lines += [
         "",
         "# Likely matches, by their names alone. None is in force: check source, unit, order,",
@@ -197,7 +197,7 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
         *([f"# No column was found for: {', '.join(missing)}."] if missing else []),
         "",
         *([f"{PROPOSED}ignore = {json.dumps(left, ensure_ascii=False)}", ""] if left else []),
-        *_proposed(found),
+        *_proposed(result),
     ]
     return "\n".join(lines) + "\n"
 

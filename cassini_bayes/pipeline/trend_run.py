@@ -82,8 +82,8 @@ class TrendOutcome:
         from cassini_bayes.report.plots import draw
         from cassini_bayes.report.plots.mission import mission_drawings
 
-        own = self.trend
-        return draw(mission_drawings(own.thrust, own.health, own.onsets, self.dated))
+        trend = self.trend
+        return draw(mission_drawings(trend.thrust, trend.health, trend.onsets, self.dated))
 
     def to_arviz(self) -> Any:  # ArviZ carries no types
         """Thrusts of all events and what was walked as the posterior of ``InferenceData``."""
@@ -239,11 +239,11 @@ def _record(
         "log_bayes_proportional_law": proportional_odds(fit.model, trend.draws.z),
         "slopes": {
             branch: {
-                "mean_n_per_year": float(own.slope.mean()),
-                "sd_n_per_year": float(own.slope.std()),
-                "below_zero": float((own.slope < 0).mean()),
+                "mean_n_per_year": float(branch_draws.slope.mean()),
+                "sd_n_per_year": float(branch_draws.slope.std()),
+                "below_zero": float((branch_draws.slope < 0).mean()),
             }
-            for branch, own in trend.draws.branches.items()
+            for branch, branch_draws in trend.draws.branches.items()
         },
         "alarm_above": mission.trend.alarm,
         "health": _rows(trend.health),

@@ -72,9 +72,9 @@ def _distribution(where: str, name: str, table: object) -> Distribution:
         finite_number(f"{where}.{key}", table[key]) if key in table else None
         for key in ("low", "high")
     )
-    found = Distribution(str(table["dist"]), keywords, low, high, where=where)
-    if name in NORMAL_ONLY and not found.is_normal:
-        raise InputError(where, "norm without bounds", found.name, "it is integrated out exactly")
-    if name not in NORMAL_ONLY and found.support[0] < 0:
-        raise InputError(where, "a distribution of positive values", repr(found), "add low = 0.0")
-    return found
+    result = Distribution(str(table["dist"]), keywords, low, high, where=where)
+    if name in NORMAL_ONLY and not result.is_normal:
+        raise InputError(where, "norm without bounds", result.name, "it is integrated out exactly")
+    if name not in NORMAL_ONLY and result.support[0] < 0:
+        raise InputError(where, "a distribution of positive values", repr(result), "add low = 0.0")
+    return result

@@ -61,11 +61,11 @@ def pair_layout(spacecraft: Spacecraft, branch: str) -> PairLayout:
         shared = [
             [np.flatnonzero(pairs[2 * a + i] * pairs[2 * b + j]) for j in (0, 1)] for i in (0, 1)
         ]
-        own = pairs[2 * couple] + pairs[2 * couple + 1]
+        summed = pairs[2 * couple] + pairs[2 * couple + 1]
         ring = pairs[2 * a] + pairs[2 * a + 1]
         if (
             all(len(cell) == 1 for row in shared for cell in row)
-            and not (own * ring).any()
+            and not (summed * ring).any()
             and ring.sum() == 4
         ):
             minus, plus = (tuple(np.flatnonzero(pairs[2 * couple + s]).tolist()) for s in (1, 0))
@@ -100,9 +100,9 @@ class PairSolver:
         trial = flat.reshape(n, 8, 3, pieces)
         best = trial.min(2).argmax(1)  # the choice without a negative on-time
         chosen = np.take_along_axis(trial, best[:, None, None, :], axis=1)[:, 0]
-        found = np.zeros((n, 6, pieces))
-        np.put_along_axis(found, np.moveaxis(_CHOICES[best], -1, 1), chosen, axis=1)
-        return np.maximum(np.swapaxes(found, -1, -2), 0.0)
+        result = np.zeros((n, 6, pieces))
+        np.put_along_axis(result, np.moveaxis(_CHOICES[best], -1, 1), chosen, axis=1)
+        return np.maximum(np.swapaxes(result, -1, -2), 0.0)
 
 
 def pair_solver(arms: Array, force_n: Array, pairs: Array) -> PairSolver:

@@ -115,13 +115,13 @@ def log_likelihood(p: Parameters, features: list[Features], seen: list[Observati
         spread = np.asarray(p["event_spread"])[..., None]
         restless = np.exp(spread * _NODES - 0.5 * spread**2)
         density = _LOG_WEIGHTS
-        for own, reversal, minor in (
+        for firings, reversal, minor in (
             (ring, f.reversal_ring_s, o.minor_ring_s),
             (couple, f.reversal_couple_s, o.minor_couple_s),
         ):
             quantum = np.asarray(p["minor_quantum_s"])[..., None]
             shape, scale = _shape_scale(
-                restless * own[..., None], np.asarray(reversal)[..., None], quantum
+                restless * firings[..., None], np.asarray(reversal)[..., None], quantum
             )
             density = density + (
                 (shape - 1.0) * np.log(minor)
@@ -163,8 +163,8 @@ def draw_firing(p: Parameters, f: Features, rng: np.random.Generator) -> FiringD
     spread = np.asarray(p["event_spread"])
     restless = np.exp(spread * rng.standard_normal(ring.shape) - 0.5 * spread**2)
     minors = []
-    for own, reversal in ((ring, f.reversal_ring_s), (couple, f.reversal_couple_s)):
-        shape, scale = _shape_scale(restless * own, reversal, p["minor_quantum_s"])
+    for firings, reversal in ((ring, f.reversal_ring_s), (couple, f.reversal_couple_s)):
+        shape, scale = _shape_scale(restless * firings, reversal, p["minor_quantum_s"])
         minors.append(rng.gamma(shape, scale))
     k = np.asarray(p["shared_shape"])
     mean = np.asarray(p["shared_per_demand"]) * f.common_s

@@ -178,7 +178,7 @@ def trend_of(
     years = np.array([(e - reference).total_seconds() / SECONDS_PER_YEAR for e in epochs])
     target = np.array(given)
     level = float(target.mean())
-    found = regress(
+    result = regress(
         np.stack([np.ones_like(years), years], axis=-1),
         target,
         np.full(len(years), sd**2),
@@ -190,9 +190,9 @@ def trend_of(
     )
     return Trend(
         reference,
-        found.coefficients[:, 0],
-        found.coefficients[:, 1],
-        sd * np.sqrt(found.scale_square),
+        result.coefficients[:, 0],
+        result.coefficients[:, 1],
+        sd * np.sqrt(result.scale_square),
     )
 
 

@@ -32,7 +32,7 @@ from cassini_bayes.spacecraft import (
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 GRAVITY_M_S2: Final = 9.8065  # as printed in paper 001
-TORQUE_LIMIT_N_M: Final = 0.03
+TORQUE_LIMIT_N_M: Final = 0.03  # of the wheel manager (paper 001, section IV)
 LOOP_S: Final = 16.5
 SAMPLE_S: Final = 1.0
 SPECIFIC_IMPULSE: Final = (160.0, 0.0, 0.0, 0.0, 0.0)
@@ -120,13 +120,13 @@ def wheel_momentum_n_m_s(inputs: GroundInputs, wheels: tuple[int, ...], rates_rp
 
 def ideal_on_times(steps: Array, torque: Array, layout: PairLayout) -> Array:
     """On-times (…, N, K) ≥ 0 of samples from momentum steps (…, N, 3), torques (…, 3, K) N m."""
-    found = np.zeros((*steps.shape[:-1], torque.shape[-1]))
+    result = np.zeros((*steps.shape[:-1], torque.shape[-1]))
     left = steps.copy()
     c = layout.couple_axis
     for unit, sign in zip(layout.units[:2], (-1.0, 1.0), strict=True):
         pair = torque[..., list(unit)].sum(-1)
         seconds = np.maximum(sign * steps[..., c], 0.0) / (sign * pair[..., c, None])
-        found[..., list(unit)] += seconds[..., None]
+        result[..., list(unit)] += seconds[..., None]
         left = left - seconds[..., None] * pair[..., None, :]
     ring = layout.ring.ravel()
     axes = np.array(layout.ring_axes)
@@ -143,18 +143,18 @@ def ideal_on_times(steps: Array, torque: Array, layout: PairLayout) -> Array:
         trial = np.zeros_like(best)
         trial[..., list(pair_of_ring)] = np.maximum(seconds, 0.0)
         best[better] = trial[better]
-    found[..., ring] += best
-    return found
+    result[..., ring] += best
+    return result
 
 
 def prior_parameters(priors: Priors) -> dict[str, float]:
     """Mean of every prior, value of every fixed parameter."""
-    found = {}
+    result = {}
     for name, prior in priors.parameters.items():
         value = prior.fixed if prior.distribution is None else prior.distribution.mean()
         assert value is not None  # the reader guarantees one of the two
-        found[name] = value
-    return found
+        result[name] = value
+    return result
 
 
 def implied_parameters(
@@ -175,7 +175,7 @@ def implied_parameters(
         return {**start, **dict(zip(IMPLIED, moved, strict=True))}
 
     def misses(x: Array) -> Array:
-        parameters, found = values(x), []
+        parameters, result = values(x), []
         for event in printed:
             assert event.thrust_predicted_n is not None
             assert event.mass_kg is not None
@@ -183,7 +183,7 @@ def implied_parameters(
                 spacecraft, branch, parameters, event.thrust_predicted_n, event.mass_kg
             )
             rebuilt = ground_prediction(inputs, request_of(event))
-            found.append((rebuilt.on_time_s - event.on_time_s)[first])
-        return np.concatenate(found)
+            result.append((rebuilt.on_time_s - event.on_time_s)[first])
+        return np.concatenate(result)
 
     return values(least_squares(misses, np.zeros(len(IMPLIED)), diff_step=1e-3).x)

@@ -56,10 +56,10 @@ from cassini_bayes.sampling.warmstart import (
 
 PROPOSAL_DOF: Final = 5.0
 PILOT_DRAWS: Final = 2_000
-MOST_PILOTS: Final = 12
-GOOD_EFFICIENCY: Final = 0.3
+MOST_PILOTS: Final = 12  # lots of draws that refine the proposal until it is good
+GOOD_EFFICIENCY: Final = 0.3  # effective draws per draw, at which the proposal is good (judgement)
 FEW_DRAWS: Final = 200
-FAR: Final = 8.0
+FAR: Final = 8.0  # standard normals: 1e-15 lies beyond, where quantiles lose their digits
 PAIRINGS: Final = 4  # firing draws per draw of the physics: features cost more than densities
 
 
@@ -173,13 +173,13 @@ def training_features(
     pulses_per_second: float,
 ) -> list[Features]:
     """Features of the fitted events at their own thrusts."""
-    found = []
+    result = []
     for row, event in enumerate(events):
         solver = solver_of(model, physics, physics.thrust_n[:, row], pulses_per_second)
         rates = (event.rwa_start_rpm, event.rwa_end_rpm)
         demand = demand_of(model, physics, manager, event.wheels, rates, event.duration_s)
-        found.append(features_of(model, solver, demand, event.duration_s))
-    return found
+        result.append(features_of(model, solver, demand, event.duration_s))
+    return result
 
 
 def joint_draws(

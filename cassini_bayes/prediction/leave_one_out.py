@@ -77,35 +77,35 @@ def leave_one_out(
     told: Callable[[int, int], None] | None = None,
 ) -> tuple[HeldOut, ...]:
     """Every fold, in the order of the events."""
-    found = []
+    result = []
     for row in range(len(events)):
-        found.append(fold(events, row, priors, beliefs, seed, size))
+        result.append(fold(events, row, priors, beliefs, seed, size))
         if told is not None:
             told(row + 1, len(events))
-    return tuple(found)
+    return tuple(result)
 
 
 def draws_by_kind(prediction: Prediction) -> dict[str, Array]:
     """Draws (n, items) of every kind that is there, in the units of :data:`KINDS`."""
-    found = {"on_time": prediction.unit_on_time_s(), "pulses": prediction.unit_pulses()}
+    result = {"on_time": prediction.unit_on_time_s(), "pulses": prediction.unit_pulses()}
     if prediction.delta_v_computed_m_s is not None:
-        found["delta_v_z"] = 1e3 * prediction.delta_v_computed_m_s[:, 2:]
+        result["delta_v_z"] = 1e3 * prediction.delta_v_computed_m_s[:, 2:]
     if prediction.hydrazine_g is not None:
-        found["hydrazine"] = prediction.hydrazine_g[:, None]
-    return found
+        result["hydrazine"] = prediction.hydrazine_g[:, None]
+    return result
 
 
 def outcome_by_kind(event: TotalsEvent, units: tuple[tuple[int, ...], ...]) -> dict[str, Array]:
     """Printed figures of an event like :func:`draws_by_kind`; what is not printed is absent."""
     first = [unit[0] for unit in units]
-    found = {"on_time": event.on_time_s[first]}
+    result = {"on_time": event.on_time_s[first]}
     if event.pulses is not None:
-        found["pulses"] = event.pulses[first]
+        result["pulses"] = event.pulses[first]
     if event.delta_v_m_s is not None:
-        found["delta_v_z"] = 1e3 * event.delta_v_m_s[2:]
+        result["delta_v_z"] = 1e3 * event.delta_v_m_s[2:]
     if event.hydrazine_g is not None:
-        found["hydrazine"] = np.array([event.hydrazine_g])
-    return found
+        result["hydrazine"] = np.array([event.hydrazine_g])
+    return result
 
 
 @dataclass(frozen=True)
@@ -155,9 +155,9 @@ def column_difference(
     sums: dict[str, list[Array]] = {kind: [] for kind in KINDS}
     other = {event.id: event for event in column}
     for event in flight:
-        own = outcome_by_kind(event, units)
+        outcome = outcome_by_kind(event, units)
         theirs = outcome_by_kind(other[event.id], units)
         for kind in KINDS:
-            if kind in own and kind in theirs:
-                sums[kind].append(np.abs(theirs[kind] - own[kind]))
+            if kind in outcome and kind in theirs:
+                sums[kind].append(np.abs(theirs[kind] - outcome[kind]))
     return {kind: float(np.concatenate(v).mean()) for kind, v in sums.items() if v}

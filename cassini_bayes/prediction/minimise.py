@@ -176,7 +176,7 @@ def _least(cost: Callable[[Array], float], signs: Array) -> Array:
     # towards the middle of the range, so that the simplex has a volume at a limit, too
     middle = 0.5 * (LOW_RPM + WHEEL_LIMIT_RPM)
     inward = np.where(np.abs(first) < middle, 1.0, -1.0) * signs * 0.5 * (levels[1] - levels[0])
-    found = minimize(
+    result = minimize(
         cost,
         first,
         method="Nelder-Mead",
@@ -188,7 +188,7 @@ def _least(cost: Callable[[Array], float], signs: Array) -> Array:
             "maxfev": _MOST_CALLS,
         },
     )
-    return np.asarray(found.x)
+    return np.asarray(result.x)
 
 
 def _cost(one: Learned, request: BiasRequest) -> Cost:
@@ -298,8 +298,8 @@ def cheapest_text(found: CheapestBias, throughput: Sequence[Throughput]) -> str:
         )
     lines += ["", "on-times of the first [s]: mean, 90 % interval"]
     for name, draws in _on_times(found):
-        own = _interval(draws)
-        lines.append(f"{name:<8} {own['mean']:7.2f}  {own['low_90']:7.2f} to {own['high_90']:.2f}")
+        one = _interval(draws)
+        lines.append(f"{name:<8} {one['mean']:7.2f}  {one['low_90']:7.2f} to {one['high_90']:.2f}")
     lines += ["", "throughput [s]: events of the fit, this bias, its 95 % quantile, limit"]
     for row in throughput:
         limit = "" if row.limit_s is None else f"{row.limit_s:9.1f}"

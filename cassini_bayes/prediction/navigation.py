@@ -20,8 +20,8 @@ from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.predict import SOURCES, predict
 from cassini_bayes.prediction.requests import BiasRequest
 
-TOLERANCE: Final = 0.03
-REQUIRED_PROBABILITY: Final = 0.9973
+TOLERANCE: Final = 0.03  # of nominal in each component, 3 σ (paper 001)
+REQUIRED_PROBABILITY: Final = 0.9973  # of a normal within 3 σ
 LEAST_COMPONENT_M_S: Final = 1e-3
 _ONE_SIGMA: Final = (0.158655, 0.841345)
 
@@ -55,21 +55,21 @@ def requirements(learned: Learned, request: BiasRequest, seed: int) -> tuple[Req
     if draws is None:
         return ()
     held = {source: _delta_v(learned, request, seed, source) for source in SOURCES}
-    found = []
+    result = []
     for axis, name in enumerate("xyz"):
-        own = draws[:, axis]
-        nominal = float(np.median(own))
+        along = draws[:, axis]
+        nominal = float(np.median(along))
         judged = abs(nominal) >= LEAST_COMPONENT_M_S
-        probability = float((np.abs(own - nominal) <= TOLERANCE * abs(nominal)).mean())
+        probability = float((np.abs(along - nominal) <= TOLERANCE * abs(nominal)).mean())
         without = {
             str(source): spread(other[:, axis])
             for source, other in held.items()
             if other is not None
         }
-        found.append(
-            Requirement(name, nominal, spread(own), probability if judged else np.nan, without)
+        result.append(
+            Requirement(name, nominal, spread(along), probability if judged else np.nan, without)
         )
-    return tuple(found)
+    return tuple(result)
 
 
 def spread(draws: Array) -> float:

@@ -109,8 +109,10 @@ def importance_physics(
     warm = warm_start(partial(log_posterior, model), model.space.dimension, rng, draws=8_000)
     draws = draw(model, warm.draws.resample(rng, size), rng)
     values = {**draws.parameters, **model.idle}
-    thrusts, (own,) = draws.thrusts, draws.own
-    software = software_of(own) if model.totals_rows.computed is not None else np.zeros((size, 2))
+    thrusts, (integrated,) = draws.thrusts, draws.own
+    software = (
+        software_of(integrated) if model.totals_rows.computed is not None else np.zeros((size, 2))
+    )
     physics = Physics(values, thrusts.thrust_n, thrusts.level_n, software)
     return physics, warm.draws.efficiency, warm.draws.pareto_k
 
@@ -220,8 +222,8 @@ class Wheels:
         """Momentum (n, S, 3) of wheel rates or changes (S, len(wheels)), N m s."""
         numbers = [wheel.number for wheel in model.spacecraft.wheels]
         columns = [numbers.index(n) for n in wheels]
-        own = self.momentum_per_rpm[:, :, columns]
-        return np.asarray(np.swapaxes(own @ rates_rpm.T, -1, -2))
+        momentum = self.momentum_per_rpm[:, :, columns]
+        return np.asarray(np.swapaxes(momentum @ rates_rpm.T, -1, -2))
 
 
 def wheels_of(model: Model, physics: Physics) -> Wheels:

@@ -89,11 +89,11 @@ class Plan:
 
     def front(self) -> tuple[Candidate, ...]:
         """Candidates that no other beats in both information and cost, cheapest first."""
-        found: list[Candidate] = []
+        result: list[Candidate] = []
         for candidate in sorted(self.candidates, key=lambda c: (c.cost, -c.information_nats)):
-            if not found or candidate.information_nats > found[-1].information_nats:
-                found.append(candidate)
-        return tuple(found)
+            if not result or candidate.information_nats > result[-1].information_nats:
+                result.append(candidate)
+        return tuple(result)
 
 
 def quantities(learned: Learned) -> dict[str, Array]:
@@ -103,17 +103,17 @@ def quantities(learned: Learned) -> dict[str, Array]:
     tail-off in it, per commanded second), and every walked parameter by its name.
     """
     physics = learned.physics
-    found = {
+    result = {
         f"{LEVEL}{name}_n": physics.level_n[:, k] for k, name in enumerate(learned.model.thrusters)
     }
-    found["thrust_mean_n"] = physics.level_n.mean(1)
+    result["thrust_mean_n"] = physics.level_n.mean(1)
     kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
     delivered = physics.delivered_n(learned.model)
     for k, name in enumerate(learned.model.thrusters):
-        found[f"impulse_per_on_time_{name}_n"] = delivered[:, k] * kappa[:, k]
+        result[f"impulse_per_on_time_{name}_n"] = delivered[:, k] * kappa[:, k]
     for name in learned.model.space.names:
-        found[name] = np.asarray(physics.parameters[name])
-    return found
+        result[name] = np.asarray(physics.parameters[name])
+    return result
 
 
 def quantity_draws(learned: Learned, name: str) -> Array:
@@ -167,7 +167,7 @@ def plan(
         )
     judge = _Judge.of(learned, draws, wheels)
     one = typical(learned)
-    found = []
+    result = []
     for ends in product(*(_ends_of_wheel(rate, levels) for rate in start)):
         end = np.array(ends)
         if np.all(end == start):
@@ -175,19 +175,19 @@ def plan(
         request = BiasRequest("candidate", wheels, start, end)
         candidate = judge.candidate(one, request)
         if budget_g is None or candidate.hydrazine_g <= budget_g:
-            found.append(candidate)
-    if not found:
+            result.append(candidate)
+    if not result:
         raise InputError(
             "--budget", "enough hydrazine for one candidate", f"{budget_g:g} g", "raise it"
         )
-    found.sort(key=lambda c: -c.information_nats)
+    result.sort(key=lambda c: -c.information_nats)
     return Plan(
         quantity,
         float(draws.mean()),
         float(draws.std()),
         tuple(float(rate) for rate in start),
         wheels,
-        tuple(found),
+        tuple(result),
     )
 
 
@@ -233,7 +233,7 @@ class _Judge:
         n, p = len(draws), physics.parameters
         inertia = physics.balance(model).inertia_kg_m2
         hold = hold_rate_covariance(inertia, np.asarray(p["hold_rate_rad_s"]))
-        own = model.thrust_prior.own
+        loading = model.thrust_prior.own
         return _Judge(
             thruster_moment=np.einsum("nik,njl->ikjl", t, t) / n,
             cross_moment=np.einsum("nik,njl->ikjl", t, w) / n,
@@ -241,7 +241,7 @@ class _Judge:
             thruster_cross=np.einsum("nik,n->ik", t, q) / n,
             wheel_cross=np.einsum("nik,n->ik", w, q) / n,
             force=arms.mean(0),
-            departure=own @ own.T,
+            departure=loading @ loading.T,
             inertia_noise=np.asarray(hold.reshape(-1, 3, 3).mean(0)),
             attitude=np.sqrt(np.mean(np.asarray(p["hold_attitude_rad"]) ** 2)),
             momentum_per_rpm=momentum.mean(0),

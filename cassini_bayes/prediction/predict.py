@@ -152,10 +152,10 @@ def _firings(
 
 def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:
     """Thrusts (n, K) of a new event: level, trend of the printed thrust, its own departures."""
-    own = learned.model.thrust_prior.own
+    loading = learned.model.thrust_prior.own
     trend = learned.thrust_trend
     moved = trend.at(epoch) - trend.centre
-    departure = rng.standard_normal((learned.size, own.shape[1])) @ own.T
+    departure = rng.standard_normal((learned.size, loading.shape[1])) @ loading.T
     if still:
         departure, moved = np.zeros_like(departure), np.full_like(moved, moved.mean())
     level = learned.physics.delivered_n(learned.model)

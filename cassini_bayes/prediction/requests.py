@@ -65,10 +65,10 @@ def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> Bias
     names = {wheel.name: wheel.number for wheel in spacecraft.wheels}
     rates: dict[int, tuple[float, float]] = {}
     for part in text.split(","):
-        found = _PART.match(part)
-        if found is None:
+        result = _PART.match(part)
+        if result is None:
             raise InputError(where, "wheel: start -> end in rev/min", repr(part.strip()), _FORM)
-        name, start, end = found[1], float(found[2]), float(found[3])
+        name, start, end = result[1], float(result[2]), float(result[3])
         if name not in names:
             known = ", ".join(names)
             raise InputError(where, f"a wheel out of {known}", repr(name), nearest(name, names))
@@ -87,7 +87,7 @@ def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> Bias
 def parse_rates(text: str, spacecraft: Spacecraft, where: str) -> dict[int, float]:
     """Read ``rwa1: -1118, rwa2: 1290`` as wheel number → rev/min."""
     names = {wheel.name: wheel.number for wheel in spacecraft.wheels}
-    found: dict[int, float] = {}
+    result: dict[int, float] = {}
     for part in text.split(","):
         match = re.match(rf"^\s*(\w+)\s*:\s*({_NUMBER})\s*$", part)
         if match is None or match[1] not in names:
@@ -97,8 +97,8 @@ def parse_rates(text: str, spacecraft: Spacecraft, where: str) -> dict[int, floa
                 repr(part.strip()),
                 'write e.g. "rwa1: -1118, rwa2: 1290, rwa4: 330"',
             )
-        found[names[match[1]]] = float(match[2])
-    return found
+        result[names[match[1]]] = float(match[2])
+    return result
 
 
 def parse_epoch(text: str, where: str = "--epoch") -> datetime:
@@ -140,7 +140,7 @@ def read_requests(path: Path, spacecraft: Spacecraft) -> tuple[BiasRequest, ...]
     """
     rates = [f"{w.name}_rpm_{end}" for w in spacecraft.wheels for end in ("start", "end")]
     columns = ("id", *rates, "epoch", "branch", "q1", "q2", "q3", "q4")
-    found = []
+    result = []
     for row in read_rows(path, columns, {"id"}):
         start, end = {}, {}
         for wheel in spacecraft.wheels:
@@ -163,8 +163,8 @@ def read_requests(path: Path, spacecraft: Spacecraft) -> tuple[BiasRequest, ...]
         if turned:
             text = " ".join(row.cells.get(f"q{i}", "") for i in range(1, 5))
             request = replace(request, quaternion=parse_quaternion(text, row.where("q1")))
-        found.append(request)
-    return tuple(found)
+        result.append(request)
+    return tuple(result)
 
 
 def check_request(

@@ -22,7 +22,8 @@ from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.model.event_reduction import check_rows, is_event_folder
+from cassini_bayes.model.event_reduction import is_event_folder
+from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
@@ -114,7 +115,7 @@ def read_sources(
     recordings = [read_event(folder, read.spacecraft) for folder in folders]
     files = [*effect_files, *map(Path, _names(resolved, "own_effects", record))]
     each = [*(event.wheels for event in printed), *(event.wheels for event in recordings)]
-    wheels = {number for own in each for number in own}
+    wheels = {number for wheels_of in each for number in wheels_of}
     effects = fitted_effects(names, read, wheels, list(dict.fromkeys(files)))
     pulse_shape = str(model_table.get("pulse_shape", "first_order"))
     delta_v = model_table.get("delta_v", "as-declared")
@@ -148,24 +149,28 @@ def _of_biases(
     delta_v: DeltaVUse,
 ) -> Sources:
     """Totals rows and recorded wheel biases; slews and burns teach no firing logic."""
-    recorded = (recorded_totals(own, priors.spacecraft) for own in recordings if is_bias(own))
-    found = (*rows, *recorded)
-    if not found:
+    recorded = (
+        recorded_totals(recording, priors.spacecraft)
+        for recording in recordings
+        if is_bias(recording)
+    )
+    result = (*rows, *recorded)
+    if not result:
         raise InputError(
             fit,
             "a fit with wheel biases among its events",
-            f"none of {', '.join(own.id for own in recordings)} is one",
+            f"none of {', '.join(recording.id for recording in recordings)} is one",
             "predict from a fit of wheel biases: they show how thrusters are fired",
         )
     model = build_model(
-        found,
+        result,
         priors,
         pulse_shape=pulse_shape,
         delta_v=delta_v,
         effects=[effect for effect in effects if not effect.needs_search],
     )
     within = tuple(effect.name for effect in effects if is_within(effect))
-    return Sources(found, priors, model, within)
+    return Sources(result, priors, model, within)
 
 
 def record_folder(fit: Path) -> Path:
@@ -265,9 +270,9 @@ def _digests(folder: Path) -> dict[str, str]:
     path = folder / "provenance.json"
     if not path.exists():
         return {}
-    found = read_json(path, "the record of a run").get("sha256")
-    if not isinstance(found, dict):
+    result = read_json(path, "the record of a run").get("sha256")
+    if not isinstance(result, dict):
         raise InputError(
-            f"{path}: sha256", "digests by file name", repr(found), "run the fit again"
+            f"{path}: sha256", "digests by file name", repr(result), "run the fit again"
         )
-    return {str(key): str(value) for key, value in found.items()}
+    return {str(key): str(value) for key, value in result.items()}

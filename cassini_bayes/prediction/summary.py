@@ -45,13 +45,13 @@ class Line:
 
 def lines(prediction: Prediction) -> tuple[Line, ...]:
     """Every predicted scalar: on-time and pulses per thruster or pair, ΔV, hydrazine, duration."""
-    found: list[Line] = []
+    result: list[Line] = []
     names = prediction.unit_names()
     for kind, unit, draws in (
         ("on_time", "s", prediction.unit_on_time_s()),
         ("pulses", "count", prediction.unit_pulses()),
     ):
-        found += [_line(f"{kind}_{name}", unit, draws[:, i]) for i, name in enumerate(names)]
+        result += [_line(f"{kind}_{name}", unit, draws[:, i]) for i, name in enumerate(names)]
     vectors = (
         ("delta_v_computed", prediction.delta_v_computed_m_s),
         ("delta_v_delivered", prediction.delta_v_delivered_m_s),
@@ -59,14 +59,14 @@ def lines(prediction: Prediction) -> tuple[Line, ...]:
     for kind, vector in vectors:
         if vector is None:
             continue
-        found += _vector(f"{kind}_body", vector)
+        result += _vector(f"{kind}_body", vector)
         if prediction.request.quaternion is not None:
             turned = vector @ body_to_inertial(prediction.request.quaternion).T
-            found += _vector(f"{kind}_inertial", turned)
+            result += _vector(f"{kind}_inertial", turned)
     if prediction.hydrazine_g is not None:
-        found.append(_line("hydrazine", "g", prediction.hydrazine_g))
-    found.append(_line("duration", "s", prediction.duration_s))
-    return tuple(found)
+        result.append(_line("hydrazine", "g", prediction.hydrazine_g))
+    result.append(_line("duration", "s", prediction.duration_s))
+    return tuple(result)
 
 
 def _vector(name: str, draws_m_s: Array) -> list[Line]:

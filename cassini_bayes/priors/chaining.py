@@ -142,10 +142,10 @@ def read_earlier(
     posterior, content = _posterior(path, where)
     if LEVELS not in posterior:
         raise InputError(where, "a fit with thrust levels", str(path), "name a fit of wheel biases")
-    found = tuple(str(name) for name in posterior.coords["thruster"].values)
-    if found != tuple(thrusters):
+    result = tuple(str(name) for name in posterior.coords["thruster"].values)
+    if result != tuple(thrusters):
         raise InputError(
-            where, f"a fit of {', '.join(thrusters)}", ", ".join(found), "chain fits of one branch"
+            where, f"a fit of {', '.join(thrusters)}", ", ".join(result), "chain fits of one branch"
         )
     columns, names = [], []
     for name, distribution in distributions.items():
@@ -155,14 +155,14 @@ def read_earlier(
         if values is not None:
             names.append(name)
             columns.append(distribution.standard_of(values))
-    levels = posterior[LEVELS].values.reshape(-1, len(found))
+    levels = posterior[LEVELS].values.reshape(-1, len(result))
     step = -(-len(levels) // MOST_DRAWS)
     z, levels = np.stack(columns, axis=-1)[::step], np.asarray(levels[::step], dtype=np.float64)
-    _refuse_visibly_other(z, levels, (*names, *found), where, path)
+    _refuse_visibly_other(z, levels, (*names, *result), where, path)
     return EarlierFit(
         names=tuple(names),
         distributions=tuple(distributions[name] for name in names),
-        thrusters=found,
+        thrusters=result,
         z=z,
         levels_n=levels,
         path=str(path),

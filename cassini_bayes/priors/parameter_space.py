@@ -130,7 +130,7 @@ class ParameterSpace:
         """Log prior density in z summed over each block: block → (...,)."""
         terms = self.log_prior_terms(z)
         return {
-            block: terms[..., [i for i, own in enumerate(self.blocks) if own == block]].sum(-1)
+            block: terms[..., [i for i, item in enumerate(self.blocks) if item == block]].sum(-1)
             for block in dict.fromkeys(self.blocks)
         }
 

@@ -46,7 +46,7 @@ ZERO_CENTRED: Final = (
 )
 _TABLES: Final = ("spacecraft", "parameters", "from_fit", "branch")
 _LEVELS: Final = ("thrust_common_n", "thrust_individual_n")  # what an earlier fit's levels replace
-_OWN_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
+_PRIOR_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
 _NEVER_NEGATIVE_BLOCKS: Final = ("tail-off", "wheel inertia", "mass", "noise")
 _BUT_SIGNED: Final = (
     "rate_bias_x_rad_s",
@@ -122,8 +122,8 @@ class Priors:
 
     def for_branch(self, branch: str) -> Priors:
         """The priors of one thruster branch: its own ones, and those that hold for all."""
-        own = self.of_branches.get(branch, {})
-        return replace(self, branch=branch, parameters={**self.parameters, **own})
+        table = self.of_branches.get(branch, {})
+        return replace(self, branch=branch, parameters={**self.parameters, **table})
 
     def require(self, names: Iterable[str], why: str) -> None:
         """Check that the file has every parameter in ``names``.
@@ -263,8 +263,8 @@ def read_priors(path: str | Path) -> Priors:
                 f"the unknown key {key!r}",
                 nearest(key, _TABLES),
             )
-    own = _table(f"{path}: spacecraft", document.get("spacecraft"))
-    spacecraft = _read_spacecraft(Path(path), own)
+    table_of_file = _table(f"{path}: spacecraft", document.get("spacecraft"))
+    spacecraft = _read_spacecraft(Path(path), table_of_file)
     parameters = _read_parameters(f"{path}: parameters", document.get("parameters"), spacecraft)
     if TELEMETRY_NOISE in parameters and CLOSE_SHARE not in parameters:
         parameters[CLOSE_SHARE] = ParameterPrior(
@@ -272,12 +272,12 @@ def read_priors(path: str | Path) -> Priors:
             *_ANY_SHARE,
             "not in the file: any that controllers were seen to have",
         )
-    wheels = _read_wheels(f"{path}: spacecraft.wheels", own.get("wheels"), spacecraft)
+    wheels = _read_wheels(f"{path}: spacecraft.wheels", table_of_file.get("wheels"), spacecraft)
     turned = spacecraft.with_platforms(parameters)
     turned.check_platforms(wheels, f"{path}: parameters")
     priors = Priors(
         spacecraft=turned,
-        branch=_read_branch(f"{path}: spacecraft.branch", own.get("branch"), spacecraft),
+        branch=_read_branch(f"{path}: spacecraft.branch", table_of_file.get("branch"), spacecraft),
         wheels=wheels,
         parameters=parameters,
         path=str(path),
@@ -307,7 +307,7 @@ def _read_branches(
     path: str, value: object, spacecraft: Spacecraft
 ) -> dict[str, dict[str, ParameterPrior]]:
     """Priors of single branches: the tables ``branch.<name>.parameters``."""
-    found = {}
+    result = {}
     for name, table in _table(f"{path}: branch", value).items():
         where = f"{path}: branch.{name}"
         if name not in spacecraft.branches:
@@ -326,8 +326,10 @@ def _read_branches(
                     repr(key),
                     nearest(key, ["parameters"]),
                 )
-        found[name] = _read_parameters(f"{where}.parameters", entries.get("parameters"), spacecraft)
-    return found
+        result[name] = _read_parameters(
+            f"{where}.parameters", entries.get("parameters"), spacecraft
+        )
+    return result
 
 
 def _chained(priors: Priors, value: object) -> Priors:
@@ -481,7 +483,7 @@ def _read_distribution(
 ) -> Distribution:
     name = _text(f"{where}.dist", table["dist"], "a scipy.stats name", 'write e.g. dist = "norm"')
     keywords = check_keywords(
-        where, name, {k: v for k, v in table.items() if k not in _OWN_KEYS}, _OWN_KEYS
+        where, name, {k: v for k, v in table.items() if k not in _PRIOR_KEYS}, _PRIOR_KEYS
     )
     low, high = (
         finite_number(f"{where}.{key}", table[key], spec.unit) if key in table else None

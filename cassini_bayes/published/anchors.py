@@ -54,12 +54,12 @@ def parse_anchors(text: str) -> tuple[Anchor, ...]:
     InputError
         A wrong header, figure or kind.
     """
-    found = []
+    result = []
     for row in csv_rows(text, COLUMNS, where=FILE):
         kind = next((known for known in KINDS if known == row["kind"]), None)
         if kind is None:
             raise InputError(f"{FILE}: kind", ", ".join(KINDS), repr(row["kind"]), "mend it")
-        found.append(
+        result.append(
             Anchor(
                 datetime.date.fromisoformat(row["date"]),
                 row["branch"],
@@ -71,7 +71,7 @@ def parse_anchors(text: str) -> tuple[Anchor, ...]:
                 row["place"],
             )
         )
-    return tuple(found)
+    return tuple(result)
 
 
 def anchors() -> tuple[Anchor, ...]:

@@ -205,8 +205,8 @@ def skill_checks(tables: Sequence[WheelBiasTable], constants: Constants) -> Iter
 
 def wheel_bias_checks(tables: Sequence[WheelBiasTable], constants: Constants) -> tuple[Check, ...]:
     """All checks of paper 001."""
-    found: list[Check] = []
+    result: list[Check] = []
     for table in tables:
         for part in (date_checks, rate_checks, total_checks, difference_checks, delta_v_checks):
-            found.extend(part(table))
-    return (*found, *skill_checks(tables, constants))
+            result.extend(part(table))
+    return (*result, *skill_checks(tables, constants))

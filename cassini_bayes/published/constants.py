@@ -22,20 +22,20 @@ class Constants:
     entries: Mapping[tuple[str, str], Entry]
 
     def _entry(self, section: str, key: str) -> Entry:
-        found = self.entries.get((section, key))
-        if found is None:
+        result = self.entries.get((section, key))
+        if result is None:
             names = ", ".join(k for s, k in self.entries if s == section) or "no such section"
             raise InputError(f"constants.toml: {section}", names, key, "use one of these names")
-        return found
+        return result
 
     def number(self, section: str, key: str) -> Printed:
         """Return one printed figure; InputError when the entry is missing or something else."""
-        found = self._entry(section, key)
-        if not isinstance(found, Printed):
+        result = self._entry(section, key)
+        if not isinstance(result, Printed):
             raise InputError(
-                f"constants.toml: {section}.{key}", "a number", repr(found), "use the right getter"
+                f"constants.toml: {section}.{key}", "a number", repr(result), "use the right getter"
             )
-        return found
+        return result
 
     def value(self, section: str, key: str) -> float:
         """Return one printed figure as a float."""
@@ -43,21 +43,21 @@ class Constants:
 
     def vector(self, section: str, key: str) -> tuple[Printed, ...]:
         """Return printed figures by body axis; InputError when the entry is missing or no list."""
-        found = self._entry(section, key)
-        if not isinstance(found, tuple):
+        result = self._entry(section, key)
+        if not isinstance(result, tuple):
             raise InputError(
-                f"constants.toml: {section}.{key}", "a list", repr(found), "use the right getter"
+                f"constants.toml: {section}.{key}", "a list", repr(result), "use the right getter"
             )
-        return found
+        return result
 
     def date(self, section: str, key: str) -> datetime.date:
         """Return one printed date; InputError when the entry is missing or no date."""
-        found = self._entry(section, key)
-        if not isinstance(found, datetime.date):
+        result = self._entry(section, key)
+        if not isinstance(result, datetime.date):
             raise InputError(
-                f"constants.toml: {section}.{key}", "a date", repr(found), "use the right getter"
+                f"constants.toml: {section}.{key}", "a date", repr(result), "use the right getter"
             )
-        return found
+        return result
 
 
 def _entry(value: object, where: str) -> Entry:

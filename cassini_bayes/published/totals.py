@@ -51,8 +51,8 @@ TOTALS_COLUMNS: Final = (
 
 def _text(table: WheelBiasTable, row: str, column: str, *, exponent: int = 0) -> str:
     """Printed figure times 10^exponent, neither losing nor adding digits; empty for a dash."""
-    found = table.get(row, column)
-    return "" if found is None else format(found.decimal.scaleb(exponent), "f")
+    result = table.get(row, column)
+    return "" if result is None else format(result.decimal.scaleb(exponent), "f")
 
 
 def totals_row(table: WheelBiasTable, source: str) -> dict[str, str]:

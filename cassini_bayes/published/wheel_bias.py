@@ -65,12 +65,12 @@ class WheelBiasTable:
 
     def cell(self, row: str, column: str) -> Printed:
         """Return the printed figure; InputError where the table has a dash."""
-        found = self.cells.get((row, column))
-        if found is None:
+        result = self.cells.get((row, column))
+        if result is None:
             raise InputError(
                 f"Table {self.table}: {row}, {column}", "a figure", "a dash", "use another column"
             )
-        return found
+        return result
 
 
 def _is_exact(row: str, column: str, text: str) -> bool:

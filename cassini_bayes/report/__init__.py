@@ -60,9 +60,9 @@ def render_report(
         verdict=verdict(review),
         summary=summary_sentences(review),
         key_numbers=[*inertia_numbers(review), *key_numbers(review)],
-        pictures={name: _address(own) for name, own in pictures.items()},
+        pictures={name: _address(picture) for name, picture in pictures.items()},
         chapters=[
-            (chapter, list(own)) for chapter, own in groupby(sections, lambda own: own.chapter)
+            (chapter, list(group)) for chapter, group in groupby(sections, lambda own: own.chapter)
         ],
     )
 

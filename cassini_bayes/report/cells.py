@@ -62,7 +62,7 @@ def between(low: str = "hdi_90_low", high: str = "hdi_90_high") -> Column:
     return lambda row: interval(float(row[low]), float(row[high]))
 
 
-def own_digits(column: str) -> Column:
+def two_digits(column: str) -> Column:
     """A standard deviation with two significant digits."""
     return lambda row: number(float(row[column]), float(row[column]))
 

@@ -21,10 +21,10 @@ from cassini_bayes.report.cells import (
     in_units,
     mean_sd,
     or_missing,
-    own_digits,
     percent,
     signed,
     tabulate,
+    two_digits,
 )
 from cassini_bayes.report.page import (
     BUDGET,
@@ -35,7 +35,7 @@ from cassini_bayes.report.page import (
     Drawing,
     Paragraph,
     Section,
-    Shown,
+    TableBlock,
 )
 from cassini_bayes.report.plots.budget import budget_figure
 from cassini_bayes.report.plots.checks import balance_figure, convergence_figure, predictive_figure
@@ -105,8 +105,8 @@ def nuisances(review: Review) -> Iterator[Section]:
                 "Numbers at the right: posterior and prior, mean ± standard deviation.",
                 partial(nuisance_figure, review),
             ),
-            Shown(nuisance_table(review), fold="Every nuisance in numbers"),
-            Shown(
+            TableBlock(nuisance_table(review), fold="Every nuisance in numbers"),
+            TableBlock(
                 prior_table(review),
                 style="words",
                 fold="What each parameter means, and where its prior comes from",
@@ -154,8 +154,10 @@ def budget(review: Review) -> Iterator[Section]:
                 "events. Right: the three standard deviations, mean and range over events.",
                 partial(budget_figure, review),
             ),
-            Shown(budget_table(review), fold="Error budget of every thruster, mean over events"),
-            Shown(
+            TableBlock(
+                budget_table(review), fold="Error budget of every thruster, mean over events"
+            ),
+            TableBlock(
                 budget_event_table(review),
                 fold="Error budget of every thruster in every event",
             ),
@@ -188,7 +190,7 @@ def predictive(review: Review) -> Iterator[Section]:
                 "opposite thrusters would have fired.",
                 partial(predictive_figure, review),
             ),
-            Shown(predictive_table(review), fold="On-times of every thruster in every event"),
+            TableBlock(predictive_table(review), fold="On-times of every thruster in every event"),
         ),
         title="On-times",
         name="predictive",
@@ -212,7 +214,7 @@ def balance(review: Review) -> Iterator[Section]:
                 partial(balance_figure, review),
                 fold="Momentum left over, drawn",
             ),
-            Shown(balance_table(review), fold="Momentum balance of every event and axis"),
+            TableBlock(balance_table(review), fold="Momentum balance of every event and axis"),
         ),
         title="Momentum balance",
         name="balance",
@@ -246,7 +248,7 @@ def delta_v(review: Review) -> Iterator[Section]:
         partial(delta_v_figure, review),
         fold="Printed ΔV against the on-board computation, drawn",
     )
-    blocks = (text, drawing, Shown(delta_v_table(review), fold="ΔV of every event"))
+    blocks = (text, drawing, TableBlock(delta_v_table(review), fold="ΔV of every event"))
     yield Section(DELTA_V, blocks, name="delta_v", frame=review.delta_v)
 
 
@@ -264,7 +266,7 @@ def variants(review: Review) -> Iterator[Section]:
     )
     yield Section(
         DELTA_V,
-        (Shown(variant_table(review), style="dense"), drawing),
+        (TableBlock(variant_table(review), style="dense"), drawing),
         title="Thrust under the three uses of ΔV",
         name="variants",
         frame=review.variants,
@@ -287,8 +289,8 @@ def convergence(review: Review) -> Iterator[Section]:
                 partial(convergence_figure, review),
                 fold="R-hat and effective sample sizes of every scalar, drawn",
             ),
-            Shown(convergence_table(review), fold="Walked parameters"),
-            Shown(scalar_table(review), fold=f"Every scalar of the posterior ({INTERVAL})"),
+            TableBlock(convergence_table(review), fold="Walked parameters"),
+            TableBlock(scalar_table(review), fold=f"Every scalar of the posterior ({INTERVAL})"),
         ),
     )
 
@@ -405,7 +407,7 @@ def balance_table(review: Review) -> Table:
             "event": "event",
             "axis": "axis",
             "momentum left over, mean ± sd [N m s]": mean_sd("residual_n_m_s", "sd_n_m_s"),
-            "noise σ [N m s]": own_digits("noise_sd_n_m_s"),
+            "noise σ [N m s]": two_digits("noise_sd_n_m_s"),
             "in noise σ": in_noise,
         },
         heads=2,
@@ -432,8 +434,8 @@ def variant_table(review: Review) -> Table:
     """Mean thrust under each use of ΔV, and the largest shift against the first use."""
     mean, sd = (
         {
-            str(name): grid(own, column, review)
-            for name, own in review.variants.groupby("variant", sort=False)
+            str(name): grid(item, column, review)
+            for name, item in review.variants.groupby("variant", sort=False)
         }
         for column in ("mean_n", "sd_n")
     )
@@ -444,7 +446,7 @@ def variant_table(review: Review) -> Table:
             "use": list(mean),
             "mean": [np.nanmean(thrusts) for thrusts in mean.values()],
             "sd": [np.nanmean(spreads) for spreads in sd.values()],
-            "shift": [own.flat[int(np.nanargmax(np.abs(own)))] for own in shifts.values()],
+            "shift": [shift.flat[int(np.nanargmax(np.abs(shift)))] for shift in shifts.values()],
         }
     )
     rows.loc[0, "shift"] = np.nan

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.diagnosis.balance_case import BalanceDetail
-from cassini_bayes.diagnosis.case import Shown
+from cassini_bayes.diagnosis.case import Discrepancies
 from cassini_bayes.diagnosis.discrepancy import Curve
 from cassini_bayes.report.page import Drawing
 from cassini_bayes.report.plots import Figure, encode, settle
@@ -77,9 +77,9 @@ def cause_picture(record: Mapping[str, Any]) -> Drawing:
     return _drawing("causes", alt, partial(cause_figure, record["causes"]))
 
 
-def pictures_of(shown: Shown | Sequence[Curve]) -> list[Drawing]:
+def pictures_of(shown: Discrepancies | Sequence[Curve]) -> list[Drawing]:
     """Pictures of what a case shows, or of curves; none where nothing was shown."""
-    if not isinstance(shown, Shown):
+    if not isinstance(shown, Discrepancies):
         alt = "Unexplained momentum against time about X, Y and Z of every event, with 90 % bands."
         return [_drawing("discrepancy", alt, partial(discrepancy_figure, tuple(shown)))]
     if not isinstance(shown.detail, BalanceDetail):
@@ -87,7 +87,7 @@ def pictures_of(shown: Shown | Sequence[Curve]) -> list[Drawing]:
     return _balance_pictures(shown.detail)
 
 
-def drawings(shown: Shown | Sequence[Curve]) -> list[Drawn]:
+def drawings(shown: Discrepancies | Sequence[Curve]) -> list[Drawn]:
     """The pictures drawn, for a diagnosis to draw as it goes."""
     return drawn(pictures_of(shown))
 

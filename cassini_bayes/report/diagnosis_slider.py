@@ -8,7 +8,7 @@ from typing import Any, Final
 from cassini_bayes.report.page import Slider, SliderPrior, SliderRow
 from cassini_bayes.report.plots.quantities import MISSING, display_scale, interval, plus_minus
 from cassini_bayes.report.priors import width_label
-from cassini_bayes.sweep.weights import WORST_PARETO_K
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 
 Record = Mapping[str, Any]
 LEAST: Final = 0.001  # probability that a hypothesis has at some width, to be shown
@@ -76,10 +76,10 @@ def _cells(
         return tuple(None for _ in (*sizes, *names))
     cells = []
     for _, _, key, factor, low, high in sizes:
-        own = row["sizes"][key]
-        left, right = (round(100.0 * (end - low) / (high - low), 1) for end in own["hdi_90"])
-        value = plus_minus(factor * own["mean"], factor * own["sd"])
-        ends = interval(*(factor * end for end in own["hdi_90"]))
+        size = row["sizes"][key]
+        left, right = (round(100.0 * (end - low) / (high - low), 1) for end in size["hdi_90"])
+        value = plus_minus(factor * size["mean"], factor * size["sd"])
+        ends = interval(*(factor * end for end in size["hdi_90"]))
         cells.append(SliderRow(value, ends, left, round(right - left, 1)))
     for name in names:
         share = row["probabilities"].get(name, 0.0)
@@ -92,8 +92,6 @@ def _note(row: Record) -> str:
     k = row["pareto_k"]
     if row["trusted"]:
         return "as diagnosed" if k is None else f"Pareto k̂ {max(k, 0.0):.2f} at worst"
-    if k is not None and k > WORST_PARETO_K:
-        return (
-            f"The draws of this diagnosis cannot say: Pareto k̂ is {k:.2f}, above {WORST_PARETO_K}"
-        )
+    if k is not None and k > TRUSTED_K:
+        return f"The draws of this diagnosis cannot say: Pareto k̂ is {k:.2f}, above {TRUSTED_K}"
     return "The draws of this diagnosis cannot say: the cause has none that can be weighted"

@@ -41,7 +41,7 @@ def write_trend_report(
         name=name,
         sentences=sentences_of(fit, mission, trend),
         tables=tables_of(mission, trend),
-        pictures=[(_caption(own), svg_address(figure)) for own, figure in figures.items()],
+        pictures=[(_caption(item), svg_address(figure)) for item, figure in figures.items()],
         made=made,
     )
     write_text(page, html)
@@ -56,7 +56,7 @@ def _caption(name: str) -> str:
 def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[str]:
     """The result of a mission in a few sentences."""
     alarms = trend.health[trend.health["alarm"]]
-    found = [
+    result = [
         f"{len(fit.model.circumstances.events)} events. "
         + (
             "Alarm: "
@@ -73,35 +73,35 @@ def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[s
         )
     ]
     if mission.pressure is None:
-        found.append(
+        result.append(
             "No tank pressure is given: levels are as if the pressure had stayed, and the common "
             "drift holds what pressure did."
         )
     odds = proportional_odds(fit.model, trend.draws.z)
     if mission.pressure is not None and odds is not None:
-        found.append(
+        result.append(
             f"Thrust in proportion to pressure against an affine law: {odds:+.1f} nats"
             + (" (undecided)." if abs(odds) < DECISIVE else ".")
         )
     for branch, draws in trend.draws.branches.items():
         slope = draws.slope
-        found.append(
+        result.append(
             f"Mean slope of branch {branch}, losses not counted: "
             + f"{1e3 * slope.mean():+.0f} ± ".replace("-", "−")
             + f"{1e3 * slope.std():.0f} mN a year, below zero with probability "
             f"{(slope < 0).mean():.2f}."
         )
     if mission.propellant is not None and mission.propellant.computed:
-        found.append(
+        result.append(
             "The hydrazine used was computed from thrust: pressures of the blowdown law repeat an "
             "assumed thrust, and a common factor on that mass is inferred with the rest."
         )
-    found.append(
+    result.append(
         f"Importance draws about {describe(fit.model, fit.references)}: log evidence "
         f"{fit.log_evidence_total:.2f} ± {fit.log_evidence_se:.2f}, Pareto k̂ {fit.pareto_k:.2f}, "
         f"efficiency {fit.efficiency:.0%}" + ("." if fit.converged else ": NOT CONVERGED.")
     )
-    return found
+    return result
 
 
 def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:

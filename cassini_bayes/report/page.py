@@ -22,7 +22,7 @@ class Chapter:
     title: str
 
 
-SEEN: Final = Chapter("seen", "What these events can see")
+OBSERVABILITY: Final = Chapter("seen", "What these events can see")
 INERTIA: Final = Chapter("inertia", "Inertia")
 THRUSTS: Final = Chapter("thrusts", "Thrust of every thruster in every bias")
 NUMBERS: Final = Chapter("numbers", "Bias by bias")
@@ -52,7 +52,7 @@ class Bullets:
 
 
 @dataclass(frozen=True)
-class Shown:
+class TableBlock:
     """A table; with ``fold`` it is behind that line until asked for, unless it is ``open``."""
 
     kind: ClassVar[str] = "shown"
@@ -150,7 +150,7 @@ class Slider:
         }
 
 
-Block = Paragraph | Bullets | Shown | Drawing | Cards | Slider
+Block = Paragraph | Bullets | TableBlock | Drawing | Cards | Slider
 
 
 @dataclass(frozen=True)

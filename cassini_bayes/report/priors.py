@@ -21,9 +21,10 @@ from cassini_bayes.report.plots.tables import (
 )
 from cassini_bayes.report.verdict import IMPULSE, MOMENTS
 from cassini_bayes.results.review import Review
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK
 from cassini_bayes.sweep.variations import Group
-from cassini_bayes.sweep.weights import FEWEST_DRAWS, WORST_PARETO_K
+from cassini_bayes.sweep.weights import FEWEST_DRAWS
 from cassini_bayes.sweep.widths import WIDTHS, WidthEffect, width_effects
 
 LEAST_EFFECT: Final = 0.03  # posterior standard deviations: a prior that moves less is not offered
@@ -38,10 +39,10 @@ def prior_slider(review: Review) -> Iterator[Section]:
     if not (columns and len(review.z)):
         return
     values = np.stack([column.posterior for column in columns], axis=-1)
-    found = width_effects(
+    result = width_effects(
         review.priors, groups_of(review), parameter_draws(review), values, LEAST_EFFECT
     )
-    effects = sorted(found, key=lambda effect: -effect.size)
+    effects = sorted(result, key=lambda effect: -effect.size)
     if not effects:
         return
     yield Section(
@@ -115,7 +116,7 @@ def slider_of(review: Review, columns: Sequence[Column], effects: Sequence[Width
             SliderPrior(
                 name=effect.group.name,
                 notes=tuple(_note(review, effect, i) for i in range(len(WIDTHS))),
-                trusted=tuple(bool(own) for own in effect.trusted),
+                trusted=tuple(bool(line) for line in effect.trusted),
                 rows=tuple(
                     tuple(
                         _row(effect, i, j, axes[j]) if effect.trusted[i] else None
@@ -157,8 +158,8 @@ def _note(review: Review, effect: WidthEffect, i: int) -> str:
     k = float(effect.pareto_k[i])
     if not effect.trusted[i]:
         reason = (
-            f"Pareto k̂ is {k:.2f}, above {WORST_PARETO_K}"
-            if k > WORST_PARETO_K
+            f"Pareto k̂ is {k:.2f}, above {TRUSTED_K}"
+            if k > TRUSTED_K
             else f"they are worth {effect.effective[i]:.0f}, fewer than {FEWEST_DRAWS:.0f}"
         )
         return f"The draws of this fit cannot say: {reason}. cassini-bayes sweep fits it anew"

@@ -73,4 +73,4 @@ def pictures_of(sections: Sequence[Section], processes: int = 1) -> dict[str, Pi
 
 
 def _drawings(sections: Sequence[Section]) -> dict[str, Callable[[], Figure | None]]:
-    return {drawing.name: drawing.draw for own in sections for drawing in own.drawings}
+    return {drawing.name: drawing.draw for section in sections for drawing in section.drawings}

@@ -18,9 +18,9 @@ _DIGITS: Final = 4
 
 def with_interval(table: pd.DataFrame, interval: str) -> pd.DataFrame:
     """The table with the kind of its intervals among its attributes."""
-    found = table.copy()
-    found.attrs[INTERVAL_KEY] = interval
-    return found
+    result = table.copy()
+    result.attrs[INTERVAL_KEY] = interval
+    return result
 
 
 def value_with_unit(mean: float, sd: float, unit: str) -> str:

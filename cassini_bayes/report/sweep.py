@@ -121,8 +121,8 @@ def changes_table(sweep: pd.DataFrame) -> Table:
 def scaling_table(scaling: pd.DataFrame, names: Sequence[str]) -> Table:
     """Largest power-scaling sensitivity of every block, and what it is of; events left out."""
     rows = []
-    own = scaling[~scaling["component"].str.startswith(EVENT)]
-    for component, part in own.groupby("component", sort=False):
+    selected = scaling[~scaling["component"].str.startswith(EVENT)]
+    for component, part in selected.groupby("component", sort=False):
         worst = part.loc[part["sensitivity"].idxmax()]
         rows.append(
             (

@@ -17,20 +17,20 @@ from cassini_bayes.report.cells import (
     formatted,
     in_units,
     mean_sd,
-    own_digits,
     tabulate,
+    two_digits,
 )
 from cassini_bayes.report.page import (
     CHECKS,
     INERTIA,
     NUISANCES,
     NUMBERS,
-    SEEN,
+    OBSERVABILITY,
     Bullets,
     Drawing,
     Paragraph,
     Section,
-    Shown,
+    TableBlock,
 )
 from cassini_bayes.report.plots.inertia import inertia_figure, observability_figure
 from cassini_bayes.report.plots.quantities import (
@@ -53,7 +53,7 @@ def observability(review: Review) -> Iterator[Section]:
     if not review.model.telemetry:
         return
     yield Section(
-        SEEN,
+        OBSERVABILITY,
         (
             Paragraph(
                 "Worked out before sampling, at the prior means, from the same columns as the "
@@ -70,7 +70,7 @@ def observability(review: Review) -> Iterator[Section]:
                 partial(observability_figure, review),
                 fold="Expected before sampling and what came out, drawn",
             ),
-            Shown(observability_table(review), fold="Expected width of every quantity"),
+            TableBlock(observability_table(review), fold="Expected width of every quantity"),
         ),
         name="observability",
         frame=review.observability.table,
@@ -104,7 +104,7 @@ def inertia(review: Review) -> Iterator[Section]:
                     "inertia stay in both."
                 )
             ),
-            Shown(inertia_table(review)),
+            TableBlock(inertia_table(review)),
             Paragraph(review.physicality.sentence),
             Drawing(
                 "inertia",
@@ -124,7 +124,7 @@ def inertia_methods(review: Review) -> Iterator[Section]:
     if not review.inertia_methods.empty:
         yield Section(
             INERTIA,
-            (Shown(method_table(review)),),
+            (TableBlock(method_table(review)),),
             title="The methods it replaces",
             name="inertia_methods",
             frame=review.inertia_methods,
@@ -145,7 +145,7 @@ def thrust_methods(review: Review) -> Iterator[Section]:
         )
         yield Section(
             NUMBERS,
-            (text, *(Shown(table, fold=table.title) for table in tables)),
+            (text, *(TableBlock(table, fold=table.title) for table in tables)),
             title="The papers' estimates from the same telemetry",
         )
 
@@ -161,7 +161,7 @@ def torque_methods(review: Review) -> Iterator[Section]:
                     "the wheels (paper 000, App. A): wheel inertias times drift rates, beside the "
                     "posterior."
                 ),
-                Shown(torque_table(review)),
+                TableBlock(torque_table(review)),
             ),
             title="Torque of quiescent events",
             name="torque_methods",
@@ -183,7 +183,7 @@ def telemetry(review: Review) -> Iterator[Section]:
                 "white channel noise and the torque noise of the fit; 90 % of rows should lie "
                 "inside."
             ),
-            Shown(event_table(review)),
+            TableBlock(event_table(review)),
             *mends,
         ),
         title="Telemetry, row by row",
@@ -194,22 +194,22 @@ def telemetry(review: Review) -> Iterator[Section]:
 
 def series(review: Review) -> Iterator[Section]:
     """The balance of every telemetry event, row by row."""
-    for i, own in enumerate(review.series, start=1):
+    for i, series in enumerate(review.series, start=1):
         above = (
             "angular momentum gained since the first row (body and wheels) against what thrusters "
             "and torque delivered"
-            if own.quantity == "momentum gained"
+            if series.quantity == "momentum gained"
             else "the body's own angular momentum against what the conserved total leaves to it"
         )
         drawing = Drawing(
             f"series_{i}",
-            f"Measured and predicted angular momentum of {own.event} and their difference",
-            f"{own.event}, above: {above}. Below: the difference, on the noise that the model "
+            f"Measured and predicted angular momentum of {series.event} and their difference",
+            f"{series.event}, above: {above}. Below: the difference, on the noise that the model "
             "allows for.",
-            partial(series_figure, own),
-            fold=f"{own.event}, drawn" if i > 1 else "",
+            partial(series_figure, series),
+            fold=f"{series.event}, drawn" if i > 1 else "",
         )
-        yield Section(CHECKS, (drawing,), name=f"series_{i}", frame=own.table())
+        yield Section(CHECKS, (drawing,), name=f"series_{i}", frame=series.table())
 
 
 def _moment(table: pd.DataFrame, element: str) -> str:
@@ -268,9 +268,9 @@ def thrust_method_tables(review: Review) -> list[Table]:
     fired = [term.id for term in review.model.telemetry if term.event.fires]
     rows = review.baseline.assign(label=[_method(str(m)) for m in review.baseline["method"]])
     return [
-        replace(_wide(own, "thruster", "{} [N]", _thrust), title=event)
+        replace(_wide(selected, "thruster", "{} [N]", _thrust), title=event)
         for event in fired
-        if not (own := rows[rows["event"] == event]).empty
+        if not (selected := rows[rows["event"] == event]).empty
     ]
 
 
@@ -281,7 +281,7 @@ def _wide(rows: pd.DataFrame, item: str, head: str, cell: Callable[[pd.Series], 
     return Table(
         ("method", *(head.format(name) for name in items)),
         tuple(
-            (Cell(label), *(cells.get((label, own), Cell(MISSING, "muted")) for own in items))
+            (Cell(label), *(cells.get((label, entry), Cell(MISSING, "muted")) for entry in items))
             for label in labels
         ),
     )
@@ -347,12 +347,12 @@ def observability_table(review: Review) -> Table:
     table = review.observability.table
     widths = table[["unit", "prior_sd", "expected_sd"]].itertuples(index=False)
     return tabulate(
-        in_units(table, [display_scale(*own) for own in widths], "prior_sd", "expected_sd"),
+        in_units(table, [display_scale(*width) for width in widths], "prior_sd", "expected_sd"),
         {
             "quantity": lambda row: observed_name(row["quantity"]),
             "unit": "unit",
-            "prior sd": own_digits("prior_sd"),
-            "expected sd": own_digits("expected_sd"),
+            "prior sd": two_digits("prior_sd"),
+            "expected sd": two_digits("expected_sd"),
             "expected / prior": as_percent("ratio"),
             "verdict": verdict,
         },

@@ -30,7 +30,7 @@ from cassini_bayes.report.page import (
     Drawing,
     Paragraph,
     Section,
-    Shown,
+    TableBlock,
 )
 from cassini_bayes.report.plots.corners import joint_corner, thrust_corner
 from cassini_bayes.report.plots.quantities import (
@@ -110,7 +110,7 @@ def thrust_numbers(review: Review) -> Iterator[Section]:
                 f"prior means.{bars}"
             ),
             Cards(thrust_cards(review)),
-            Shown(
+            TableBlock(
                 thrust_matrix(review),
                 style="total dense",
                 fold="All thrusts in one table (mean ± sd in newton; last row the thruster's level "
@@ -295,8 +295,8 @@ def thrust_cards(review: Review) -> tuple[Card, ...]:
     cards = []
     for event in events_of(review):
         impulse = impulses[impulses["event"] == event]
-        own = thrusts[thrusts["event"] == event]
-        rows = own.assign(
+        selected = thrusts[thrusts["event"] == event]
+        rows = selected.assign(
             on_time=observed["on_time_s"].sel(event=event).values,
             pulses=observed["pulses"].sel(event=event).values,
         )
@@ -313,7 +313,9 @@ def thrust_cards(review: Review) -> tuple[Card, ...]:
             f"mean of all thrusters {bars}": beside(MEAN_OF_ALL, event),
         }
         shown = tabulate(rows, columns, title=event)
-        cards.append(Card(event, _card_line(own, impulse), shown, _worth_sentence(review, event)))
+        cards.append(
+            Card(event, _card_line(selected, impulse), shown, _worth_sentence(review, event))
+        )
     columns = {
         "thruster": "item",
         "level, mean ± sd [N]": mean_sd(),
@@ -345,9 +347,9 @@ def _card_line(thrusts: pd.DataFrame, impulses: pd.DataFrame) -> str:
 
 def _worth_sentence(review: Review, event: str) -> str:
     """What intervals of shared quantities would lose without the event."""
-    own = review.worth[review.worth["event"] == event]
-    levels = own[own["quantity"].str.startswith("thrust[")]
-    best = own.sort_values("narrowing", ascending=False).head(MOST_HELPED)
+    rows = review.worth[review.worth["event"] == event]
+    levels = rows[rows["quantity"].str.startswith("thrust[")]
+    best = rows.sort_values("narrowing", ascending=False).head(MOST_HELPED)
     best = best[best["narrowing"] >= LEAST_WORTH]
     if best.empty:
         return "Without it no interval of a shared quantity would be 0.1 % wider."

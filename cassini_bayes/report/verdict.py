@@ -49,15 +49,15 @@ def narrowed(sd: float, prior_sd: float) -> str:
 def _thrust(review: Review) -> list[str]:
     if not events_of(review):
         return []
-    own = review.summary[review.summary["quantity"] == "thrust_common_n"].iloc[0]
-    mean, sd, prior_sd = float(own["mean"]), float(own["sd"]), float(own["prior_sd"])
+    row = review.summary[review.summary["quantity"] == "thrust_common_n"].iloc[0]
+    mean, sd, prior_sd = float(row["mean"]), float(row["sd"]), float(row["prior_sd"])
     who = (
         f"level shared by {counted(len(thrusters_of(review)), 'thruster')} in "
         f"{counted(len(events_of(review)), *kinds_of_events(review))}"
     )
     if prior_sd == 0.0:
         return [f"Thrust {number(mean, float(level_row(review, 'sd').mean()))} N ({who}), fixed."]
-    before = plus_minus(float(own["prior_mean"]), prior_sd)
+    before = plus_minus(float(row["prior_mean"]), prior_sd)
     return [f"Thrust {plus_minus(mean, sd)} N ({who}), {narrowed(sd, prior_sd)}, {before} N."]
 
 

@@ -134,19 +134,19 @@ def _estimates(stack: TotalsStack, points: Points) -> dict[tuple[str, str], Arra
     )
     # the thrusters of a couple always fire together: one unknown for the couple (000 eq. 21)
     columns = (arms[:, None] * stack.on_time_s[:, None, :]) @ stack.couples.T
-    found: dict[tuple[str, str], Array] = {}
+    result: dict[tuple[str, str], Array] = {}
     for e, event in enumerate(stack.event_ids):
         factor = correction_factor(stack.on_time_s[e], stack.pulses[e], batch)
         each = _least_squares(columns[:, e], change[:, e]) @ stack.couples
-        found[PER_EVENT, event] = np.where(stack.on_time_s[e] > 0, each, np.nan) / factor
+        result[PER_EVENT, event] = np.where(stack.on_time_s[e] > 0, each, np.nan) / factor
         mean = _least_squares(columns[:, e].sum(-1, keepdims=True), change[:, e])
         weighted = (stack.on_time_s[e] * factor).sum(-1, keepdims=True) / stack.on_time_s[e].sum()
-        found[MEAN, event] = np.broadcast_to(mean / weighted, each.shape)
+        result[MEAN, event] = np.broadcast_to(mean / weighted, each.shape)
     n = len(columns)
     pooled = _least_squares(columns.reshape(n, -1, columns.shape[-1]), change.reshape(n, -1))
     factor = correction_factor(stack.on_time_s.sum(0), stack.pulses.sum(0), batch)
-    found[POOLED, ""] = (pooled @ stack.couples) / factor
-    return found
+    result[POOLED, ""] = (pooled @ stack.couples) / factor
+    return result
 
 
 def _least_squares(columns: Array, target: Array) -> Array:

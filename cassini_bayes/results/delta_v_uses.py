@@ -14,10 +14,9 @@ from cassini_bayes.model.draws import draw
 from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.results.fitting import WORST_PARETO_K
 from cassini_bayes.results.record import Fit
 from cassini_bayes.results.tables import hdi
-from cassini_bayes.sampling.warmstart import warm_start
+from cassini_bayes.sampling.warmstart import TRUSTED_K, warm_start
 
 USES: Final[Mapping[DeltaVUse, str]] = {
     "ignore": "ΔV left out",
@@ -51,7 +50,7 @@ def thrusts_by_delta_v_use(
             z = warm.draws.resample(rng, len(warm.draws.z))
             thrusts = draw(other, z, rng).thrusts.thrust_n
             k = warm.draws.pareto_k
-            note = "" if k < WORST_PARETO_K else f" (importance draws, k̂ = {k:.2f}: not reliable)"
+            note = "" if k < TRUSTED_K else f" (importance draws, k̂ = {k:.2f}: not reliable)"
             tables.append(_table(label + note, model, thrusts[:, : len(term.event_ids)]))
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 

@@ -72,16 +72,16 @@ def draws_as_inference_data(variables: Mapping[str, xr.DataArray], group: str) -
 
 def _finite(dataset: xr.Dataset) -> xr.Dataset:
     """Quantities of some events only, with those events alone, on a dimension of their own."""
-    found = {}
+    result = {}
     for name, variable in dataset.data_vars.items():
-        own = variable
+        converted = variable
         if "event" in variable.dims and variable.dtype.kind == "f":
             has = variable.dropna("event", how="all")
             if has.sizes["event"] < variable.sizes["event"]:
-                own = has.rename({"event": f"{name}_event"})
-        if own.size:
-            found[str(name)] = own
-    return xr.Dataset(found, attrs=dataset.attrs)
+                converted = has.rename({"event": f"{name}_event"})
+        if converted.size:
+            result[str(name)] = converted
+    return xr.Dataset(result, attrs=dataset.attrs)
 
 
 def _same_draws(dataset: xr.Dataset) -> xr.Dataset:
@@ -93,17 +93,17 @@ def _same_draws(dataset: xr.Dataset) -> xr.Dataset:
         count = dataset.sizes.get("draw", 0)
         return dataset.isel(draw=_evenly(count, min(count, MOST_REPLICATES))) if count else dataset
     count = dataset.sizes[REPLICATE]
-    found = {}
+    result = {}
     for name, variable in dataset.data_vars.items():
         if REPLICATE in variable.dims:
-            own = variable.rename({REPLICATE: "draw"}).drop_vars("draw", errors="ignore")
+            converted = variable.rename({REPLICATE: "draw"}).drop_vars("draw", errors="ignore")
         else:
             flat = variable.stack(all=("chain", "draw")).reset_index("all", drop=True)
-            own = flat.isel(all=_evenly(flat.sizes["all"], count)).rename({"all": "draw"})
-        own = own.expand_dims(chain=1).assign_coords(chain=[0], draw=np.arange(count))
-        rest = [dim for dim in own.dims if dim not in ("chain", "draw")]
-        found[str(name)] = own.transpose("chain", "draw", *rest)
-    return xr.Dataset(found)
+            converted = flat.isel(all=_evenly(flat.sizes["all"], count)).rename({"all": "draw"})
+        converted = converted.expand_dims(chain=1).assign_coords(chain=[0], draw=np.arange(count))
+        rest = [dim for dim in converted.dims if dim not in ("chain", "draw")]
+        result[str(name)] = converted.transpose("chain", "draw", *rest)
+    return xr.Dataset(result)
 
 
 def _evenly(size: int, count: int) -> Places:

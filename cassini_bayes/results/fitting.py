@@ -29,6 +29,7 @@ from cassini_bayes.sampling.ensembles import (
     stored_ess,
 )
 from cassini_bayes.sampling.warmstart import (
+    TRUSTED_K,
     ImportanceDraws,
     LogDensity,
     Proposal,
@@ -37,12 +38,11 @@ from cassini_bayes.sampling.warmstart import (
 )
 
 _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one seed
-SERIOUS_EXPANSION_ERROR: Final = 0.1
+SERIOUS_EXPANSION_ERROR: Final = 0.1  # nats: changes weights of draws by a tenth
 WALKED: Final = "walked"
 """Dimension of the statistics of walked parameters."""
 ALL_MET: Final = "all criteria met"
-WORST_PARETO_K: Final = 0.7
-FALLBACK_INDEPENDENCE: Final = 0.2
+FALLBACK_INDEPENDENCE: Final = 0.2  # of the moves, where the proposal is poor (judgement)
 
 
 @dataclass(frozen=True)
@@ -72,28 +72,28 @@ class Sampled:
 
 def fit_warnings(fit: Fit) -> list[str]:
     """Sentences about anything that makes the draws or the evidence of a fit doubtful."""
-    found, kept = [], fit.attributes
+    result, kept = [], fit.attributes
     if kept["stop_rule"] != ALL_MET:
-        found.append(
+        result.append(
             f"Sampling stopped at its limit before the stop rule held: {kept['stop_rule']}"
         )
     pareto_k = float(kept.get("pareto_k", 0.0))
-    if pareto_k > WORST_PARETO_K:
-        found.append(
+    if pareto_k > TRUSTED_K:
+        result.append(
             "The importance draws behind the evidence are not reliable (Pareto k̂ = "
-            f"{pareto_k:.2f} > {WORST_PARETO_K}); differential evolution did most of the "
+            f"{pareto_k:.2f} > {TRUSTED_K}); differential evolution did most of the "
             "sampling instead of the independence move."
         )
     stats = fit.groups["sample_stats"]
     if "jacobian_expansion_error" not in stats:
-        return found
+        return result
     error = stats["jacobian_expansion_error"].values.std()
     if error > SERIOUS_EXPANSION_ERROR:
-        found.append(
+        result.append(
             f"The expansion of the response Jacobian is off by {error:.2f} nats (standard "
             f"deviation over the posterior; {SERIOUS_EXPANSION_ERROR} is tolerable)."
         )
-    return found
+    return result
 
 
 def fit_model(
@@ -210,10 +210,10 @@ def _sampled(
         f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
     )
     moves = settings
-    if warm.draws.pareto_k > WORST_PARETO_K and settings.independence_share > FALLBACK_INDEPENDENCE:
+    if warm.draws.pareto_k > TRUSTED_K and settings.independence_share > FALLBACK_INDEPENDENCE:
         moves = replace(settings, independence_share=FALLBACK_INDEPENDENCE)
         log(
-            f"the proposal is poor (Pareto k̂ > {WORST_PARETO_K}): falling back on differential "
+            f"the proposal is poor (Pareto k̂ > {TRUSTED_K}): falling back on differential "
             f"evolution, {1 - FALLBACK_INDEPENDENCE:.0%} of the moves; slower, the same posterior"
         )
 
@@ -345,6 +345,6 @@ def _derived_ess(drawn: _DrawnBack, walkers: int, processes: int) -> float:
 
 def watched(draws: Draws) -> Array:
     """Draws (n, q) that the stop rule watches beside the walked ones: all but cut tails."""
-    own = [values for part in draws.own for name, values in part.items() if name != TAILS]
-    parts = (draws.thrusts.thrust_n, draws.thrusts.level_n, *own)
+    integrated = [values for part in draws.own for name, values in part.items() if name != TAILS]
+    parts = (draws.thrusts.thrust_n, draws.thrusts.level_n, *integrated)
     return np.concatenate([values.reshape(draws.size, -1) for values in parts], axis=1)

@@ -55,7 +55,7 @@ def build_fit(
         "log_likelihood": {density_name(model): (("event",), density, "1", DENSITY_MEANING)},
         "log_prior": _log_prior(model, flat, draws),
     }
-    groups |= {name: dataset_of(own, coordinates, shape) for name, own in added.items()}
+    groups |= {name: dataset_of(variable, coordinates, shape) for name, variable in added.items()}
     groups["sample_stats"] = xr.merge(
         [dataset_of({"lp": lp}, coordinates, shape), groups["sample_stats"]], join="exact"
     )
@@ -63,8 +63,8 @@ def build_fit(
         for name, channels in channel_replicates(model, flat, draws, n, coordinates, rng).items():
             groups[name] = xr.merge([groups[name], channels], join="exact")
     branch = ("event", [model.branch] * len(model.event_ids))
-    of_events = {name: own for name, own in groups.items() if "event" in own.dims}
-    groups |= {name: own.assign_coords(branch=branch) for name, own in of_events.items()}
+    of_events = {name: group for name, group in groups.items() if "event" in group.dims}
+    groups |= {name: group.assign_coords(branch=branch) for name, group in of_events.items()}
     return Fit(groups, dict(attributes))
 
 
@@ -88,8 +88,11 @@ def drawn_groups(
         "prior_predictive": _predictive(model, terms_before, rng),
     }
     return {
-        **{name: dataset_of(own, coordinates, shape) for name, own in variables.items()},
-        **{name: dataset_of(own, coordinates, before) for name, own in variables_before.items()},
+        **{name: dataset_of(variable, coordinates, shape) for name, variable in variables.items()},
+        **{
+            name: dataset_of(variable, coordinates, before)
+            for name, variable in variables_before.items()
+        },
         "observed_data": _dataset(model, [term.observed() for term in model.terms]),
         "constant_data": _constants(model),
     }
@@ -116,18 +119,18 @@ def merged(model: Model, parts: Sequence[Mapping[str, Variable]]) -> dict[str, V
     """Quantities of all terms, each at its own events among all of them, NaN elsewhere."""
     coordinates = coordinates_of(model)
     used = [i for i, w in enumerate(model.spacecraft.wheels) if w.number in model.wheels]
-    found: dict[str, Variable] = {}
+    result: dict[str, Variable] = {}
     for events, part in zip(model.events_of_term, parts, strict=True):
         for name, (dims, given, unit, meaning) in part.items():
             values = given[..., used] if dims[-1:] == ("wheel",) else given
             if dims[:1] == ("event",):
                 lead = values.shape[: values.ndim - len(dims)]
                 full = np.full((*lead, *(len(coordinates[dim]) for dim in dims)), np.nan)
-                full = found[name][1] if name in found else full
+                full = result[name][1] if name in result else full
                 full[(*(slice(None) for _ in lead), events)] = values
                 values = full
-            found.setdefault(name, (dims, values, unit, meaning))
-    return found
+            result.setdefault(name, (dims, values, unit, meaning))
+    return result
 
 
 def _drawn_terms(model: Model, draws: Draws) -> list[DrawnTerm]:
@@ -135,8 +138,8 @@ def _drawn_terms(model: Model, draws: Draws) -> list[DrawnTerm]:
     points = model.points_at(draws.parameters, draws.size)
     thrust_n = draws.thrusts.thrust_n
     return [
-        (term.at(points), thrust_n[:, fired], own)
-        for term, fired, own in zip(model.terms, model.fired_of_term, draws.own, strict=True)
+        (term.at(points), thrust_n[:, fired], integrated)
+        for term, fired, integrated in zip(model.terms, model.fired_of_term, draws.own, strict=True)
     ]
 
 
@@ -152,10 +155,10 @@ def _posterior(model: Model, draws: Draws, terms: Sequence[DrawnTerm]) -> dict[s
         columns = [np.broadcast_to(draws.parameters[name], (draws.size,)) for name in wheels]
         stacked = np.stack(columns, axis=-1)
         variables["rwa_inertia_kg_m2"] = (("wheel",), stacked, "kg m2", "spin inertia of a wheel")
-    variables |= merged(model, [term.variables(own) for term, _, own in terms])
+    variables |= merged(model, [term.variables(item) for term, _, item in terms])
     integrated = {
-        name: own[name]
-        for term, own in zip(model.terms, draws.own, strict=True)
+        name: item[name]
+        for term, item in zip(model.terms, draws.own, strict=True)
         for name in term.integrated
     }
     walked = {name: np.asarray(draws.parameters[name]) for name in model.space.names}
@@ -203,7 +206,9 @@ def _thrust_variables(
 def _predictive(
     model: Model, terms: Sequence[DrawnTerm], rng: np.random.Generator
 ) -> dict[str, Variable]:
-    return merged(model, [term.replicates(thrust_n, own, rng) for term, thrust_n, own in terms])
+    return merged(
+        model, [term.replicates(thrust_n, integrated, rng) for term, thrust_n, integrated in terms]
+    )
 
 
 def _log_prior(model: Model, z: Array, draws: Draws) -> dict[str, Variable]:
@@ -212,7 +217,10 @@ def _log_prior(model: Model, z: Array, draws: Draws) -> dict[str, Variable]:
     thrust = thrust_log_prior(model.thrust_prior, draws.parameters, draws.thrusts)
     added = [{"thrust": thrust}] if model.fires else []
     added.append({"torque": torque.sum((-2, -1))})
-    added += [dict(term.log_prior(own)) for term, own in zip(model.terms, draws.own, strict=True)]
+    added += [
+        dict(term.log_prior(integrated))
+        for term, integrated in zip(model.terms, draws.own, strict=True)
+    ]
     blocks = dict(model.space.log_prior_by_block(z))
     for part in added:
         for block, values in part.items():

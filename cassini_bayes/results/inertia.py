@@ -54,7 +54,7 @@ def tensors_of(fit: Fit) -> tuple[Array, Array, Array]:
         for name, variable in fit.groups["constant_data"].data_vars.items()
         if variable.ndim == 0
     }
-    found = []
+    result = []
     for dataset, pattern in (
         (fit.posterior, WITH_WHEELS),
         (fit.posterior, WITHOUT_WHEELS),
@@ -62,5 +62,5 @@ def tensors_of(fit: Fit) -> tuple[Array, Array, Array]:
     ):
         names = [str(name) for name in dataset.data_vars if str(name).startswith("inertia_")]
         draws = {name: dataset[name].values.reshape(-1) for name in names}
-        found.append(inertia_draws(draws, constants, pattern))
-    return found[0], found[1], found[2]
+        result.append(inertia_draws(draws, constants, pattern))
+    return result[0], result[1], result[2]

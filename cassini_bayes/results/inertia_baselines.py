@@ -66,8 +66,8 @@ def axis_by_axis(rate: Array, exchanged: Array) -> Array:
     size = np.abs(rate)
     for axis in range(3):
         others = np.delete(size, axis, axis=1).max(1)
-        own = size[:, axis]
-        pure = (others < PURE * own) & (own > TURNING * own.max())
+        along = size[:, axis]
+        pure = (others < PURE * along) & (along > TURNING * along.max())
         if pure.sum() > 1:
             turning = rate[pure, axis]
             tensor[:, :, axis] = np.einsum("t,nti->ni", turning, exchanged[:, pure]) / (

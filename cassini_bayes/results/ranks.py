@@ -58,8 +58,8 @@ def envelope_p_values(ranks: Array) -> Array:
     """
     n = len(ranks)
     null = np.sort(_least_tail(np.random.default_rng(_NULL_SEED).uniform(size=(n, NULL_DRAWS)), n))
-    found = _least_tail(ranks, n)
-    return np.asarray((np.searchsorted(null, found, side="right") + 1.0) / (NULL_DRAWS + 1.0))
+    result = _least_tail(ranks, n)
+    return np.asarray((np.searchsorted(null, result, side="right") + 1.0) / (NULL_DRAWS + 1.0))
 
 
 def _least_tail(ranks: Array, n: int) -> Array:

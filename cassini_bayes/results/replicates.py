@@ -21,7 +21,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.record import Coordinates, labelled
-from cassini_bayes.results.time_series import BalanceRows, balances, shown_places
+from cassini_bayes.results.time_series import BalanceRows, balances, thinned_draws
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 REPLICATED_ROWS: Final = 500  # with the draws shown 1.2 MB per event of three wheels
@@ -93,9 +93,9 @@ def channel_replicates(
     -------
     Additions to the groups ``posterior_predictive`` and ``observed_data``; none without telemetry.
     """
-    shown = shown_places(len(z))
+    shown = thinned_draws(len(z))
     rows = balances(model, z[shown], draws.at(shown), REPLICATED_ROWS)
-    events = [replicated(own, rng) for own in rows]
+    events = [replicated(row, rng) for row in rows]
     if not events:
         return {}
     return channel_datasets(events, coordinates, model.wheels, np.divmod(shown, chain_length))

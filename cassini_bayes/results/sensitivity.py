@@ -10,10 +10,10 @@ import pandas as pd
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.posterior import Model, conditional_thrusts
 
-DERIVATIVE_STEP = 0.05
-CONFLICT_Z = 2.576
-LEAST_CONTRACTION = 0.05
-MOVED = 0.5
+DERIVATIVE_STEP = 0.05  # prior standard deviations, either side
+CONFLICT_Z = 2.576  # standard normal: 1 % lies beyond, both sides together
+LEAST_CONTRACTION = 0.05  # of the prior width: less, and the data say nothing (judgement)
+MOVED = 0.5  # prior standard deviations that a mean moves without being narrowed (judgement)
 
 
 def error_budget(model: Model, z: Array) -> pd.DataFrame:

@@ -186,8 +186,8 @@ def balance_table(model: Model, fit: Fit, z: Array, series: Sequence[EventSeries
         noise = np.sqrt(np.diagonal(covariance[..., :3, :3], axis1=-2, axis2=-1).mean(0))
         parts.append(_balance(term.event_ids, draws.mean(0), draws.std(0, ddof=1), noise))
     parts += [
-        _balance([own.event], -own.residual[-1:], own.residual_sd[-1:], own.noise_sd[-1:])
-        for own in series
+        _balance([one.event], -one.residual[-1:], one.residual_sd[-1:], one.noise_sd[-1:])
+        for one in series
     ]
     return pd.concat(parts, ignore_index=True)
 
@@ -241,7 +241,7 @@ def event_table(events: Sequence[ReducedEvent], series: Sequence[EventSeries]) -
             "rows_read": [event.reading.rows for event in events],
             "rows_used": [event.statistics.rows for event in events],
             **{
-                f"inside_90_{axis}": [float(own.inside[i]) for own in series]
+                f"inside_90_{axis}": [float(one.inside[i]) for one in series]
                 for i, axis in enumerate("xyz")
             },
         }
@@ -264,17 +264,17 @@ def thrust_conflicts(summary: pd.DataFrame) -> pd.DataFrame:
     The common thrust; where it agrees with its prior, every thruster's level.
     """
     for quantity in ("thrust_common_n", "thrust_level_n"):
-        own = summary[(summary["quantity"] == quantity) & (summary["prior_sd"] > 0)]
-        moved = ((own["mean"] - own["prior_mean"]) / own["prior_sd"]).to_numpy()
-        width = (own["sd"] / own["prior_sd"]).to_numpy()
-        judged = conflicts(list(own["name"]), moved, width)
-        own = own.reset_index(drop=True).assign(
+        rows = summary[(summary["quantity"] == quantity) & (summary["prior_sd"] > 0)]
+        moved = ((rows["mean"] - rows["prior_mean"]) / rows["prior_sd"]).to_numpy()
+        width = (rows["sd"] / rows["prior_sd"]).to_numpy()
+        judged = conflicts(list(rows["name"]), moved, width)
+        rows = rows.reset_index(drop=True).assign(
             surprise=judged["surprise"], verdict=judged["verdict"]
         )
-        found = own[own["verdict"] == "conflict"]
-        if len(found):
+        result = rows[rows["verdict"] == "conflict"]
+        if len(result):
             break
-    return found
+    return result
 
 
 def worst_convergence(summary: pd.DataFrame) -> tuple[float, float, float]:

@@ -199,10 +199,10 @@ def individual_and_paired(columns: Array, gained: Array, couples: Sequence[Seque
         members[g, list(couple)] = 1.0
     grouped = columns @ members.T
     fired = np.any(grouped != 0.0, axis=(0, 1, 2))
-    found = np.full((len(columns), len(couples)), np.nan)
-    found[:, fired] = _solve(grouped[..., fired], gained)
+    result = np.full((len(columns), len(couples)), np.nan)
+    result[:, fired] = _solve(grouped[..., fired], gained)
     place = members.argmax(0)
-    return np.asarray(found[:, place])
+    return np.asarray(result[:, place])
 
 
 def mean_thrust(columns: Array, gained: Array, thrusters: Sequence[int] | range) -> Array:
@@ -210,14 +210,14 @@ def mean_thrust(columns: Array, gained: Array, thrusters: Sequence[int] | range)
 
     The rows of axes about which these thrusters have no torque say nothing and have no weight.
     """
-    found = np.full((len(columns), columns.shape[-1]), np.nan)
+    result = np.full((len(columns), columns.shape[-1]), np.nan)
     if len(thrusters) == 0:
-        return found
+        return result
     summed = columns[..., list(thrusters)].sum(-1, keepdims=True)
     acts = np.any(np.abs(summed[0, ..., 0]) > 1e-9, axis=0)
     if acts.any():
-        found[:, list(thrusters)] = _solve(summed[:, :, acts], gained[:, :, acts])
-    return found
+        result[:, list(thrusters)] = _solve(summed[:, :, acts], gained[:, :, acts])
+    return result
 
 
 def _solve(columns: Array, target: Array) -> Array:
@@ -240,16 +240,16 @@ def ratio(sampling: Sampling, data: PlainRows, parameters: Mapping[str, Array]) 
     """
     on_time, pulses = np.diff(data.on_time_s, axis=0), np.diff(data.pulses, axis=0)
     total = data.on_time_s[-1]
-    found = np.ones((len(parameters["tau_fall_s"]), len(total)))
-    for i in range(len(found)):
+    result = np.ones((len(parameters["tau_fall_s"]), len(total)))
+    for i in range(len(result)):
         reference = tuple(float(parameters[f"tau_{p}_s"][i]) for p in ("delay", "rise", "fall"))
         shape = PULSE_SHAPES["published_2005"]
         own = Sampling(
             shape, (reference[0], reference[1], reference[2]), 0.0, sampling.couples, 1.0
         )
         effective = effective_increments(on_time, pulses, own)[..., 0].sum(0)
-        found[i] = np.where(total > 0, effective / np.where(total > 0, total, 1.0), 1.0)
-    return found
+        result[i] = np.where(total > 0, effective / np.where(total > 0, total, 1.0), 1.0)
+    return result
 
 
 def _thrust_rows(
@@ -272,8 +272,8 @@ def _thrust_rows(
                 shared = (factor[:, members] * weight).sum(-1) / max(float(weight.sum()), 1e-9)
                 factor = np.broadcast_to(shared[:, None], factor.shape)
                 seconds = np.full(len(names), weight.sum())
-            found = estimate_rows(method + suffix, event, names, values / factor, seconds, on_time)
-            rows += _finite(found, values)
+            result = estimate_rows(method + suffix, event, names, values / factor, seconds, on_time)
+            rows += _finite(result, values)
     return rows
 
 

@@ -135,11 +135,11 @@ class EventSeries:
 
 def event_series(model: Model, z: Array, rng: np.random.Generator) -> tuple[EventSeries, ...]:
     """Series of every telemetry event from posterior points z (n, d), of which some are used."""
-    chosen = z[shown_places(len(z))]
-    return tuple(_series(own) for own in balances(model, chosen, draw(model, chosen, rng)))
+    chosen = z[thinned_draws(len(z))]
+    return tuple(_series(rows) for rows in balances(model, chosen, draw(model, chosen, rng)))
 
 
-def shown_places(n: int) -> Places:
+def thinned_draws(n: int) -> Places:
     """Places of the posterior draws that are shown: at most ``DRAWS`` of n, evenly spaced."""
     return np.linspace(0, n - 1, min(DRAWS, n)).round().astype(np.int64)
 
@@ -153,8 +153,8 @@ def balances(
     """
     points, first = model.points(z), len(model.totals)
     places = slice(first, first + len(model.telemetry))
-    thrust, own = model.fired_of_term[places], draws.own[places]
-    for term, fired, drawn in zip(model.telemetry, thrust, own, strict=True):
+    thrust, integrated = model.fired_of_term[places], draws.own[places]
+    for term, fired, drawn in zip(model.telemetry, thrust, integrated, strict=True):
         balance, physics = term.balance, term.physics(points)
         rows, every = _rows(term, most_rows)
         weights = balance_weights(balance, physics, model.thrust_prior.common_mean_n)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize
@@ -20,15 +21,18 @@ from cassini_bayes.errors import CassiniBayesError
 
 LogDensity = Callable[[Array], Array]
 
-GRADIENT_STEP = 1e-4
-HESSIAN_STEP = 2e-2
-LEAST_CURVATURE = 0.25
-WHITENED_STEP = 0.25  # standard deviations
-WHITENED_GRADIENT_STEP = 0.01
-WHITENED_LOOKS = 4
-WHITENED_LEAST_CURVATURE = 1e-2  # a look may widen a direction tenfold
-SETTLED = 0.1
-ROUGH, FINE = 2e-9, 1e-13
+TRUSTED_K: Final = 0.7
+"""Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
+# Steps in prior standard deviations, then in the posterior's once its axes are known.
+GRADIENT_STEP: Final = 1e-4
+HESSIAN_STEP: Final = 2e-2
+LEAST_CURVATURE: Final = 0.25  # of a direction: none is taken for more than twice its prior's width
+WHITENED_STEP: Final = 0.25  # standard deviations
+WHITENED_GRADIENT_STEP: Final = 0.01
+WHITENED_PASSES: Final = 4  # at most: mode and curvature in turn, until they settle
+WHITENED_LEAST_CURVATURE: Final = 1e-2  # a pass may widen a direction tenfold
+SETTLED: Final = 0.1  # of a curvature: widths are then good to a twentieth
+ROUGH, FINE = 2e-9, 1e-13  # L-BFGS, relative to the log density: before and with whitened axes
 
 
 @dataclass(frozen=True)
@@ -127,8 +131,8 @@ def find_mode(
     if not np.isfinite(log_density(start[None])).all():
         raise CassiniBayesError("the posterior is not finite at the centre of the prior")
     options = {"maxiter": 500, "ftol": tolerance}
-    found = minimize(objective, np.zeros(d), jac=True, method="L-BFGS-B", options=options)
-    return np.asarray(start + turned @ found.x, dtype=np.float64)
+    result = minimize(objective, np.zeros(d), jac=True, method="L-BFGS-B", options=options)
+    return np.asarray(start + turned @ result.x, dtype=np.float64)
 
 
 def hessian(
@@ -165,7 +169,7 @@ def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
     mode = start
     _, curvature = hessian(log_density, mode)
     factor = _covariance_factor(-curvature, LEAST_CURVATURE)
-    for _ in range(WHITENED_LOOKS):
+    for _ in range(WHITENED_PASSES):
         mode = find_mode(log_density, mode, factor, WHITENED_GRADIENT_STEP, FINE)
         _, curvature = hessian(log_density, mode, factor, WHITENED_STEP)
         factor = no_wider_than_prior(

@@ -21,9 +21,8 @@ from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.published import a_branch_thrusts
+from cassini_bayes.published import a_branch_thrusts, published_constants
 
-LX_M, LY_M = 1.234, 1.580
 COMMON_N, COMMON_SD_N = 0.75, 0.05  # paper 000, before the recharge and after alike within 2 sigma
 ERROR: Final = 0.02  # of one figure: the two columns differ by 2.3 to 6.3 %
 SHIFT_SD_M: Final[Mapping[str, float]] = {"x": 0.013, "y": 0.0057}  # 10 % (paper 003)
@@ -63,6 +62,11 @@ class Table:
     def sees_torque(self) -> Array:
         """1 for a study figure, 0 for one of navigation."""
         return np.array([1.0] * (6 * self.uses_study) + [0.0] * len(self.navigation_n))
+
+
+def lever_arm_m(axis: str) -> float:
+    """Corner of the thruster pods along an axis of the body, as paper 000 prints it."""
+    return published_constants().value("paper_000_geometry", f"thruster_l{axis}_m")
 
 
 def table_1() -> Table:
@@ -130,7 +134,7 @@ def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1
     Deficits and a doubted shift are taken at midpoints of their priors' quantiles; a shift that is
     not doubted is narrow and enters the covariance to first order.
     """
-    own = hypothesis.scatter if hypothesis.scatter is not None else scatter
+    spread = hypothesis.scatter if hypothesis.scatter is not None else scatter
     quantiles = (np.arange(NODES) + 0.5) / NODES
     spaces = [halfnorm.ppf(quantiles, scale=DEFICIT_SCALE * width) for _ in hypothesis.weak]
     if hypothesis.doubted:
@@ -143,7 +147,7 @@ def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1
     if hypothesis.doubted:
         shift[:, "xy".index(hypothesis.doubted)] = grid[:, -1]
     log_density, mean, var, common, common_var = _gaussian(
-        table, deficit, shift, own, hypothesis.doubted
+        table, deficit, shift, spread, hypothesis.doubted
     )
     weights = np.exp(log_density - logsumexp(log_density))
     return Weighed(
@@ -169,8 +173,8 @@ def _gaussian(
     """
     groups, torque = table.groups, table.sees_torque
     n, factor, columns, widths = len(deficit), np.ones((len(deficit), len(groups))), [], []
-    for i, (axis, arm) in enumerate((("x", LX_M), ("y", LY_M))):
-        side = np.array([_SIDES[axis][g] for g in groups]) * torque / arm
+    for i, axis in enumerate("xy"):
+        side = np.array([_SIDES[axis][g] for g in groups]) * torque / lever_arm_m(axis)
         factor = factor * (1.0 - side * shift[:, [i]])
         if axis != doubted:
             columns.append(-side * COMMON_N * (1.0 - deficit[:, groups]))
@@ -224,23 +228,23 @@ def losses(
     rng = np.random.default_rng(1)
     place = rng.choice(len(one.weights), size=100_000, p=one.weights)
     common = one.common_n[place] + np.sqrt(one.common_var[place]) * rng.standard_normal(len(place))
-    found = {}
+    result = {}
     for group in weak:
         spread = np.sqrt(one.thrust_var[place, group])
         thrust = one.thrust_n[place, group] + spread * rng.standard_normal(len(place))
         start = common * (1.0 + scatter * rng.standard_normal(len(place)))
         from_common, since = 1.0 - thrust / common, 1.0 - thrust / start
-        found[GROUPS[group]] = (
+        result[GROUPS[group]] = (
             (float(from_common.mean()), float(from_common.std())),
             (float(since.mean()), float(since.std())),
         )
-    return found
+    return result
 
 
 def shift_from_ratio(table: Table) -> tuple[float, float]:
     """Shift of the centre of mass along Y by study over navigation alone, mean and sd, m."""
     ratio = table.study_n[:4] / table.navigation_n
-    sides = np.array(_SIDES["y"][:4]) / LY_M
+    sides = np.array(_SIDES["y"][:4]) / lever_arm_m("y")
     sd = ratio * np.hypot(ERROR, ERROR)
     weight = (sides / sd) ** 2
     shift = (sides * (1.0 - ratio) / sd**2).sum() / weight.sum()

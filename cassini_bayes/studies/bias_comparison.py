@@ -77,7 +77,7 @@ def simulate_biases(
             plan = make_plan(scenario, file.spacecraft, event, truth)
             done = simulate_plan(plan, scenario, seed)
             rows[event.id].append(table_rows(plan, done.motion))
-    return Comparison(tuple(tables), {event: np.array(found) for event, found in rows.items()})
+    return Comparison(tuple(tables), {event: np.array(result) for event, result in rows.items()})
 
 
 def printed_rows(table: WheelBiasTable, column: str) -> Array:

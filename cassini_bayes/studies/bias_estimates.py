@@ -25,22 +25,23 @@ def bias_estimates(model: MissionModel, events: Sequence[TotalsEvent]) -> Mappin
     centre = {**model.space.centre(), INTERCEPT: 0.0}
     tank = model.circumstances.tank
     relative = tank.pressures_kpa(np.ones(1))[0] / tank.reference_kpa
-    found = {
-        own.branch: np.full((len(own.events), len(own.thrusters)), np.nan) for own in model.branches
+    result = {
+        branch.branch: np.full((len(branch.events), len(branch.thrusters)), np.nan)
+        for branch in model.branches
     }
     for part in model.parts:
-        own = next(b for b in model.branches if b.branch == part.branch)
+        of_branch = next(b for b in model.branches if b.branch == part.branch)
         values = part.parameters_at(centre, np.ones(1), 0.0)
         points = part.model.points_at(
             {name: np.atleast_1d(value) for name, value in values.items()}, 1
         )
         system = part.model.totals_rows.at(points).system
         for i, place in enumerate(part.places):
-            event = int(own.events[place])
-            expected = own.common_n * relative[event]
+            event = int(of_branch.events[place])
+            expected = of_branch.common_n * relative[event]
             seen = np.flatnonzero(events[event].on_time_s > LEAST_ON_TIME_S)
             design = system.design[0, i]
             misfit = system.target[0, i] - expected * design.sum(-1)
             change = np.linalg.lstsq(design[:, seen], misfit, rcond=1e-6)[0]
-            found[part.branch][place, seen] = (expected + change) / relative[event]
-    return found
+            result[part.branch][place, seen] = (expected + change) / relative[event]
+    return result

@@ -117,21 +117,23 @@ def judged(found: Mapping[str, NDArray[Any]]) -> tuple[pd.DataFrame, pd.DataFram
     everything = np.ones(len(ranks), dtype=bool)
     strata = [("all", "all", everything)] + [
         (name, level, levels[:, c] == i)
-        for c, (name, own) in enumerate(LEVELS.items())
-        for i, level in enumerate(own)
+        for c, (name, item) in enumerate(LEVELS.items())
+        for i, level in enumerate(item)
     ]
     for name, level, chosen in strata:
         for p, scalar in enumerate(SCALARS):
-            own = ranks[chosen, p]
-            own = own[np.isfinite(own)]
-            if len(own) < LEAST:
+            ranks_of = ranks[chosen, p]
+            ranks_of = ranks_of[np.isfinite(ranks_of)]
+            if len(ranks_of) < LEAST:
                 continue
-            coverage = np.array([((own > tail) & (own < 1.0 - tail)).mean()])
+            coverage = np.array([((ranks_of > tail) & (ranks_of < 1.0 - tail)).mean()])
             p_values = (
-                float(kstest(own, "uniform").pvalue),
-                float(coverage_p_values(coverage, len(own), PROBABILITY)[0]),
+                float(kstest(ranks_of, "uniform").pvalue),
+                float(coverage_p_values(coverage, len(ranks_of), PROBABILITY)[0]),
             )
-            rows.append([name, level, scalar, len(own), own.mean(), coverage[0], *p_values])
+            rows.append(
+                [name, level, scalar, len(ranks_of), ranks_of.mean(), coverage[0], *p_values]
+            )
         known = ranks[chosen]
         inside = (known > tail) & (known < 1.0 - tail)
         share = inside.sum() / max(int(np.isfinite(known).sum()), 1)
@@ -151,10 +153,10 @@ def calibrate_conditions(
 ) -> bool:
     """Run the repetitions and write page and tables; whether no stratum is rejected."""
     trials = ConditionTrials(scenario, priors, study.seed)
-    found = study.repeat("conditions", "conditions", trials, numbers["conditions"])
-    summary, table = judged(found)
+    result = study.repeat("conditions", "conditions", trials, numbers["conditions"])
+    summary, table = judged(result)
     rejected = table[table["p_holm"] <= LEVEL]
-    body = _body(summary, table, rejected, len(found["ranks"]))
+    body = _body(summary, table, rejected, len(result["ranks"]))
     study.publish("Calibration over conditions", body, MODULE, {"": table, "-strata": summary}, {})
     return bool(rejected.empty)
 

@@ -50,11 +50,11 @@ class Flight(Simulation):
         from cassini_bayes.report.plots import draw
         from cassini_bayes.report.plots.simulation import motion_figure
 
-        return draw({own.plan.event.id: partial(motion_figure, own) for own in self.events})
+        return draw({event.plan.event.id: partial(motion_figure, event) for event in self.events})
 
     def __repr__(self) -> str:
         effects = ", ".join(effect.name for effect in self.file.scenario.effect) or "no effect"
-        names = names_shown([own.plan.event.id for own in self.events])
+        names = names_shown([event.plan.event.id for event in self.events])
         return f"Simulation of {names}: seed {self.seed}, {effects} hidden"
 
     def _repr_html_(self) -> str:
@@ -92,9 +92,9 @@ def simulate(
     InputError
         Anything wrong with the scenario, or a folder that holds something already.
     """
-    own = simulated_sides([Path(path) for path in effect_files])
+    sides = simulated_sides([Path(path) for path in effect_files])
     if folder is None:
-        flown = simulate_file(read_scenario(scenario, own), seed, log)
+        flown = simulate_file(read_scenario(scenario, sides), seed, log)
     else:
-        flown = simulate_scenario(scenario, folder, seed, log, force, own)
+        flown = simulate_scenario(scenario, folder, seed, log, force, sides)
     return Flight(flown.file, flown.seed, flown.events)

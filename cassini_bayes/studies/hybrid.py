@@ -203,8 +203,13 @@ By the formulas the spin has a period of {period:.0f} s and peaks of {peak:.0f} 
 def body(scenario: Path, flown: Sequence[Mapping[str, Array]]) -> str:
     """Text of the page, of the flights as printed and with products of inertia."""
     rows = (
-        (own.event, own.label, own.published, *(_cell(f[f"{own.event}.{own.key}"]) for f in flown))
-        for own in FIGURES
+        (
+            figure.event,
+            figure.label,
+            figure.published,
+            *(_cell(f[f"{figure.event}.{figure.key}"]) for f in flown),
+        )
+        for figure in FIGURES
     )
     table = markdown_table(("event", "figure", "published", "ours", "with products"), rows)
     printed = published_constants()

@@ -47,21 +47,21 @@ class EstimatorError:
 
 def moment_ratios() -> tuple[Array, tuple[str, ...]]:
     """Logarithm of estimated over predicted moments (4 dates, 3 axes), and the dates."""
-    found: dict[str, dict[str, dict[str, float]]] = {}
+    result: dict[str, dict[str, dict[str, float]]] = {}
     for tensor in inertia_tensors():
         if tensor.paper == "000":
             for axis in AXES:
-                own = found.setdefault(tensor.date.isoformat(), {}).setdefault(axis, {})
+                own = result.setdefault(tensor.date.isoformat(), {}).setdefault(axis, {})
                 own[tensor.kind] = tensor.elements[axis].value
     for cell in inertia_comparisons():
         if cell.element in AXES:
-            found.setdefault(cell.slew_day.isoformat(), {})[cell.element] = {
+            result.setdefault(cell.slew_day.isoformat(), {})[cell.element] = {
                 "predicted": cell.predicted_kg_m2.value,
                 "estimated": cell.estimated_kg_m2.value,
             }
-    dates = tuple(sorted(found))
+    dates = tuple(sorted(result))
     ratios = [
-        [np.log(found[d][axis]["estimated"] / found[d][axis]["predicted"]) for axis in AXES]
+        [np.log(result[d][axis]["estimated"] / result[d][axis]["predicted"]) for axis in AXES]
         for d in dates
     ]
     return np.array(ratios), dates
@@ -82,11 +82,11 @@ def estimator_error(ratios: Array) -> EstimatorError:
 
     log_density, wheel = [], []
     for sd in SDS:
-        own = covariance(sd)
-        solved = np.linalg.solve(own, y)
-        log_density.append(-0.5 * (y @ solved + np.linalg.slogdet(2 * np.pi * own)[1]))
+        matrix = covariance(sd)
+        solved = np.linalg.solve(matrix, y)
+        log_density.append(-0.5 * (y @ solved + np.linalg.slogdet(2 * np.pi * matrix)[1]))
         ones = np.ones(len(y))
-        gain = WHEEL_SD**2 * np.linalg.solve(own, ones)
+        gain = WHEEL_SD**2 * np.linalg.solve(matrix, ones)
         wheel.append((gain @ y, WHEEL_SD**2 * (1.0 - gain @ ones)))
     weights = np.exp(np.array(log_density) - logsumexp(log_density))
     mean, variance = np.array(wheel).T

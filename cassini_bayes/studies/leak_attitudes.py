@@ -42,7 +42,7 @@ def momentum_noise(priors: Priors) -> MomentumNoise:
     return MomentumNoise(float(inertia * rate), means["torque_noise_n_m_s05"])
 
 
-def told_apart_sigma(
+def separation_sigma(
     torque_n_m: float, turn_rad: float, before_s: float, after_s: float, noise: MomentumNoise
 ) -> float:
     """By how many σ a leak differs from the likest torque fixed in inertial axes.
@@ -73,7 +73,7 @@ def _hinge(before_s: float, after_s: float, noise: MomentumNoise) -> float:
 
 def least_leak_n(turn_rad: float, stay_s: float, noise: MomentumNoise) -> float:
     """The leak that stays of this length at either attitude tell from a torque, clearly."""
-    return CLEAR_SIGMA / told_apart_sigma(LEVER_M, turn_rad, stay_s, stay_s, noise)
+    return CLEAR_SIGMA / separation_sigma(LEVER_M, turn_rad, stay_s, stay_s, noise)
 
 
 def after_turns(noise: MomentumNoise) -> pd.DataFrame:
@@ -84,7 +84,7 @@ def after_turns(noise: MomentumNoise) -> pd.DataFrame:
             for turn in TURNS_DEG
             for after in np.arange(20.0, 2.0 * STAY_S + 1.0, 20.0)
             for sigma in [
-                told_apart_sigma(LEVER_M * LEAK_N, np.radians(turn), STAY_S, after, noise)
+                separation_sigma(LEVER_M * LEAK_N, np.radians(turn), STAY_S, after, noise)
             ]
         ]
     )
@@ -108,8 +108,8 @@ def least_leaks(noise: MomentumNoise) -> pd.DataFrame:
 def clear_after_s(table: pd.DataFrame) -> dict[float, float]:
     """Per turn the first time of :func:`after_turns` at which the two are apart; NaN if never."""
     return {
-        float(turn): float(own.loc[own["sigma"] >= CLEAR_SIGMA, "after_s"].min())
-        for turn, own in table.groupby("turn_deg")
+        float(turn): float(rows.loc[rows["sigma"] >= CLEAR_SIGMA, "after_s"].min())
+        for turn, rows in table.groupby("turn_deg")
     }
 
 

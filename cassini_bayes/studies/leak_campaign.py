@@ -96,16 +96,16 @@ def judged(flown: Sequence[Trial]) -> pd.DataFrame:
             track = _track(trial, monitor)
             row = alarm_row(track.statistic, threshold, monitor.persistence)
             delay = np.nan if row is None else float(trial.time_s[row]) - trial.start_s
-            found = row is not None and delay >= 0.0
+            result = row is not None and delay >= 0.0
             rows.append(
                 {
                     "monitor": monitor.label,
                     "threshold": threshold,
                     "false_alarms": float(np.mean(false)) if false else np.nan,
                     "leak_n": trial.leak_n,
-                    "found": found,
-                    "delay_s": delay if found else np.nan,
-                    "named": found and int(track.thruster[row or 0]) == trial.thruster,
+                    "found": result,
+                    "delay_s": delay if result else np.nan,
+                    "named": result and int(track.thruster[row or 0]) == trial.thruster,
                 }
             )
     table = pd.DataFrame(rows)
@@ -118,13 +118,13 @@ def by_size(table: pd.DataFrame) -> pd.DataFrame:
     """Per monitor and bin of sizes: leaks, share found, median delay, share of found ones named."""
     bins = pd.cut(table["leak_n"], BINS_N, include_lowest=True)
     groups = table.groupby(["monitor", bins], observed=True)
-    found = groups["found"].mean()
+    result = groups["found"].mean()
     return pd.DataFrame(
         {
             "leaks": groups.size(),
-            "found": found,
+            "found": result,
             "delay_s": groups["delay_s"].median(),
-            "named": groups["named"].mean() / found.where(found > 0.0),
+            "named": groups["named"].mean() / result.where(result > 0.0),
         }
     ).reset_index()
 
@@ -202,12 +202,12 @@ KNOWN: Final = {
 def body(table: pd.DataFrame, quiet: int, priors: Path, name: str, calibrated: bool) -> str:
     """Text of the page ``name`` of a judged campaign; ``quiet`` events had no leak."""
     overall, sizes = [], []
-    for label, own in table.groupby("monitor", observed=True):
-        found = own["found"].mean()
-        named = own["named"].sum() / max(own["found"].sum(), 1)
-        first = own.iloc[0]
+    for label, rows in table.groupby("monitor", observed=True):
+        result = rows["found"].mean()
+        named = rows["named"].sum() / max(rows["found"].sum(), 1)
+        first = rows.iloc[0]
         overall.append(
-            f"| {label} | {first['threshold']:.3g} | {first['false_alarms']:.1%} | {found:.1%}"
+            f"| {label} | {first['threshold']:.3g} | {first['false_alarms']:.1%} | {result:.1%}"
             f" | {named:.1%} |"
         )
     patient = [monitor.label for monitor in MONITORS if monitor.persistence == max(PERSISTENCE)]

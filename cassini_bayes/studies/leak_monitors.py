@@ -153,11 +153,11 @@ def residual_of(
         return physics_of(craft, priors.branch, arrays)
 
     def momentum(values: Mapping[str, float], thrust_n: Array) -> Array:
-        own = physics(values)
-        body = still.rate_rad_s @ own.inertia_kg_m2.T
-        body = body + still.wheel_rad_s @ own.wheel_weights[:, places].T
-        seconds = columns @ pulse_weights(sampling, own)
-        total = np.einsum("nac,nc->na", back, body) - seconds @ (own.arms_m * thrust_n).T
+        body_physics = physics(values)
+        body = still.rate_rad_s @ body_physics.inertia_kg_m2.T
+        body = body + still.wheel_rad_s @ body_physics.wheel_weights[:, places].T
+        seconds = columns @ pulse_weights(sampling, body_physics)
+        total = np.einsum("nac,nc->na", back, body) - seconds @ (body_physics.arms_m * thrust_n).T
         return np.asarray(total - total[0])
 
     level = np.full(len(thrusters), means["thrust_common_n"])
@@ -168,7 +168,7 @@ def residual_of(
         moved = momentum({**means, name: means[name] + _STEP * sd}, level)
         slopes.append((moved - at_means) / _STEP)
     common = priors.parameters["thrust_common_n"].sd
-    own = np.sqrt(
+    body_physics = np.sqrt(
         sum(
             priors.parameters[f"thrust_{which}_n"].sd ** 2
             for which in ("individual", "event", "jitter")
@@ -176,7 +176,7 @@ def residual_of(
     )
     for k in range(len(thrusters)):
         moved = momentum(means, level + np.eye(len(thrusters))[k])
-        slopes.append(own * (moved - at_means))
+        slopes.append(body_physics * (moved - at_means))
     slopes.append(common * (momentum(means, level + 1.0) - at_means))
     time = samples.time_s[rows] - samples.time_s[rows[0]]
     torques = [priors.parameters[f"external_torque_{axis}_n_m"] for axis in "xyz"]
@@ -260,13 +260,13 @@ class Odds:
     @cached_property
     def log_bayes_factor(self) -> Array:
         """By row and thruster (N, K), sizes and starts averaged over their priors."""
-        own = self.residual
-        n = len(own.time_s)
-        lower = np.linalg.cholesky(own.covariance)
-        left = np.linalg.solve(lower, own.momentum_n_m_s.ravel())
-        starts = np.arange(0.0, own.time_s[-1], STARTS_EVERY_S)
-        running = np.maximum(own.time_s[:, None] - starts, 0.0)  # (N, S)
-        columns = np.einsum("ns,ck->ncsk", running, own.arms_m).reshape(3 * n, -1)
+        residual = self.residual
+        n = len(residual.time_s)
+        lower = np.linalg.cholesky(residual.covariance)
+        left = np.linalg.solve(lower, residual.momentum_n_m_s.ravel())
+        starts = np.arange(0.0, residual.time_s[-1], STARTS_EVERY_S)
+        running = np.maximum(residual.time_s[:, None] - starts, 0.0)  # (N, S)
+        columns = np.einsum("ns,ck->ncsk", running, residual.arms_m).reshape(3 * n, -1)
         white = np.linalg.solve(lower, columns)
         along = np.cumsum(white * left[:, None], axis=0)[2::3]
         square = np.cumsum(white**2, axis=0)[2::3]
@@ -314,5 +314,5 @@ def _signs(vector: Array) -> Array:
 def alarm_row(statistic: Array, threshold: float, persistence: int) -> int | None:
     """The row at which a statistic has been above the threshold for so many rows in a row."""
     above = np.convolve(statistic > threshold, np.ones(persistence), mode="full")[: len(statistic)]
-    found = np.flatnonzero(above >= persistence)
-    return int(found[0]) if len(found) else None
+    result = np.flatnonzero(above >= persistence)
+    return int(result[0]) if len(result) else None

@@ -74,25 +74,25 @@ def fly_trial(
     priors: Priors, document: Mapping[str, Any], leaks: bool, rng: np.random.Generator
 ) -> Trial:
     """Draw wheel rates, parameters and perhaps a leak, fly the bias, follow all monitors."""
-    own = copy.deepcopy(dict(document))
-    own["event"] = [event for event in own["event"] if event["id"] == EVENT]
-    draw_wheel_rates(own["event"], rng)
-    own["torque_noise"] = True
-    own["truth"] = {"mass_kg": 2380.0, **{n: priors.parameters[n].mean for n in NOISE}}
+    content = copy.deepcopy(dict(document))
+    content["event"] = [event for event in content["event"] if event["id"] == EVENT]
+    draw_wheel_rates(content["event"], rng)
+    content["torque_noise"] = True
+    content["truth"] = {"mass_kg": 2380.0, **{n: priors.parameters[n].mean for n in NOISE}}
     names = priors.spacecraft.thruster_names(priors.branch)
     size = float(np.exp(rng.uniform(np.log(SIZES_N[0]), np.log(SIZES_N[-1]))))
     thruster, share = int(rng.integers(len(names))), float(rng.uniform(0.0, 0.8))
     if not leaks:
         size, thruster = 0.0, -1
     seed = int(rng.integers(2**62))
-    file = scenario_of(own)
+    file = scenario_of(content)
     truth = draw_truth(file, seed, priors)
     plan = make_plan(file.scenario, file.spacecraft, file.scenario.event[0], truth)
     start = share * float(plan.event.duration_s or 0.0)
     if thruster >= 0:
         values = {"leak_n": size, "start_s": start}
-        own["effect"] = [{"name": f"thruster_leak:{names[thruster]}", "parameters": values}]
-        file = scenario_of(own)
+        content["effect"] = [{"name": f"thruster_leak:{names[thruster]}", "parameters": values}]
+        file = scenario_of(content)
     event = simulate_file(file, seed, truth=truth).events[0]
     samples, thrusters = simulated_samples(event)
     residual = residual_of(samples, thrusters, event.plan.wheel_numbers, priors)

@@ -32,7 +32,7 @@ from cassini_bayes.results.mission.fitting import Losses, fit_mission, loss_prio
 from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.studies.bias_estimates import bias_estimates
-from cassini_bayes.studies.mission_looks import looks
+from cassini_bayes.studies.mission_looks import analyses
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 MODULE: Final = "studies.mission_flights"
@@ -59,7 +59,7 @@ FIXED: Final = (
 """Nuisances held at their means: they shift all of a thruster's estimates alike."""
 ROOM_S: Final = 10.0
 MOST_FAILING: Final = 2
-FIRST_LOOK, EVERY = 6, 2
+FIRST_ANALYSIS, EVERY = 6, 2
 DRAWS, PROPOSALS = 400, 800
 
 
@@ -107,8 +107,8 @@ def study_priors(path: str) -> Priors:
     for name in FIXED:
         priors = priors.with_fixed(name, priors.parameters[name].mean)
     branches = {
-        branch: {name: prior for name, prior in own.items() if name not in FIXED}
-        for branch, own in priors.of_branches.items()
+        branch: {name: prior for name, prior in table.items() if name not in FIXED}
+        for branch, table in priors.of_branches.items()
     }
     return replace(priors, of_branches=branches)
 
@@ -243,20 +243,20 @@ def judge_flight(
             chances[names.index(losses.branch), last] = losses.failing(8)
 
     whole = len(flown.events)
-    counts = range(FIRST_LOOK + (whole - FIRST_LOOK) % EVERY, whole, EVERY)
+    counts = range(FIRST_ANALYSIS + (whole - FIRST_ANALYSIS) % EVERY, whole, EVERY)
     first = _model(flown.events[: counts[0]], flown.table, priors)
     fit = partial(fit_mission, draws=DRAWS, proposals=PROPOSALS)
     begun = fit(first, prior, rng)
     note(counts[0], begun.losses)
     untrusted, earlier = 0, begun.draws
-    for look in looks(flown.model, prior, earlier, counts[1:], DRAWS, rng):
+    for look in analyses(flown.model, prior, earlier, counts[1:], DRAWS, rng):
         note(look.events, look.losses)
         untrusted, earlier = untrusted + (not look.trusted), look.draws
     fits = fit(flown.model, prior, rng, earlier=earlier)
     note(whole, fits.losses)
     drawn = draw_branches(fits, rng).branches
     estimates = bias_estimates(flown.model, flown.events)
-    found: dict[str, NDArray[Any]] = {
+    result: dict[str, NDArray[Any]] = {
         "converged": np.array(fits.converged),
         "untrusted": np.array(untrusted),
         "looks": np.array(len(counts) - 1),
@@ -273,53 +273,55 @@ def judge_flight(
     }
     truth, _ = flown.model.at(flown.z)
     for at, losses in zip(truth, fits.losses, strict=True):
-        own = at.thrusts
-        place, count = names.index(own.branch), len(own.events)
-        found["events"][place] = count
-        found["estimates"][place, :count] = estimates[own.branch]
-        fired = np.array([flown.events[i].on_time_s for i in own.events]) > LEAST_ON_TIME_S
-        found["fired"][place, :count] = fired
-        for loss, share in zip(flown.losses[own.branch], flown.shares[own.branch], strict=True):
+        thrusts = at.thrusts
+        place, count = names.index(thrusts.branch), len(thrusts.events)
+        result["events"][place] = count
+        result["estimates"][place, :count] = estimates[thrusts.branch]
+        fired = np.array([flown.events[i].on_time_s for i in thrusts.events]) > LEAST_ON_TIME_S
+        result["fired"][place, :count] = fired
+        for loss, share in zip(
+            flown.losses[thrusts.branch], flown.shares[thrusts.branch], strict=True
+        ):
             k = loss.thruster
             onset = losses.onsets(k, count)
-            found["failed"][place, k], found["share"][place, k] = loss.onset, share
+            result["failed"][place, k], result["share"][place, k] = loss.onset, share
             if onset.any():
-                found["onset"][place, k] = int(np.argmax(onset))
+                result["onset"][place, k] = int(np.argmax(onset))
                 likely = rng.choice(count, size=200, p=onset).astype(float)
-                found["onset_rank"][place, k] = rank(likely, float(loss.onset), rng)
+                result["onset_rank"][place, k] = rank(likely, float(loss.onset), rng)
         for k, likeliest in _oracle_onsets(at, flown).items():
-            found["oracle"][place, k] = likeliest
-        of_branch = drawn[own.branch]
-        true = replace(of_branch, shared=flown.shared[own.branch][None]).slope
-        found["slope_rank"][place] = rank(of_branch.slope, float(true[0]), rng)
+            result["oracle"][place, k] = likeliest
+        of_branch = drawn[thrusts.branch]
+        true = replace(of_branch, shared=flown.shared[thrusts.branch][None]).slope
+        result["slope_rank"][place] = rank(of_branch.slope, float(true[0]), rng)
     values = flown.model.space.to_parameters(flown.z)
     walked = fits.model.space.to_parameters(fits.z)
     ranked = [n for n in fits.model.space.names if np.ndim(values[n])]
-    found["names"] = np.array(ranked)
-    found["ranks"] = np.array(
+    result["names"] = np.array(ranked)
+    result["ranks"] = np.array(
         [rank(np.asarray(walked[n]), float(np.asarray(values[n])[0]), rng) for n in ranked]
     )
-    return found
+    return result
 
 
 def _oracle_onsets(branch: BranchAt, flown: Flown) -> dict[int, int]:
     """Likeliest onset of every failing thruster for one who knows everything else exactly."""
-    own = branch.thrusts
-    shared = flown.shared[own.branch]
+    thrusts = branch.thrusts
+    shared = flown.shared[thrusts.branch]
     scale = branch.scale[0]
-    level = own.common_n + own.rows(own.years) @ shared
-    found = {}
-    losses, shares = flown.losses[own.branch], flown.shares[own.branch]
+    level = thrusts.common_n + thrusts.rows(thrusts.years) @ shared
+    result = {}
+    losses, shares = flown.losses[thrusts.branch], flown.shares[thrusts.branch]
     for i, loss in enumerate(losses):
         known = level.copy()
         for j, other in enumerate(losses):
             if j != i:
-                known[other.onset :, other.thruster] -= own.common_n * shares[j]
-        mean = scale[:, None] * known - own.reference_n[:, None]
-        left = branch.information.about(mean[None]).without_own(own.own)
-        lost = -own.common_n * scale * shares[i]
+                known[other.onset :, other.thruster] -= thrusts.common_n * shares[j]
+        mean = scale[:, None] * known - thrusts.reference_n[:, None]
+        left = branch.information.about(mean[None]).without_own(thrusts.own)
+        lost = -thrusts.common_n * scale * shares[i]
         k = loss.thruster
         gain = lost * left.vector[0, :, k] - 0.5 * lost**2 * left.matrix[0, :, k, k]
         total = np.flip(np.cumsum(np.flip(gain)))
-        found[k] = 1 + int(np.argmax(total[1:]))
-    return found
+        result[k] = 1 + int(np.argmax(total[1:]))
+    return result

@@ -20,7 +20,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.mission.losses import LossPrior, log_bayes
 from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.results.mission.fitting import (
-    LOOKS,
+    PASSES,
     EarlierDraws,
     Losses,
     References,
@@ -60,7 +60,7 @@ class Pool:
         """The pool with the points of one more proposal."""
         new = Pool.begun(self.model, proposal, rng)
         proposals, z = (*self.proposals, proposal), np.concatenate([self.z, new.z])
-        log_each = np.stack([own.log_density(z) for own in proposals])
+        log_each = np.stack([item.log_density(z) for item in proposals])
         branches = tuple(
             BranchAt.joined(both) for both in zip(self.branches, new.branches, strict=True)
         )
@@ -85,11 +85,11 @@ class Pool:
 
         Totals rows without a velocity change: what does not depend on thrusts is left out.
         """
-        found = self.log_prior
+        result = self.log_prior
         for branch in branches:
             losses = references[branch.thrusts.branch]
-            found = found + branch.levels.log_likelihood + log_bayes(branch, losses, prior.scale)
-        return np.asarray(found)
+            result = result + branch.levels.log_likelihood + log_bayes(branch, losses, prior.scale)
+        return np.asarray(result)
 
 
 def _worked_up(model: MissionModel, z: Array) -> tuple[BranchAt, ...]:
@@ -99,7 +99,7 @@ def _worked_up(model: MissionModel, z: Array) -> tuple[BranchAt, ...]:
 
 
 @dataclass(frozen=True)
-class Look:
+class Analysis:
     """What is believed of losses once a mission has so many events."""
 
     events: int
@@ -108,14 +108,14 @@ class Look:
     draws: EarlierDraws  # what a fit of further events goes on from
 
 
-def looks(
+def analyses(
     model: MissionModel,
     prior: LossPrior,
     begun: EarlierDraws,
     counts: range,
     draws: int,
     rng: np.random.Generator,
-) -> Iterator[Look]:
+) -> Iterator[Analysis]:
     """Looks at a mission after its first ``counts`` events, in their order.
 
     Parameters
@@ -131,30 +131,30 @@ def looks(
     z, _ = embedded(begun, model, rng)
     pool = Pool.begun(model, moments(weighted(z, np.zeros(len(z)))), rng)
     for count in counts:
-        for look in range(LOOKS):
-            pool, found, log_density = _weighed(pool, count, references, prior, rng)
+        for look in range(PASSES):
+            pool, result, log_density = _weighed(pool, count, references, prior, rng)
             branches = pool.first(count)
-            places = found.places(rng, WEIGHED)
+            places = result.places(rng, WEIGHED)
             chosen, back = distinct(places)
             lot = tuple(branch.take(places[chosen]) for branch in branches)
             losses = weighed_at([lot], prior, references, back)
             best = {one.branch: one.best for one in losses}
             settled = all(set(best[b]) == set(references[b]) for b in best)
-            if settled or look == LOOKS - 1:
+            if settled or look == PASSES - 1:
                 break
             references = references | best
-        places = found.places(rng, draws)
-        yield Look(
+        places = result.places(rng, draws)
+        yield Analysis(
             count,
             losses,
-            trusted(found),
+            trusted(result),
             EarlierDraws(
                 model.space.names,
                 pool.z[places],
                 log_density[places],
                 references,
-                found.log_evidence,
-                found.log_evidence_se,
+                result.log_evidence,
+                result.log_evidence_se,
             ),
         )
 
@@ -172,8 +172,8 @@ def _weighed(
     """
     for attempt in range(_TRIES):
         log_density = pool.log_density(pool.first(events), references, prior)
-        found = weighted(pool.z, log_density - pool.log_mixture)
-        if trusted(found) or attempt == _TRIES - 1:
+        result = weighted(pool.z, log_density - pool.log_mixture)
+        if trusted(result) or attempt == _TRIES - 1:
             break
-        pool = pool.grown(refined(pool.proposals[-1], found), rng)
-    return pool, found, log_density
+        pool = pool.grown(refined(pool.proposals[-1], result), rng)
+    return pool, result, log_density

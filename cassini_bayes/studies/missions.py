@@ -53,19 +53,19 @@ class MissionFindings:
 
 def ratio_of_ends(estimates: Array) -> Array:
     """Loss by the ratio of the last four estimates to the first four, (E, K), from E on."""
-    found = np.zeros_like(estimates)
+    result = np.zeros_like(estimates)
     for k in range(estimates.shape[1]):
         seen = np.flatnonzero(np.isfinite(estimates[:, k]))
         values = estimates[seen, k]
         for i in range(AVERAGED + 1, len(seen) + 1):
             last = values[max(AVERAGED, i - AVERAGED) : i].mean()
-            found[seen[i - 1] :, k] = 1.0 - last / values[:AVERAGED].mean()
-    return found
+            result[seen[i - 1] :, k] = 1.0 - last / values[:AVERAGED].mean()
+    return result
 
 
 def cusum(estimates: Array) -> Array:
     """One-sided CUSUM (E, K) of estimates below the mean of the first four."""
-    found = np.zeros_like(estimates)
+    result = np.zeros_like(estimates)
     for k in range(estimates.shape[1]):
         seen = np.flatnonzero(np.isfinite(estimates[:, k]))
         if len(seen) <= AVERAGED:
@@ -74,8 +74,8 @@ def cusum(estimates: Array) -> Array:
         for place in seen[AVERAGED:]:
             lower = (start - estimates[place, k]) / (SCATTER * start)
             total = max(0.0, total + lower - SLACK)
-            found[place:, k] = total
-    return found
+            result[place:, k] = total
+    return result
 
 
 RULES: Final[Mapping[str, Callable[[Array, Array], Array]]] = {
@@ -223,11 +223,11 @@ weigh one pool of points, which grows with the mission and has the same posterio
 
 | what | figure | goal |
 | --- | --- | --- |
-| thruster with a loss of 10 % or more has an alarm | {_told(findings.named)} | 95 % |
-| the same where {ENOUGH} biases or more have fired it since | {_told(findings.in_time)} | |
-| onset of the named within one bias that fired it | {_told(findings.near)} | 90 % of the oracle's |
-| the same for one who knows all but the onset | {_told(findings.oracle_near)} | |
-| missions with a false alarm at any look | {_told(findings.false_alarms)} | at most 5 % |
+| thruster with a loss of 10 % or more has an alarm | {_text(findings.named)} | 95 % |
+| the same where {ENOUGH} biases or more have fired it since | {_text(findings.in_time)} | |
+| onset of the named within one bias that fired it | {_text(findings.near)} | 90 % of the oracle's |
+| the same for one who knows all but the onset | {_text(findings.oracle_near)} | |
+| missions with a false alarm at any look | {_text(findings.false_alarms)} | at most 5 % |
 
 An alarm is a probability of loss above {ALARM}. It is false if the thruster does not fail, or has
 not failed yet. The next table compares rules at equal false alarms, one mission in twenty, for
@@ -255,7 +255,7 @@ def _verdict(findings: MissionFindings) -> str:
     return f"All goals are {'reached' if passes(findings) else '**not** reached'} by the figures."
 
 
-def _told(counts: tuple[int, int]) -> str:
+def _text(counts: tuple[int, int]) -> str:
     """A rate with its central 95 % interval (Clopper-Pearson)."""
     hits, cases = counts
     if not cases:

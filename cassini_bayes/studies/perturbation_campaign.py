@@ -40,16 +40,16 @@ def compare_error_bars(study: Study, events: str, priors: str, numbers: Mapping[
     ``numbers`` are sets by reading, as in :data:`FULL`. Returns whether the posterior's intervals
     hold what they claim.
     """
-    found: dict[Reading, Mapping[str, Array]] = {}
+    result: dict[Reading, Mapping[str, Array]] = {}
     for reading in READINGS:
         campaign = CoverageCampaign(events, priors, study.seed, reading)
         name = reading.replace(" ", "-")
         arrays = study.repeat(name, f"sizes as {reading}", campaign, numbers[reading])
-        found[reading] = {k: np.asarray(v, dtype=np.float64) for k, v in arrays.items()}
-    table = coverage_table(found)
+        result[reading] = {k: np.asarray(v, dtype=np.float64) for k, v in arrays.items()}
+    table = coverage_table(result)
     study.publish(
         "What hand-picked perturbation bars are worth",
-        _body(study.page.stem, table, found),
+        _body(study.page.stem, table, result),
         MODULE,
         {"": table},
         {"": coverage_length_figure(table, WORST)},
@@ -135,8 +135,10 @@ def _in_short(table: pd.DataFrame) -> str:
     """How many of the stated probabilities each method meets, in which direction it errs, at what
     length; the answer of least norm is not held against the bars.
     """
-    own = table[table["claim"].notna()]
-    fair = own[(own["estimand"] != THRUSTER_EVENT) | ~own["method"].isin((RSS, SQUARES, BOTH))]
+    selected = table[table["claim"].notna()]
+    fair = selected[
+        (selected["estimand"] != THRUSTER_EVENT) | ~selected["method"].isin((RSS, SQUARES, BOTH))
+    ]
     parts = []
     for method in (RSS, SQUARES, BOTH, LAPLACE, POSTERIOR):
         rows = fair[fair["method"] == method]

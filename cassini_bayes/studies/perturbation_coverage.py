@@ -36,7 +36,7 @@ from cassini_bayes.results.baselines import (
     perturbation_bars,
 )
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
-from cassini_bayes.sampling.warmstart import laplace, warm_start
+from cassini_bayes.sampling.warmstart import TRUSTED_K, laplace, warm_start
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 Reading = Literal["one sigma", "maximum"]
@@ -57,7 +57,6 @@ METHODS: Final = (RSS, WORST, SQUARES, BOTH, LAPLACE, POSTERIOR)
 CLAIMS: Final = (0.68, 0.9)
 
 DRAWS: Final = 2_000
-TRUSTED_K: Final = 0.7
 SETS_PER_FILE: Final = 5
 MODULE: Final = "studies.perturbation_coverage"
 """Whose code, with all that it imports, a set runs through."""
@@ -151,10 +150,10 @@ def estimated(
 ) -> dict[str, Array]:
     """Every estimate of a set of events with true thrusts (E, K); see :func:`covered_set`."""
     model = build_model(events, priors)
-    found = _squares(model)
+    result = _squares(model)
     truth = estimands(model, thrust_n[None])
     for name in ESTIMANDS:
-        found[f"{name}.truth"] = truth[name][0]
+        result[f"{name}.truth"] = truth[name][0]
     draws, k, by_chain = _bayesian_draws(model, rng)
     for method, thrusts in draws.items():
         for name, values in estimands(model, thrusts).items():
@@ -165,8 +164,8 @@ def estimated(
                 else:
                     tail = 0.5 * (1.0 - claim)
                     ends = np.quantile(values, [tail, 1.0 - tail], axis=0).T
-                found[f"{name}.{method}.{claim}"] = ends
-    return {**found, "pareto_k": np.array(k), "by_chain": np.array(float(by_chain))}
+                result[f"{name}.{method}.{claim}"] = ends
+    return {**result, "pareto_k": np.array(k), "by_chain": np.array(float(by_chain))}
 
 
 def estimands(model: Model, thrust_n: Array) -> dict[str, Array]:
@@ -208,7 +207,7 @@ def _squares(model: Model) -> dict[str, Array]:
     nominal = model.space.centre()
     table = perturbation_bars(model, nominal)
     errors = squares_errors(model, nominal)
-    found: dict[str, Array] = {}
+    result: dict[str, Array] = {}
     for name, method in ((EVENT_MEAN, MEAN), (THRUSTER, POOLED), (THRUSTER_EVENT, PER_EVENT)):
         rows = table[table["method"] == method]
         if name == EVENT_MEAN:  # one number per event, printed for each of its thrusters
@@ -218,7 +217,7 @@ def _squares(model: Model) -> dict[str, Array]:
             for column in ("estimate_n", "bar_rss_n", "bar_worst_n")
         )
         valid = rows["valid"].to_numpy(dtype=bool) if name != EVENT_MEAN else np.isfinite(centre)
-        found[f"{name}.valid"] = valid.astype(float)
+        result[f"{name}.valid"] = valid.astype(float)
         for claim in CLAIMS:
             factor = float(norm.isf(0.5 * (1.0 - claim)))
             halves = {RSS: factor * rss, WORST: worst}
@@ -227,8 +226,8 @@ def _squares(model: Model) -> dict[str, Array]:
                 scatter = float(student.isf(0.5 * (1.0 - claim), freedom)) * error
                 halves |= {SQUARES: scatter, BOTH: np.hypot(factor * rss, scatter)}
             for key, half in halves.items():
-                found[f"{name}.{key}.{claim}"] = np.stack([centre - half, centre + half], axis=-1)
-    return found
+                result[f"{name}.{key}.{claim}"] = np.stack([centre - half, centre + half], axis=-1)
+    return result
 
 
 def squares_errors(model: Model, nominal: Mapping[str, float]) -> dict[str, tuple[Array, int]]:

@@ -17,8 +17,6 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.mission.circumstances import KPA_PER_PSI
 from cassini_bayes.published.anchors import anchors, thrust_anchors
 
-INTERCEPT_SD: Final = 0.2
-"""Prior of the intercept's share of the thrust of 2005, as in the mission's priors file."""
 DRAWS: Final = 400_000
 THRUST_ERROR: Final = 0.02
 """Of a predicted thrust by itself. The thrust equation is good to 5-10 % (paper 000), but errors

@@ -30,7 +30,7 @@ from cassini_bayes.studies.study import Study
 
 MODULE: Final = "studies.real_attitude"
 BLOCK_ROWS: Final = 16  # 64 s: the turn of a block is known ten times better than by its rates
-TOLD: Final = 0.1  # standard error of a scale beyond which a record says nothing of it
+LARGEST_ERROR: Final = 0.1  # standard error of a scale beyond which a record says nothing of it
 NORMAL_MEDIAN: Final = 0.6745  # of |x|, in standard deviations
 AXES: Final = "xyz"
 
@@ -76,12 +76,12 @@ def gyro_errors(
         missed = integrated - (1.0 + scale) * turned - bias * time_s
         return float(0.5 * (missed**2).sum() / total)
 
-    found = minimize(cost, np.zeros(2), method="BFGS")
+    result = minimize(cost, np.zeros(2), method="BFGS")
     design = np.stack([turned, time_s], axis=1) * unit
     gram = design.T @ design / (variance[0] + variance[1])
     noise = len(turned) * variance[1] / (variance[0] + variance[1]) * unit[0] ** 2
     gram[0, 0] = max(gram[0, 0] - noise, 1e-12 * span)  # noise of the turns tells nothing
-    return found.x * unit, np.sqrt(np.diagonal(np.linalg.inv(gram))) * unit
+    return result.x * unit, np.sqrt(np.diagonal(np.linalg.inv(gram))) * unit
 
 
 def measured(record: AttitudeRecord) -> pd.DataFrame:
@@ -100,7 +100,7 @@ def measured(record: AttitudeRecord) -> pd.DataFrame:
     rows = []
     for axis, name in enumerate(AXES):
         variance = (BLOCK_ROWS * (step * rate[axis]) ** 2, 2.0 * by_third[axis] ** 2)
-        found, error = gyro_errors(blocks[:, axis], turned[:, axis], time, variance)
+        result, error = gyro_errors(blocks[:, axis], turned[:, axis], time, variance)
         naive = np.polyfit(turned[:, axis], blocks[:, axis] - turned[:, axis], 1)[0]
         rows.append(
             {
@@ -111,9 +111,9 @@ def measured(record: AttitudeRecord) -> pd.DataFrame:
                 "rate_step_rad_s": channel_step(np.round(record.rate_rad_s[:, axis], 9)),
                 "attitude_noise_third_rad": by_third[axis],
                 "attitude_noise_fourth_rad": by_fourth[axis],
-                "rate_scale": found[0],
+                "rate_scale": result[0],
                 "rate_scale_se": error[0],
-                "rate_bias_rad_s": found[1],
+                "rate_bias_rad_s": result[1],
                 "rate_bias_se_rad_s": error[1],
                 "naive_scale": naive,
             }
@@ -123,7 +123,7 @@ def measured(record: AttitudeRecord) -> pd.DataFrame:
 
 def _scale_text(scale: float, error: float) -> str:
     """In 10⁻³, where the record turns enough to tell."""
-    return "not determined" if error > TOLD else f"{1e3 * scale:+.2f} ± {1e3 * error:.2f}"
+    return "not determined" if error > LARGEST_ERROR else f"{1e3 * scale:+.2f} ± {1e3 * error:.2f}"
 
 
 def study_real_attitude(study: Study) -> None:
@@ -138,8 +138,8 @@ def study_real_attitude(study: Study) -> None:
         for row in table.itertuples()
     ]
     noise = [
-        " | ".join(f"{1e6 * value:.0f}" for value in (own.min(), own.median(), own.max()))
-        for own in (
+        " | ".join(f"{1e6 * value:.0f}" for value in (item.min(), item.median(), item.max()))
+        for item in (
             table["rate_noise_rad_s"],
             table["attitude_noise_third_rad"],
             table["attitude_noise_fourth_rad"],

@@ -179,11 +179,11 @@ def _check_truth(file: ScenarioFile, truth: Truth) -> None:
 
 def _check_priors(file: ScenarioFile, priors: Priors) -> None:
     wanted = file.scenario.spacecraft
-    for key, own, other in (
+    for key, wanted_value, other in (
         ("spacecraft", file.spacecraft.digest, priors.spacecraft.digest),
         ("branch", wanted.branch, priors.branch),
     ):
-        if own != other:
+        if wanted_value != other:
             raise InputError(
                 f"{file.where}: truth.draw_from",
                 f"priors of the scenario's own {key}",
@@ -311,7 +311,7 @@ def simulated_sides(files: Sequence[Path]) -> dict[str, Effect]:
     InputError
         A mistake in one of the files: file and line or dotted key are named.
     """
-    found = {}
+    result = {}
     for path in files:
         module = load_module(path) if path.suffix == ".py" else None
         if module is not None and hasattr(module, "simulate"):
@@ -320,8 +320,8 @@ def simulated_sides(files: Sequence[Path]) -> dict[str, Effect]:
             keys = tuple(parameter.key for parameter in table.parameters)
             targets = None if table.targets == "none" else table.targets
             change = guarded(path, "simulate", module.simulate)
-            found[path.stem] = Effect(path.stem, keys, targets, change)
-    return found
+            result[path.stem] = Effect(path.stem, keys, targets, change)
+    return result
 
 
 def write_simulation(simulation: Simulation, folder: Path) -> None:

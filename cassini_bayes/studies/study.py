@@ -85,5 +85,5 @@ class Study:
 
 
 def _block(repeated: Repeated, first: int) -> Arrays:
-    found = [repeated.repetition(first + i) for i in range(repeated.per_file)]
-    return {key: np.stack([np.asarray(one[key]) for one in found]) for key in found[0]}
+    result = [repeated.repetition(first + i) for i in range(repeated.per_file)]
+    return {key: np.stack([np.asarray(one[key]) for one in result]) for key in result[0]}

@@ -62,8 +62,8 @@ def calibrate_telemetry(
     variants = (*VARIANTS, *CONTROLS)
     for variant in variants:
         campaign = TelemetryCampaign(scenario, priors, study.seed, variant)
-        found = study.repeat(variant.name, variant.label, campaign, numbers[variant.name])
-        collected[variant.name] = ranks_of(campaign.names(), found)
+        result = study.repeat(variant.name, variant.label, campaign, numbers[variant.name])
+        collected[variant.name] = ranks_of(campaign.names(), result)
     main = judge({v.name: collected[v.name] for v in VARIANTS})
     controls = {v.name: judge({v.name: collected[v.name]}) for v in CONTROLS}
     figure = envelope_figure({v.label: collected[v.name] for v in variants}, 1.0 - LEVEL)

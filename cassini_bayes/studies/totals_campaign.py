@@ -43,8 +43,8 @@ def calibrate_totals(study: Study, events: str, priors: str, numbers: Mapping[st
     collected: dict[Control, Ranks] = {}
     for control in CONTROLS:
         campaign = Campaign(events, priors, study.seed, control)
-        found = study.repeat(control, LABELS[control], campaign, numbers[control])
-        collected[control] = ranks_of(campaign.names(), found)
+        result = study.repeat(control, LABELS[control], campaign, numbers[control])
+        collected[control] = ranks_of(campaign.names(), result)
     verdicts = {control: judge(ranks) for control, ranks in collected.items()}
     figure = coverage_figure(
         {LABELS[control]: ranks for control, ranks in collected.items()},

@@ -100,25 +100,25 @@ def _cell_arrays(
     model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
     weights, values = reweighted(baseline, variation, model)
     change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
-    found = _arrays("0", REWEIGHTED, weights, values, change)
+    result = _arrays("0", REWEIGHTED, weights, values, change)
     if refit == "always" or (refit == "auto" and not weights.trusted):
         rng = baseline.stream(variation.key)
         kind, weights, values, batches = refitted(model, baseline.names, rng)
         change = change_between(baseline.values, baseline.batches, values, weights.values, batches)
-        found |= _arrays("1", kind, weights, values, change)
-    return found
+        result |= _arrays("1", kind, weights, values, change)
+    return result
 
 
 def _arrays(
     way: str, kind: str, weights: Weights, values: Array, change: Change
 ) -> dict[str, NDArray[np.generic]]:
-    found = moments(values, weights.values)
+    result = moments(values, weights.values)
     numbers = {
         "pareto_k": np.array(weights.pareto_k),
         "effective": np.array(weights.effective),
-        "mean": found.mean,
-        "sd": found.sd,
-        "quantiles": found.quantiles,
+        "mean": result.mean,
+        "sd": result.sd,
+        "quantiles": result.quantiles,
         "shift": change.shift,
         "shift_error": change.shift_error,
         "width": change.width,

@@ -27,10 +27,12 @@ from cassini_bayes.results.ranks import holm
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.coordinates import Coordinates
 
-TOLD: Final = 1.0 - 0.95**2
-RANK: Final = 1e-6
-LEVEL: Final = 0.05
-LEAST_PULL: Final = 0.5
+INFORMED: Final = 1.0 - 0.95**2
+"""Share of the prior variance that data take away where they narrow a width by 5 %; a direction
+with less is the prior's alone."""
+RANK: Final = 1e-6  # of the largest eigenvalue, and of a range of draws: less is rounding
+LEVEL: Final = 0.05  # family-wise (Holm): one false conflict in twenty fits
+LEAST_PULL: Final = 0.5  # prior standard deviations: less is not worth a sentence (judgement)
 _ON_TIME: Final = "on_time_s"
 
 
@@ -53,8 +55,8 @@ def conflict_table(blocks: Mapping[str, Coordinates], fit: Fit) -> pd.DataFrame:
     sentence. A p-value is NaN where the fit has nothing to take it from.
     """
     rows: list[dict[str, object]] = []
-    for block, own in blocks.items():
-        before, after = pull_before(own, fit), pull_after(own)
+    for block, coordinates in blocks.items():
+        before, after = pull_before(coordinates, fit), pull_after(coordinates)
         rows.append(
             {
                 "level": "block",
@@ -145,13 +147,15 @@ def pull_before(own: Coordinates, fit: Fit) -> Pull:
 def _pull(names: tuple[str, ...], mean: Array, variance: Array) -> Pull:
     """mᵀ V⁺ m over the directions that the data tell."""
     values, vectors = np.linalg.eigh(0.5 * (variance + variance.T))
-    told = values > TOLD
+    told = values > INFORMED
     if not told.any():
         return Pull(np.nan, 0, "", np.nan)
     along = vectors[:, told].T @ mean
     distance = float((along**2 / values[told]).sum())
-    own = np.diagonal(variance)
-    pulls = np.where(own > TOLD, mean / np.sqrt(np.where(own > TOLD, own, 1.0)), 0.0)
+    diagonal = np.diagonal(variance)
+    pulls = np.where(
+        diagonal > INFORMED, mean / np.sqrt(np.where(diagonal > INFORMED, diagonal, 1.0)), 0.0
+    )
     strongest = int(np.argmax(np.abs(pulls)))
     return Pull(
         p_value=float(chi2.sf(distance, told.sum())),
@@ -165,14 +169,14 @@ def event_p_values(fit: Fit) -> dict[str, tuple[float, float]]:
     """Event → p-values of its on-times before and after fitting; empty without on-times."""
     if _ON_TIME not in fit.groups["observed_data"]:
         return {}
-    found = {}
+    result = {}
     for event in fit.groups["observed_data"].coords["event"].values:
         p_values = []
         for group in ("prior_predictive", "posterior_predictive"):
             draws, observed = _predictive(fit, group, str(event))
             p_values.append(predictive_p_value(draws, observed))
-        found[str(event)] = (p_values[0], p_values[1])
-    return found
+        result[str(event)] = (p_values[0], p_values[1])
+    return result
 
 
 def predictive_p_value(draws: Array, observed: Array) -> float:

@@ -44,42 +44,44 @@ def block_coordinates(model: SweepModel, priors: Priors, fit: Fit) -> dict[str, 
         model.space.to_standard(walked_values(data, model.space.names, priors.spacecraft))
         for data in sets
     ]
-    found: dict[str, Coordinates] = {}
+    result: dict[str, Coordinates] = {}
     for block in dict.fromkeys(model.space.blocks):
-        columns = [i for i, own in enumerate(model.space.blocks) if own == block]
+        columns = [i for i, item in enumerate(model.space.blocks) if item == block]
         names = tuple(model.space.names[i] for i in columns)
-        found[block] = Coordinates(names, walked[0][:, columns], walked[1][:, columns])
+        result[block] = Coordinates(names, walked[0][:, columns], walked[1][:, columns])
     for block, drawn in _collapsed(sets, priors).items():
         mean, sd = drawn[1].mean(0), drawn[1].std(0, ddof=1)
         varies = sd > 0
         if varies.any():
-            names = tuple(name for name, own in zip(drawn[0], varies, strict=True) if own)
+            names = tuple(
+                name for name, is_varied in zip(drawn[0], varies, strict=True) if is_varied
+            )
             before, after = (((d - mean) / np.where(varies, sd, 1.0))[:, varies] for d in drawn[1:])
-            found[block] = Coordinates(names, before, after)
-    return found
+            result[block] = Coordinates(names, before, after)
+    return result
 
 
 def _collapsed(
     sets: tuple[xr.Dataset, xr.Dataset], priors: Priors
 ) -> Mapping[str, tuple[list[str], Array, Array]]:
     """Block → names, prior draws (m, p), posterior draws (n, p) of what is integrated out."""
-    found: dict[str, tuple[list[str], Array, Array]] = {}
+    result: dict[str, tuple[list[str], Array, Array]] = {}
     posterior = sets[1]
     if LEVELS in posterior and priors.parameters[THRUST_COMMON].distribution is not None:
         thrusters = [str(name) for name in posterior.coords["thruster"].values]
         names = [THRUST_COMMON, *(f"{LEVELS}[{name}] − common" for name in thrusters)]
-        found[THRUST] = (names, _levels(sets[0]), _levels(sets[1]))
+        result[THRUST] = (names, _levels(sets[0]), _levels(sets[1]))
     if _TORQUE in posterior:
         events = [str(name) for name in posterior.coords["event"].values]
         names = [f"{_TORQUE}[{event},{axis}]" for event in events for axis in "xyz"]
         before, after = (data[_TORQUE].values.reshape(-1, len(names)) for data in sets)
-        found["torque"] = (names, before, after)
+        result["torque"] = (names, before, after)
     if all(name in posterior for name in SOFTWARE):
         before, after = (
             np.stack([data[name].values.reshape(-1) for name in SOFTWARE], -1) for data in sets
         )
-        found["flight software"] = (list(SOFTWARE), before, after)
-    return found
+        result["flight software"] = (list(SOFTWARE), before, after)
+    return result
 
 
 def _levels(data: xr.Dataset) -> Array:

@@ -36,11 +36,12 @@ def knowledge_table(
     """
     rows = []
     batches = batch_labels(chains, len(values) // chains)
-    for block, own in blocks.items():
-        items = [(block, "block", own.posterior)]
-        if len(own.names) > 1:
+    for block, coordinates in blocks.items():
+        items = [(block, "block", coordinates.posterior)]
+        if len(coordinates.names) > 1:
             items += [
-                (name, "parameter", own.posterior[:, [i]]) for i, name in enumerate(own.names)
+                (name, "parameter", coordinates.posterior[:, [i]])
+                for i, name in enumerate(coordinates.names)
             ]
         for known, level, draws in items:
             ratio, error = residual_ratio(draws, values, batches)

@@ -123,7 +123,7 @@ def scalar_names(dataset: xr.Dataset) -> tuple[str, ...]:
 
 
 def _scalars(dataset: xr.Dataset) -> list[tuple[str, Array]]:
-    found = []
+    result = []
     for quantity, variable in dataset.data_vars.items():
         dims = variable.dims[2:]
         values = variable.values.reshape(-1, *variable.shape[2:])
@@ -132,8 +132,8 @@ def _scalars(dataset: xr.Dataset) -> list[tuple[str, Array]]:
                 str(variable.coords[dim].values[i]) for dim, i in zip(dims, place, strict=True)
             ]
             name = f"{quantity}[{','.join(labels)}]" if labels else str(quantity)
-            found.append((name, np.asarray(values[(slice(None), *place)], dtype=np.float64)))
-    return found
+            result.append((name, np.asarray(values[(slice(None), *place)], dtype=np.float64)))
+    return result
 
 
 def chosen_names(dataset: xr.Dataset, patterns: Sequence[str], where: str) -> tuple[str, ...]:
@@ -164,9 +164,9 @@ def chosen_names(dataset: xr.Dataset, patterns: Sequence[str], where: str) -> tu
 
 def values_of(dataset: xr.Dataset, names: Sequence[str]) -> Array:
     """Draws (n, q) of named scalars; NaN where the data set has none (an event left out)."""
-    found = dict(_scalars(dataset))
+    result = dict(_scalars(dataset))
     n = dataset.sizes["chain"] * dataset.sizes["draw"]
-    return np.stack([found.get(name, np.full(n, np.nan)) for name in names], axis=-1)
+    return np.stack([result.get(name, np.full(n, np.nan)) for name in names], axis=-1)
 
 
 def units_of(dataset: xr.Dataset, names: Sequence[str]) -> tuple[str, ...]:
@@ -186,7 +186,7 @@ def walked_values(
     """
     scalars = dict(_scalars(dataset))
     wheels = {wheel.inertia_parameter: wheel.name for wheel in spacecraft.wheels}
-    found = {}
+    result = {}
     for name in names:
         kept = f"rwa_inertia_kg_m2[{wheels[name]}]" if name in wheels else name
         if kept not in scalars:
@@ -196,5 +196,5 @@ def walked_values(
                 "none",
                 "fit the run again with this version",
             )
-        found[name] = scalars[kept]
-    return found
+        result[name] = scalars[kept]
+    return result

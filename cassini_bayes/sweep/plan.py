@@ -117,9 +117,9 @@ def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Sweep
 
 def _by_key(cells: Iterable[Variation], where: str) -> dict[str, Variation]:
     """Cells by the name of their file; names that only signs tell apart are refused."""
-    found: dict[str, Variation] = {}
+    result: dict[str, Variation] = {}
     for cell in cells:
-        other = found.setdefault(cell.key, cell)
+        other = result.setdefault(cell.key, cell)
         if other != cell:
             raise InputError(
                 f"{where}: group",
@@ -127,7 +127,7 @@ def _by_key(cells: Iterable[Variation], where: str) -> dict[str, Variation]:
                 f"{other.group}, {other.label} beside {cell.group}, {cell.label}",
                 "rename one of them",
             )
-    return found
+    return result
 
 
 def _kept(fit: Fit, draws: int) -> NDArray[np.int64]:
@@ -144,9 +144,9 @@ def _groups(factory: ModelFactory, sweep: SweepFile, where: str) -> tuple[Group,
             raise InputError(
                 f"{where}: blocks", "prior blocks of the model", repr(name), nearest(name, blocks)
             )
-    own = tuple(Group(g.name, tuple(g.parameters)) for g in sweep.group)
-    if sweep.blocks or own:
-        return (*(blocks[name] for name in sweep.blocks), *own)
+    groups = tuple(Group(g.name, tuple(g.parameters)) for g in sweep.group)
+    if sweep.blocks or groups:
+        return (*(blocks[name] for name in sweep.blocks), *groups)
     return tuple(blocks.values())
 
 
@@ -179,13 +179,13 @@ def _refuse_older_fit(model: SweepModel, factory: ModelFactory, fit: Fit) -> Non
 def baseline_table(sweep: Sweep) -> pd.DataFrame:
     """Mean, sd and central 90 % interval of every quantity before anything is changed."""
     values = sweep.baseline.values
-    found = moments(values, np.full(len(values), 1.0 / len(values)))
+    result = moments(values, np.full(len(values), 1.0 / len(values)))
     return pd.DataFrame(
         {
             "quantity": sweep.baseline.names,
             "unit": sweep.units,
-            "mean": found.mean,
-            "sd": found.sd,
+            "mean": result.mean,
+            "sd": result.sd,
             "central_90_low": np.quantile(values, 0.05, axis=0),
             "central_90_high": np.quantile(values, 0.95, axis=0),
         }
@@ -235,9 +235,9 @@ def _rows(
 
 def reported_quantiles(sweep: Sweep, store: CheckpointStore) -> dict[str, Array]:
     """Quantiles (199, q) at (i + 1)/200 of every cell's reported estimate, for overlays."""
-    found = {}
+    result = {}
     for name in sweep.cells:
         arrays = finished(store, name)
         way = "1" if "1.kind" in arrays else "0"
-        found[name] = np.asarray(arrays[f"{way}.quantiles"], dtype=np.float64)
-    return found
+        result[name] = np.asarray(arrays[f"{way}.quantiles"], dtype=np.float64)
+    return result

@@ -31,7 +31,7 @@ def components(fit: Fit) -> dict[str, Array]:
     Everything is evaluated at the stored draws, what is integrated out at its drawn-back values.
     """
     blocks = {block.replace(" ", "_").replace("-", "_"): block for block in BLOCKS}
-    found = {
+    result = {
         blocks.get(str(block), str(block).replace("_", " ")): values.values.reshape(-1)
         for block, values in fit.groups["log_prior"].data_vars.items()
     }
@@ -41,10 +41,10 @@ def components(fit: Fit) -> dict[str, Array]:
             values = variable.sel(event=event).values.reshape(-1)
             if np.isfinite(values).all():
                 events[str(event)] = events.get(str(event), 0.0) + values
-    found[LIKELIHOOD] = np.sum(list(events.values()), axis=0)
+    result[LIKELIHOOD] = np.sum(list(events.values()), axis=0)
     if len(events) > 1:
-        found |= {f"{EVENT}{event}": values for event, values in events.items()}
-    return found
+        result |= {f"{EVENT}{event}": values for event, values in events.items()}
+    return result
 
 
 def power_scaling(

@@ -11,13 +11,15 @@ from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 
-WORST_PARETO_K: Final = 0.7
 FEWEST_DRAWS: Final = 400.0
-BATCHES: Final = 10
+"""Effective, below which an answer is not trusted: a mean is then good to a twentieth of its
+standard deviation (400^-½)."""
+BATCHES: Final = 10  # of consecutive draws, in every chain
 QUANTILES: Final = (np.arange(199) + 1.0) / 200.0
-_ALL_ALIKE: Final = 1e-10
-_FEWEST_IN_SUPPORT: Final = 50
+_ALL_ALIKE: Final = 1e-10  # nats: weights that differ by rounding alone have no tail to fit
+_FEWEST_IN_SUPPORT: Final = 50  # draws: fewer leave no tail of ten to fit k̂ to (judgement)
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Weights:
     @property
     def trusted(self) -> bool:
         """Whether estimates from these weights, and their errors, can be relied upon."""
-        return self.pareto_k <= WORST_PARETO_K and self.effective >= FEWEST_DRAWS
+        return self.pareto_k <= TRUSTED_K and self.effective >= FEWEST_DRAWS
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,10 @@ class WidthEffect:
     def size(self) -> float:
         """The largest change of a mean or a width that can be told, in the fit's own sd."""
         as_fitted = WIDTHS.index(1.0)
-        own = self.sd[as_fitted]
-        shift, width = (np.abs(v - v[as_fitted])[self.trusted] / own for v in (self.mean, self.sd))
+        fitted_sd = self.sd[as_fitted]
+        shift, width = (
+            np.abs(v - v[as_fitted])[self.trusted] / fitted_sd for v in (self.mean, self.sd)
+        )
         return float(max(shift.max(initial=0.0), width.max(initial=0.0)))
 
 
@@ -67,7 +69,7 @@ def width_effects(
     """
     even = np.full(len(values), 1.0 / len(values))
     mean, sd, order = values.mean(0), values.std(0), np.argsort(values, axis=0)
-    found = []
+    result = []
     for group in groups:
         narrow = _weights(priors, group, draws, len(values), WIDTHS[0])
         weights = narrow.values if _in_support(narrow) else even
@@ -75,8 +77,8 @@ def width_effects(
         width = np.abs(np.sqrt(weights @ (values - weights @ values) ** 2) / sd - 1.0)
         chance = ERRORS / np.sqrt(narrow.effective) if _in_support(narrow) else 0.0
         if max(shift.max(), width.max()) >= max(least, chance) or not _in_support(narrow):
-            found.append(_effect(priors, group, draws, values, order))
-    return tuple(found)
+            result.append(_effect(priors, group, draws, values, order))
+    return tuple(result)
 
 
 def _effect(
@@ -87,22 +89,25 @@ def _effect(
     order: NDArray[np.int64],
 ) -> WidthEffect:
     n, even = len(values), np.full(len(values), 1.0 / len(values))
-    found = [_weights(priors, group, draws, n, width) for width in WIDTHS]
-    told = np.array([_in_support(own) for own in found])[:, None]
-    every = [moments(values, own.values if _in_support(own) else even, order) for own in found]
+    result = [_weights(priors, group, draws, n, width) for width in WIDTHS]
+    told = np.array([_in_support(weights) for weights in result])[:, None]
+    every = [
+        moments(values, weights.values if _in_support(weights) else even, order)
+        for weights in result
+    ]
 
     def stacked(rows: Sequence[Array]) -> Array:
         return np.where(told, np.stack(rows), np.nan)
 
     return WidthEffect(
         group,
-        pareto_k=np.array([own.pareto_k for own in found]),
-        effective=np.array([own.effective for own in found]),
-        trusted=np.array([own.trusted for own in found]),
-        mean=stacked([own.mean for own in every]),
-        sd=stacked([own.sd for own in every]),
-        low=stacked([own.quantiles[LOW] for own in every]),
-        high=stacked([own.quantiles[HIGH] for own in every]),
+        pareto_k=np.array([weights.pareto_k for weights in result]),
+        effective=np.array([weights.effective for weights in result]),
+        trusted=np.array([weights.trusted for weights in result]),
+        mean=stacked([moments_of.mean for moments_of in every]),
+        sd=stacked([moments_of.sd for moments_of in every]),
+        low=stacked([moments_of.quantiles[LOW] for moments_of in every]),
+        high=stacked([moments_of.quantiles[HIGH] for moments_of in every]),
     )
 
 

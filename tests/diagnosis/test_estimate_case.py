@@ -119,7 +119,7 @@ def test_far_shift_of_the_a_branch_has_its_evidence_by_quadrature() -> None:
 
     def density(level: float, shift: float) -> float:
         own = shifted.predict(np.array([[level, 0.0, shift]]))
-        sd = np.hypot(case.sd_n, own.own_sd_n[0])
+        sd = np.hypot(case.sd_n, own.independent_sd_n[0])
         value = norm.logpdf(case.estimate_n, own.estimate_n[0], sd).sum()
         return float(np.exp(value + norm.logpdf(level) + norm.logpdf(shift)))
 

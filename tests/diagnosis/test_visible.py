@@ -8,7 +8,13 @@ from scipy import integrate, stats
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.modes import Mode
-from cassini_bayes.diagnosis.visible import DETECTED, Visible, seen_from, size_sd, visible_size
+from cassini_bayes.diagnosis.visible import (
+    DETECTED,
+    Visible,
+    detectable_size,
+    size_sd,
+    visible_size,
+)
 from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, unchanged
 from cassini_bayes.effects.wording import AtLeast
 from cassini_bayes.priors.distributions import Distribution
@@ -49,7 +55,7 @@ def test_an_estimate_of_that_size_has_the_evidence(
 ) -> None:
     """1.28 σ less than the size that is seen is where the integral gives the nats needed."""
     prior = own.parameters[0].distribution
-    size = seen_from(sd, WIDTH, NATS, one_sided=prior.support != (-np.inf, np.inf))
+    size = detectable_size(sd, WIDTH, NATS, one_sided=prior.support != (-np.inf, np.inf))
     estimate = null + sign * (size - DETECTED * sd)
     assert log_bayes_factor(estimate, sd, prior, null) == pytest.approx(NATS, abs=0.02)
 
@@ -97,7 +103,7 @@ def test_what_the_data_do_not_know_is_not_seen() -> None:
     assert size_sd(sizes, np.zeros(8)) is None
     assert size_sd(sizes, -(sizes**2)) is None
     assert size_sd(sizes, 0.5 * (sizes / 3.0) ** 2) == pytest.approx(3.0)
-    assert seen_from(3.0, WIDTH, NATS, one_sided=True) > 10.0 * WIDTH
+    assert detectable_size(3.0, WIDTH, NATS, one_sided=True) > 10.0 * WIDTH
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,14 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import TRUSTED_K, Ranking, Weighed
+from cassini_bayes.diagnosis.case import Ranking, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.widths import by_width, reweighted
 from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, unchanged
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
-from cassini_bayes.sampling.warmstart import pareto_k
+from cassini_bayes.sampling.warmstart import TRUSTED_K, pareto_k
 
 PRIOR_SD, NOISE_SD = 2.0e-3, 1.0e-3
 

@@ -51,7 +51,7 @@ from cassini_bayes.events.telemetry import (
     read_event,
 )
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.priors.reader import read_priors

@@ -28,7 +28,7 @@ from cassini_bayes.events.totals import read_totals
 from cassini_bayes.files import netcdf
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import digest
-from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.pipeline.fits import read_fit
 from cassini_bayes.prediction.sources import read_sources
 from cassini_bayes.priors.reader import read_priors

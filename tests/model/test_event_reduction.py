@@ -16,8 +16,9 @@ from event_cases import events, priors, simulated
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry import Chunk, read_event
+from cassini_bayes.events.telemetry.tail import last_time
 from cassini_bayes.model import event_reduction, reduce_event, reduce_samples
-from cassini_bayes.model.event_reduction import last_time, store_reduction
+from cassini_bayes.model.event_reduction import store_reduction
 
 
 def test_the_cache_gives_the_same_and_is_used(

@@ -23,7 +23,7 @@ from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run import Outcome, execute
 from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.report import pictures_of, render_report, sections_of
-from cassini_bayes.report.page import CHECKS, INERTIA, SEEN, THRUSTS
+from cassini_bayes.report.page import CHECKS, INERTIA, OBSERVABILITY, THRUSTS
 from cassini_bayes.results import fitting
 from cassini_bayes.results.record import GROUPS, read_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings
@@ -101,7 +101,7 @@ def test_the_page_shows_what_telemetry_adds(mixed: tuple[Outcome, Silent]) -> No
     review = mixed[0].review
     sections = sections_of(review)
     drawn = pictures_of(
-        [own for own in sections if own.chapter in (SEEN, INERTIA, THRUSTS, CHECKS)]
+        [own for own in sections if own.chapter in (OBSERVABILITY, INERTIA, THRUSTS, CHECKS)]
     )
     assert {"observability", "inertia", "thrusts", "balance", "series_1", "series_2"} <= set(drawn)
     page = render_report(review, sections, drawn)

@@ -14,7 +14,7 @@ from cassini_bayes.cli import app
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry import load_event, read_channel_map, read_event
 from cassini_bayes.events.telemetry.matches import matches, sample_of
-from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.pipeline.run_file import read_run_file
 from cassini_bayes.pipeline.starting import PROPOSED, write_starting_files
 from cassini_bayes.priors.reader import read_priors

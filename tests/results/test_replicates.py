@@ -15,7 +15,7 @@ from cassini_bayes.model import draw, log_posterior
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, read_fit, save_fit
 from cassini_bayes.results.replicates import REPLICATED_ROWS, Replicates, replicated
-from cassini_bayes.results.time_series import DRAWS, BalanceRows, balances, shown_places
+from cassini_bayes.results.time_series import DRAWS, BalanceRows, balances, thinned_draws
 from cassini_bayes.sampling.warmstart import warm_start
 
 NAMES = ("bias", "slews")
@@ -37,7 +37,7 @@ def draws() -> Array:
 def rows() -> tuple[BalanceRows, ...]:
     """Balances of both events at the draws that are shown."""
     flat = draws().reshape(600, -1)
-    z = flat[shown_places(600)]
+    z = flat[thinned_draws(600)]
     drawn = draw(model(*NAMES), z, np.random.default_rng(4))
     return tuple(balances(model(*NAMES), z, drawn, REPLICATED_ROWS))
 
@@ -130,7 +130,7 @@ def test_fit_holds_channels_with_units_times_and_origin(tmp_path: Path) -> None:
     assert predictive.sizes["replicate"] == DRAWS
     assert predictive.sizes["sample"] <= REPLICATED_ROWS
     place = predictive["replicate_chain"] * 300 + predictive["replicate_draw"]
-    assert place.values.tolist() == shown_places(600).tolist()
+    assert place.values.tolist() == thinned_draws(600).tolist()
     for name in NAMES:
         csv = simulated() / name / "telemetry.csv"
         table = np.genfromtxt(csv, delimiter=",", names=True)

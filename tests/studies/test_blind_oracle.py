@@ -47,7 +47,7 @@ def test_ranks_find_a_clear_cause_and_no_faint_one() -> None:
     y = 8.0 * COLUMNS[:, 2]
     classifier = Classifier(GRAM, score(y), (BOTH, HALF, FREE, Side("half", (2,), -4.0, 0.0, -9.0)))
     assert classifier.names == ("two", "half", "free")
-    assert classifier.own_rank("half") == 0
+    assert classifier.rank_by_data("half") == 0
     draws = np.random.default_rng(1).multivariate_normal(np.zeros(4), GRAM, 400)
     assert 0.05 < (classifier.ranks(draws, "half") == 0).mean() < 0.7
     assert classifier.expected("half", np.array([8.0]), np.random.default_rng(2)) == 1.0

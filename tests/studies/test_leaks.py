@@ -22,7 +22,7 @@ from cassini_bayes.studies.leak_attitudes import (
     LEVER_M,
     MomentumNoise,
     least_leak_n,
-    told_apart_sigma,
+    separation_sigma,
 )
 from cassini_bayes.studies.leak_campaign import MONITORS, by_size, compare_leak_monitors, judged
 from cassini_bayes.studies.leak_monitors import (
@@ -155,11 +155,11 @@ def test_a_turn_tells_a_leak_from_every_inertial_torque() -> None:
     fitted = np.linalg.solve(free.T @ precision @ free, free.T @ precision @ momentum.ravel())
     left = momentum.ravel() - free @ fitted
     expected = np.sqrt(left @ precision @ left)
-    found = told_apart_sigma(float(np.linalg.norm(before)), turn, 900.0, 600.0, noise)
+    found = separation_sigma(float(np.linalg.norm(before)), turn, 900.0, 600.0, noise)
     assert found == pytest.approx(expected, rel=1e-6)
-    assert told_apart_sigma(1.0, 0.0, 900.0, 600.0, noise) == 0.0  # one attitude: alike
+    assert separation_sigma(1.0, 0.0, 900.0, 600.0, noise) == 0.0  # one attitude: alike
     least = least_leak_n(turn, 900.0, noise)
-    assert told_apart_sigma(LEVER_M * least, turn, 900.0, 900.0, noise) == pytest.approx(5.0)
+    assert separation_sigma(LEVER_M * least, turn, 900.0, 900.0, noise) == pytest.approx(5.0)
 
 
 def test_rates_of_stretches_are_mean_rates_over_rows_at_rest() -> None:

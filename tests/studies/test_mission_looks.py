@@ -12,7 +12,7 @@ from cassini_bayes.results.mission.fitting import fit_mission, loss_prior, targe
 from cassini_bayes.sampling.warmstart import Proposal
 from cassini_bayes.studies import mission_looks
 from cassini_bayes.studies.mission_flights import study_priors
-from cassini_bayes.studies.mission_looks import Pool, looks
+from cassini_bayes.studies.mission_looks import Pool, analyses
 
 
 def test_a_pool_has_the_density_of_a_shorter_mission(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,7 +40,7 @@ def test_looks_agree_with_a_fit_of_each_mission() -> None:
     prior, size = loss_prior(priors), {"draws": 400, "proposals": 800}
     whole, short, first = (mission_of(events[:n], mission_table(), priors) for n in (4, 3, 2))
     begun = fit_mission(first, prior, np.random.default_rng(1), **size)
-    (look,) = looks(whole, prior, begun.draws, range(3, 4), 400, np.random.default_rng(2))
+    (look,) = analyses(whole, prior, begun.draws, range(3, 4), 400, np.random.default_rng(2))
     assert look.trusted
     fit = fit_mission(short, prior, np.random.default_rng(3), **size)
     for one, other in zip(look.losses, fit.losses, strict=True):

@@ -11,7 +11,7 @@ from mission_cases import PRIORS
 from study_cases import study_in
 from totals_cases import FLIGHT, flight
 
-from cassini_bayes.model.event_reduction import check_rows
+from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.studies import missions
 from cassini_bayes.studies.flight_priors import IDEAL, TESTED, with_beliefs
 from cassini_bayes.studies.mission_flights import MissionFlights, fly, study_priors

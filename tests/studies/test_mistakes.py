@@ -14,7 +14,7 @@ from cassini_bayes.events.plausibility import Nominal, momentum
 from cassini_bayes.events.plausibility.hypotheses import Evidence
 from cassini_bayes.events.plausibility.rows import RowCollector
 from cassini_bayes.events.plausibility.verdict import SUSPECT
-from cassini_bayes.model.event_reduction import nominal_values
+from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.studies.conditions import LEVELS, draw_condition
 from cassini_bayes.studies.mistakes import run_mistakes
 from cassini_bayes.studies.mistakes.campaign import (

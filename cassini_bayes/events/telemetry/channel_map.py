@@ -166,14 +166,14 @@ def columns_of(
     InputError
         Names the map's file and key, or the file whose columns are not all mapped or ignored.
     """
-    found: list[Column] = []
+    result: list[Column] = []
     for key, table in channel_map.channels.items():
         where = f"{channel_map.where}: channels.{key}"
         channel, names = _named(key, own, every, where)
         _check_keys(channel, key, table, where)
         sources = _sources(table, names, header, refused, header_place, where)
         for name, source in zip(_turned(names, table), sources, strict=True):
-            taken = next((column for column in found if column.name == name), None)
+            taken = next((column for column in result if column.name == name), None)
             if taken is not None:
                 raise InputError(
                     where,
@@ -181,9 +181,9 @@ def columns_of(
                     f"another one, {header[taken.place]!r}, before it",
                     "drop one of the two",
                 )
-            found.append(_column(name, header.index(source), channel, table, epoch, where))
-    _check_others(channel_map, header_place, header, {column.place for column in found}, refused)
-    return tuple(found)
+            result.append(_column(name, header.index(source), channel, table, epoch, where))
+    _check_others(channel_map, header_place, header, {column.place for column in result}, refused)
+    return tuple(result)
 
 
 def _named(

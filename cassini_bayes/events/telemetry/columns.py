@@ -155,7 +155,7 @@ def _bare(name: str) -> str:
 def _stem(names: Sequence[str]) -> str:
     """The words that all columns of a channel begin with: ``on_time_`` of on-times."""
     words = zip(*(name.split("_") for name in names), strict=False)
-    return "".join(f"{own[0]}_" for own in takewhile(lambda own: len(set(own)) == 1, words))
+    return "".join(f"{column[0]}_" for column in takewhile(lambda own: len(set(own)) == 1, words))
 
 
 def _check_names(

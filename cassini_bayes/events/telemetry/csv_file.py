@@ -118,13 +118,13 @@ class _Filling:
         place = 0
         nans = np.zeros((len(self._header), 3), dtype=np.int64)
         while place < stop:
-            place, self._line, self._row, found = read_cells(
+            place, self._line, self._row, result = read_cells(
                 *(text, place, stop, self._line, self._row),
                 *(self._cells, self._lines, nans, self._odd, self._powers),
                 *(self._kinds, ord(self._delimiter)),
             )
-            entries = self._odd[:found]
-            if found and entries[-1, 1] == BAD_LENGTH:  # says more than the cells of that line
+            entries = self._odd[:result]
+            if result and entries[-1, 1] == BAD_LENGTH:  # says more than the cells of that line
                 entries = entries[(entries[:, 4] != entries[-1, 4]) | (entries[:, 1] == BAD_LENGTH)]
             for entry in entries.tolist():
                 self._settle(text, entry, last and place >= stop)

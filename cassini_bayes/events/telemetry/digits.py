@@ -167,8 +167,8 @@ def read_cells(
     another length), and the number of odd cells.
     """
     columns, most = cells.shape
-    found, place = 0, start
-    while place < stop and row < most and found + columns < odd.shape[0]:
+    result, place = 0, start
+    while place < stop and row < most and result + columns < odd.shape[0]:
         first = place
         while text[place] == BLANK or text[place] == RETURN:
             place += 1
@@ -201,17 +201,17 @@ def read_cells(
             if column < columns:
                 cells[column, row] = value
                 if behind < 0 and kind != UNREAD:
-                    odd[found, 0], odd[found, 1], odd[found, 2] = row, column, place
-                    odd[found, 3], odd[found, 4] = end, line
-                    found += 1
+                    odd[result, 0], odd[result, 1], odd[result, 2] = row, column, place
+                    odd[result, 3], odd[result, 4] = end, line
+                    result += 1
             column += 1
             place = end + 1
             if text[end] == NEWLINE:
                 break
         if column != columns:
-            odd[found, 0], odd[found, 1], odd[found, 2] = column, BAD_LENGTH, first
-            odd[found, 3], odd[found, 4] = place - 1, line
-            return place, line + 1, row, found + 1
+            odd[result, 0], odd[result, 1], odd[result, 2] = column, BAD_LENGTH, first
+            odd[result, 3], odd[result, 4] = place - 1, line
+            return place, line + 1, row, result + 1
         lines[row] = line
         row, line = row + 1, line + 1
-    return place, line, row, found
+    return place, line, row, result

@@ -84,16 +84,16 @@ class _WholeFile:
     unit: Final = "row"
 
     def __init__(self, path: Path) -> None:
-        found = read_foreign(path)
+        result = read_foreign(path)
         self._path = path
-        self.header, self.refused = found.names, found.refused
+        self.header, self.refused = result.names, result.refused
         self.header_place = f"{path}: columns"
 
     def blocks(self, rows: int, mends: Mends, selection: Selection = EVERYTHING) -> Iterator[Block]:
         """Yield the rows in order, at most ``rows`` at a time."""
         wanted = [name for i, name in enumerate(self.header) if i not in selection.unread]
-        found = read_foreign(self._path, wanted)
-        table = MemoryTable(str(self._path), found.columns)
+        result = read_foreign(self._path, wanted)
+        table = MemoryTable(str(self._path), result.columns)
         texts = {wanted.index(self.header[i]): read for i, read in selection.texts.items()}
         for block in table.blocks(rows, mends, Selection(texts)):
             cells = np.full((len(self.header), block.rows), np.nan)

@@ -88,11 +88,11 @@ def matches(
         "on_time": thrusters,
         "delta_v": ("x", "y", "z"),
     }
-    found = {name: _family(sample.header, own, name) for name, own in members.items()}
+    result = {name: _family(sample.header, names, name) for name, names in members.items()}
     proposals = [*_times(sample), *_attitudes(sample.header)]
     taken = {source for match in proposals for source in match.sources}
     for channel in channel_columns(spacecraft, wheels, thrusters):
-        sources, stem = found.get(channel, ((), ""))
+        sources, stem = result.get(channel, ((), ""))
         if sources and not taken & set(sources):
             proposals.append(Match(channel, sources, _keys(channel, stem)))
             taken |= set(sources)
@@ -110,10 +110,10 @@ def _family(
             for place in re.finditer(re.escape(member), low):
                 stem = f"{low[: place.start()]}*{low[place.end() :]}"
                 families.setdefault(stem, {}).setdefault(member, name)
-    for stem, own in families.items():
+    for stem, columns in families.items():
         other = channel == "on_time" and _WORDS["pulses"].search(stem)
-        if len(own) == len(members) and _WORDS[channel].search(stem) and not other:
-            return tuple(own[member] for member in members), stem
+        if len(columns) == len(members) and _WORDS[channel].search(stem) and not other:
+            return tuple(columns[member] for member in members), stem
     return (), ""
 
 

@@ -40,17 +40,17 @@ def factor_to(unit: str, wanted: str, where: str) -> float:
     if unit == wanted or (wanted == "count" and unit == "1"):
         return 1.0
     registry, examples = _registry(), EXAMPLES[wanted]
-    text, found = unit.strip(), None
+    text, result = unit.strip(), None
     if len(text) <= LONGEST and _UNIT.fullmatch(text):
         try:
-            found = registry.get_root_units(registry.Unit(text))
+            result = registry.get_root_units(registry.Unit(text))
         except (AttributeError, ValueError, TypeError, ArithmeticError):  # pint's own are such
-            found = None
-    if found is None:
+            result = None
+    if result is None:
         raise InputError(
             where, "a unit that pint knows", repr(unit), f"write it like {', '.join(examples)}"
         )
-    factor, root = found
+    factor, root = result
     scale, expected = registry.get_root_units(registry.Unit(wanted))
     if root != expected:
         raise InputError(

@@ -17,7 +17,6 @@ from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import (
     EventRows,
-    check_rows,
     is_event_folder,
     reduce_event,
     store_reduction,
@@ -25,6 +24,7 @@ from cassini_bayes.model.event_reduction import (
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.model.mission.model import MissionModel, build_mission
+from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors, read_priors
 
@@ -82,7 +82,7 @@ def read_mission(
     for reference in mission.events:
         place = base / reference
         if is_event_folder(place):
-            found: list[tuple[Event, EventFacts, str]] = [
+            result: list[tuple[Event, EventFacts, str]] = [
                 _telemetry(place, priors, mission.pulse_shape, cache, log, policy)
             ]
         else:
@@ -90,11 +90,11 @@ def read_mission(
             for branch in sorted({row.branch for row in rows}):
                 of_branch = priors.for_branch(branch)
                 findings += check_rows(rows, of_branch, str(place), policy, steady=False)
-            found = [
+            result = [
                 (row, EventFacts(row.id, row.epoch, row.branch, True, None), _row_digest(row))
                 for row in rows
             ]
-        for event, fact, content in found:
+        for event, fact, content in result:
             if fact.id in digests:
                 raise InputError(
                     f"{where}: event {fact.id}",

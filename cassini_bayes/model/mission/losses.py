@@ -23,7 +23,7 @@ _SMALL: Final = 1e-8  # probability below which rounding takes a share of it
 _NEAR: Final = 12.0  # nats from the likeliest hypothesis within which pairs are kept
 _MOST_PAIRS: Final = 150  # pairs that are weighed, those with the highest bounds (judgement)
 _FIRST: Final = 25  # losses that a pair may start from
-_LOOKED_AT: Final = 16  # draws at which pairs are looked for
+_SCREENING_DRAWS: Final = 16  # draws at which pairs are looked for
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class LossTerms:
     @property
     def square(self) -> Array:
         """Diagonal of C, (n, O, K)."""
-        own = np.diagonal(self.total, axis1=-2, axis2=-1)
-        return np.asarray(own - (self.spent**2).sum(-1))
+        variance = np.diagonal(self.total, axis1=-2, axis2=-1)
+        return np.asarray(variance - (self.spent**2).sum(-1))
 
     def cross(self, first: Places, second: Places) -> Array:
         """C between losses given as (o, k) rows (m, 2), (n, m)."""
@@ -139,15 +139,15 @@ def log_both_positive(h: Array, k: Array, correlation: Array) -> Array:
         across += owens_t(k, (h - correlation * k) / (k * root))
     apart = (h * k < 0.0) | ((h * k == 0.0) & (h + k < 0.0))
     probability = np.asarray(0.5 * (ndtr(h) + ndtr(k)) - across - 0.5 * apart)
-    found = np.log(np.maximum(probability, _SMALL))
+    result = np.log(np.maximum(probability, _SMALL))
     small = ~(probability > _SMALL)
     if small.any():
         h, k, correlation, root = (np.asarray(v)[small][:, None] for v in (h, k, correlation, root))
         levels, weights = 0.5 * (1.0 + NODES[0]), 0.5 * NODES[1]
         beyond = -ndtri_exp(log_ndtr(h) + np.log(levels))  # the first one less its mean
         given = log_ndtr((k + correlation * beyond) / root)
-        found[small] = log_ndtr(h)[:, 0] + logsumexp(given, b=weights, axis=-1)
-    return np.asarray(found)
+        result[small] = log_ndtr(h)[:, 0] + logsumexp(given, b=weights, axis=-1)
+    return np.asarray(result)
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def near_hypotheses(
     rank[best] = np.arange(len(best))
     new = (k[left] != k[right]) & (rank[left] < rank[right])
     left, right = left[new], right[new]
-    few = slice(0, _LOOKED_AT)
+    few = slice(0, _SCREENING_DRAWS)
     bound = _pair_bound(
         np.stack([linear[few, left], linear[few, right]], axis=-1),
         np.stack([square[few, left], square[few, right]], axis=-1),
@@ -243,7 +243,7 @@ def log_prior_of(which: Sequence[Hypothesis], prior: LossPrior, shape: tuple[int
 
 def log_bayes_of(terms: LossTerms, which: Sequence[Hypothesis], scale: float) -> Array:
     """Log Bayes factors (n, H) of hypotheses against no loss."""
-    found = np.zeros((len(terms.linear), len(which)))
+    result = np.zeros((len(terms.linear), len(which)))
     counts = np.array([len(hypothesis) for hypothesis in which])
     for size in (1, 2):
         members = np.flatnonzero(counts == size)
@@ -253,11 +253,11 @@ def log_bayes_of(terms: LossTerms, which: Sequence[Hypothesis], scale: float) ->
         o, k = places[..., 0], places[..., 1]
         linear, square = terms.linear[:, o, k], terms.square[:, o, k]
         if size == 1:
-            found[:, members] = log_bayes_single(linear[..., 0], square[..., 0], scale)
+            result[:, members] = log_bayes_single(linear[..., 0], square[..., 0], scale)
         else:
             cross = terms.cross(places[:, 0], places[:, 1])
-            found[:, members] = log_bayes_pair(linear, square, cross, scale)
-    return found
+            result[:, members] = log_bayes_pair(linear, square, cross, scale)
+    return result
 
 
 def _pair_bound(linear: Array, square: Array, cross: Array, scale: float) -> Array:
@@ -352,14 +352,14 @@ def draw_thrusts_given(
 
 def _with_departures(branch: BranchAt, mean: Array, rng: np.random.Generator) -> Array:
     """Thrusts less the reference, (n, E, K), each event's departures drawn about their mean."""
-    own = branch.thrusts.own
+    thrusts = branch.thrusts.own
     information = branch.information.about(mean)
-    across = own.T @ information.matrix @ own
-    factor = np.linalg.cholesky(across + np.eye(own.shape[1]))
-    linear = np.linalg.solve(factor, (information.vector @ own)[..., None])[..., 0]
+    across = thrusts.T @ information.matrix @ thrusts
+    factor = np.linalg.cholesky(across + np.eye(thrusts.shape[1]))
+    linear = np.linalg.solve(factor, (information.vector @ thrusts)[..., None])[..., 0]
     white = linear + rng.standard_normal(linear.shape)
     drawn = np.linalg.solve(np.swapaxes(factor, -1, -2), white[..., None])[..., 0]
-    return np.asarray(mean + drawn @ own.T)
+    return np.asarray(mean + drawn @ thrusts.T)
 
 
 def chosen(log_prior: Array, log_ratio: Array) -> Array:
@@ -371,7 +371,7 @@ def chosen(log_prior: Array, log_ratio: Array) -> Array:
     return np.asarray(np.exp(total - logsumexp(total)))
 
 
-def place_of(which: Sequence[Hypothesis], hypothesis: Hypothesis) -> int:
+def index_of_hypothesis(which: Sequence[Hypothesis], hypothesis: Hypothesis) -> int:
     """Number of a hypothesis, its losses in either order."""
     wanted = frozenset(hypothesis)
     return next(i for i, losses in enumerate(which) if frozenset(losses) == wanted)

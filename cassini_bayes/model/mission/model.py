@@ -241,7 +241,7 @@ class MissionModel:
         """Every branch at coordinates z (n, d), and log likelihoods (n,) without thrusts."""
         parameters, n = self.space.to_parameters(z), len(z)
         relative = self.relative_pressures(parameters, n)
-        found: dict[str, list[tuple[Part, ThrustInformation]]] = {}
+        result: dict[str, list[tuple[Part, ThrustInformation]]] = {}
         rest = np.zeros(n)
         for part in self.parts:
             points = part.model.points_at(self.of_part(part, parameters, relative), n)
@@ -249,9 +249,9 @@ class MissionModel:
             rest = rest + sum(term.log_likelihood for term in terms)
             if len(part.places):
                 joined = ThrustInformation.joined([term.information for term in terms])
-                found.setdefault(part.branch, []).append((part, joined))
+                result.setdefault(part.branch, []).append((part, joined))
         return tuple(
-            self._branch_at(branch, found[branch.branch], parameters, relative)
+            self._branch_at(branch, result[branch.branch], parameters, relative)
             for branch in self.branches
         ), rest
 
@@ -332,7 +332,9 @@ def build_mission(
             "a mission goes on with its own trend.nc: leave from_fit out",
         )
     _check_changes(mission, priors)
-    own = tuple(dict.fromkeys(name for table in priors.of_branches.values() for name in table))
+    names_of_branches = tuple(
+        dict.fromkeys(name for table in priors.of_branches.values() for name in table)
+    )
     several = len(circumstances.branches) > 1
     prior_of: dict[str, ParameterPrior] = {}
     branches = tuple(
@@ -353,11 +355,11 @@ def build_mission(
         names = {}
         for name in (*model.space.names, *model.space.fixed):
             prior = of_branch.parameters[name]
-            label = mission_name(name, prior.spec.block, branch, own, several)
+            label = mission_name(name, prior.spec.block, branch, names_of_branches, several)
             names[name] = label
             prior_of[label] = prior
         laws = [
-            mission_name(law, "tail-off", branch, own, several)
+            mission_name(law, "tail-off", branch, names_of_branches, several)
             for law in (TAIL_PRESSURE, TAIL_AGEING)
         ]
         if len(places):
@@ -412,7 +414,7 @@ def _branch_thrusts(branch: str, priors: Priors, circumstances: Circumstances) -
             "another distribution",
             "use a normal prior",
         )
-    _, (drift, own) = priors.normal(AGEING)
+    _, (drift, departure) = priors.normal(AGEING)
     events = np.array(
         [i for i, e in enumerate(circumstances.events) if e.branch == branch and e.fires]
     )
@@ -428,7 +430,7 @@ def _branch_thrusts(branch: str, priors: Priors, circumstances: Circumstances) -
         years=circumstances.years[events] - circumstances.years[events[0]],
         common_n=prior.common_mean_n,
         levels=prior.shared,
-        ageing=level_factor(drift, own, len(thrusters)),
+        ageing=level_factor(drift, departure, len(thrusters)),
         own=prior.own,
         reference_n=np.asarray(np.exp(_SAME_THRUST * steps)),
     )
@@ -485,13 +487,13 @@ def _changes(
     mission: MissionTable, circumstances: Circumstances, event: int
 ) -> list[tuple[str, str, float]]:
     """What is added to parameters of an event: (parameter, mission's parameter, coefficient)."""
-    found = [
+    result = [
         (name, change_name(name, fact.epoch), 1.0)
         for fact in mission.dated[: circumstances.facts_before[event]]
         for name in fact.change
     ]
     used = float(circumstances.used_kg[event])
-    return found + [(name, drift_name(name), used) for name in mission.drift]
+    return result + [(name, drift_name(name), used) for name in mission.drift]
 
 
 def _check_changes(mission: MissionTable, priors: Priors) -> None:

@@ -65,8 +65,8 @@ def draw(drawings: Mapping[str, Callable[[], Figure | None]]) -> dict[str, Figur
     from cassini_bayes.report.plots.style import STYLE
 
     with matplotlib.rc_context(dict(STYLE)):
-        found = {name: make() for name, make in drawings.items()}
-        figures = {name: figure for name, figure in found.items() if figure is not None}
+        result = {name: make() for name, make in drawings.items()}
+        figures = {name: figure for name, figure in result.items() if figure is not None}
         for figure in figures.values():
             settle(figure)
             # a notebook shows it, whether or not a plotting session has been started there
@@ -88,8 +88,8 @@ def draw_encoded(
         return encoded(name, figures[name]) if figures else None
 
     order = sorted(drawings, key=is_corner, reverse=True)
-    found = dict(zip(order, in_processes(made, order, processes), strict=True))
-    return {name: own for name in drawings if (own := found[name]) is not None}
+    result = dict(zip(order, in_processes(made, order, processes), strict=True))
+    return {name: own for name in drawings if (own := result[name]) is not None}
 
 
 def encoded(name: str, figure: Figure) -> Picture:
@@ -147,7 +147,7 @@ def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
     InputError
         The folder cannot be written.
     """
-    return save_pictures({name: encoded(name, own) for name, own in figures.items()}, folder)
+    return save_pictures({name: encoded(name, figure) for name, figure in figures.items()}, folder)
 
 
 def save_pictures(pictures: Mapping[str, Picture], folder: Path) -> list[Path]:

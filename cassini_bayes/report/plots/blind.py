@@ -33,9 +33,11 @@ def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame, rates: pd.Data
         null = trials[trials["hidden"] == "none"]
         _p_values(upper[2], null)
         _false_alarms(lower[0], null)
-        own = known["size_covered"].str.split().to_list()
-        each = np.repeat(sigma, [len(flags) for flags in own])
-        _by_size(lower[1], each, np.array([f == "1" for flags in own for f in flags], dtype=bool))
+        covered = known["size_covered"].str.split().to_list()
+        each = np.repeat(sigma, [len(flags) for flags in covered])
+        _by_size(
+            lower[1], each, np.array([f == "1" for flags in covered for f in flags], dtype=bool)
+        )
         lower[1].axhline(0.9, lw=0.8, color=INK)
         lower[1].set_ylabel("90 % interval holds the truth (fraction)")
         lower[1].set_title("coverage (number of parameters)", loc="left")

@@ -99,7 +99,7 @@ def delta_v_thrust_figure(review: Review) -> Figure:
     }
     limits = limits_of(*(g for three in grids.values() for g in three[1:]))
     figure, panels = thruster_panels(thrusters, len(labels))
-    looks = _variant_looks(len(variants))
+    looks = _variant_styles(len(variants))
     for k, (name, axes) in enumerate(zip(thrusters, panels, strict=True)):
         for variant, (colour, marker, offset) in zip(variants, looks, strict=True):
             mean, low, high = grids[variant]
@@ -117,7 +117,7 @@ def delta_v_thrust_figure(review: Review) -> Figure:
     return figure
 
 
-def _variant_looks(count: int) -> list[tuple[str, str, float]]:
+def _variant_styles(count: int) -> list[tuple[str, str, float]]:
     colours, markers = ("#222222", "#4477AA", "#CC6677", "#999933"), ("o", "s", "^", "D")
     offsets = np.linspace(-0.27, 0.27, count) if count > 1 else np.zeros(1)
     return [(colours[i % 4], markers[i % 4], float(offsets[i])) for i in range(count)]

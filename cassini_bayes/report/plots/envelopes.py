@@ -34,9 +34,9 @@ def envelope_figure(ranks: Mapping[str, Ranks], probability: float) -> Figure:
             p_values = envelope_p_values(campaign.ranks)
             bad = p_values * parameters <= 1.0 - probability
             for column, outside in zip(campaign.ranks.T, bad, strict=True):
-                found = np.searchsorted(np.sort(column), grid, side="right") / n - grid
+                result = np.searchsorted(np.sort(column), grid, side="right") / n - grid
                 colour = VERDICT_COLOURS["conflict"] if outside else POSTERIOR
-                axis.plot(grid, found, lw=0.5, color=colour, alpha=0.8 if outside else 0.35)
+                axis.plot(grid, result, lw=0.5, color=colour, alpha=0.8 if outside else 0.35)
             worst = [campaign.names[i] for i in np.argsort(p_values)[:2] if bad[i]]
             title = f"{label}\n{n} repetitions, {parameters} parameters"
             axis.set_title(title + (f"\nout: {', '.join(worst)}" if worst else ""), loc="left")

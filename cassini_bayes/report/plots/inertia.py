@@ -144,12 +144,12 @@ def observability_figure(review: Review) -> Figure:
 
 def _came_out(review: Review) -> dict[str, float]:
     """Posterior over prior standard deviation of the same quantities."""
-    found = {
+    result = {
         str(row["name"]): float(row["sd"]) / float(row["prior_sd"])
         for _, row in review.nuisances.iterrows()
     }
     levels = review.summary[review.summary["quantity"] == "thrust_level_n"]
     for _, row in levels.iterrows():
         if float(row["prior_sd"]) > 0:
-            found[f"{row['item']} level"] = float(row["sd"]) / float(row["prior_sd"])
-    return found
+            result[f"{row['item']} level"] = float(row["sd"]) / float(row["prior_sd"])
+    return result

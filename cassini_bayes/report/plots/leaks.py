@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from cassini_bayes.report.plots.style import INK, STYLE
 
-LEAST_FOUND: Final = 5
+LEAST_DETECTED: Final = 5
 """Leaks whose median delay is shown: one of fewer is chance."""
 _BY_WINDOW: Final = ("#332288", "#117733", "#CC6677", "#BB8800")
 _MARKERS: Final = ("o", "s", "^", "D")
@@ -27,16 +27,16 @@ def leak_figure(table: pd.DataFrame) -> Figure:
     with matplotlib.rc_context(dict(STYLE)):
         figure = Figure(figsize=(10.0, 4.4), layout="constrained")
         left, right = figure.subplots(1, 2)
-        for i, (label, own) in enumerate(table.groupby("monitor", observed=True)):
-            middle = [1e3 * np.sqrt(max(each.left, 1e-5) * each.right) for each in own["leak_n"]]
+        for i, (label, rows) in enumerate(table.groupby("monitor", observed=True)):
+            middle = [1e3 * np.sqrt(max(each.left, 1e-5) * each.right) for each in rows["leak_n"]]
             colour, marker = (each[i // 2 % len(each)] for each in (_BY_WINDOW, _MARKERS))
             look = {"color": colour, "marker": marker, "ms": 4, "lw": (1.0, 2.0)[i % 2]}
-            left.plot(middle, own["found"], "-", label=str(label), **look)
-            enough = own["found"] * own["leaks"] > LEAST_FOUND - 0.5
-            right.plot(middle, own["delay_s"].where(enough), "-", **look)
+            left.plot(middle, rows["found"], "-", label=str(label), **look)
+            enough = rows["found"] * rows["leaks"] > LEAST_DETECTED - 0.5
+            right.plot(middle, rows["delay_s"].where(enough), "-", **look)
         for axes, what in (
             (left, "share found"),
-            (right, f"median delay where {LEAST_FOUND} or more are found, s"),
+            (right, f"median delay where {LEAST_DETECTED} or more are found, s"),
         ):
             _in_millinewtons(axes)
             axes.set_ylabel(what)
@@ -54,16 +54,16 @@ def torque_figure(after: pd.DataFrame, least: pd.DataFrame) -> Figure:
     with matplotlib.rc_context(dict(STYLE)):
         figure = Figure(figsize=(10.0, 4.0), layout="constrained")
         left, right = figure.subplots(1, 2)
-        for turn, own in after.groupby("turn_deg"):
-            left.plot(own["after_s"], own["sigma"], color=INK)
-            last = (own["after_s"].iloc[-1], own["sigma"].iloc[-1])
+        for turn, rows in after.groupby("turn_deg"):
+            left.plot(rows["after_s"], rows["sigma"], color=INK)
+            last = (rows["after_s"].iloc[-1], rows["sigma"].iloc[-1])
             left.annotate(f" {turn:.0f}°", last, va="center", fontsize=8)
         left.axhline(5.0, lw=0.8, ls="--", color=INK)
         left.set_xlabel("time after the turn, s")
         left.set_ylabel("leak and torque apart, σ")
-        for stay, own in least.groupby("stay_s"):
-            right.plot(own["turn_deg"], 1e3 * own["leak_n"], color=INK)
-            first = (own["turn_deg"].iloc[0], 1e3 * own["leak_n"].iloc[0])
+        for stay, rows in least.groupby("stay_s"):
+            right.plot(rows["turn_deg"], 1e3 * rows["leak_n"], color=INK)
+            first = (rows["turn_deg"].iloc[0], 1e3 * rows["leak_n"].iloc[0])
             right.annotate(f"{stay:.0f} s ", first, ha="right", va="center", fontsize=8)
         right.set_xscale("log")
         right.set_xlim(1.0, 200.0)

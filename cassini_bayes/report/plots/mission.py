@@ -25,16 +25,16 @@ def mission_drawings(
     """Three figures of every branch, by name; ``dated`` maps a fact's epoch to what it is."""
     drawings: dict[str, Callable[[], Figure]] = {}
     for branch in dict.fromkeys(thrust["branch"]):
-        own = thrust[thrust["branch"] == branch].assign(
+        rows = thrust[thrust["branch"] == branch].assign(
             when=lambda frame: pd.to_datetime(frame["epoch"], utc=True)
         )
         of_branch = [table[table["branch"] == branch] for table in (health, onsets)]
         drawings |= {
-            f"thrust_{branch}": partial(over_time, own, "thrust", "thrust in the event", dated),
+            f"thrust_{branch}": partial(over_time, rows, "thrust", "thrust in the event", dated),
             f"normalised_{branch}": partial(
-                over_time, own, "normalised", "thrust at the reference pressure", dated
+                over_time, rows, "normalised", "thrust at the reference pressure", dated
             ),
-            f"losses_{branch}": partial(losses, own, *of_branch),
+            f"losses_{branch}": partial(losses, rows, *of_branch),
         }
     return drawings
 

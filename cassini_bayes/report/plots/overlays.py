@@ -109,8 +109,8 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
         figure = Figure(figsize=(10.0, 1.9 * len(events) + 0.6), layout="constrained")
         panels = figure.subplots(len(events), 3, squeeze=False, sharex=True, sharey="row")
         for row, event in enumerate(events):
-            own = [spectrum for spectrum in spectra if spectrum.event == event]
-            for panel, spectrum in zip(panels[row], own, strict=True):
+            of_event = [spectrum for spectrum in spectra if spectrum.event == event]
+            for panel, spectrum in zip(panels[row], of_event, strict=True):
                 power = np.maximum(spectrum.power, 1e-3)
                 panel.loglog(spectrum.frequency_hz, power, lw=0.7, color=POSTERIOR)
                 panel.axhline(1.0, lw=0.6, color=INK)

@@ -34,8 +34,8 @@ def coverage_length_figure(table: pd.DataFrame, certain: str) -> Figure:
         for row, reading in enumerate(readings):
             for column, estimand in enumerate(estimands):
                 axes = panels[row, column]
-                own = table[(table["reading"] == reading) & (table["estimand"] == estimand)]
-                _panel(axes, own, methods, certain)
+                rows = table[(table["reading"] == reading) & (table["estimand"] == estimand)]
+                _panel(axes, rows, methods, certain)
                 axes.set_title(f"{estimand}\nsizes drawn as {reading}", loc="left")
                 if column == 0:
                     axes.set_ylabel("coverage [%]")

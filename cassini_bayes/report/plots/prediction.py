@@ -135,10 +135,10 @@ def _event_panel(axes: Axes, held: HeldOut, columns: Mapping[str, Sequence[Total
     axes.vlines(x - 0.15, q1, q3, color=POSTERIOR, lw=4.0, label="predicted, central 50 %")
     axes.plot(x - 0.15, median, "o", color="white", mec=POSTERIOR, ms=4.5, label="predicted median")
     for i, (source, (label, marker, colour)) in enumerate(COLUMN_STYLES.items()):
-        own = next((e for e in columns.get(source, ()) if e.id == held.event.id), None)
-        if own is None:
+        printed = next((e for e in columns.get(source, ()) if e.id == held.event.id), None)
+        if printed is None:
             continue
-        off = own.on_time_s[first] - flight
+        off = printed.on_time_s[first] - flight
         at = x + 0.1 + 0.13 * i
         inside = np.abs(off) <= _SHOWN_S
         axes.plot(at[inside], off[inside], marker, color=colour, ms=4.0, ls="", label=label)
@@ -192,10 +192,10 @@ def _totals_slot(
     axes.vlines(x - 0.2, low, high, color=POSTERIOR, lw=2.0, label="predicted, central 90 %")
     axes.plot(x - 0.2, median, "o", color="white", mec=POSTERIOR, ms=4.5, label="predicted median")
     for i, (source, (label, marker, colour)) in enumerate(COLUMN_STYLES.items()):
-        own = next((e for e in columns.get(source, ()) if e.id == held.event.id), None)
-        if own is None:
+        printed = next((e for e in columns.get(source, ()) if e.id == held.event.id), None)
+        if printed is None:
             continue
-        value = outcome_by_kind(own, held.prediction.units)[kind][0] - outcome[0]
+        value = outcome_by_kind(printed, held.prediction.units)[kind][0] - outcome[0]
         axes.plot(x + 0.02 + 0.14 * i, value, marker, color=colour, ms=4.0, ls="", label=label)
 
 

@@ -30,14 +30,14 @@ ROW_IN: Final = 1.25
 
 def columns_of(fit: Fit, names: Sequence[str]) -> list[Column]:
     """Posterior and prior draws of named scalars, in units that a reader can take in."""
-    found = []
+    result = []
     after, before = values_of(fit.posterior, names), values_of(fit.prior, names)
     for j, (name, unit) in enumerate(zip(names, units_of(fit.posterior, names), strict=True)):
         values, prior = after[:, j], before[:, j]
         scale = display_scale(unit, float(np.abs(values).mean()), float(np.abs(prior).mean()))
         label = short_name(name, unit)
-        found.append(Column(label, scale.unit, values * scale.factor, prior * scale.factor))
-    return found
+        result.append(Column(label, scale.unit, values * scale.factor, prior * scale.factor))
+    return result
 
 
 def scalar_corner(fit: Fit, names: Sequence[str]) -> Figure | None:

@@ -60,7 +60,7 @@ def tornado_figure(table: pd.DataFrame, quantity: str) -> Figure:
 
 def _knobs(rows: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     """Label and cells of every knob, the strongest first."""
-    found = []
+    result = []
     for (group, kind, parameters), cells in rows.groupby(
         ["group", "kind", "parameters"], sort=False
     ):
@@ -74,9 +74,9 @@ def _knobs(rows: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
                 initial=-np.inf,
             )
         )
-        found.append((strength, f"{name}: {_ENDS[str(kind)]}", cells))
-    found.sort(key=lambda knob: -knob[0])
-    return [(label, cells) for _, label, cells in found[:KNOBS_SHOWN]]
+        result.append((strength, f"{name}: {_ENDS[str(kind)]}", cells))
+    result.sort(key=lambda knob: -knob[0])
+    return [(label, cells) for _, label, cells in result[:KNOBS_SHOWN]]
 
 
 def _draw_knob(axes: Axes, y: float, cells: pd.DataFrame, value: str, error: str) -> None:
@@ -110,20 +110,20 @@ def _tornado_legend(rows: pd.DataFrame) -> list[Line2D]:
     def handle(marker: str, size: float, colour: str, label: str, face: str | None) -> Line2D:
         return Line2D([], [], ls="", marker=marker, ms=size, color=colour, mfc=face, label=label)
 
-    found = [
+    result = [
         handle("o", _SIZES[min(i, 3)], _KIND_COLOURS["width"], label, _KIND_COLOURS["width"])
         for i, label in enumerate(widths)
     ]
     shift = _KIND_COLOURS["shift"]
     if (rows["kind"] == "shift").any():
-        found += [
+        result += [
             handle("<", 6.0, shift, "centre moved down", shift),
             handle(">", 6.0, shift, "centre moved up", shift),
         ]
     family = _KIND_COLOURS["family"]
-    found += [handle(_FAMILY_MARKERS.get(f, "o"), 5.0, family, f, family) for f in families]
+    result += [handle(_FAMILY_MARKERS.get(f, "o"), 5.0, family, f, family) for f in families]
     return [
-        *found,
+        *result,
         handle("o", 5.0, INK, "weighted draws", INK),
         handle("o", 5.0, INK, "fitted anew", "white"),
     ]
@@ -150,8 +150,8 @@ def overlay_figure(
         figure = new_figure(2.9 * across + 0.2, 2.45 * down + 0.5)
         panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
         for axes, group in zip(panels, groups, strict=False):
-            own = [cell for cell in shown if cell[0] == group]
-            _overlay_panel(axes, group, base, own, grid, scale)
+            cells_of_group = [cell for cell in shown if cell[0] == group]
+            _overlay_panel(axes, group, base, cells_of_group, grid, scale)
         for axes in panels[len(groups) :]:
             axes.remove()
         tallest = max(float(_density(cell[3], grid).max()) for cell in shown)
@@ -175,8 +175,8 @@ def _overlay_grid(base: Array, quantiles: Sequence[Array]) -> Array:
     """
     low, high = np.quantile(base, [0.0005, 0.9995])
     reach = high - low
-    low = max(min(low, *(own[0] for own in quantiles)), low - _FARTHEST * reach)
-    high = min(max(high, *(own[-1] for own in quantiles)), high + _FARTHEST * reach)
+    low = max(min(low, *(line[0] for line in quantiles)), low - _FARTHEST * reach)
+    high = min(max(high, *(line[-1] for line in quantiles)), high + _FARTHEST * reach)
     margin = 0.05 * (high - low)
     start = low - margin if low < 0.0 else max(low - margin, 0.0)
     return np.linspace(start, high + margin, _GRID)
@@ -275,13 +275,13 @@ def sweep_figures(
 
     base: quantity → (unit, draws (n,)); quantiles: (group, kind, label, quantity → (199,)).
     """
-    found: dict[str, Figure] = {}
+    result: dict[str, Figure] = {}
     together = worth_figure(knowledge, worth)
     if together is not None:
-        found["worth"] = together
+        result["worth"] = together
     for i, (quantity, (unit, draws)) in enumerate(base.items(), start=1):
         if (table["kind"] != "without").any():
-            found[f"tornado_{i}"] = tornado_figure(table, quantity)
-        cells = [(group, kind, label, own[quantity]) for group, kind, label, own in quantiles]
-        found[f"overlay_{i}"] = overlay_figure(quantity, unit, draws, cells)
-    return found
+            result[f"tornado_{i}"] = tornado_figure(table, quantity)
+        cells = [(group, kind, label, line[quantity]) for group, kind, label, line in quantiles]
+        result[f"overlay_{i}"] = overlay_figure(quantity, unit, draws, cells)
+    return result

@@ -42,7 +42,7 @@ def events_of(review: Review) -> list[str]:
         return []
     first = review.fit.posterior["thrust_n"].values[0, 0]
     has = np.isfinite(first).any(axis=-1)
-    return [event for event, own in zip(all_events_of(review), has, strict=True) if own]
+    return [event for event, is_there in zip(all_events_of(review), has, strict=True) if is_there]
 
 
 def thrusters_of(review: Review) -> list[str]:

@@ -48,7 +48,7 @@ ALL_EVENTS: Final = "all events"
 
 
 @dataclass(frozen=True)
-class BaselineLook:
+class BaselineStyle:
     """How the estimates of one baseline method are drawn."""
 
     per_event: str
@@ -60,10 +60,10 @@ class BaselineLook:
 
 # The two methods of the papers; a pooled estimate stands in the column of all events.
 BASELINES: Final = (
-    BaselineLook(
+    BaselineStyle(
         "pseudo-inverse, per event", "pseudo-inverse, pooled", "pseudo-inverse", "D", 0.05
     ),
-    BaselineLook("mean of all thrusters, per event", None, "mean of all thrusters", "s", 0.34),
+    BaselineStyle("mean of all thrusters, per event", None, "mean of all thrusters", "s", 0.34),
 )
 
 
@@ -153,7 +153,7 @@ def _printed_line(axes: Axes, printed: Array) -> None:
 
 
 def _baseline(
-    axes: Axes, review: Review, look: BaselineLook, thruster: str, limits: tuple[float, float]
+    axes: Axes, review: Review, look: BaselineStyle, thruster: str, limits: tuple[float, float]
 ) -> None:
     """One method's estimates of one thruster, bars clipped by the axes, far values as carets."""
     for place, row in _baseline_rows(review, look, thruster):
@@ -181,7 +181,7 @@ def _baseline(
 
 
 def _baseline_rows(
-    review: Review, look: BaselineLook, thruster: str
+    review: Review, look: BaselineStyle, thruster: str
 ) -> list[tuple[int, pd.Series]]:
     """(slot on the event axis, row) of one method and thruster."""
     table = review.baseline
@@ -189,14 +189,14 @@ def _baseline_rows(
         return []
     events = events_of(review)
     mine = table[table["thruster"] == thruster]
-    found = [
+    result = [
         (events.index(row["event"]), row)
         for _, row in mine[mine["method"] == look.per_event].iterrows()
         if row["event"] in events
     ]
     if look.pooled is not None:
-        found += [(len(events), row) for _, row in mine[mine["method"] == look.pooled].iterrows()]
-    return found
+        result += [(len(events), row) for _, row in mine[mine["method"] == look.pooled].iterrows()]
+    return result
 
 
 def _caret(axes: Axes, x: float, value: float, limits: tuple[float, float], *, valid: bool) -> None:

@@ -27,10 +27,10 @@ def two_wheel_figure(table: pd.DataFrame) -> Figure:
         grid = figure.subplots(len(events), len(PANELS), squeeze=False)
         for line, event in zip(grid, events, strict=True):
             for axes, (stratum, factor, label) in zip(line, PANELS, strict=True):
-                own = table[(table["event"] == event) & (table["stratum"] == stratum)]
-                own = own[np.isfinite(own["size"].astype(float))]
+                rows = table[(table["event"] == event) & (table["stratum"] == stratum)]
+                rows = rows[np.isfinite(rows["size"].astype(float))]
                 for hit, colour, marker in ((True, POSTERIOR, "o"), (False, _WRONG, "D")):
-                    part = own[own["named"] == hit]
+                    part = rows[rows["named"] == hit]
                     axes.errorbar(
                         factor * part["size"],
                         factor * part["found"],
@@ -44,6 +44,6 @@ def two_wheel_figure(table: pd.DataFrame) -> Figure:
                 axes.axline((0.0, 0.0), slope=1.0, lw=0.8, color=INK, zorder=0)
                 axes.set_xlabel(f"hidden: {label}")
                 axes.set_ylabel("found, given the cause")
-                axes.set_title(f"{event}, {len(own)} trials", loc="left")
+                axes.set_title(f"{event}, {len(rows)} trials", loc="left")
         grid[0, 0].legend()
     return figure

@@ -25,12 +25,12 @@ from cassini_bayes.model.mission.losses import (
     Hypothesis,
     LossPrior,
     chosen,
+    index_of_hypothesis,
     log_bayes,
     log_bayes_of,
     log_prior_of,
     loss_terms,
     near_hypotheses,
-    place_of,
 )
 from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
@@ -50,7 +50,7 @@ MOST_K: Final = 0.7
 """Pareto k̂ beyond which importance draws are no result (Vehtari et al. 2024)."""
 LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
-LOOKS: Final = 4  # at the hypotheses, each with draws of its own
+PASSES: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
 _KEPT: Final = 100  # points whose densities one file keeps
 _WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
@@ -74,21 +74,21 @@ class Losses:
 
     def failing(self, thrusters: int) -> Array:
         """Posterior probability (K,) that each thruster has lost thrust."""
-        found = np.zeros(thrusters)
+        result = np.zeros(thrusters)
         for hypothesis, probability in zip(self.which, self.probability, strict=True):
             for loss in hypothesis:
-                found[loss.thruster] += probability
-        return found
+                result[loss.thruster] += probability
+        return result
 
     def onsets(self, thruster: int, events: int) -> Array:
         """Posterior probability (E,) of each onset of a thruster, given that it fails."""
-        found = np.zeros(events)
+        result = np.zeros(events)
         for hypothesis, probability in zip(self.which, self.probability, strict=True):
             for loss in hypothesis:
                 if loss.thruster == thruster:
-                    found[loss.onset] += probability
-        total = found.sum()
-        return found / total if total > 0 else found
+                    result[loss.onset] += probability
+        total = result.sum()
+        return result / total if total > 0 else result
 
     @property
     def log_weight(self) -> Array:
@@ -110,8 +110,8 @@ class Losses:
         for member, probability in zip(members, self.probability, strict=True):
             sets[member] = sets.get(member, 0.0) + float(probability)
         likeliest = max(sets, key=lambda member: sets[member])
-        own = [i for i, member in enumerate(members) if member == likeliest]
-        return self.which[max(own, key=lambda i: float(self.probability[i]))]
+        equal = [i for i, member in enumerate(members) if member == likeliest]
+        return self.which[max(equal, key=lambda i: float(self.probability[i]))]
 
 
 @dataclass(frozen=True)
@@ -196,15 +196,15 @@ def target(model: MissionModel, references: References, prior: LossPrior) -> Log
     """Log posterior density in z of a mission whose branches have these losses."""
 
     def log_density(z: Array) -> Array:
-        found = []
+        result = []
         for rows in model.batches(len(z)):
             branches, total = model.at(z[rows])
             for branch in branches:
                 losses = references[branch.thrusts.branch]
                 total = total + branch.levels.log_likelihood
                 total = total + log_bayes(branch, losses, prior.scale)
-            found.append(total)
-        return np.asarray(np.concatenate(found) + model.space.log_prior_terms(z).sum(-1))
+            result.append(total)
+        return np.asarray(np.concatenate(result) + model.space.log_prior_terms(z).sum(-1))
 
     return log_density
 
@@ -276,37 +276,37 @@ def fit_mission(
     stay the likeliest. All other hypotheses follow by ratios of evidence at the same draws.
     """
     references: References = {branch.branch: () for branch in model.branches}
-    found: ImportanceDraws | None = None
+    result: ImportanceDraws | None = None
     proposal: Proposal | None = None
     if earlier is not None:
         references = {**references, **earlier.references}
         density = Remembered(target(model, references, prior), store_of(repr(references)))
-        found = _reweighted(earlier, model, density, rng)
-        proposal = moments(found)
-        found = found if trusted(found) else None
-    for look in range(LOOKS):
+        result = _reweighted(earlier, model, density, rng)
+        proposal = moments(result)
+        result = result if trusted(result) else None
+    for look in range(PASSES):
         density = Remembered(target(model, references, prior), store_of(repr(references)))
         log(f"draws with {describe(model, references)}")
         start = proposal or _prior_proposal(model.space.dimension)
-        if found is None:
-            found, proposal = _importance(density, start, rng, proposals)
-        z = found.resample(rng, draws)
+        if result is None:
+            result, proposal = _importance(density, start, rng, proposals)
+        z = result.resample(rng, draws)
         losses = weighed_losses(model, prior, z, references)
         best = {one.branch: one.best for one in losses}
-        if look == LOOKS - 1 or all(set(best[b]) == set(references[b]) for b in best):
+        if look == PASSES - 1 or all(set(best[b]) == set(references[b]) for b in best):
             break
-        references, found = best, None
-    assert found is not None  # the loop ends with draws
+        references, result = best, None
+    assert result is not None  # the loop ends with draws
     return MissionFit(
         model,
         prior,
         references,
         z,
         density(z),
-        found.log_evidence,
-        found.log_evidence_se,
-        found.pareto_k,
-        found.efficiency,
+        result.log_evidence,
+        result.log_evidence_se,
+        result.pareto_k,
+        result.efficiency,
         losses,
     )
 
@@ -323,17 +323,17 @@ def _importance(
 
     One that does not come near gives way to the Laplace proposal of the mode next to it.
     """
-    found = importance(density, proposal, rng, n)
+    result = importance(density, proposal, rng, n)
     for look in range(_PILOTS):
-        if trusted(found):
+        if trusted(result):
             break
-        if look == 0 and found.efficiency * n < LEAST_DRAWS / 4:
+        if look == 0 and result.efficiency * n < LEAST_DRAWS / 4:
             mode = find_mode(density, proposal.location)
             proposal = Proposal(*laplace(density, mode), _DOF)
         else:
-            proposal = refined(proposal, found)
-        found = importance(density, proposal, rng, n)
-    return found, proposal
+            proposal = refined(proposal, result)
+        result = importance(density, proposal, rng, n)
+    return result, proposal
 
 
 def _reweighted(
@@ -416,15 +416,15 @@ def weighed_at(
             if name not in which:
                 which[name] = near_hypotheses(terms, prior, references[name])
                 shapes[name] = (len(branch.thrusts.events), len(branch.thrusts.thrusters))
-            found = log_bayes_of(terms, which[name], prior.scale)
-            reference = place_of(which[name], references[name])
-            ratios.setdefault(name, []).append(found - found[:, [reference]])
+            result = log_bayes_of(terms, which[name], prior.scale)
+            reference = index_of_hypothesis(which[name], references[name])
+            ratios.setdefault(name, []).append(result - result[:, [reference]])
     weighed = []
     for name, hypotheses in which.items():
         log_prior = log_prior_of(hypotheses, prior, shapes[name])
         ratio = np.concatenate(ratios.pop(name))[back]
         probability = chosen(log_prior, ratio)
-        reference = place_of(hypotheses, references[name])
+        reference = index_of_hypothesis(hypotheses, references[name])
         weighed.append(Losses(name, hypotheses, log_prior, probability, reference, ratio))
     return tuple(weighed)
 

@@ -37,20 +37,23 @@ def mission_fit_record(fit: MissionFit, draws: MissionDraws, rng: np.random.Gene
         Never for a mission that was read: its events have different ids.
     """
     model, n = fit.model, len(draws.z)
-    levels = {name: (own.thrust_n, own.level_n) for name, own in draws.branches.items()}
+    levels = {
+        name: (branch_draws.thrust_n, branch_draws.level_n)
+        for name, branch_draws in draws.branches.items()
+    }
     z_before = model.space.sample(rng, n)
     levels_before = _prior_levels(fit, z_before, rng)
-    found: dict[str, list[xr.Dataset]] = {}
+    result: dict[str, list[xr.Dataset]] = {}
     for part in model.parts:
         after, before = (
             _part_draws(model, part, *given, rng)
             for given in ((draws.z, levels, True), (z_before, levels_before, False))
         )
-        own = drawn_groups(part.model, after, before, (1, n), rng)
-        own["log_likelihood"] = _density(part, after)
-        for name, group in own.items():
-            found.setdefault(name, []).append(_of_events(group))
-    groups = {name: _joined(parts, model) for name, parts in found.items()}
+        of_part = drawn_groups(part.model, after, before, (1, n), rng)
+        of_part["log_likelihood"] = _density(part, after)
+        for name, group in of_part.items():
+            result.setdefault(name, []).append(_of_events(group))
+    groups = {name: _joined(parts, model) for name, parts in result.items()}
     for name, z in (("posterior", draws.z), ("prior", z_before)):
         groups[name] = groups[name].assign(_walked(model, z))
     blocks = model.space.log_prior_by_block(draws.z)
@@ -89,39 +92,39 @@ def _part_draws(
     relative = model.relative_pressures(parameters, n)
     values = model.of_part(part, parameters, relative)
     thrust, level = (
-        own[:, part.places] for own in levels.get(part.branch, (np.zeros((n, 0, 0)),) * 2)
+        item[:, part.places] for item in levels.get(part.branch, (np.zeros((n, 0, 0)),) * 2)
     )
     thrusts = ThrustDraws(thrust, np.zeros(n), level[:, -1] if level.shape[1] else level.sum(1))
     points = own_model.points_at(values, n)
     if conditional:
-        own = [
+        integrated = [
             term.at(points).draw(thrust[:, fired], rng)
             for term, fired in zip(own_model.terms, own_model.fired_of_term, strict=True)
         ]
     else:
         normals = rng.standard_normal((n, len(own_model.event_ids), 3))
         torque = own_model.torque_mean_n_m + own_model.torque_sd_n_m * normals
-        own = [
+        integrated = [
             term.draw_prior(torque[:, events], rng)
             for term, events in zip(own_model.terms, own_model.events_of_term, strict=True)
         ]
-    return Draws(points.parameters, thrusts, tuple(own))
+    return Draws(points.parameters, thrusts, tuple(integrated))
 
 
 def _prior_levels(fit: MissionFit, z: Array, rng: np.random.Generator) -> BranchLevels:
     """Thrusts and levels of every branch before any data, at prior draws z (n, d)."""
     parameters, n = fit.model.space.to_parameters(z), len(z)
     relative = fit.model.relative_pressures(parameters, n)
-    found = {}
-    for own in fit.model.branches:
-        shape = (n, len(own.events), len(own.thrusters))
-        shared = rng.standard_normal((n, own.levels.shape[1] + own.ageing.shape[1]))
+    result = {}
+    for branch in fit.model.branches:
+        shape = (n, len(branch.events), len(branch.thrusters))
+        shared = rng.standard_normal((n, branch.levels.shape[1] + branch.ageing.shape[1]))
         lost = prior_losses(fit.prior, shape, rng).lost(*shape[1:])
-        level = own.common_n * (1.0 - lost) + own.levels_at(shared)
-        departures = rng.standard_normal((*shape[:2], own.own.shape[1])) @ own.own.T
-        scale = own.scale_at(parameters, relative)
-        found[own.branch] = (scale[..., None] * level + departures, level)
-    return found
+        level = branch.common_n * (1.0 - lost) + branch.levels_at(shared)
+        departures = rng.standard_normal((*shape[:2], branch.own.shape[1])) @ branch.own.T
+        scale = branch.scale_at(parameters, relative)
+        result[branch.branch] = (scale[..., None] * level + departures, level)
+    return result
 
 
 def _density(part: Part, draws: Draws) -> xr.Dataset:
@@ -129,8 +132,8 @@ def _density(part: Part, draws: Draws) -> xr.Dataset:
     model = part.model
     points = model.points_at(draws.parameters, draws.size)
     values = [
-        term.at(points).log_density(draws.thrusts.thrust_n[:, fired], own)
-        for term, fired, own in zip(model.terms, model.fired_of_term, draws.own, strict=True)
+        term.at(points).log_density(draws.thrusts.thrust_n[:, fired], integrated)
+        for term, fired, integrated in zip(model.terms, model.fired_of_term, draws.own, strict=True)
     ]
     variable: Variable = (("event",), np.concatenate(values, axis=1), "1", DENSITY_MEANING)
     return dataset_of({DENSITY: variable}, {"event": list(model.event_ids)}, (1, draws.size))

@@ -39,15 +39,15 @@ def trend_draws(fit: MissionFit, trend: Trend) -> xr.Dataset:
     thruster is not of the event's branch.
     """
     branches = trend.draws.branches
-    names = list(dict.fromkeys(n for own in branches.values() for n in own.thrusts.thrusters))
+    names = list(dict.fromkeys(n for branch in branches.values() for n in branch.thrusts.thrusters))
     events = fit.model.circumstances.events
     shape = (1, len(fit.z), len(events), len(names))
     values = {key: np.full(shape, np.nan) for key in ("thrust_n", "normalised_thrust_n")}
-    for own in branches.values():
-        columns = np.array([names.index(name) for name in own.thrusts.thrusters])
-        place = np.ix_(own.thrusts.events, columns)
-        values["thrust_n"][0][:, place[0], place[1]] = own.thrust_n
-        values["normalised_thrust_n"][0][:, place[0], place[1]] = own.level_n
+    for branch_draws in branches.values():
+        columns = np.array([names.index(name) for name in branch_draws.thrusts.thrusters])
+        place = np.ix_(branch_draws.thrusts.events, columns)
+        values["thrust_n"][0][:, place[0], place[1]] = branch_draws.thrust_n
+        values["normalised_thrust_n"][0][:, place[0], place[1]] = branch_draws.level_n
     meanings = {
         "thrust_n": "thrust in the event",
         "normalised_thrust_n": "thrust level at the reference pressure",

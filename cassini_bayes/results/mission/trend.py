@@ -105,16 +105,16 @@ def draw_branches(fit: MissionFit, rng: np.random.Generator) -> MissionDraws:
     z = fit.z[places]
     share = fit.model.space.to_parameters(z)[INTERCEPT] if fit.losses else 0.0
     intercept = np.broadcast_to(np.asarray(share), (len(z),))
-    found = {}
+    result = {}
     for number, losses in enumerate(fit.losses):
         which = losses.draw_at(places, rng)
-        found[losses.branch] = _joined(
+        result[losses.branch] = _joined(
             [
                 _draw_batch(fit, number, z[rows], which[rows], intercept[rows], rng)
                 for rows in fit.model.batches(len(z))
             ]
         )
-    return MissionDraws(z, found)
+    return MissionDraws(z, result)
 
 
 def _draw_batch(
@@ -172,11 +172,11 @@ def thrust_table(
     circumstances = fit.model.circumstances
     pressures = circumstances.tank.pressures_kpa(np.ones(1))[0]
     rows = []
-    for branch, own in draws.items():
-        for e, place in enumerate(own.thrusts.events):
+    for branch, branch_draws in draws.items():
+        for e, place in enumerate(branch_draws.thrusts.events):
             event = circumstances.events[place]
-            for k, thruster in enumerate(own.thrusts.thrusters):
-                thrust, level = own.thrust_n[:, e, k], own.level_n[:, e, k]
+            for k, thruster in enumerate(branch_draws.thrusts.thrusters):
+                thrust, level = branch_draws.thrust_n[:, e, k], branch_draws.level_n[:, e, k]
                 on_time = float(on_time_s[event.id][k])
                 rows.append(
                     {
@@ -245,14 +245,14 @@ def onset_table(fit: MissionFit, draws: Mapping[str, BranchDraws]) -> pd.DataFra
     """Probability of every onset given that the thruster fails, where it is not negligible."""
     rows = []
     for losses in fit.losses:
-        own = draws[losses.branch].thrusts
-        for k, thruster in enumerate(own.thrusters):
-            onset = losses.onsets(k, len(own.events))
+        thrusts = draws[losses.branch].thrusts
+        for k, thruster in enumerate(thrusts.thrusters):
+            onset = losses.onsets(k, len(thrusts.events))
             rows += [
                 {
                     "branch": losses.branch,
                     "thruster": thruster,
-                    "event": fit.model.circumstances.events[own.events[e]].id,
+                    "event": fit.model.circumstances.events[thrusts.events[e]].id,
                     "probability": float(onset[e]),
                 }
                 for e in np.flatnonzero(onset > 1e-3)

@@ -97,11 +97,11 @@ def _against_goal(row: Mapping[str, Any]) -> str:
         return ""
     goal = f"{row['goal']:.2f}"
     if row["rate"] == COVERAGE:
-        found = "in the interval" if row["reached"] == "True" else "not in the interval"
+        result = "in the interval" if row["reached"] == "True" else "not in the interval"
     else:
         goal = f"{'≤' if str(row['rate']).startswith('null') else '≥'} {goal}"
-        found = "reached" if row["reached"] == "True" else "missed"
-    return f"{goal}: {'too few trials' if row['trials'] < ENOUGH_TRIALS else found}"
+        result = "reached" if row["reached"] == "True" else "missed"
+    return f"{goal}: {'too few trials' if row['trials'] < ENOUGH_TRIALS else result}"
 
 
 def _failures(table: pd.DataFrame) -> str:

@@ -80,7 +80,7 @@ class Classifier:
         true = scores[:, [self.names.index(name)]]
         return np.asarray((scores > true).sum(1), dtype=np.int64)
 
-    def own_rank(self, name: str) -> int:
+    def rank_by_data(self, name: str) -> int:
         """Place of a cause by the flight's own data."""
         return int(self.ranks(self.score[None], name)[0])
 

@@ -151,7 +151,7 @@ def _oracle(
         line = hidden_oscillation(values)[0]
     settled = classifier(events, verdict.none.mode, values, line)
     return {
-        "oracle_rank": settled.own_rank(effect.name),
+        "oracle_rank": settled.rank_by_data(effect.name),
         "oracle_expected": settled.expected(effect.name, sizes_of(effect, values, truth), rng),
     }
 

@@ -78,9 +78,11 @@ def run_two_wheels(
     tables = []
     for event in events:
         campaign = Blind(scenario, priors, study.seed, (event,), TWO_WHEELS, all_drawn=True)
-        own = replace(study, work=study.work / event)
-        run_campaign(own, campaign, trials)
-        tables.append(trial_table(event, read_trials(own.work, study.seed), read_priors(priors)))
+        of_event = replace(study, work=study.work / event)
+        run_campaign(of_event, campaign, trials)
+        tables.append(
+            trial_table(event, read_trials(of_event.work, study.seed), read_priors(priors))
+        )
     table = pd.concat(tables, ignore_index=True)
     text = body(table, scenario, priors)
     study.publish(TITLE, text, MODULE, {"": table}, {"": two_wheel_figure(table)})
@@ -146,13 +148,13 @@ def _table(head: str, rows: Iterator[str]) -> str:
 
 
 def _rates(table: pd.DataFrame) -> Iterator[str]:
-    for (event, stratum), own in table.groupby(["event", "stratum"], sort=False):
-        hits, trials = int(own["named"].sum()), len(own)
+    for (event, stratum), rows in table.groupby(["event", "stratum"], sort=False):
+        hits, trials = int(rows["named"].sum()), len(rows)
         low, high = interval(hits, trials)
         yield (
             f"| {event} | {stratum} | {trials} | {hits} | {low:.2f} … {high:.2f}"
-            f" | {int(own['itself'].sum())} | {own['probability_of_hidden'].median():.3f}"
-            f" | {_sizes(str(stratum), own)} |"
+            f" | {int(rows['itself'].sum())} | {rows['probability_of_hidden'].median():.3f}"
+            f" | {_sizes(str(stratum), rows)} |"
         )
 
 

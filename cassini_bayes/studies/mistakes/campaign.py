@@ -16,7 +16,7 @@ from cassini_bayes.events.plausibility import MISTAKES, MistakeError, TelemetryC
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.code import identity
-from cassini_bayes.model.event_reduction import check_rows, nominal_values
+from cassini_bayes.model.nominal import check_rows, nominal_values
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.studies.conditions import CRAFTS, LEVELS, draw_condition
 from cassini_bayes.studies.mistakes.flights import EFFECTS, fly, with_events

@@ -31,7 +31,7 @@ def prediction_results(study: Study, events: str, priors: str) -> Findings:
         "": leave_one_out_figure(findings.folds, columns),
         "_totals": totals_figure(findings.folds, columns),
         "_requirement": requirement_figure(
-            {name: found[2] for name, found in findings.requirement.items()}
+            {name: result[2] for name, result in findings.requirement.items()}
         ),
     }
     body = page_body(findings, read, study.page.stem)

@@ -124,18 +124,18 @@ def hydrazine_floor(findings: Findings) -> dict[str, float]:
         for source, events in (("flight", findings.events), ("fsds", findings.columns["fsds"]))
     }
     total = on_time["flight"].sum(1)
-    own = on_time["flight"][:, couple].sum(1)
+    flown = on_time["flight"][:, couple].sum(1)
     designs = {
         "flight": total[:, None],
-        "flight, by axis": np.stack([total - own, own], axis=-1),
+        "flight, by axis": np.stack([total - flown, flown], axis=-1),
         "fsds": on_time["fsds"].sum(1)[:, None],
     }
-    found = {}
+    result = {}
     for label, design in designs.items():
         misses = []
         for row in range(len(grams)):
             kept = np.arange(len(grams)) != row
             beta = np.linalg.lstsq(design[kept], grams[kept], rcond=None)[0]
             misses.append(abs(float(grams[row] - design[row] @ beta)))
-        found[label] = float(np.mean(misses))
-    return found
+        result[label] = float(np.mean(misses))
+    return result

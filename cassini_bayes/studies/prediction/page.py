@@ -89,10 +89,10 @@ on-times of FSDS instead of those of flight, the same masses differ by {floor["f
 
 
 def _requirement(findings: Findings, stem: str) -> str:
-    met = sum(found[2].met for found in findings.requirement.values())
+    met = sum(result[2].met for result in findings.requirement.values())
     left = [
-        100.0 * found[2].without_m_s["limit cycle"] / abs(found[2].nominal_m_s)
-        for found in findings.requirement.values()
+        100.0 * result[2].without_m_s["limit cycle"] / abs(result[2].nominal_m_s)
+        for result in findings.requirement.values()
     ]
     return f"""## The navigation requirement
 

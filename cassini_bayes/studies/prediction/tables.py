@@ -32,11 +32,11 @@ def skill_table(findings: Findings) -> str:
         "| --- | --- | --- | --- | --- |",
     ]
     for source, label in COLUMNS.items():
-        found = column_difference(findings.events, findings.columns[source], units)
-        cells = [f"{found[kind]:.2f}" if kind in found else "–" for kind in KINDS]
+        result = column_difference(findings.events, findings.columns[source], units)
+        cells = [f"{result[kind]:.2f}" if kind in result else "–" for kind in KINDS]
         rows.append(f"| {label} | {' | '.join(cells)} |")
-    own = [f"**{findings.scores[kind].mean_absolute_difference:.2f}**" for kind in KINDS]
-    rows.append(f"| **this prediction, event left out** | {' | '.join(own)} |")
+    differences = [f"**{findings.scores[kind].mean_absolute_difference:.2f}**" for kind in KINDS]
+    rows.append(f"| **this prediction, event left out** | {' | '.join(differences)} |")
     goals = [f"≤ {GOALS[kind]:g}" if kind in GOALS else "–" for kind in KINDS]
     rows.append(f"| goal | {' | '.join(goals)} |")
     return "\n".join(rows)

@@ -65,12 +65,12 @@ def bias_sections(
     for name, updates in SCAN.items():
         settings = file.scenario.rcs.model_copy(update=dict(updates))
         scenario = file.scenario.model_copy(update={"rcs": settings})
-        found = simulate_biases(file, scenario, tables, scan_seeds)
-        scan_rows.append(_scan_row(name, found))
+        result = simulate_biases(file, scenario, tables, scan_seeds)
+        scan_rows.append(_scan_row(name, result))
     for tau in TAIL_OFFS_S:
         changed = with_settings(file, truth={**file.scenario.truth, "tau_fall_s": tau})
-        found = simulate_biases(changed, changed.scenario, tables, scan_seeds)
-        scan_rows.append(_scan_row(f"τ_fall {1e3 * tau:.0f} ms", found))
+        result = simulate_biases(changed, changed.scenario, tables, scan_seeds)
+        scan_rows.append(_scan_row(f"τ_fall {1e3 * tau:.0f} ms", result))
     scan_header = ["settings", *_KIND_NAMES.values(), *_HALVES, *_SIGNATURE_NAMES]
     event_header = ["event", "row", *PRINTED, "simulated_mean", "simulated_sd"]
     files = {

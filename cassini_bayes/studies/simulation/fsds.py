@@ -58,8 +58,8 @@ def fsds_section() -> tuple[str, list[list[str]]]:
                 }
             )
             changed = replace(file, scenario=scenario)
-            found = [_figures(simulated(changed, seed)[0], lever) for seed in SEEDS]
-            rows.append([f"{shape}{name}", *_cells(np.array(found))])
+            result = [_figures(simulated(changed, seed)[0], lever) for seed in SEEDS]
+            rows.append([f"{shape}{name}", *_cells(np.array(result))])
     return markdown_table(header, rows), [header, *rows]
 
 

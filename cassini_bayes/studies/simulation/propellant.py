@@ -80,9 +80,9 @@ def fit_specific_impulse(
     def residuals(coefficients: Array) -> Array:
         return np.array([hydrazine_g(p, coefficients) - p.hydrazine_g for p in printed])
 
-    found = least_squares(residuals, start, x_scale=np.abs(start))
-    rms = float(np.sqrt(np.mean(found.fun**2)))
-    return SpecificImpulse(tuple(float(x) for x in found.x), rms)
+    result = least_squares(residuals, start, x_scale=np.abs(start))
+    rms = float(np.sqrt(np.mean(result.fun**2)))
+    return SpecificImpulse(tuple(float(x) for x in result.x), rms)
 
 
 def propellant_section() -> tuple[str, list[list[str]]]:

@@ -17,6 +17,7 @@ from cassini_bayes.model.mission.losses import (
     chosen,
     draw_losses,
     draw_thrusts_given,
+    index_of_hypothesis,
     log_bayes,
     log_bayes_of,
     log_bayes_pair,
@@ -25,7 +26,6 @@ from cassini_bayes.model.mission.losses import (
     log_prior_of,
     loss_terms,
     near_hypotheses,
-    place_of,
     prior_losses,
 )
 from cassini_bayes.model.mission.model import BranchAt
@@ -115,7 +115,7 @@ def test_hypotheses_add_up_whichever_is_the_reference(branch: BranchAt) -> None:
     terms = loss_terms(branch).at(slice(0, 1))
     prior = LossPrior(0.1, SCALE)
     which = near_hypotheses(terms, prior, include=(Loss(6, 5), Loss(1, 7)))
-    place = place_of(which, (Loss(1, 7), Loss(6, 5)))
+    place = index_of_hypothesis(which, (Loss(1, 7), Loss(6, 5)))
     assert set(which[place]) == {Loss(1, 7), Loss(6, 5)}
     log_prior, found = log_prior_of(which, prior, (8, 8)), log_bayes_of(terms, which, SCALE)
     first, other = (chosen(log_prior, found - found[:, [reference]]) for reference in (0, 17))
