@@ -15,6 +15,7 @@ from scipy import signal
 from simulation_cases import BIAS, EPOCH, PARAMETERS, SLEWS
 from totals_cases import B_BRANCH, FLIGHT
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import (
@@ -26,11 +27,22 @@ from cassini_bayes.events.plausibility import (
     check_telemetry,
     check_totals,
     content_of_totals,
+    momentum,
     refuse_duplicates,
 )
-from cassini_bayes.events.plausibility.hypotheses import Evidence, _of_shifts
+from cassini_bayes.events.plausibility.hypotheses import (
+    LIKELIER,
+    Evidence,
+    _is_sharp,
+    _of_shifts,
+    by_evidence,
+    with_scaled_rates,
+)
+from cassini_bayes.events.plausibility.momentum import Correction
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector
 from cassini_bayes.events.plausibility.turning import BY_CHANCE, turning_of
+from cassini_bayes.events.plausibility.undone import of_wheels
+from cassini_bayes.events.plausibility.verdict import Explanation
 from cassini_bayes.events.telemetry import (
     Chunk,
     TelemetryEvent,
@@ -115,6 +127,8 @@ QUICK = {
         "wheels rotated",
         "second wheel stuck",
         "second wheel + 500 rpm",
+        "first wheel − 50 rpm",
+        "last wheel × 1.2",
         "wheels 8 s late",
         "sign of y rate",
         "rates × 1.1",
@@ -154,6 +168,96 @@ def test_rows_far_apart_are_asked_for_no_shift(honest: dict[str, Event]) -> None
     nominal = Nominal.of(CASSINI, event.branch, event.wheels, NOMINAL, fires=True)
     evidence = Evidence(nominal, collected.motion(), collected.rows())
     assert not list(_of_shifts(evidence, 1e9))
+
+
+def evidence_of(event: TelemetryEvent, chunk: Chunk) -> Evidence:
+    """What the checks look at."""
+    collected = RowCollector()
+    collected.add(chunk)
+    nominal = Nominal.of(CASSINI, event.branch, event.wheels, NOMINAL, fires=bool(event.thrusters))
+    return Evidence(nominal, collected.motion(), collected.rows())
+
+
+def test_a_small_error_hides_in_any_torque_and_any_bias(
+    honest: dict[str, Event], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """50 rpm too few are named: not so if torque may wander as it likes, or rates be off so.
+
+    The honest slew gains nothing by any mistake.
+    """
+    event, chunk = honest["slew"]
+    wrong = TELEMETRY["first wheel − 50 rpm"].change(chunk)
+
+    def gain(given: Chunk) -> float:
+        return by_evidence(evidence_of(event, given), event.wheels, event.thrusters)[0].gain
+
+    found, nothing = gain(wrong), gain(chunk)
+    monkeypatch.setattr(momentum, "DRIFT_LEVELS", (1.0,))
+    any_torque = gain(wrong)
+    monkeypatch.setattr(Evidence, "_bias_rad_s", None)
+    assert nothing < 0.0
+    assert found > 5.0 * LIKELIER
+    assert any_torque < 0.5 * found
+    assert gain(wrong) < min(any_torque, LIKELIER)
+
+
+@pytest.mark.parametrize("kind", ["bias", "slew"])
+def test_a_gain_is_that_of_the_evidence(honest: dict[str, Event], kind: str) -> None:
+    """Against dense covariances of all rows, V = σ² + Σ departures: yᵀV⁻¹y + log|V|."""
+    event, chunk = honest[kind]
+    evidence = evidence_of(event, chunk)
+    nominal, whole = evidence.nominal, evidence.momentum
+    assert whole is not None
+    nothing = Correction.nothing(3, len(event.thrusters))
+    wrong = nothing.with_wheel(np.eye(3)[[1, 0, 2]])
+    names, design = nominal.departures
+    noise = whole.noise(nominal, nothing)
+
+    def cost(target: Array, level: float) -> float:
+        scale = np.where(np.array(names) == "drift", level, 1.0)
+        departed = whole.flat @ (design * scale) / noise
+        covariance = np.eye(len(departed)) + departed @ departed.T
+        left = whole.flat @ target / noise
+        volume = np.linalg.slogdet(covariance)[1]
+        price = np.log(level * momentum.WIDTHS["drift"] / momentum.USUAL_DRIFT) ** 2
+        return float(left @ np.linalg.solve(covariance, left) + volume + price)
+
+    def least(correction: Correction) -> float:
+        moved = momentum.corrected(whole.columns, nominal.exchanges[:, :1], correction)[:, 0]
+        return min(cost(moved, level) for level in momentum.DRIFT_LEVELS)
+
+    (gain,), (size,) = whole.gains(nominal, [wrong])
+    assert size == 1.0
+    assert gain <= least(nothing) - least(wrong) + 1e-6  # firing that vanishes has a price besides
+    if kind == "slew":
+        assert gain == pytest.approx(least(nothing) - least(wrong), rel=1e-6)
+    assert whole.evidence(nominal, noise) == pytest.approx(least(nothing), rel=1e-6)
+
+
+def test_a_unit_is_named_where_it_fits_better_than_others_nearby(
+    honest: dict[str, Event],
+) -> None:
+    """Wheels in deg/s are; a factor that takes wheels out of an honest balance is not."""
+    event, chunk = honest["slew"]
+    for given, sharp in ((TELEMETRY["wheels in deg/s"].change(chunk), True), (chunk, False)):
+        evidence = evidence_of(event, given)
+        units = [
+            each
+            for each in of_wheels(evidence.as_recorded, evidence.nominal, event.wheels, np.zeros(3))
+            if each.is_unit and each.correction.wheel[0, 0] == pytest.approx(1.0 / 6.0)
+        ]
+        fits = [(each.correction, evidence.balance(each.correction)) for each in units]
+        found = [_is_sharp(evidence, own, fit.excess) for own, fit in fits if fit is not None]
+        assert found == [sharp]
+
+
+def test_scaled_rates_are_said_with_a_scaled_wheel(honest: dict[str, Event]) -> None:
+    """Where doubled rates explain as much as a wheel's factor; not where they do not."""
+    event, chunk = honest["slew"]
+    best = (Explanation("wheel-factor", "a wheel", "check it", 5.0, 12.0),)
+    halved = evidence_of(event, TELEMETRY["rates × 0.5"].change(chunk))
+    assert "rate-factor" in [each.mistake for each in with_scaled_rates(halved, best)]
+    assert with_scaled_rates(evidence_of(event, chunk), best) == best
 
 
 def test_an_unknown_mistake_cannot_be_accepted() -> None:
@@ -460,6 +564,29 @@ def test_a_thruster_in_another_unit_is_named_and_a_weak_one_is_not() -> None:
 
     assert judged(times(10.0)).startswith("on-time-unit")
     assert judged(times(1.0 / 0.6)) == ""
+
+
+def test_a_decimal_point_in_one_column_is_named() -> None:
+    """z2's on-times × 10 in all rows cost its prior less than a free factor does; / 1.4 is none."""
+    z2 = np.arange(8) == 1
+
+    def told(factor: float) -> str:
+        rows = [
+            replace(row, on_time_s=row.on_time_s * np.where(z2, factor, 1.0)) for row in flight()
+        ]
+        return judged(rows)
+
+    assert told(10.0).startswith("on-time-unit")
+    assert told(1.4) == ""
+
+
+def test_a_long_cell_is_free_by_as_much_as_it_says() -> None:
+    """One on-time of minutes instead of seconds is found, whatever its size."""
+    row = flight()[2]
+    longest = int(np.argmax(row.on_time_s))
+    on = row.on_time_s * np.where(np.arange(8) == longest, 10.0, 1.0)
+    wrong = [*flight()[:2], replace(row, on_time_s=on, duration_s=1e5), *flight()[3:]]
+    assert judged(wrong).startswith("bad-cell")
 
 
 @pytest.mark.parametrize("place", range(8))

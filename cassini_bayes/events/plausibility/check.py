@@ -16,9 +16,14 @@ from cassini_bayes.events.plausibility.cells import BadCell, CellSearch, without
 from cassini_bayes.events.plausibility.counts import OnTimeSteps, PulseSteps
 from cassini_bayes.events.plausibility.hypotheses import (
     AXES,
+    LIKELIER,
     Evidence,
+    by_evidence,
     explanations,
+    likelier_rates,
+    likeliest,
     with_noise_of_lags,
+    with_scaled_rates,
     with_swing,
 )
 from cassini_bayes.events.plausibility.momentum import Nominal
@@ -28,6 +33,7 @@ from cassini_bayes.events.plausibility.verdict import (
     STRICT,
     SUSPECT,
     UNKNOWN,
+    Explanation,
     Findings,
     Policy,
     best_explanations,
@@ -132,7 +138,7 @@ class TelemetryCheck:
         if misfit > SUSPECT:
             evidence = with_swing(evidence)
             misfit = evidence.misfit()
-        if misfit > SUSPECT:
+        if misfit > SUSPECT or self._is_unlikely(evidence):
             self._explain(evidence, misfit, findings)
         self._check_on_times(findings)
         self._check_cells(findings)
@@ -212,20 +218,39 @@ class TelemetryCheck:
                 ),
             )
 
+    def _is_unlikely(self, evidence: Evidence) -> bool:
+        """Whether a mistake makes an event much likelier whose misfit is as honest ones have it."""
+        found = by_evidence(evidence, self._event.wheels, self._event.thrusters)
+        return bool(likelier_rates(evidence) or (found and found[0].gain > LIKELIER))
+
+    def _likeliest(self, evidence: Evidence) -> tuple[Explanation, ...]:
+        """Mistakes by how much likelier they make an event: of rates, or of wheels and counters."""
+        event = self._event
+        return likelier_rates(evidence) or likeliest(evidence, event.wheels, event.thrusters)
+
     def _explain(self, evidence: Evidence, misfit: float, findings: Findings) -> None:
         event = self._event
         where = str(event.telemetry)
+        expected = "attitude, rates, wheels and counters of one motion"
+        if misfit <= SUSPECT:
+            best = self._likeliest(evidence)
+            if best:
+                refuse_best(where, expected, misfit, best, self._policy, findings)
+            return
         sharper = with_noise_of_lags(evidence)
         found = list(explanations(sharper, event.wheels, event.thrusters))
         physical = min((each.score for each in found if each.mistake == PHYSICS), default=np.inf)
         misfit = min(misfit, physical)
-        if misfit <= SUSPECT:
-            return
         mistakes = [each for each in found if each.mistake != PHYSICS]
-        best = best_explanations(min(sharper.misfit(), physical), mistakes)
+        best = ()
+        if misfit > SUSPECT:
+            best = best_explanations(min(sharper.misfit(), physical), mistakes)
+        best = best or self._likeliest(evidence)
         if best:
-            expected = "attitude, rates, wheels and counters of one motion"
+            best = with_scaled_rates(evidence, best)
             refuse_best(where, expected, misfit, best, self._policy, findings)
+            return
+        if misfit <= SUSPECT:
             return
         balance = evidence.balance()
         share = 0.0

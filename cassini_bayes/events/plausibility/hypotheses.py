@@ -13,39 +13,40 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import read_as
 from cassini_bayes.events.plausibility.momentum import (
+    WIDTHS,
     Correction,
     Momentum,
     MomentumFit,
     Nominal,
-    exchanged,
-    exchanges_of,
     largest_jumps,
     momentum_of,
 )
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
 from cassini_bayes.events.plausibility.turning import BY_CHANCE, INSTRUMENTS, Turning, turning_of
+from cassini_bayes.events.plausibility.undone import (
+    FREE_PRICE,
+    LEAST_FACTOR_STEP,
+    ORDER_PRICE,
+    Undone,
+    of_counters,
+    of_late_wheels,
+    of_wheels,
+)
 from cassini_bayes.events.plausibility.verdict import (
     AS_GOOD,
     EXPLAINED,
     LEAST_GAIN,
+    MOST_NAMED,
     PHYSICS,
+    SUSPECT,
     Explanation,
 )
-from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
-FREE_PRICE: Final = 12.0  # a free size: some six nats of Occam's factor
 SILENT: Final = 1.5
 """Without one axis of three, noise-free misfits are two thirds as large."""
 LEAST_STILL: Final = 0.4
 """Of the event: how long a channel has to stand still before it is asked whether it is stuck:
 longer than wheels keep their rates at the end of a bias."""
-WHEEL_UNITS: Final = {
-    "rad/s": 1.0 / RAD_S_PER_RPM,
-    "deg/s": 1.0 / 6.0,
-    "rev/s": 60.0,
-    "rev/min turned to rad/s twice": RAD_S_PER_RPM,
-}
 RATE_UNITS: Final = {
     "deg/s": np.pi / 180.0,
     "mrad/s": 1e-3,
@@ -58,8 +59,8 @@ SHORTEST_PULSE_S: Final = 5e-3
 """No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
 LATE_S: Final = (2.0, 5.0, 8.0, 12.0, 20.0, 32.0, 50.0, 75.0)
-LEAST_FACTOR_STEP: Final = 0.08
-"""A free factor closer to 1 is a departure, no mistake."""
+LEAST_FACTOR: Final = 1e-3
+"""Of a wheel: with less the column says nothing."""
 CHANCE_SIGMAS: Final = 4.0
 """Of the χ² of turns, whose noise is itself measured on some forty steps."""
 PHYSICAL_LAG_S: Final = 2.5
@@ -73,6 +74,16 @@ AnyRows = TypeVar("AnyRows", bound=Motion)
 LEAST_TURNED: Final = 10.0
 """Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
 MOST_SHIFTS: Final = 16
+BESIDE: Final = 1.4
+"""Factor between a unit of wheel rates and what it has to fit better than: units are further
+apart."""
+SHARPER: Final = 5.0
+"""Misfit that these have to leave beyond it."""
+MOST_FACTOR: Final = 5.0
+"""Of body rates: where instruments are weak, a factor of 0.03 may fit by chance."""
+RATE_FIX: Final = "give rate_…_rad_s about the body axes, in rad/s"
+LIKELIER: Final = 18.0
+"""Twice the logarithm of a ratio of evidences, nine nats: honest events gain 11 at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +107,16 @@ class Evidence:
         """Columns of the balance."""
         if self.rows is None:
             return None
-        found = momentum_of(self.rows, self.nominal.torques, self.along, self.swing_hz)
+        found = momentum_of(
+            self.rows, self.nominal.torques, self.along, self.swing_hz, self._bias_rad_s
+        )
         return replace(found, most_noise=self.most_noise)
+
+    @property
+    def _bias_rad_s(self) -> Array | None:
+        """Of body rates: no more than the catalogue's, and no more than turns of attitude leave."""
+        turning = self.turning
+        return None if turning is None else np.minimum(turning.bias_rad_s, WIDTHS["bias"])
 
     @cached_property
     def as_recorded(self) -> Correction:
@@ -175,77 +194,166 @@ def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanatio
     rows = evidence.rows
     if rows is None:
         return
-    nothing, count = evidence.as_recorded, len(wheels)
-    still = evidence.turned()
+    jumps_s = rows.time_s[largest_jumps(rows.wheel_rpm)]
+    for each in of_wheels(evidence.as_recorded, evidence.nominal, wheels, jumps_s):
+        yield from _scored(evidence, each)
 
-    def left(correction: Correction) -> float:
-        fit = evidence.balance(correction)
-        assert fit is not None
-        return fit.excess + still
 
-    fix = "correct the names of the rwa…_rpm columns, or wheels in event.toml"
-    for order in permutations(range(count)):
-        if order == tuple(range(count)):
-            continue
-        # column j of the file holds the wheel that stands at order[j]
-        matrix = np.zeros((count, count))
-        matrix[list(order), range(count)] = 1.0
-        names = [wheels[i] for i in order]
-        yield Explanation(
-            "wheel-order",
-            f"columns of wheels {list(wheels)} that look like those of wheels {names}",
-            fix,
-            left(nothing.with_wheel(matrix)),
-            ORDER_PRICE,
-        )
-    own_sign = "give wheel rates about the wheels' own axes as the spacecraft file has them"
-    for signs in product((1.0, -1.0), repeat=count):
-        turned = [w for w, sign in zip(wheels, signs, strict=True) if sign < 0.0]
-        if not turned:
-            continue
-        named = "all wheels" if len(turned) == count else f"wheels {turned}"
-        yield Explanation(
-            "wheel-sign",
-            f"rates of {named} of the opposite sign",
-            own_sign,
-            left(nothing.with_wheel(np.diag(signs))),
-            ORDER_PRICE,
-        )
-    for unit, factor in WHEEL_UNITS.items():
-        yield Explanation(
-            "wheel-unit",
-            f"wheel rates that look like {unit} (times {factor:.4g})",
-            "convert the rwa…_rpm columns to rev/min",
-            left(nothing.with_wheel(factor * np.eye(count))),
-        )
-    for w, number in enumerate(wheels):
-        fit = evidence.balance(replace(nothing, wheel_factor=(w,)))
-        assert fit is not None
+def _scored(evidence: Evidence, undone: Undone) -> Iterator[Explanation]:
+    """An explanation by what misfit it leaves; none where a free factor is as good as 1."""
+    fit = evidence.balance(undone.correction)
+    assert fit is not None
+    left, what = fit.excess + evidence.turned(), undone.what
+    if undone.is_unit and not _is_sharp(evidence, undone.correction, fit.excess):
+        return
+    if len(fit.factors):
         factor = float(fit.factors[0])
-        if abs(factor - 1.0) > LEAST_FACTOR_STEP and abs(factor) > 1e-3:
-            yield Explanation(
-                "wheel-factor",
-                f"a rate of wheel {number} that has to be multiplied by {factor:.4g}",
-                f"check the unit and scale of rwa{number}_rpm",
-                fit.excess + still,
-                FREE_PRICE,
-            )
-        axis = evidence.nominal.spins[:, [w]]
-        yield Explanation(
-            "wheel-offset",
-            f"a rate of wheel {number} with a constant error",
-            f"check the zero of rwa{number}_rpm",
-            left(replace(nothing, offset=axis)),
-            FREE_PRICE,
-        )
-        jump_s = rows.time_s[largest_jumps(rows.wheel_rpm)[w]]
-        yield Explanation(
-            "wheel-offset",
-            f"a rate of wheel {number} with a constant error from {jump_s:.10g} s on",
-            f"check rwa{number}_rpm at that time",
-            left(replace(nothing, wheel_jump=(w,))),
-            FREE_PRICE,
-        )
+        if abs(factor - 1.0) <= LEAST_FACTOR_STEP or abs(factor) <= LEAST_FACTOR:
+            return
+        what = what.format(factor=factor)
+    yield Explanation(undone.mistake, what, undone.fix, left, undone.price)
+
+
+def _is_sharp(evidence: Evidence, correction: Correction, excess: float) -> bool:
+    """Whether a unit that makes wheel rates smaller fits better than factors nearby do.
+
+    Small enough a factor takes the wheels out of the balance; then all small ones fit alike.
+    """
+    wheel = correction.wheel
+    if np.trace(wheel) >= len(wheel):
+        return True
+    beside = [evidence.balance(correction.with_wheel(k * wheel)) for k in (1.0 / BESIDE, BESIDE)]
+    return all(fit is not None and fit.excess > excess + SHARPER for fit in beside)
+
+
+@dataclass(frozen=True, eq=False)
+class Likelier:
+    """A mistake of wheels or counters by how much likelier than physics it makes an event.
+
+    ``gain`` is twice the logarithm of the ratio of the evidences, less its price.
+    """
+
+    undone: Undone
+    gain: float
+
+
+def by_evidence(
+    evidence: Evidence, wheels: Sequence[int], thrusters: Sequence[str]
+) -> list[Likelier]:
+    """Mistakes of wheels and counters, the likeliest first.
+
+    The torque that wanders is as large as the event itself says. Units are left out: in another
+    unit the noise of the wheels has another size, and the evidence is not that of the same data.
+    """
+    rows, momentum, nominal = evidence.rows, evidence.momentum, evidence.nominal
+    if rows is None or momentum is None:
+        return []
+    nothing, jumps_s = evidence.as_recorded, rows.time_s[largest_jumps(rows.wheel_rpm)]
+    undone = [
+        *(each for each in of_wheels(nothing, nominal, wheels, jumps_s) if not each.is_unit),
+        *of_counters(nothing, nominal, thrusters),
+        of_late_wheels(nothing),
+    ]
+    gains, sizes = momentum.gains(nominal, [each.correction for each in undone])
+    found = []
+    for each, gain, size in zip(undone, gains.tolist(), sizes.tolist(), strict=True):
+        if "{factor" in each.what:
+            if abs(size) <= LEAST_FACTOR_STEP or abs(1.0 + size) <= LEAST_FACTOR:
+                continue
+            each = replace(each, what=each.what.format(factor=1.0 + size))
+        found.append(Likelier(each, gain - each.price))
+    return sorted(found, key=lambda each: -each.gain)
+
+
+def likeliest(
+    evidence: Evidence, wheels: Sequence[int], thrusters: Sequence[str]
+) -> tuple[Explanation, ...]:
+    """What makes an event much likelier than physics does, with a swing and lags as physics.
+
+    Empty if nothing does, or if even then more is left than of an honest event.
+    """
+    if evidence.turned() > LEAST_TURNED:
+        return ()  # rates or attitudes are wrong: the balance says nothing of wheels
+    for each in (evidence, with_swing(evidence), _with_physical_lag(evidence)):
+        found = by_evidence(each, wheels, thrusters)
+        if not found or found[0].gain < LIKELIER:
+            return ()
+    if found[0].undone.correction.wheel_lag:
+        return _late_wheels(evidence, found[0].undone)
+    close = [each.undone for each in found if each.gain > found[0].gain - AS_GOOD]
+    explained = [
+        one
+        for undone in close
+        if not undone.correction.wheel_lag
+        for one in _scored(evidence, undone)
+    ]
+    # what is likelier must also close the balance: quick firing leaves more than any mistake here
+    most = SUSPECT
+    if not thrusters:
+        most = max(SUSPECT, min(evidence.misfit() - LIKELIER, 2.0 * SUSPECT))
+    return tuple(each for each in explained if each.left <= most)[:MOST_NAMED]
+
+
+def likelier_rates(evidence: Evidence) -> tuple[Explanation, ...]:
+    """A factor of body rates that makes turns much likelier; empty if none does."""
+    turning = evidence.turning
+    if turning is None:
+        return ()
+    recorded, found = turning.misfit(np.eye(3)), []
+    for named, matrix, factor in _rate_factors(turning):
+        if MOST_FACTOR**-1 < factor < MOST_FACTOR:
+            gain = recorded - turning.misfit(matrix) - FREE_PRICE
+            what = f"{named} that have to be multiplied by {factor:.4g}"
+            left = evidence.turned(matrix)
+            found.append((gain, Explanation("rate-factor", what, RATE_FIX, left, FREE_PRICE)))
+    gain, best = max(found, key=lambda each: each[0], default=(0.0, None))
+    return () if best is None or gain < LIKELIER or best.left > LEAST_TURNED else (best,)
+
+
+def with_scaled_rates(evidence: Evidence, best: Sequence[Explanation]) -> tuple[Explanation, ...]:
+    """The best explanations, and doubled or halved body rates where they explain as much.
+
+    Momentum does not speak of the size of rates, whose noise changes with them, but what looks like
+    a wheel of another size may be rates of another size: then both are said.
+    """
+    if not best or best[0].mistake not in _LIKE_SCALED_RATES:
+        return tuple(best)
+    nothing, found = evidence.as_recorded, list(best)
+    for factor in (0.5, 2.0):
+        left = evidence.misfit(nothing.with_rate(factor * np.eye(3)))
+        if left <= best[0].left + AS_GOOD:
+            what = f"body rates that have to be multiplied by some {factor:g}"
+            found.append(Explanation("rate-factor", what, RATE_FIX, left, best[0].price))
+    return tuple(sorted(found, key=lambda each: each.score))
+
+
+_LIKE_SCALED_RATES: Final = ("wheel-factor", "wheel-unit")
+
+
+def _late_wheels(evidence: Evidence, undone: Undone) -> tuple[Explanation, ...]:
+    """Wheels that come late by as much as makes the event likeliest."""
+    rows, motion = evidence.rows, evidence.motion
+    assert rows is not None
+    assert motion is not None
+    shift = _Shift(evidence, rows, motion, "wheel-time")
+    late = max(shift.lags_s(), key=shift.raises, default=0.0)
+    if abs(late) <= PHYSICAL_LAG_S or shift.raises(late) < LIKELIER + FREE_PRICE:
+        return ()
+    what = f"{undone.what} that come some {abs(late):.3g} s {'late' if late > 0.0 else 'early'}"
+    left = evidence.misfit() * shift.share(late)
+    return (Explanation(undone.mistake, what, undone.fix, left, undone.price),)
+
+
+def _with_physical_lag(evidence: Evidence) -> Evidence:
+    """The same with counters as late or early as leaves least, within the catalogue's bound."""
+    rows, motion = evidence.rows, evidence.motion
+    if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
+        return evidence
+    shift = _Shift(evidence, rows, motion, "counter-time")
+    late = max(_physical_lags_s(motion), key=shift.gain, default=0.0)
+    if not late or shift.gain(late) <= FREE_PRICE:
+        return evidence
+    return replace(evidence, rows=shift.moved(rows, late)[1])
 
 
 def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
@@ -312,17 +420,8 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
             "give on_time_…_s in seconds",
             fit.excess + still,
         )
-    for both in exchanges_of(evidence.nominal):
-        names = " and ".join(f"{thrusters[a]} with {thrusters[b]}" for a, b in both)
-        fit = evidence.balance(nothing.with_thruster(exchanged(np.eye(len(thrusters)), both)))
-        assert fit is not None
-        yield Explanation(
-            "thruster-order",
-            f"counters of thrusters exchanged, {names}",
-            "correct the names of the on_time_… and pulses_… columns",
-            fit.excess + still,
-            ORDER_PRICE * (1 + len(both)),
-        )
+    for each in of_counters(nothing, evidence.nominal, thrusters):
+        yield from _scored(evidence, each)
 
 
 def on_time_units(rows: Rows | None) -> dict[str, float]:
@@ -353,7 +452,6 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
     if turning is None:
         return
     known = evidence.turned() > LEAST_TURNED
-    fix = "give rate_…_rad_s about the body axes, in rad/s"
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         matrix = np.diag(signs)[:, list(order)]
         plain = order == (0, 1, 2)
@@ -371,7 +469,7 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
         yield Explanation(
             "rate-sign" if plain else "rate-axes",
             f"columns of body rates x, y, z that look like {held}",
-            fix,
+            RATE_FIX,
             evidence.misfit(nothing.with_rate(matrix)),
             ORDER_PRICE,
         )
@@ -382,27 +480,36 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
         yield Explanation(
             "rate-unit",
             f"body rates that look like {unit} (times {factor:.4g})",
-            fix,
+            RATE_FIX,
             evidence.misfit(nothing.with_rate(factor * np.eye(3))),
         )
-    yield from _of_rate_factors(evidence, turning, fix)
+    yield from _of_rate_factors(evidence, turning)
 
 
-def _of_rate_factors(evidence: Evidence, turning: Turning, fix: str) -> Iterator[Explanation]:
+def _of_rate_factors(evidence: Evidence, turning: Turning) -> Iterator[Explanation]:
     nothing = evidence.as_recorded
+    for named, matrix, factor in _rate_factors(turning):
+        yield Explanation(
+            "rate-factor",
+            f"{named} that have to be multiplied by {factor:.4g}",
+            RATE_FIX,
+            evidence.misfit(nothing.with_rate(matrix)),
+            FREE_PRICE,
+        )
+
+
+def _rate_factors(turning: Turning) -> Iterator[tuple[str, Array, float]]:
+    """Which body rates, a matrix (3, 3), and the factor of them that fits turns best."""
     for axes in ((0, 1, 2), (0,), (1,), (2,)):
         factor = turning.factor(axes)
         if not np.isfinite(factor) or abs(factor - 1.0) < 0.5 * LEAST_FACTOR_STEP:
             continue
         matrix = np.eye(3)
         matrix[list(axes), list(axes)] = factor
-        named = "body rates" if len(axes) == 3 else f"body rates about {AXES[axes[0]]}"
-        yield Explanation(
-            "rate-factor",
-            f"{named} that have to be multiplied by {factor:.4g}",
-            fix,
-            evidence.misfit(nothing.with_rate(matrix)),
-            FREE_PRICE,
+        yield (
+            "body rates" if len(axes) == 3 else f"body rates about {AXES[axes[0]]}",
+            matrix,
+            factor,
         )
 
 
@@ -493,11 +600,17 @@ def _of_physical_lags(evidence: Evidence) -> Iterator[Explanation]:
     rows, motion = evidence.rows, evidence.motion
     if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
         return
-    shift, row_s = _Shift(evidence, rows, motion, "counter-time"), _row_s(motion)
-    number, misfit = int(PHYSICAL_LAG_S / row_s), evidence.misfit()
-    for late in (row_s * n for n in range(-number, number + 1) if n):
+    shift, misfit = _Shift(evidence, rows, motion, "counter-time"), evidence.misfit()
+    for late in _physical_lags_s(motion):
         what = f"counters that come {late:.3g} s late"
         yield Explanation(PHYSICS, what, "", misfit * shift.share(late), FREE_PRICE)
+
+
+def _physical_lags_s(motion: Motion) -> list[float]:
+    """Whole rows that counters may be late by."""
+    row_s = _row_s(motion)
+    number = int(PHYSICAL_LAG_S / row_s)
+    return [row_s * n for n in range(-number, number + 1) if n]
 
 
 def _row_s(motion: Motion) -> float:
@@ -537,6 +650,18 @@ class _Shift:
         """Misfit that it removes."""
         before, after = self._misfits(late_s)
         return before - after
+
+    def raises(self, late_s: float) -> float:
+        """By how much it raises the evidence of the rows that it knows, as 2 log."""
+        nominal, nothing = self.evidence.nominal, self.evidence.as_recorded
+        as_is, shifted = self.moved(self.rows, late_s)
+        if len(as_is.time_s) < LEAST_ROWS:
+            return -np.inf
+        rows, moved = (replace(self.evidence, rows=each).momentum for each in (as_is, shifted))
+        assert rows is not None
+        assert moved is not None
+        noise = min(each.noise(nominal, nothing) for each in (rows, moved))
+        return rows.evidence(nominal, noise) - moved.evidence(nominal, noise)
 
     def _misfits(self, late_s: float) -> tuple[float, float]:
         """Of rows that the shift knows: as they are, and with the channel moved back."""

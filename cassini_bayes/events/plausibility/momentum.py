@@ -14,7 +14,7 @@ units of the rows' noise, and the price together are the misfit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
@@ -48,7 +49,7 @@ WIDTHS: Final[Mapping[str, float]] = {
     "warm-up": 0.25,  # of the thrust, while a thruster's bed is cold
     "lag": 1.0,  # s of the counters
     "torque": 0.003,  # N m, each axis: a leak of a few mN
-    "bias": 2e-5,  # rad/s of every rate
+    "bias": 2e-5,  # rad/s of every rate, and no more than turns of the attitude leave
     "drift": 0.002,  # N m s per √s, each axis: torque that nothing catalogued explains
     "cut": 0.02,  # s of thrust, cut off the tail of each pulse that another may follow at once
     "swing": 2e-5,  # rad/s of a boom's oscillation, where one is looked for
@@ -57,6 +58,12 @@ WIDTHS: Final[Mapping[str, float]] = {
 to ten times the published uncertainties; drift: twice the median of `unknown`
 there, as a mistake that explains more than a torque of nobody's catalogue has to win against it."""
 WARM_UP_S: Final = 5.0
+DRIFT_LEVELS: Final = (0.05, 0.25, 1.0)
+"""Shares of its width that a torque which nothing explains may have: inferred from each event."""
+USUAL_DRIFT: Final = 1e-4
+"""N m s per √s: the median of the priors', whose logarithm has a width of 1."""
+LEAST_STRENGTH: Final = 1e-9
+"""Of a free column, in units of noise: nothing is known of it."""
 DRIFT_MODES: Final = 24
 """Of a torque that wanders: with 12, what a strong one has left was no noise (by trial)."""
 CUT_MODES: Final = 24
@@ -129,8 +136,9 @@ class Correction:
 
     ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
     a constant error; ``wheel_factor``: wheels whose column has a free factor;
-    ``wheel_jump``: wheels with a constant error from their largest jump on; ``on_time``: factor of
-    on-times, not of pulses.
+    ``wheel_jump``: wheels with a constant error from their largest jump on; ``wheel_lag``: whether
+    all wheels come late by some time, to first order (of :meth:`Momentum.gains` alone);
+    ``on_time``: factor of on-times, not of pulses.
     """
 
     rate: Array  # (3, 3)
@@ -139,12 +147,18 @@ class Correction:
     offset: Array = field(default_factory=lambda: np.zeros((3, 0)))
     wheel_factor: tuple[int, ...] = ()
     wheel_jump: tuple[int, ...] = ()
+    wheel_lag: bool = False
     on_time: float = 1.0
 
     @classmethod
     def nothing(cls, wheels: int, thrusters: int) -> Correction:
         """Everything as recorded."""
         return cls(np.eye(3), np.eye(wheels), np.eye(thrusters))
+
+    @property
+    def is_free(self) -> bool:
+        """Whether a size is free."""
+        return bool(self.offset.shape[1] or self.wheel_factor or self.wheel_jump or self.wheel_lag)
 
     def with_rate(self, rate: Array) -> Correction:
         """The same with other rates."""
@@ -167,7 +181,7 @@ def exchanged(order: Array, pairs: Sequence[tuple[int, int]]) -> Array:
     return np.asarray(order[rows])
 
 
-_NONE: Final = np.zeros(0)
+MAY_LACK: Final = ("cut", "swing")
 _FREE: Final = 30.0
 """Standard deviation of a free factor, and of a free offset in N m s: as good as none."""
 
@@ -187,7 +201,9 @@ class Columns:
             "flow": thrusters,
             "torque": 1,
             "fixed": 1,
+            "bias": 1,
             "jump": wheels,
+            "wheel flow": wheels,
             "drift": DRIFT_MODES,
             "cut": CUT_MODES,
             "swing": SWING_MODES,
@@ -257,7 +273,7 @@ class Momentum:
         Eigenvalues, eigenvectors and right-hand side of these, in units of the noise.
         """
         target = corrected(self.columns, nominal.exchanges[:, :1], correction)[:, 0]
-        names, design = departures_of(self.columns, nominal, correction)
+        names, design = self._present(*departures_of(self.columns, nominal, correction))
         variance = self.noise(nominal, correction) ** 2
         strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
         pull = -axes.T @ (design.T @ (self.gram @ target)) / variance
@@ -278,16 +294,97 @@ class Momentum:
         # what nobody believes explains nothing
         vector = target + design @ np.clip(solution, -MOST_SIGMAS, MOST_SIGMAS)
         open_nms = np.sqrt(max(float(vector @ self.gram @ vector), 0.0) / self.rows)
-        factors = 1.0 + _FREE * solution[len(solution) - len(correction.wheel_factor) :]
+        factors = 1.0 + _FREE * solution[np.array(names) == "factor"]
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
         excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
-        if "common" in names:
-            share = self._share_of_impulse(names, nominal, correction)
-            # a tail may grow by more than there is of it, but not shrink
-            less = np.where(np.array(names) == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
-            variance_of_less = float(np.sum((less * share) ** 2))
-            excess += vanishing(1.0 + float(share @ solution), variance_of_less)
-        return MomentumFit(excess, float(open_nms), factors if correction.wheel_factor else _NONE)
+        share, spread = self._impulse(names, nominal, correction)
+        excess += vanishing(1.0 + float(share @ solution), spread)
+        return MomentumFit(excess, float(open_nms), factors)
+
+    def _present(self, names: Sequence[str], design: Array) -> tuple[tuple[str, ...], Array]:
+        """Departures without those of cut tails or a swing that an event has not."""
+        known = self.gram.diagonal() > 0.0
+        kept = np.any(design[known] != 0.0, axis=0) | ~np.isin(names, MAY_LACK)
+        return tuple(np.array(names)[kept].tolist()), design[:, kept]
+
+    def evidence(self, nominal: Nominal, noise: float) -> float:
+        """−2 log of the evidence of rows with a noise in N m s, but for a constant."""
+        return min(
+            each.cost for each in self._levels(nominal, np.zeros((self.columns.size, 0)), noise)
+        )
+
+    def gains(self, nominal: Nominal, corrections: Sequence[Correction]) -> tuple[Array, Array]:
+        """By how much corrections raise the evidence, as 2 log, and their sizes (1 where fixed).
+
+        A correction moves what is to be closed by a column, once or, where its size is free, by as
+        much as fits best; a factor is 1 and the size.
+        """
+        nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        noise = self.noise(nominal, nothing)
+        target = nominal.exchanges[:, 0]
+        moves = np.stack([self._move(nominal, target, each) for each in corrections], axis=1)
+        free = np.array([each.is_free for each in corrections])
+        recorded, left, sizes = [], [], []
+        for level in self._levels(nominal, moves, noise):
+            size = np.where(free, -level.common / np.maximum(level.strength, LEAST_STRENGTH), 1.0)
+            closed = size * (2.0 * level.common + size * level.strength)
+            impulse = level.impulse + level.moved * size
+            gone = [vanishing(each, level.spread) for each in impulse.tolist()]
+            recorded.append(level.cost + vanishing(level.impulse, level.spread))
+            left.append(level.cost + closed + np.array(gone))
+            sizes.append(size)
+        best = np.argmin(left, axis=0)
+        return min(recorded) - np.min(left, axis=0), np.array(sizes)[best, np.arange(len(best))]
+
+    def _levels(self, nominal: Nominal, moves: Array, noise: float) -> Iterator[_Level]:
+        """The balance with each size of the torque that wanders, and columns ``moves`` (p, C)."""
+        names, design = self._present(*nominal.departures)
+        weights = np.concatenate([design, moves, nominal.exchanges[:, :1]], axis=1)
+        inner = weights.T @ (self.gram @ weights) / noise**2
+        number, wanders = len(names), np.array(names) == "drift"
+        nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        share, spread = self._impulse(names, nominal, nothing)
+        right = np.column_stack([inner[:number, number:], share])
+        for level in DRIFT_LEVELS:
+            scale = np.where(wanders, level, 1.0)[:, None]
+            covariance = np.eye(number) + scale * inner[:number, :number] * scale.T
+            factor = np.linalg.cholesky(covariance)
+            solved = solve_triangular(factor, scale * right, lower=True, check_finite=False)
+            impulse, solved = -solved[:, -1] @ solved[:, :-1], solved[:, :-1]
+            # what departures do not take of the columns
+            rest = inner[number:, number:] - solved.T @ solved
+            volume = 2.0 * float(np.log(np.diag(factor)).sum())
+            price = float(np.log(level * WIDTHS["drift"] / USUAL_DRIFT) ** 2)
+            yield _Level(
+                float(rest[-1, -1]) + volume + price,
+                np.diag(rest)[:-1],
+                rest[:-1, -1],
+                1.0 + float(impulse[-1]),
+                impulse[:-1],
+                spread,
+            )
+
+    def _move(self, nominal: Nominal, target: Array, correction: Correction) -> Array:
+        """Weights (p,) by which a correction moves what is to be closed, at a size of 1."""
+        if correction.offset.shape[1]:
+            return self.columns.weights(fixed=correction.offset[:, 0])
+        if correction.wheel_lag:
+            return self.columns.weights(wheel_flow=nominal.spins)
+        free = {"wheel_around": correction.wheel_factor, "jump": correction.wheel_jump}
+        for name, of in free.items():
+            if of:
+                own = np.outer(nominal.spins[:, of[0]], np.eye(nominal.spins.shape[1])[of[0]])
+                return self.columns.weights(**{name: own})
+        return corrected(self.columns, target[:, None], correction)[:, 0] - target
+
+    def _impulse(
+        self, names: Sequence[str], nominal: Nominal, correction: Correction
+    ) -> tuple[Array, float]:
+        """What 1 σ of each departure (J,) adds to the impulse of all firings, and its variance."""
+        share = self._share_of_impulse(names, nominal, correction)
+        # a tail may grow by more than there is of it, but not shrink
+        less = np.where(np.array(names) == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
+        return share, float(np.sum((less * share) ** 2))
 
     def _share_of_impulse(
         self, names: Sequence[str], nominal: Nominal, correction: Correction
@@ -319,6 +416,24 @@ class MomentumFit:
     factors: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """A balance with one size of the torque that wanders, and C columns that may move it.
+
+    ``cost`` is −2 log of its evidence but for a constant; ``strength`` and ``common`` (C,) are
+    inner products of the columns with themselves and with what is to be closed, departures
+    projected out; ``impulse`` is the share of the nominal impulse that the best departures leave of
+    all firings, a column moves it by ``moved`` (C,), and ``spread`` is the variance of its prior.
+    """
+
+    cost: float
+    strength: Array
+    common: Array
+    impulse: float
+    moved: Array
+    spread: float
+
+
 def corrected(columns: Columns, weights: Array, correction: Correction) -> Array:
     """Weights (p, J) on true channels as weights on what was recorded: true = matrix · recorded."""
     result = weights.copy()
@@ -342,14 +457,12 @@ def exchanges_of(nominal: Nominal) -> list[tuple[tuple[int, int], ...]]:
     """Pairs of thrusters that may be exchanged, and two pairs at once of those that push alike."""
     pairs = list(combinations(range(nominal.torques.shape[1]), 2))
     pushes = nominal.pushes.T
+    same, against = (np.isclose(pushes[:, None], each) for each in (pushes, -pushes))
+    alike = np.asarray(same.all(axis=-1) | against.all(axis=-1))
     both = [
         (a, b)
         for a, b in combinations(pairs, 2)
-        if not set(a) & set(b)
-        and all(
-            np.allclose(pushes[k], pushes[a[0]]) or np.allclose(pushes[k], -pushes[a[0]])
-            for k in (*a, *b)
-        )
+        if not set(a) & set(b) and all(alike[a[0], k] for k in (*a, *b))
     ]
     return [*((pair,) for pair in pairs), *both]
 
@@ -408,7 +521,7 @@ def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, .
         each += _thruster_departures(columns, nominal)
     for axis in np.eye(3):
         each.append(("torque", columns.weights(torque=WIDTHS["torque"] * axis)))
-        each.append(("bias", columns.weights(fixed=WIDTHS["bias"] * size * axis)))
+        each.append(("bias", columns.weights(bias=size * axis)))
         for mode in np.eye(DRIFT_MODES):
             drift = columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
             each.append(("drift", drift))
@@ -459,11 +572,16 @@ def vanishing(level: float, variance: float) -> float:
 
 
 def momentum_of(
-    rows: Rows, torques: Array, along: Array | None = None, swing_hz: float = 0.0
+    rows: Rows,
+    torques: Array,
+    along: Array | None = None,
+    swing_hz: float = 0.0,
+    bias_rad_s: Array | None = None,
 ) -> Momentum:
     """Columns of an event's rows and their Gram matrices.
 
     ``torques``: (3, K) of the thrusters. ``swing_hz``: of a boom that may oscillate; 0: of none.
+    ``bias_rad_s``: (3,) that rates may be off by, 1 σ; without it that of :data:`WIDTHS`.
     ``along``: a body axis (3,) along which nothing is known, so that rows speak of the plane across
     it alone: the columns are those of a wheel that says nothing.
     """
@@ -499,8 +617,12 @@ def momentum_of(
     table[:, :, of["flow"]] = np.gradient(fired, time, axis=0) if thrusters else fired
     table[:, :, of["torque"]] = accumulated(np.diff(time)[:, None])
     table[:, :, of["fixed"]] = carried(np.ones((count, 1)))
+    off = np.full(3, WIDTHS["bias"]) if bias_rad_s is None else bias_rad_s
+    table[:, :, of["bias"]] = turn * off
     jumped = np.arange(count)[:, None] >= largest_jumps(rows.wheel_rpm)
     table[:, :, of["jump"]] = carried(jumped.astype(np.float64))
+    flow = np.gradient(rows.wheel_rpm, time, axis=0)
+    table[:, :, of["wheel flow"]] = carried(RAD_S_PER_RPM * flow)
     table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)
     shots = np.cumsum(close_pulses(rows) @ (torques**2).T, axis=0)
     walks = np.stack([brownian_modes(clock, CUT_MODES) for clock in shots.T], axis=1)

@@ -19,18 +19,14 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility.hypotheses import (
-    FREE_PRICE,
-    ORDER_PRICE,
-    WHEEL_UNITS,
-    impossible_units,
-)
+from cassini_bayes.events.plausibility.hypotheses import impossible_units
 from cassini_bayes.events.plausibility.momentum import (
     LEAST_IMPULSE,
     WIDTHS,
     Nominal,
     vanishing,
 )
+from cassini_bayes.events.plausibility.undone import FREE_PRICE, ORDER_PRICE, WHEEL_UNITS
 from cassini_bayes.events.plausibility.verdict import (
     STRICT,
     Explanation,
@@ -56,6 +52,11 @@ OWN_THRUST: Final = 0.06
 have lost any part of it."""
 LOST: Final = 0.2
 """What that one may have lost: the catalogue's width."""
+CELL_S: Final = 30.0
+"""Of an on-time that is wrong: by how much at least, and three times what it says."""
+DECADES: Final = {"ten times too long": 0.1, "ten times too short": 10.0}
+"""Slips of a decimal point in one thruster's column: one of sixteen, at a price far below that of
+any factor."""
 FACTOR: Final = 3.0
 """Of on-times that are in another unit: how much of them is none."""
 TAIL_S: Final = 0.03
@@ -69,6 +70,10 @@ SUSPECT: Final = 9.0
 LEAST_GAIN: Final = 7.0
 """As for telemetry, but lower: with three equations a row, departures swallow noise (flight's rows
 leave 0.2 or less, and each alone 9.9 or more where its wheel rates are in rad/s)."""
+SUSPECT_ALONE: Final = 6.0
+GAIN_ALONE: Final = 3.5
+"""The same of a row that stands alone: departures swallow more of its three equations (257 honest
+rows leave 3.8 at most)."""
 GROSS: Final = 100.0
 """Misfit per row above which a table that no mistake explains is refused."""
 
@@ -233,10 +238,11 @@ def check_totals(
     numbers = tuple(sorted({number for wheels in nominals for number in wheels}))
     table = _Table(nominals, numbers, next(iter(nominals.values())).pushes, steady)
     misfit = table.misfit(rows)
-    if misfit <= SUSPECT:
+    suspect, least_gain = (SUSPECT, LEAST_GAIN) if len(rows) > 1 else (SUSPECT_ALONE, GAIN_ALONE)
+    if misfit <= suspect:
         return tuple(findings.sentences)
     best = best_explanations(
-        misfit, list(_explanations(table, rows, events[0].thrusters)), LEAST_GAIN
+        misfit, list(_explanations(table, rows, events[0].thrusters)), least_gain, suspect
     )
     expected = "wheel rates and on-times that exchange the same momentum"
     if best:
@@ -302,6 +308,15 @@ def _explanations(
                     price + 2.0 * np.log(len(rows)),
                 )
     for k, name in enumerate(thrusters if len(rows) > 1 else ()):
+        for said, factor in DECADES.items():
+            own = np.where(np.arange(len(thrusters)) == k, factor, 1.0)
+            yield Explanation(
+                "on-time-unit",
+                f"on-times of {name} that look {said} in every row",
+                f"check the unit of on_time_{name}_s",
+                table.misfit([replace(row, on_time_s=own * row.on_time_s) for row in rows]),
+                2.0 * ORDER_PRICE,
+            )
         fired = [table.nominals[row.wheels].torques[:, k] * row.on_time_s[k] for row in rows]
         yield Explanation(
             "on-time-unit",
@@ -404,4 +419,4 @@ def _cells(table: _Table, row: TotalsRow, thrusters: Sequence[str]) -> Iterator[
         direction = 1000.0 * RAD_S_PER_RPM * nominal.spins[:, place]
         yield f"rwa{number}_rpm_start or rwa{number}_rpm_end", direction
     for k, name in enumerate(thrusters):
-        yield f"on_time_{name}_s", 30.0 * nominal.torques[:, k]
+        yield f"on_time_{name}_s", max(CELL_S, 3.0 * row.on_time_s[k]) * nominal.torques[:, k]

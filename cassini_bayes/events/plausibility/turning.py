@@ -38,6 +38,7 @@ STEP_S: Final = 8.0
 slower."""
 MOST_JOINED: Final = 8
 MOST_LAGS: Final = 20
+BIAS_SIGMAS: Final = 3.0
 BY_CHANCE: Final = 25.0
 """Of twice a log likelihood ratio: the best of all rotations (three angles) and of forty lags."""
 
@@ -53,6 +54,7 @@ class Turning:
     squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3) of their noise
     steps: int
     each: tuple[Array, Array]  # y and x (n, 3) of every interval between two rows
+    bias_rad_s: Array  # (3,) by which rates may be off on the whole: what is found, and its noise
 
     def variance(self, rate: Array) -> Array:
         """Variance (3,) of the noise of one step's turn less ``rate`` times its rates."""
@@ -163,5 +165,7 @@ def turning_of(motion: Motion) -> Turning | None:
     squares = (bent_y.T @ bent_y, bent_x.T @ bent_y, bent_x.T @ bent_x)
     usual = intervals_s <= LONGEST_STEP * np.median(intervals_s)
     each = ((turns / intervals_s[:, None])[usual], between[usual])
+    apart = each[0] - each[1]
+    bias = np.abs(apart.mean(axis=0)) + BIAS_SIGMAS * apart.std(axis=0) / np.sqrt(len(apart))
     each = (each[0] - each[0].mean(axis=0), each[1] - each[1].mean(axis=0))
-    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, squares, len(y) - 2, each)
+    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, squares, len(y) - 2, each, bias)

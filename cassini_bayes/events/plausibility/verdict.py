@@ -40,9 +40,11 @@ PHYSICS: Final = "physics"
 """In place of a mistake's name: a cause that the catalogue holds, no reason to refuse anything."""
 SUSPECT: Final = 30.0
 """Misfit beyond noise's below which nothing is asked."""
-UNKNOWN: Final = 150.0
-"""Misfit above which an event is flagged though no mistake explains it: honest events stay below
-(docs/results/mistakes.md)."""
+UNKNOWN: Final = 300.0
+"""Misfit above which an event is flagged though no mistake explains it: nearly all honest events
+stay below (docs/results/mistakes.md)."""
+MOST_LEFT: Final = 150.0
+"""Misfit that a mistake may leave of a large one."""
 EXPLAINED: Final = 0.35
 """Of the misfit: a mistake that leaves less explains it."""
 LEAST_GAIN: Final = 25.0
@@ -145,14 +147,20 @@ class Findings:
 
 
 def best_explanations(
-    misfit: float, explanations: Sequence[Explanation], least_gain: float = LEAST_GAIN
+    misfit: float,
+    explanations: Sequence[Explanation],
+    least_gain: float = LEAST_GAIN,
+    passes: float = 0.0,
 ) -> tuple[Explanation, ...]:
-    """The explanation that leaves least, and those as good; empty if none explains the misfit."""
+    """The explanation that leaves least, and those as good; empty if none explains the misfit.
+
+    A mistake explains it if it leaves a third of it, or no more than what ``passes``.
+    """
     ranked = sorted(explanations, key=lambda each: each.score)
     if not ranked or misfit - ranked[0].score < least_gain:
         return ()
     # of a large misfit a third is as large as no honest event's: that is not explained either
-    if ranked[0].left > min(EXPLAINED * misfit, UNKNOWN):
+    if ranked[0].left > min(max(EXPLAINED * misfit, passes), MOST_LEFT):
         return ()
     close = [each for each in ranked if each.score <= ranked[0].score + AS_GOOD]
     return tuple(close[:MOST_NAMED])

@@ -1,0 +1,124 @@
+"""Mistakes of wheels and counters that are linear in the recorded channels, each undone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.events.plausibility.momentum import (
+    Correction,
+    Nominal,
+    exchanged,
+    exchanges_of,
+)
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
+
+ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
+FREE_PRICE: Final = 12.0  # a free size: some six nats of Occam's factor
+WHEEL_UNITS: Final = {
+    "rad/s": 1.0 / RAD_S_PER_RPM,
+    "deg/s": 1.0 / 6.0,
+    "rev/s": 60.0,
+    "rev/min turned to rad/s twice": RAD_S_PER_RPM,
+}
+LEAST_FACTOR_STEP: Final = 0.08
+"""A free factor closer to 1 is a departure, no mistake."""
+
+
+@dataclass(frozen=True, eq=False)
+class Undone:
+    """A mistake, what it looks like, how to mend the file, and what undoes it.
+
+    ``what`` holds ``{factor}`` where a factor is free.
+    """
+
+    mistake: str
+    what: str
+    fix: str
+    correction: Correction
+    price: float = 0.0
+
+    @property
+    def is_unit(self) -> bool:
+        """Whether all wheels are scaled."""
+        return self.mistake == "wheel-unit"
+
+
+def of_wheels(
+    nothing: Correction, nominal: Nominal, wheels: Sequence[int], jumps_s: Array
+) -> Iterator[Undone]:
+    """Orders, signs and units of wheels; a factor, a constant error or a jump of each.
+
+    ``nothing`` corrects nothing; ``jumps_s`` (W,) are the times at which each wheel jumps most.
+    """
+    count = len(wheels)
+    fix = "correct the names of the rwa…_rpm columns, or wheels in event.toml"
+    for order in permutations(range(count)):
+        if order == tuple(range(count)):
+            continue
+        # column j of the file holds the wheel that stands at order[j]
+        matrix = np.zeros((count, count))
+        matrix[list(order), range(count)] = 1.0
+        names = [wheels[i] for i in order]
+        what = f"columns of wheels {list(wheels)} that look like those of wheels {names}"
+        yield Undone("wheel-order", what, fix, nothing.with_wheel(matrix), ORDER_PRICE)
+    fix = "give wheel rates about the wheels' own axes as the spacecraft file has them"
+    for signs in product((1.0, -1.0), repeat=count):
+        turned = [w for w, sign in zip(wheels, signs, strict=True) if sign < 0.0]
+        if not turned:
+            continue
+        named = "all wheels" if len(turned) == count else f"wheels {turned}"
+        what = f"rates of {named} of the opposite sign"
+        yield Undone("wheel-sign", what, fix, nothing.with_wheel(np.diag(signs)), ORDER_PRICE)
+    fix = "convert the rwa…_rpm columns to rev/min"
+    for unit, factor in WHEEL_UNITS.items():
+        what = f"wheel rates that look like {unit} (times {factor:.4g})"
+        yield Undone("wheel-unit", what, fix, nothing.with_wheel(factor * np.eye(count)))
+    for w, number in enumerate(wheels):
+        yield Undone(
+            "wheel-factor",
+            f"a rate of wheel {number} that has to be multiplied by {{factor:.4g}}",
+            f"check the unit and scale of rwa{number}_rpm",
+            replace(nothing, wheel_factor=(w,)),
+            FREE_PRICE,
+        )
+        yield Undone(
+            "wheel-offset",
+            f"a rate of wheel {number} with a constant error",
+            f"check the zero of rwa{number}_rpm",
+            replace(nothing, offset=nominal.spins[:, [w]]),
+            FREE_PRICE,
+        )
+        yield Undone(
+            "wheel-offset",
+            f"a rate of wheel {number} with a constant error from {jumps_s[w]:.10g} s on",
+            f"check rwa{number}_rpm at that time",
+            replace(nothing, wheel_jump=(w,)),
+            FREE_PRICE,
+        )
+
+
+def of_late_wheels(nothing: Correction) -> Undone:
+    """All wheels early or late, to first order: what a search for the time begins with."""
+    fix = "bring all channels to the same clock"
+    return Undone("wheel-time", "wheel rates", fix, replace(nothing, wheel_lag=True), FREE_PRICE)
+
+
+def of_counters(
+    nothing: Correction, nominal: Nominal, thrusters: Sequence[str]
+) -> Iterator[Undone]:
+    """Counters of two thrusters exchanged, or of two pairs that push alike."""
+    for both in exchanges_of(nominal) if thrusters else ():
+        names = " and ".join(f"{thrusters[a]} with {thrusters[b]}" for a, b in both)
+        yield Undone(
+            "thruster-order",
+            f"counters of thrusters exchanged, {names}",
+            "correct the names of the on_time_… and pulses_… columns",
+            nothing.with_thruster(exchanged(np.eye(len(thrusters)), both)),
+            ORDER_PRICE * (1 + len(both)),
+        )
