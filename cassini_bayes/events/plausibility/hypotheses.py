@@ -558,6 +558,7 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
     if rows is None or motion is None:
         return
     turned, row_s = evidence.turned(), _row_s(motion)
+    as_is: dict[float, float] = {}
     for name, what in _SHIFTED.items():
         of_motion = name in ("rate-time", "attitude-time")
         if of_motion and not turned:
@@ -566,7 +567,7 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
             continue  # that is left whatever wheels and counters do
         if name == "counter-time" and not evidence.nominal.torques.shape[1]:
             continue
-        shift = _Shift(evidence, rows, motion, name)
+        shift = _Shift(evidence, rows, motion, name, as_is)
         grid = {late: shift.share(late) for late in shift.lags_s()}
         if not grid:
             return  # rows further apart than any shift that is asked about
@@ -627,12 +628,17 @@ _SHIFTED: Final = {
 
 @dataclass(frozen=True, eq=False)
 class _Shift:
-    """One channel moved in time: misfits of the rows that it still knows."""
+    """One channel moved in time: misfits of the rows that it still knows.
+
+    ``as_is`` are misfits of rows as they are, by what a shift takes off their ends: the same for
+    all channels but counters, which are not known in between.
+    """
 
     evidence: Evidence
     rows: Rows
     motion: Motion
     name: str
+    as_is: dict[float, float] = field(default_factory=dict)
     known: dict[float, tuple[float, float]] = field(default_factory=dict)
 
     def lags_s(self) -> list[float]:
@@ -670,10 +676,21 @@ class _Shift:
             motion = self.moved(self.motion, late_s)
             if len(rows.time_s) < LEAST_ROWS:
                 return 0.0, 0.0
-            pairs = zip((rows, moved), motion, strict=True)
-            before, after = (replace(self.evidence, rows=r, motion=m).misfit() for r, m in pairs)
-            self.known[late_s] = before, after
+            pairs = [
+                replace(self.evidence, rows=r, motion=m)
+                for r, m in zip((rows, moved), motion, strict=True)
+            ]
+            before = self._as_is(pairs[0], abs(late_s))
+            self.known[late_s] = before, pairs[1].misfit()
         return self.known[late_s]
+
+    def _as_is(self, evidence: Evidence, off_s: float) -> float:
+        """Misfit of rows that are not moved, worked out once for all channels."""
+        if self.name == "counter-time":
+            return evidence.misfit()
+        if off_s not in self.as_is:
+            self.as_is[off_s] = evidence.misfit()
+        return self.as_is[off_s]
 
     def moved(self, rows: AnyRows, late_s: float) -> tuple[AnyRows, AnyRows]:
         """Rows that the shift knows, as they are and had the channel not come late."""

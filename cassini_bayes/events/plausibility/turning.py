@@ -100,31 +100,33 @@ class Turning:
         y, x = self.each[0][:, chosen], (self.each[1] @ rate.T)[:, chosen]
         noise = (3.0 * GYRO_SD) ** 2
 
-        def gain(turned: Array, mean: Array, other: Array) -> float:
-            """Likelihood ratio of the best axes of the rates ``other`` to the rates as they are."""
-            yy, xx, best = float(np.sum(turned**2)), float(np.sum(mean**2)), anyhow(turned, other)
-            moved = float(np.sum(other**2))
-            if yy * xx * moved == 0.0:
-                return 1.0
-            same, small = float(np.sum(turned * mean)), min(xx, yy)
+        lags = range(1, min(MOST_LAGS, len(y) // 4) + 1)
+        # turns, rates at the same time, rates at another
+        triples = [(y, x, x)]
+        for k in lags:
+            triples += [(y[k:], x[k:], x[:-k]), (y[:-k], x[:-k], x[k:])]
+        yy, xx, moved, same = np.array(
+            [
+                (np.sum(a**2), np.sum(b**2), np.sum(other**2), np.sum(a * b))
+                for a, b, other in triples
+            ]
+        ).T
+        common = np.array([turned.T @ other for turned, _, other in triples])
+        # Σ y x of the axes that fit best
+        best = common[:, 0, 0]
+        if len(chosen) > 1:
+            best = np.linalg.svd(common, compute_uv=False).sum(axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged cells
+            moves = yy * xx * moved != 0.0
+            yy, xx, moved, same, best = (each[moves] for each in (yy, xx, moved, same, best))
             first = (yy + xx - 2.0 * same) / (yy + xx) + noise
-            first /= max((yy + moved - 2.0 * best) / (yy + moved), 0.0) + noise
-            power = max(same, 0.0)
-            as_is = yy * xx - power**2 if power <= small else small * (yy + xx - 2.0 * power)
+            first /= np.maximum((yy + moved - 2.0 * best) / (yy + moved), 0.0) + noise
+            power, small = np.maximum(same, 0.0), np.minimum(xx, yy)
+            as_is = np.where(power <= small, yy * xx - power**2, small * (yy + xx - 2.0 * power))
             second = as_is / (yy * xx) + noise
-            second /= max(1.0 - best**2 / (yy * moved), 0.0) + noise
-            return max(first, second)
-
-        def anyhow(turned: Array, mean: Array) -> float:
-            """Σ y x of the axes that fit best."""
-            common = turned.T @ mean
-            several = len(chosen) > 1
-            return float(np.linalg.svd(common, compute_uv=False).sum() if several else common[0, 0])
-
-        largest = gain(y, x, x)
-        for k in range(1, min(MOST_LAGS, len(y) // 4) + 1):
-            largest = max(largest, gain(y[k:], x[k:], x[:-k]), gain(y[:-k], x[:-k], x[k:]))
-        return len(y) * float(np.log(max(largest, 1.0)))
+            second /= np.maximum(1.0 - best**2 / (yy * moved), 0.0) + noise
+        largest = float(np.fmax.reduce(np.fmax(first, second), initial=1.0))
+        return len(y) * float(np.log(largest))
 
 
 def turning_of(motion: Motion) -> Turning | None:
