@@ -145,10 +145,12 @@ def kill_and_resume(
     rng: np.random.Generator,
     kills: Sequence[int],
     log: Callable[[str], None],
+    latest: float = 0.9,
 ) -> Comparison:
     """Run ``arguments`` once alone and once killed in the stages ``kills``; compare the results.
 
-    ``kills`` are indices of :data:`STAGES`, in order. ``work`` gets the folders ``alone`` and
+    ``kills`` are indices of :data:`STAGES`, in order; each falls within the share ``latest`` of its
+    stage, as long as the run left alone took for it. ``work`` gets the folders ``alone`` and
     ``killed``.
     """
     alone, killed = work / "alone", work / "killed"
@@ -165,7 +167,7 @@ def kill_and_resume(
     for number, stage in enumerate(kills):
         # Sampling goes on from the last block, so its later kills must not wait for all of it.
         share = 1.0 / kills.count(stage) if STAGES[stage] == "sampling" else 1.0
-        delay = float(rng.uniform(0.0, 0.9 * share * lengths[stage]))
+        delay = float(rng.uniform(0.0, latest * share * lengths[stage]))
         kill = None
         while kill is None:
             printed = work / f"kill_{number:02d}.log"
