@@ -216,7 +216,7 @@ def test_folders_that_cannot_be_used(capsys: Captured, tmp_path: Path) -> None:
     run_file = str(run_cases.write_run(tmp_path))
     old = tmp_path / "old"
     (old / "checkpoint").mkdir(parents=True)
-    (old / "resolved.toml").write_text("")
+    (old / "resolved.toml").write_text('events = ["e.csv"]\npriors = "p.toml"\n')
     (old / "checkpoint" / "warmstart.npz").write_text("")
     message = refused(capsys, "run", run_file, "--out", str(old))
     assert "--resume" in message
