@@ -23,12 +23,11 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
-from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.observability import observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
-from cassini_bayes.pipeline.run_file import RunFile
+from cassini_bayes.pipeline.run_file import RunFile, is_resolved
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
@@ -113,7 +112,7 @@ def prepare_folder(
     if folder.exists() and not folder.is_dir():
         raise InputError(str(folder), f"a folder for the {what}", "a file", "choose another --out")
     if folder.is_dir() and not all(map(is_leftover, folder.iterdir())):
-        if not (is_run and _is_record(folder / written[-1])):
+        if not (is_run and is_resolved(folder / written[-1])):
             raise InputError(
                 str(folder),
                 f"a new folder, or an earlier {what} of this package (with {written[-1]})",
@@ -139,14 +138,6 @@ def prepare_folder(
         raise InputError(
             str(folder), "a place that can be written", str(error.strerror), "choose another --out"
         ) from error
-
-
-def _is_record(path: Path) -> bool:
-    """Whether a file says what a run was resolved to; a user's own may have the same name."""
-    try:
-        return {"events", "priors"} <= read_toml(path, "what a run was resolved to").keys()
-    except InputError:
-        return False
 
 
 def _has_begun(folder: Path, result: str) -> bool:
