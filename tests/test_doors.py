@@ -246,6 +246,7 @@ TEXTS: Final = {
     "second line latin": (b'x = 1\ny = "\xb5"\n', "line 2"),
     "UTF-16": ('x = "5"\n'.encode("utf-16"), "UTF-8"),
     "null": (b"x = 1\0\n", "expected"),
+    "null in a text": (b'x = [1, "a\\u0000"]\n', "x[2]"),
     "5,000 digits": (b"x = " + b"9" * 5_000 + b"\n", "400 characters"),
     "5,000 hexadecimal digits": (b"x = 0x" + b"f" * 5_000 + b"\n", "400 characters"),
     "200,000 decimals": (b"x = 0." + b"3" * 200_000 + b"\n", "400 characters"),

@@ -40,6 +40,8 @@ def row_information(
 ) -> Array:
     """Information of the rows on standardised unknowns: walked, thrusts', the event's own.
 
+    Symmetric, and in no direction negative.
+
     Parameters
     ----------
     physics, parameters
@@ -77,7 +79,9 @@ def row_information(
     for place, (turn, gram, noise) in enumerate(bands_of_turns):
         columns = _columns(event, turned[:, place], mean, own_sd, levels, step)
         total = total + _of_turns(event, turn, gram, columns, noise, nominal)
-    return np.asarray(total)
+    # noise that happens to be less than it is taken for leaves less than nothing of a regressor
+    values, vectors = np.linalg.eigh(total)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _noise_seen(event: TelemetryBalance, parameters: Mapping[str, Array]) -> dict[str, Array]:
@@ -109,13 +113,13 @@ def _of_turns(
     nominal: Mapping[str, Array],
 ) -> Array:
     """Inner products of the derivatives over one band of turns, its noise whitened."""
-    inverse, flat = np.linalg.inv(noise), columns.reshape(len(columns), -1)
-    size = columns.shape[2]
-    weighted = np.einsum("cd,uda->uca", inverse, columns)
-    crossed = np.einsum("ucb,cdba->uda", weighted, gram)
+    values, vectors = np.linalg.eigh(noise)
+    # the root on both sides: on one alone, what is known of two unknowns would have an order
+    whitened = np.einsum("dc,ec,uea->uda", vectors / np.sqrt(values), vectors, columns)
+    crossed = np.einsum("ucb,cdba->uda", whitened, gram).reshape(len(columns), -1)
     quiet = _channel_square(event, nominal, band.summed_s2)
-    own = np.einsum("uca,a,vca->uv", weighted, band.contrasts * quiet, columns)
-    return np.asarray(crossed.reshape(-1, 3 * size) @ flat.T - own)
+    own = np.einsum("uca,a,vca->uv", whitened, band.contrasts * quiet, whitened)
+    return np.asarray(crossed @ whitened.reshape(len(columns), -1).T - own)
 
 
 def _scale(event: TelemetryBalance, mean: Array) -> float:

@@ -83,16 +83,32 @@ def main() -> None:
         reason = error.strerror or str(error)
         _print_error(f"{place}: {reason}; check the path, its permissions and the free space")
         sys.exit(2)
+    except SystemError as error:
+        if not _is_interrupt(error):
+            raise
+        _print_stopped()
+        sys.exit(INTERRUPTED)
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
-            typer.echo(
-                "stopped; a run, fit or diagnosis goes on with the same command and --resume, a "
-                "campaign with the same command",
-                err=True,
-            )
+            _print_stopped()
         raise
     finally:
         gc.freeze()  # what is left goes with the process: a last collection takes most of a second
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: compiled code in which it falls ends in a SystemError."""
+    if error is None or isinstance(error, KeyboardInterrupt):
+        return error is not None
+    return _is_interrupt(error.__cause__ or error.__context__)
+
+
+def _print_stopped() -> None:
+    typer.echo(
+        "stopped; a run, fit or diagnosis goes on with the same command and --resume, a campaign "
+        "with the same command",
+        err=True,
+    )
 
 
 def _print_error(text: str) -> None:

@@ -83,12 +83,12 @@ def visible_record(
 def prior_width(parameter: EffectParameter) -> float | None:
     """Width w of a normal or half-normal prior about no effect; None of any other."""
     prior = parameter.distribution
-    return float(prior.keywords["scale"]) if prior.name in ("norm", "halfnorm") else None
+    return prior.scale if prior.name in ("norm", "halfnorm") else None
 
 
 def no_effect(parameter: EffectParameter) -> float:
     """The value without an effect, in which such a prior has its peak."""
-    return float(parameter.distribution.keywords.get("loc", 0.0))
+    return parameter.distribution.loc
 
 
 def sides(parameter: EffectParameter) -> tuple[float, ...]:

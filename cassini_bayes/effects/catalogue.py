@@ -239,7 +239,6 @@ def _parameter(
 ) -> EffectParameter | None:
     key = row.key.replace("{target}", target)
     prior = priors.parameters.get(key)
-    keywords = dict(row.keywords)
     known = known_parameters(priors.spacecraft)
     if row.is_departure and key not in known:
         raise InputError(
@@ -248,10 +247,12 @@ def _parameter(
             repr(key),
             nearest(key, known),
         )
-    if row.times_prior is not None:
+    distribution = row.prior
+    if not isinstance(distribution, Distribution):
         if prior is None or prior.distribution is None:
             return None
-        keywords |= {"loc": 0.0, "scale": row.times_prior * prior.distribution.sd()}
+        keywords = {"loc": 0.0, "scale": distribution * prior.distribution.sd()}
+        distribution = Distribution("norm", keywords, row.low, row.high, where=str(row.where))
     if row.is_departure and prior is not None and row.unit != prior.spec.unit:
         raise InputError(
             str(row.where / "unit"), f"{prior.spec.unit}, that of {key}", repr(row.unit),
@@ -262,7 +263,7 @@ def _parameter(
         f"{role}:{kind.name}:{target}:{key}",
         key,
         row.unit,
-        Distribution(row.dist, keywords, row.low, row.high, where=str(row.where)),
+        distribution,
         row.is_departure,
     )
 

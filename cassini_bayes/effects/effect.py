@@ -294,5 +294,5 @@ def _wider(distribution: Distribution, width: float) -> Distribution:
     """The distribution with its scale times ``width``; a log-normal time constant stays."""
     if distribution.name == "lognorm":
         return distribution
-    keywords = dict(distribution.keywords)
-    return replace(distribution, keywords={**keywords, "scale": keywords.get("scale", 1.0) * width})
+    wider = {"scale": distribution.scale * width}
+    return replace(distribution, keywords={**distribution.keywords, **wider})

@@ -187,9 +187,7 @@ def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillat
     """The line of most evidence in what a model leaves, by the priors of its size."""
     motions = [known_motion(samples.time_s, samples.rate_rad_s) for samples in remainder.samples]
     inertia = [remainder.parameters[f"inertia_{axis}{axis}_kg_m2"] for axis in AXES]
-    amplitude, share = (
-        float(priors[key].keywords["scale"]) for key in ("cosine_rad_s", "inertia_fraction")
-    )
+    amplitude, share = (priors[key].scale for key in ("cosine_rad_s", "inertia_fraction"))
     scales = amplitude, share
     return find_oscillation(remainder.rows, motions, remainder.linear, np.array(inertia), scales)
 

@@ -178,7 +178,9 @@ def read_kinds(files: Sequence[Path]) -> Kinds:
             kind = load_kind(path)
             kinds[kind.name], tables[kind.name] = kind, _with_place(path.with_suffix(".toml"))
         elif path.suffix != ".toml":
-            raise InputError(str(path), "a .py or .toml file of effects", path.suffix, "name one")
+            raise InputError(
+                str(path), "a .py or .toml file of effects", repr(path.name), "name one"
+            )
     for path in files:
         if path.suffix == ".toml":
             changed, whole = _with_place(path)

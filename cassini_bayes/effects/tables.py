@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number, nearest
+from cassini_bayes.priors.distributions import Distribution
 
 TARGETS: Final = (
     *("none", "thruster", "wheel", "tilting wheel", "articulated wheel"),
@@ -79,17 +80,14 @@ PARAMETER_KEYS: Final = ("role", "dist", "times_prior", "low", "high", "unit")
 class ParameterTable:
     """One parameter: its key, where ``{target}`` may stand, and the prior of it.
 
-    A departure counts from the baseline's parameter of the same name. ``times_prior`` gives a
-    normal about zero with that many of the baseline's prior standard deviations; None where
-    ``keywords`` say all.
+    A departure counts from the baseline's parameter of the same name. Its prior may be given as
+    so many of the baseline's prior standard deviations: of a normal about zero, within bounds.
     """
 
     where: Place
     key: str
     is_departure: bool
-    dist: str
-    keywords: Mapping[str, Any]
-    times_prior: float | None
+    prior: Distribution | float
     low: float | None
     high: float | None
     unit: str
@@ -117,7 +115,8 @@ def read_table(document: Mapping[str, Any], where: Place) -> Table:
     Raises
     ------
     InputError
-        A missing or unknown key, target, input, role or unit: file, line and dotted key are named.
+        A missing or unknown key, target, input, role or unit, or a prior that is none: file, line
+        and dotted key are named.
     """
     check_keys(document, KEYS, where)
     for key in KEYS[:4]:
@@ -156,22 +155,17 @@ def _parameter(table: Any, key: str, where: Place) -> ParameterTable:
     for needed in ("dist", "unit"):
         _check_text(where / needed, row.get(needed))
     _check_unit(where / "unit", row["unit"])
+    low, high = row.get("low"), row.get("high")
     if "times_prior" in row:
-        _check_times_prior(row, where)
-    return ParameterTable(
-        where,
-        key,
-        row["role"] == "departure",
-        row["dist"],
-        {k: v for k, v in row.items() if k not in PARAMETER_KEYS},
-        row.get("times_prior"),
-        row.get("low"),
-        row.get("high"),
-        row["unit"],
-    )
+        prior: Distribution | float = _times_prior(row, where)
+    else:
+        keywords = {k: v for k, v in row.items() if k not in PARAMETER_KEYS}
+        prior = Distribution(row["dist"], keywords, low, high, where=str(where))
+    departure = row["role"] == "departure"
+    return ParameterTable(where, key, departure, prior, low, high, row["unit"])
 
 
-def _check_times_prior(row: Mapping[str, Any], where: Place) -> None:
+def _times_prior(row: Mapping[str, Any], where: Place) -> float:
     """A multiple of a prior's width: of a departure, normal, in place of all other keywords."""
     times = finite_number(str(where / "times_prior"), row["times_prior"])
     others = sorted(set(row) - set(PARAMETER_KEYS))
@@ -182,6 +176,7 @@ def _check_times_prior(row: Mapping[str, Any], where: Place) -> None:
             f"{times:g} with {row['role']}, {', '.join([row['dist'], *others])}",
             "give loc and scale in its place, or mend these",
         )
+    return times
 
 
 def _check_text(where: Place, value: object) -> None:

@@ -88,7 +88,7 @@ def read_rows(
 
 
 def first_line(path: Path, what: str, comment: str) -> str:
-    """The first line of a CSV file that is no comment, to recognise its kind; nothing is checked.
+    """The header of a CSV file, the first line that is neither blank nor comment; not checked.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def first_line(path: Path, what: str, comment: str) -> str:
     """
     with open_file(path, what) as stream:
         lines = stream.read(MOST_AHEAD).decode("utf-8-sig", "replace").splitlines()
-    return next((line for line in lines if not line.startswith(comment)), "")
+    return next((line for line in lines if line.strip() and not line.startswith(comment)), "")
 
 
 def rows_of(

@@ -45,7 +45,8 @@ def toml_of(
     Raises
     ------
     InputError
-        No UTF-8, no TOML, nested too deep, or a whole number beyond 64 bits: the line is named.
+        No UTF-8, no TOML, nested too deep, a whole number beyond 64 bits or a null character (no
+        path or name has one): the line or key is named.
     """
     text = text_of(content, where)
     check_bounds(text, where)
@@ -53,20 +54,28 @@ def toml_of(
         tables = tomllib.loads(text, parse_float=parse_float)
     except tomllib.TOMLDecodeError as error:
         raise InputError(where, "valid TOML", str(error), "mend that line") from None
-    for key, number in _whole_numbers(tables):
-        if number not in _WHOLE:
+    for key, value in _values(tables):
+        if isinstance(value, int) and value not in _WHOLE:
             raise InputError(
-                f"{where}: {key}", "a whole number of 64 bits", str(number), "write it like 1e30"
+                f"{where}: {key}",
+                "a whole number of 64 bits",
+                str(value),
+                "write fewer digits, or a decimal number like 1e30",
+            )
+        if isinstance(value, str) and "\0" in value:
+            raise InputError(
+                f"{where}: {key}", "text without null characters", repr(value), "mend that line"
             )
     return tables
 
 
-def _whole_numbers(value: Any, key: str = "") -> Iterator[tuple[str, int]]:
-    if isinstance(value, int):
-        yield key, value
-    elif isinstance(value, dict):
+def _values(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """What stands in tables and lists at any depth, each with its dotted key."""
+    if isinstance(value, dict):
         for name, inner in value.items():
-            yield from _whole_numbers(inner, f"{key}.{name}" if key else name)
+            yield from _values(inner, f"{key}.{name}" if key else name)
     elif isinstance(value, list):
         for place, inner in enumerate(value, start=1):
-            yield from _whole_numbers(inner, f"{key}[{place}]")
+            yield from _values(inner, f"{key}[{place}]")
+    else:
+        yield key, value

@@ -73,6 +73,7 @@ _TAIL_SPAN: Final = 5.0  # τ_fall after which 0.7 % of a tail is still to come
 _PRIOR_SPAN: Final = 2.0  # prior standard deviations that τ_fall may exceed its mean by
 _CORNER: Final = 0.5  # of the attitude's noise
 _CORNER_NOISE: Final = 5.0  # standard deviations of a second difference
+_NOISES: Final = ("attitude_noise_rad", "wheel_noise_rpm")
 MOST_KEPT: Final = 200_000
 """Rows of an event that stay in memory once they are read, some 50 MB."""
 
@@ -241,14 +242,20 @@ def sampling_of(
     delivers later is below a percent of its tail. Wheels that change their acceleration between
     rows end a piece where the trapezoid would miss half the attitude's noise (I_w Δ²ρ Δt/8 against
     I σ_θ) and where that is no noise of the wheel rates (five standard deviations).
+
+    Raises
+    ------
+    InputError
+        The priors are those of totals: a parameter that telemetry needs is missing.
     """
+    moments = [f"inertia_{axis}{axis}_kg_m2" for axis in "xyz"]
+    wheels = [w.inertia_parameter for w in priors.spacecraft.wheels if w.number in priors.wheels]
+    priors.require((*moments, *wheels, *_NOISES), "telemetry")
     means = priors.means()
-    inertia = min(means[f"inertia_{axis}{axis}_kg_m2"] for axis in "xyz")
-    wheel = max(
-        means[w.inertia_parameter] for w in priors.spacecraft.wheels if w.number in priors.wheels
-    )
-    missed = _CORNER * inertia * means["attitude_noise_rad"]
-    noise = means["wheel_noise_rpm"] * RAD_S_PER_RPM
+    attitude_noise, wheel_noise = (means[name] for name in _NOISES)
+    missed = _CORNER * min(means[name] for name in moments) * attitude_noise
+    wheel = max(means[name] for name in wheels)
+    noise = wheel_noise * RAD_S_PER_RPM
     groups = couples(priors.spacecraft, priors.branch) if thrusters else ()
     reference, guard = (0.0, 0.0, 0.0), 0.0
     if thrusters:

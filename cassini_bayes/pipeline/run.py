@@ -27,7 +27,7 @@ from cassini_bayes.model.observability import observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
-from cassini_bayes.pipeline.run_file import RunFile
+from cassini_bayes.pipeline.run_file import RunFile, is_resolved
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
@@ -112,7 +112,7 @@ def prepare_folder(
     if folder.exists() and not folder.is_dir():
         raise InputError(str(folder), f"a folder for the {what}", "a file", "choose another --out")
     if folder.is_dir() and not all(map(is_leftover, folder.iterdir())):
-        if not is_run:
+        if not (is_run and is_resolved(folder / written[-1])):
             raise InputError(
                 str(folder),
                 f"a new folder, or an earlier {what} of this package (with {written[-1]})",

@@ -78,6 +78,14 @@ def read_run_file(path: Path) -> RunFile:
     return check_run(read_toml(path, "a run file"), str(path))
 
 
+def is_resolved(path: Path) -> bool:
+    """Whether a file is the settings of a run or diagnosis; a user may have one of its name."""
+    try:
+        return {"events", "priors"} <= read_toml(path, "the record of a run").keys()
+    except InputError:
+        return False
+
+
 def check_run(table: dict[str, Any], where: str) -> RunFile:
     """Check the table of a run file."""
     run = validated(RunFile, table, where)

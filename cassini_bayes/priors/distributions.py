@@ -119,6 +119,16 @@ class Distribution:
         return Distribution, (self.name, dict(self.keywords), self.low, self.high)
 
     @property
+    def loc(self) -> float:
+        """Keyword ``loc``, 0 if left out."""
+        return self.keywords.get("loc", 0.0)
+
+    @property
+    def scale(self) -> float:
+        """Keyword ``scale``, 1 if left out."""
+        return self.keywords.get("scale", 1.0)
+
+    @property
     def is_normal(self) -> bool:
         """Whether this is a plain normal without bounds, so θ = mean + sd · z."""
         return isinstance(self._kernel, Normal)
@@ -185,7 +195,7 @@ class Distribution:
                 "give width as a factor and shift in prior standard deviations",
             )
         keywords = dict(self.keywords)
-        loc, scale = keywords.get("loc", 0.0), keywords.get("scale", 1.0)
+        loc, scale = self.loc, self.scale
         if self.name == "lognorm":
             s = keywords["s"]
             changed = {"s": s * width, "scale": scale * math.exp(shift * s)}
@@ -343,7 +353,7 @@ def check_bounds(where: str, distribution: Distribution) -> None:
     InputError
         Such a prior is nearly always a slip of sign or unit.
     """
-    loc = distribution.keywords.get("loc", 0.0)
+    loc = distribution.loc
     left, right = _support(distribution.name, distribution.keywords, None, None)
     if math.isfinite(left) or math.isfinite(right):
         return

@@ -428,8 +428,8 @@ def _read_parameter(where: str, spec: ParameterSpec, table: Mapping[str, object]
     if "fixed" in table:
         return ParameterPrior(spec, None, _read_fixed(where, spec, table), source)
     distribution = _read_distribution(where, spec, table)
-    if spec.name in ZERO_CENTRED and distribution.keywords.get("loc", 0.0) != 0.0:
-        _refuse_off_centre(f"{where}.loc", distribution.keywords["loc"])
+    if spec.name in ZERO_CENTRED and distribution.loc != 0.0:
+        _refuse_off_centre(f"{where}.loc", distribution.loc)
     return ParameterPrior(spec, distribution, None, source)
 
 

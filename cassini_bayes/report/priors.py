@@ -80,12 +80,13 @@ def asked_for(review: Review) -> list[Column]:
 
 
 def groups_of(review: Review) -> tuple[Group, ...]:
-    """The common thrust, and every prior block of walked parameters with a prior of its own."""
+    """The common thrust, if any, and every block of walked parameters with a prior of its own."""
     space, known, earlier = review.model.space, review.priors.parameters, review.priors.earlier
     of_a_fit = () if earlier is None else earlier.names
     common = known.get(THRUST_COMMON)
     groups = []
-    if common is not None and common.distribution is not None and earlier is None:
+    drawn = THRUST_COMMON in review.fit.posterior  # not where nothing fires
+    if drawn and common is not None and common.distribution is not None and earlier is None:
         groups.append(Group(COMMON_GROUP, (THRUST_COMMON,)))
     members: dict[str, list[str]] = {}
     for name, block in zip(space.names, space.blocks, strict=True):

@@ -322,7 +322,10 @@ def _ensemble(
         (emcee.moves.DEMove(), 0.9 * (1.0 - share)),
         (emcee.moves.DEMove(gamma0=1.0), 0.1 * (1.0 - share)),
     ]
-    return emcee.EnsembleSampler(walkers, d, log_density, moves=moves, vectorize=True)
+    sampler = emcee.EnsembleSampler(walkers, d, log_density, moves=moves, vectorize=True)
+    # emcee's wrapper for other processes prints every exception, a Ctrl-C too, with its traceback
+    sampler.log_prob_fn = log_density
+    return sampler
 
 
 def _start(

@@ -118,7 +118,7 @@ def stated_priors(priors: Priors, reading: Reading) -> Priors:
         size, relative = size_of(name, prior.spec.block)
         if size == 0.0:
             continue
-        centre = prior.distribution.keywords.get("loc", 0.0)
+        centre = prior.distribution.loc
         width = size * abs(centre) if relative else size
         if reading == "one sigma":
             stated = Distribution("norm", {"loc": centre, "scale": width})

@@ -84,9 +84,8 @@ def with_family(distribution: Distribution, family: str) -> Distribution:
     logistic is close to a Student-t of nine degrees of freedom), its uniform the log-uniform.
     """
     low, high = distribution.low, distribution.high
-    keywords = distribution.keywords
-    if distribution.name == "lognorm" and keywords.get("loc", 0.0) == 0.0:
-        s, median = keywords["s"], keywords.get("scale", 1.0)
+    if distribution.name == "lognorm" and distribution.loc == 0.0:
+        s, median = distribution.keywords["s"], distribution.scale
         if family == "normal":
             return distribution
         if family == "student-t":
@@ -94,7 +93,7 @@ def with_family(distribution: Distribution, family: str) -> Distribution:
             return Distribution("fisk", shape, low, high)
         reach = math.exp(math.sqrt(3.0) * s)
         return Distribution("loguniform", {"a": median / reach, "b": median * reach}, low, high)
-    whole = Distribution(distribution.name, dict(keywords))
+    whole = Distribution(distribution.name, distribution.keywords)
     mean, sd = whole.mean(), whole.sd()
     if family == "normal":
         return Distribution("norm", {"loc": mean, "scale": sd}, low, high)

@@ -216,7 +216,7 @@ def test_folders_that_cannot_be_used(capsys: Captured, tmp_path: Path) -> None:
     run_file = str(run_cases.write_run(tmp_path))
     old = tmp_path / "old"
     (old / "checkpoint").mkdir(parents=True)
-    (old / "resolved.toml").write_text("")
+    (old / "resolved.toml").write_text('events = ["e.csv"]\npriors = "p.toml"\n')
     (old / "checkpoint" / "warmstart.npz").write_text("")
     message = refused(capsys, "run", run_file, "--out", str(old))
     assert "--resume" in message
@@ -272,6 +272,31 @@ def test_other_errors_of_the_package_end_with_one(
     monkeypatch.setattr("cassini_bayes.pipeline.run.execute", broken)
     assert run_cases.command(["run", str(run_cases.write_run(tmp_path))]) == 1
     assert capsys.readouterr().err == "error: log density is nan at z = [1]\n"
+
+
+@pytest.mark.parametrize(("cause", "status"), [(KeyboardInterrupt(), 130), (None, None)])
+def test_an_interrupt_of_compiled_code_is_one_line(
+    capsys: Captured,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    cause: BaseException | None,
+    status: int | None,
+) -> None:
+    """Numba turns a Ctrl-C into a SystemError; any other SystemError is a defect, and is shown."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise SystemError("returned a result with an exception set") from cause
+
+    monkeypatch.setattr("cassini_bayes.pipeline.run.execute", interrupted)
+    arguments = ["run", str(run_cases.write_run(tmp_path)), "--quiet"]
+    if status is None:
+        with pytest.raises(SystemError):
+            run_cases.command(arguments)
+        return
+    assert run_cases.command(arguments) == status
+    error = capsys.readouterr().err
+    assert error.startswith("stopped")
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -59,3 +59,34 @@ def test_a_sweep_accepts_what_its_run_accepted(
     assert run_cases.command([*sweep, "--strict"]) == 1
     assert {(tuple(run.accept), run.leave_out) for run in given} == {(("wheel-order",), True)}
     assert capsys.readouterr().err.splitlines() == ["warning: accepted (wheel-order)"] * 2
+
+
+@pytest.mark.parametrize("findings", [[], ["t.csv: accepted (wheel-order)"]])
+def test_findings_of_a_diagnosis_stand_last(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    findings: list[str],
+) -> None:
+    """Also when quiet; with --strict they are the exit status 1."""
+    result = SimpleNamespace(record={"findings": findings}, sentences=["nothing"])
+    monkeypatch.setattr("cassini_bayes.pipeline.diagnoses.diagnose", lambda *_, **__: result)
+    diagnose = ["diagnose", "t.csv", "--priors", "p", "--out", str(tmp_path), "--quiet"]
+    assert run_cases.command(diagnose) == 0
+    assert run_cases.command([*diagnose, "--strict"]) == (1 if findings else 0)
+    assert capsys.readouterr().err.splitlines() == [f"warning: {line}" for line in findings] * 2
+
+
+@pytest.mark.parametrize("warnings", [(), ("t.csv: accepted (wheel-order)",)])
+def test_what_a_check_finds_stands_last(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    warnings: tuple[str, ...],
+) -> None:
+    """Likewise before sampling."""
+    result = SimpleNamespace(warnings=warnings)
+    monkeypatch.setattr("cassini_bayes.pipeline.checks.check", lambda *_, **__: result)
+    check = ["check", "t.csv", "--priors", "p", "--quiet"]
+    assert run_cases.command(check) == 0
+    assert run_cases.command([*check, "--strict"]) == (1 if warnings else 0)
+    assert capsys.readouterr().err.splitlines() == [f"warning: {line}" for line in warnings] * 2

@@ -13,7 +13,7 @@ import pytest
 import run_cases
 from run_cases import B_BRANCH, EVENTS, FLIGHT
 
-from cassini_bayes.diagnosis.estimates import read_estimates
+from cassini_bayes.diagnosis.estimates import is_estimates, read_estimates
 from cassini_bayes.errors import InputError
 from cassini_bayes.files import storage
 from cassini_bayes.files.checkpoint import CheckpointStore
@@ -124,6 +124,7 @@ def test_estimates_with_blank_lines_are_read_and_latin_ones_refused(
     spread.write_text("\n\n" + "\n\n".join(lines) + "\n\n\n")
     names = ("z1", "z2", "z3", "z4", "y1", "y2", "y3", "y4")
     assert read_estimates(spread, names) == read_estimates(ESTIMATES, names)
+    assert is_estimates(spread)
     latin = tmp_path / "latin.csv"
     latin.write_bytes(ESTIMATES.read_bytes() + b"\xb5,\n")
     priors = run_cases.A_BRANCH

@@ -17,6 +17,7 @@ from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.verdict import weigh
+from cassini_bayes.diagnosis.visible import no_effect, prior_width
 from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
@@ -181,6 +182,32 @@ def test_mistakes_in_a_file_are_one_line(tmp_path: Path, old: str, new: str, tol
         weighed(copied(tmp_path, old, new))
     assert "\n" not in str(caught.value)
     assert str(tmp_path / "plume") in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("new", "told"),
+    [
+        ('dist = "nrom"\nscale = 0.1', "lever_m.dist: .*'norm'"),
+        ('dist = "norm"\nscale = -0.1', "lever_m.scale: .*above 0"),
+        ('dist = "norm"\nscale = "a"', "lever_m.scale: .*a finite number"),
+    ],
+)
+def test_a_prior_that_is_none_is_refused_as_the_table_is_read(
+    tmp_path: Path, new: str, told: str
+) -> None:
+    """Also where these events cannot show the effect, or no command has asked for it yet."""
+    path = copied(tmp_path, 'dist = "norm"\nloc = 0.0\nscale = 0.1', new, ".toml")
+    with pytest.raises(InputError, match=told):
+        read_kinds([path])
+
+
+def test_a_width_left_out_is_one(tmp_path: Path) -> None:
+    """As docs/reference/priors-format.md says of ``scale``; the diagnosis asks for it by name."""
+    path = copied(tmp_path, "loc = 0.0\nscale = 0.1\n", "", ".toml")
+    rows = read_totals(str(FLIGHT), PRIORS.spacecraft, "flight")[:1]
+    effect = prepare((), PRIORS, rows, read_kinds([path])).catalogue.effect("plume:z3")
+    assert prior_width(effect.parameters[0]) == 1.0
+    assert no_effect(effect.parameters[0]) == 0.0
 
 
 @pytest.mark.parametrize(

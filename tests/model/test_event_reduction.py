@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from event_cases import events, priors, simulated
+from run_cases import B_BRANCH
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.errors import InputError
@@ -19,6 +20,7 @@ from cassini_bayes.events.telemetry import Chunk, read_event
 from cassini_bayes.events.telemetry.tail import last_time
 from cassini_bayes.model import event_reduction, reduce_event, reduce_samples
 from cassini_bayes.model.event_reduction import store_reduction
+from cassini_bayes.priors.reader import read_priors
 
 
 def test_the_cache_gives_the_same_and_is_used(
@@ -132,6 +134,13 @@ def test_counters_gained_are_those_of_the_file() -> None:
         assert event.reading.on_time_s[k] == float(last[header.index(f"on_time_{name}_s")])
         assert event.reading.pulses[k] == float(last[header.index(f"pulses_{name}")])
     assert event.reading.rows == len(lines) - 1
+
+
+def test_priors_of_totals_are_refused() -> None:
+    """They lack what telemetry needs: the parameter is named, and what to add."""
+    totals = read_priors(B_BRANCH)
+    with pytest.raises(InputError, match=r"attitude_noise_rad: .*needed by telemetry"):
+        reduce_event(simulated() / "bias", totals, "first_order")
 
 
 def test_another_branch_is_refused(tmp_path: Path) -> None:

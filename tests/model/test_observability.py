@@ -12,7 +12,7 @@ from event_cases import PRIORS, events, model
 from totals_cases import flight
 
 from cassini_bayes.model import build_model, log_posterior
-from cassini_bayes.model.observability import event_worth, observability
+from cassini_bayes.model.observability import _information, event_worth, observability
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.sampling.warmstart import warm_start
 
@@ -38,6 +38,17 @@ def test_expected_widths_come_true(names: tuple[str, ...], within: float) -> Non
     told = expected > 0.05  # narrower ones depend on where in the prior the truth lies
     assert told.sum() > 10
     assert np.abs(np.log(width[places][told] / expected[told])).max() < np.log(within)
+
+
+@pytest.mark.parametrize("name", ["bias", "slews"])
+def test_information_is_symmetric_and_never_negative(name: str) -> None:
+    """What is known of two unknowns has no order, and no direction is known less than not."""
+    joint = model(name)
+    information = _information(joint, joint.unknowns)
+    largest = np.abs(information).max()
+    assert np.abs(information - information.T).max() < 1e-12 * largest
+    assert np.linalg.eigvalsh(information)[0] > -1e-12 * largest
+    assert np.isfinite(observability(joint).table["ratio"]).all()
 
 
 def test_slews_see_inertia_and_biases_see_thrust() -> None:

@@ -20,6 +20,7 @@ from cassini_bayes.model import log_posterior
 from cassini_bayes.pipeline import fits
 from cassini_bayes.pipeline.fits import FitResult
 from cassini_bayes.prediction.sources import read_sources, sources_of
+from cassini_bayes.report import sections_of
 from cassini_bayes.results.review import Review
 
 SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 64, "max_steps": 100}
@@ -62,6 +63,16 @@ def test_what_is_read_back_is_the_same(stored: FitResult, again: FitResult) -> N
     assert again.review.convergence.equals(stored.review.convergence)
     assert dict(again.review.facts) == dict(stored.review.facts)
     assert again.warnings == stored.warnings
+
+
+def test_slews_alone_have_a_page() -> None:
+    """Nothing fires: no thrust is drawn, and none of its priors is made wider or narrower."""
+    fitted = cb.fit([simulated() / "slews"], PRIORS, sampler=SAMPLER, seed=3, **FEW)
+    offered = [s.frame for s in sections_of(fitted.review) if s.name == "prior_widths"]
+    assert len(offered) == 1
+    assert offered[0] is not None
+    assert set(offered[0]["prior"]) >= {"inertia"}
+    assert "common thrust" not in set(offered[0]["prior"])
 
 
 def test_it_says_something_in_a_few_lines(again: FitResult) -> None:

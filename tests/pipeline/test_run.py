@@ -27,6 +27,9 @@ from cassini_bayes.results.exchange import MOST_REPLICATES
 from cassini_bayes.results.record import read_fit
 from cassini_bayes.sampling.ensembles import ProgressReport
 
+RECORD = 'events = ["e.csv"]\npriors = "p.toml"\n'
+"""What makes a folder a run's."""
+
 
 class Silent:
     """A reporter that keeps what it is told."""
@@ -160,17 +163,17 @@ def test_force_costs_nothing_when_the_inputs_are_bad(
     """An old run is removed only once everything that can be checked has been."""
     folder = tmp_path / "small"
     folder.mkdir()
-    (folder / "resolved.toml").write_text("an old run")
+    (folder / "resolved.toml").write_text(RECORD)
     with pytest.raises(InputError):
         do(run_of(**changes), folder, force=True)
-    assert (folder / "resolved.toml").read_text() == "an old run"
+    assert (folder / "resolved.toml").read_text() == RECORD
 
 
 def test_force_replaces_runs_only(tmp_path: Path) -> None:
     """--force clears a run; a folder of something else, or a file, is refused and kept."""
     old = tmp_path / "old"
     (old / "checkpoint").mkdir(parents=True)
-    (old / "resolved.toml").write_text("")
+    (old / "resolved.toml").write_text(RECORD)
     (old / "checkpoint" / "block_0000.npz").write_text("")
     prepare_folder(old, force=True, resume=False)
     assert list(old.iterdir()) == []
@@ -185,6 +188,19 @@ def test_force_replaces_runs_only(tmp_path: Path) -> None:
     assert (other / "chapter.tex").read_text() == "years of work"
 
 
+@pytest.mark.parametrize("text", ["", "a = [", 'title = "how a dispute was resolved"\n'])
+@pytest.mark.parametrize("force", [True, False])
+def test_a_file_of_the_same_name_makes_no_run(tmp_path: Path, force: bool, text: str) -> None:
+    """A user's own resolved.toml, and what lies beside it under names that runs use, stay."""
+    (tmp_path / "resolved.toml").write_text(text)
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "mine.png").write_text("weeks of work")
+    with pytest.raises(InputError, match="only replaces a run"):
+        prepare_folder(tmp_path, force=force, resume=False)
+    assert (tmp_path / "resolved.toml").read_text() == text
+    assert (tmp_path / "figures" / "mine.png").exists()
+
+
 def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
     """A folder with nothing in it, or with a killed write's leftover, is as good as new."""
     (tmp_path / ".resolved.toml.x8.partial.toml").write_text("half")
@@ -196,7 +212,7 @@ def test_force_cut_short_can_be_done_again(tmp_path: Path, monkeypatch: pytest.M
     """A removal that fails half-way leaves what makes it a run, so --force works again."""
     folder = tmp_path / "old"
     (folder / "checkpoint").mkdir(parents=True)
-    (folder / "resolved.toml").write_text("")
+    (folder / "resolved.toml").write_text(RECORD)
 
     def fail(*_: object) -> None:
         raise OSError(errno.EACCES, os.strerror(errno.EACCES))
@@ -212,12 +228,12 @@ def test_force_cut_short_can_be_done_again(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_start_without_draws_is_no_run(tmp_path: Path) -> None:
     """What a start left that never got to a checkpoint needs no --force, and can be resumed."""
-    (tmp_path / "resolved.toml").write_text("settings")
+    (tmp_path / "resolved.toml").write_text(RECORD)
     (tmp_path / "provenance.json").write_text("{}")
     prepare_folder(tmp_path, force=False, resume=True)
     prepare_folder(tmp_path, force=False, resume=False)
     assert not list(tmp_path.iterdir())
-    (tmp_path / "resolved.toml").write_text("settings")
+    (tmp_path / "resolved.toml").write_text(RECORD)
     (tmp_path / "checkpoint").mkdir()
     (tmp_path / "checkpoint" / "warmstart.npz").write_text("")
     with pytest.raises(InputError, match="existing run"):
@@ -227,7 +243,7 @@ def test_a_start_without_draws_is_no_run(tmp_path: Path) -> None:
 def test_force_keeps_what_no_run_wrote(tmp_path: Path) -> None:
     """A user's own file in a run's folder stays where it is."""
     for name in ("resolved.toml", "fit.nc", "notes.txt"):
-        (tmp_path / name).write_text(name)
+        (tmp_path / name).write_text(RECORD)
     prepare_folder(tmp_path, force=True, resume=False)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 

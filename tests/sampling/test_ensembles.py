@@ -158,6 +158,22 @@ def test_the_same_seed_gives_the_same_bits() -> None:
     assert not np.isin(one.z[0, :, :, 0], one.z[1, :, :, 0]).any()
 
 
+def test_an_interrupt_prints_nothing_of_its_own(capfd: pytest.CaptureFixture[str]) -> None:
+    """A Ctrl-C while the log density is computed: what catches it says so, in one line."""
+    batches = 0
+
+    def interrupted(z: Array) -> Array:
+        nonlocal batches
+        batches += 1
+        if batches > 20:
+            raise KeyboardInterrupt
+        return gaussian(z)
+
+    with pytest.raises(KeyboardInterrupt):
+        sample(interrupted, good_proposal(), QUICK)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_log_density_belongs_to_its_draw() -> None:
     """Stored log densities are those of the stored coordinates, all steps and thinned ones."""
     chains = sample(gaussian, good_proposal(), QUICK)

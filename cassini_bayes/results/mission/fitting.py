@@ -188,7 +188,7 @@ def loss_prior(priors: Priors) -> LossPrior:
     """
     priors.require(("thrust_loss_share", "failing_probability"), "a mission")
     share = priors.parameters["thrust_loss_share"]
-    scale = 0.0 if share.distribution is None else float(share.distribution.keywords["scale"])
+    scale = 0.0 if share.distribution is None else share.distribution.scale
     return LossPrior(priors.parameters["failing_probability"].mean, scale)
 
 

@@ -166,7 +166,7 @@ def sizes_of(effect: Effect, values: Mapping[str, float], truth: Mapping[str, fl
     return np.array(
         [
             (values[p.key] - (truth[p.key] if p.is_departure else _null(p.key)))
-            / float(p.distribution.keywords["scale"])
+            / p.distribution.scale
             for p in effect.parameters
             if p.distribution.name != "lognorm"
         ]
@@ -179,7 +179,7 @@ def _null(key: str) -> float:
 
 def _side(effect: Effect, sign: float, first: int) -> Side:
     sized = [p for p in effect.parameters if p.distribution.name != "lognorm"]
-    scale = float(sized[0].distribution.keywords["scale"])
+    scale = sized[0].distribution.scale
     low, high = ((end - _null(sized[0].key)) / scale for end in sized[0].distribution.support)
     low, high = (
         (max(low, 0.0), high) if sign > 0 else (low, min(high, 0.0)) if sign else (low, high)
@@ -204,7 +204,7 @@ def _columns(
             rest.append(0.0 if known is None else float(p.distribution.standard_of(known)))
             plain.append(p)
             continue
-        scale = float(p.distribution.keywords["scale"])
+        scale = p.distribution.scale
         middle = _null(p.key) + sign * KINK * scale
         plain.append(replace(p, distribution=Distribution("norm", {"loc": middle, "scale": scale})))
         rest.append(0.0)
@@ -234,4 +234,4 @@ def _add_attitude(gram: Array, score: Array, events: Events, sides: Sequence[Sid
 
 
 def _scale(events: Events, name: str) -> float:
-    return float(events.catalogue.effect(name).parameters[0].distribution.keywords["scale"])
+    return events.catalogue.effect(name).parameters[0].distribution.scale

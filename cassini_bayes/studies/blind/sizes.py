@@ -86,7 +86,7 @@ def draw_path(effect: Effect, rng: np.random.Generator) -> Growth:
         if parameter.distribution.name == "lognorm":  # a time constant has no null
             constant[parameter.key] = float(parameter.distribution.sample(rng, 1)[0])
             continue
-        scale = float(parameter.distribution.keywords["scale"])
+        scale = parameter.distribution.scale
         sign = _ONE_SIDED.get(effect.kind.name) or float(rng.choice([-1.0, 1.0]))
         share = abs(float(rng.standard_normal())) if several else 1.0
         direction[parameter.key] = sign * scale * share

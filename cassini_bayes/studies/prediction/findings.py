@@ -79,7 +79,7 @@ def scaled_firing(beliefs: Beliefs, width: float) -> Beliefs:
         {
             name: replace(
                 distribution,
-                keywords={**distribution.keywords, "scale": width * distribution.keywords["scale"]},
+                keywords={**distribution.keywords, "scale": width * distribution.scale},
             )
             if name in NAMES and distribution.name == "halfnorm"
             else distribution
