@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
@@ -44,6 +46,11 @@ def each_event(events: EventLike | Iterable[EventLike]) -> tuple[EventLike, ...]
                 "read it with read_totals, read_event or event_from_frame",
             )
     return result
+
+
+LEAST_TURNED: Final = 0.2
+"""Rate about an axis, rms and noise included, of the largest: noise alone is 0.14 of a slew's 5e-4
+rad/s at most (7e-5 rad/s)."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +133,36 @@ def gather(
         names = (_place(given, event) for event in read.events)
         contents += zip(names, read.contents, strict=True)
     findings += refuse_duplicates([pair for pair in contents if pair[1]], policy)
+    findings += unturned(result, priors)
     return tuple(result), tuple(findings)
+
+
+def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
+    """Warnings of body axes about which none of the slews turns, in words.
+
+    Where wheels have a flat distribution, as in slews, their noise draws the inertia about an axis
+    at rest upwards: by n I_w² σ_ρ² / V nats per unit of log I, with n rows and V the variance of
+    the balance. Beside a slew about the axis that is nothing (docs/topics/telemetry-likelihood.md
+    §11).
+    """
+    slews = [e for e in events if isinstance(e, ReducedEvent) and e.statistics.kind == "slew"]
+    if not slews:
+        return ()
+    each = []
+    for slew in slews:
+        places = slew.statistics.layout.rate
+        squares = np.einsum("aajj->j", slew.statistics.gram[:, :, places, places])
+        each.append(np.sqrt(squares / slew.statistics.rows))
+    turned = np.max(each, axis=0)
+    largest = float(turned.max())
+    return tuple(
+        f"slews: none turns about {axis.upper()} ({rate:.2g} rad/s, rms; {largest:.2g} about "
+        f"another axis): the noise of wheels draws {name} upwards, by many standard deviations; "
+        "add a slew about that axis, or fix it in the priors"
+        for axis, rate in zip("xyz", turned, strict=True)
+        if rate < LEAST_TURNED * largest
+        and priors.parameters[name := f"inertia_{axis}{axis}_kg_m2"].fixed is None
+    )
 
 
 def _place(given: EventLike, event: Event) -> str:

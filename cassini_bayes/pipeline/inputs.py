@@ -17,7 +17,7 @@ from cassini_bayes.events.plausibility import Policy, refuse_duplicates
 from cassini_bayes.events.totals import TotalsEvent, split_reference
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import ReducedEvent, store_reduction
-from cassini_bayes.model.gather import read_reference
+from cassini_bayes.model.gather import read_reference, unturned
 from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.pipeline.run_file import RunFile
@@ -108,7 +108,7 @@ def read_inputs(
                 )
         given |= dict.fromkeys((event.id for event in result), reference)
         events.extend(result)
-    findings += refuse_duplicates(contents, policy)
+    findings += [*refuse_duplicates(contents, policy), *unturned(events, priors)]
     effects = effects_of(run, events, priors, kinds)
     if kinds is not None:
         digests |= kinds.files
