@@ -241,9 +241,11 @@ def test_a_unit_is_named_where_it_fits_better_than_others_nearby(
     event, chunk = honest["slew"]
     for given, sharp in ((TELEMETRY["wheels in deg/s"].change(chunk), True), (chunk, False)):
         evidence = evidence_of(event, given)
+        assert evidence.rows is not None
+        shown = (evidence.as_recorded, evidence.nominal, event.wheels, evidence.rows)
         units = [
             each
-            for each in of_wheels(evidence.as_recorded, evidence.nominal, event.wheels, np.zeros(3))
+            for each in of_wheels(*shown)
             if each.is_unit and each.correction.wheel[0, 0] == pytest.approx(1.0 / 6.0)
         ]
         fits = [(each.correction, evidence.balance(each.correction)) for each in units]

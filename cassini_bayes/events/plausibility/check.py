@@ -16,9 +16,7 @@ from cassini_bayes.events.plausibility.cells import BadCell, CellSearch, without
 from cassini_bayes.events.plausibility.counts import OnTimeSteps, PulseSteps
 from cassini_bayes.events.plausibility.hypotheses import (
     AXES,
-    LIKELIER,
     Evidence,
-    by_evidence,
     explanations,
     likelier_rates,
     likeliest,
@@ -43,6 +41,7 @@ from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
 from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
+ONE_MOTION: Final = "attitude, rates, wheels and counters of one motion"
 OPEN: Final = 0.3
 """Of the momentum exchanged: what may stay open without a name before an event is refused."""
 MOST_CELLS_NAMED: Final = 3
@@ -138,8 +137,11 @@ class TelemetryCheck:
         if misfit > SUSPECT:
             evidence = with_swing(evidence)
             misfit = evidence.misfit()
-        if misfit > SUSPECT or self._is_unlikely(evidence):
+        if misfit > SUSPECT:
             self._explain(evidence, misfit, findings)
+        elif best := self._likeliest(evidence):
+            where = str(self._event.telemetry)
+            refuse_best(where, ONE_MOTION, misfit, best, self._policy, findings)
         self._check_on_times(findings)
         self._check_cells(findings)
         count = 0 if rows is None else len(rows.time_s)
@@ -218,11 +220,6 @@ class TelemetryCheck:
                 ),
             )
 
-    def _is_unlikely(self, evidence: Evidence) -> bool:
-        """Whether a mistake makes an event much likelier whose misfit is as honest ones have it."""
-        found = by_evidence(evidence, self._event.wheels, self._event.thrusters)
-        return bool(likelier_rates(evidence) or (found and found[0].gain > LIKELIER))
-
     def _likeliest(self, evidence: Evidence) -> tuple[Explanation, ...]:
         """Mistakes by how much likelier they make an event: of rates, or of wheels and counters."""
         event = self._event
@@ -231,24 +228,18 @@ class TelemetryCheck:
     def _explain(self, evidence: Evidence, misfit: float, findings: Findings) -> None:
         event = self._event
         where = str(event.telemetry)
-        expected = "attitude, rates, wheels and counters of one motion"
-        if misfit <= SUSPECT:
-            best = self._likeliest(evidence)
-            if best:
-                refuse_best(where, expected, misfit, best, self._policy, findings)
-            return
         sharper = with_noise_of_lags(evidence)
         found = list(explanations(sharper, event.wheels, event.thrusters))
         physical = min((each.score for each in found if each.mistake == PHYSICS), default=np.inf)
         misfit = min(misfit, physical)
         mistakes = [each for each in found if each.mistake != PHYSICS]
-        best = ()
+        best: tuple[Explanation, ...] = ()
         if misfit > SUSPECT:
             best = best_explanations(min(sharper.misfit(), physical), mistakes)
         best = best or self._likeliest(evidence)
         if best:
             best = with_scaled_rates(evidence, best)
-            refuse_best(where, expected, misfit, best, self._policy, findings)
+            refuse_best(where, ONE_MOTION, misfit, best, self._policy, findings)
             return
         if misfit <= SUSPECT:
             return

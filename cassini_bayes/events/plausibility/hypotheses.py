@@ -18,7 +18,6 @@ from cassini_bayes.events.plausibility.momentum import (
     Momentum,
     MomentumFit,
     Nominal,
-    largest_jumps,
     momentum_of,
 )
 from cassini_bayes.events.plausibility.rows import LEAST_ROWS, Motion, Rows
@@ -59,8 +58,6 @@ SHORTEST_PULSE_S: Final = 5e-3
 """No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
 LATE_S: Final = (2.0, 5.0, 8.0, 12.0, 20.0, 32.0, 50.0, 75.0)
-LEAST_FACTOR: Final = 1e-3
-"""Of a wheel: with less the column says nothing."""
 CHANCE_SIGMAS: Final = 4.0
 """Of the χ² of turns, whose noise is itself measured on some forty steps."""
 PHYSICAL_LAG_S: Final = 2.5
@@ -191,11 +188,9 @@ def explanations(
 
 
 def _of_wheels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
-    rows = evidence.rows
-    if rows is None:
+    if evidence.rows is None:
         return
-    jumps_s = rows.time_s[largest_jumps(rows.wheel_rpm)]
-    for each in of_wheels(evidence.as_recorded, evidence.nominal, wheels, jumps_s):
+    for each in of_wheels(evidence.as_recorded, evidence.nominal, wheels, evidence.rows):
         yield from _scored(evidence, each)
 
 
@@ -203,15 +198,12 @@ def _scored(evidence: Evidence, undone: Undone) -> Iterator[Explanation]:
     """An explanation by what misfit it leaves; none where a free factor is as good as 1."""
     fit = evidence.balance(undone.correction)
     assert fit is not None
-    left, what = fit.excess + evidence.turned(), undone.what
     if undone.is_unit and not _is_sharp(evidence, undone.correction, fit.excess):
         return
-    if len(fit.factors):
-        factor = float(fit.factors[0])
-        if abs(factor - 1.0) <= LEAST_FACTOR_STEP or abs(factor) <= LEAST_FACTOR:
-            return
-        what = what.format(factor=factor)
-    yield Explanation(undone.mistake, what, undone.fix, left, undone.price)
+    sized = undone.sized(float(fit.factors[0]) if len(fit.factors) else 1.0)
+    if sized is not None:
+        left = fit.excess + evidence.turned()
+        yield Explanation(sized.mistake, sized.what, sized.fix, left, sized.price)
 
 
 def _is_sharp(evidence: Evidence, correction: Correction, excess: float) -> bool:
@@ -248,20 +240,18 @@ def by_evidence(
     rows, momentum, nominal = evidence.rows, evidence.momentum, evidence.nominal
     if rows is None or momentum is None:
         return []
-    nothing, jumps_s = evidence.as_recorded, rows.time_s[largest_jumps(rows.wheel_rpm)]
+    nothing = evidence.as_recorded
     undone = [
-        *(each for each in of_wheels(nothing, nominal, wheels, jumps_s) if not each.is_unit),
+        *(each for each in of_wheels(nothing, nominal, wheels, rows) if not each.is_unit),
         *of_counters(nothing, nominal, thrusters),
         of_late_wheels(nothing),
     ]
     gains, sizes = momentum.gains(nominal, [each.correction for each in undone])
     found = []
     for each, gain, size in zip(undone, gains.tolist(), sizes.tolist(), strict=True):
-        if "{factor" in each.what:
-            if abs(size) <= LEAST_FACTOR_STEP or abs(1.0 + size) <= LEAST_FACTOR:
-                continue
-            each = replace(each, what=each.what.format(factor=1.0 + size))
-        found.append(Likelier(each, gain - each.price))
+        sized = each.sized(1.0 + size)
+        if sized is not None:
+            found.append(Likelier(sized, gain - sized.price))
     return sorted(found, key=lambda each: -each.gain)
 
 
@@ -272,11 +262,12 @@ def likeliest(
 
     Empty if nothing does, or if even then more is left than of an honest event.
     """
-    if evidence.turned() > LEAST_TURNED:
-        return ()  # rates or attitudes are wrong: the balance says nothing of wheels
-    for each in (evidence, with_swing(evidence), _with_physical_lag(evidence)):
-        found = by_evidence(each, wheels, thrusters)
-        if not found or found[0].gain < LIKELIER:
+    found = by_evidence(evidence, wheels, thrusters)
+    if not _are_likely(found) or evidence.turned() > LEAST_TURNED:
+        return ()  # where rates or attitudes are wrong the balance says nothing of wheels
+    for with_more in (with_swing, _with_physical_lag):
+        found = by_evidence(with_more(evidence), wheels, thrusters)
+        if not _are_likely(found):
             return ()
     if found[0].undone.correction.wheel_lag:
         return _late_wheels(evidence, found[0].undone)
@@ -292,6 +283,10 @@ def likeliest(
     if not thrusters:
         most = max(SUSPECT, min(evidence.misfit() - LIKELIER, 2.0 * SUSPECT))
     return tuple(each for each in explained if each.left <= most)[:MOST_NAMED]
+
+
+def _are_likely(found: Sequence[Likelier]) -> bool:
+    return bool(found) and found[0].gain >= LIKELIER
 
 
 def likelier_rates(evidence: Evidence) -> tuple[Explanation, ...]:

@@ -137,7 +137,7 @@ class Correction:
     ``offset`` (3, J): body axes along which a constant momentum is free, as of a wheel's rate with
     a constant error; ``wheel_factor``: wheels whose column has a free factor;
     ``wheel_jump``: wheels with a constant error from their largest jump on; ``wheel_lag``: whether
-    all wheels come late by some time, to first order (of :meth:`Momentum.gains` alone);
+    all wheels come late by some time, to first order;
     ``on_time``: factor of on-times, not of pulses.
     """
 
@@ -366,15 +366,8 @@ class Momentum:
 
     def _move(self, nominal: Nominal, target: Array, correction: Correction) -> Array:
         """Weights (p,) by which a correction moves what is to be closed, at a size of 1."""
-        if correction.offset.shape[1]:
-            return self.columns.weights(fixed=correction.offset[:, 0])
-        if correction.wheel_lag:
-            return self.columns.weights(wheel_flow=nominal.spins)
-        free = {"wheel_around": correction.wheel_factor, "jump": correction.wheel_jump}
-        for name, of in free.items():
-            if of:
-                own = np.outer(nominal.spins[:, of[0]], np.eye(nominal.spins.shape[1])[of[0]])
-                return self.columns.weights(**{name: own})
+        for _, weights in free_columns(self.columns, nominal, correction):
+            return weights
         return corrected(self.columns, target[:, None], correction)[:, 0] - target
 
     def _impulse(
@@ -489,20 +482,29 @@ def departures_of(
 ) -> tuple[tuple[str, ...], Array]:
     """Names and weights (p, J) of everything that may depart, each at one standard deviation."""
     names, design = nominal.departures
-    free = [columns.weights(fixed=_FREE * axis) for axis in correction.offset.T]
-    names += ("offset",) * len(free)
+    free = free_columns(columns, nominal, correction)
+    if free:
+        names += tuple(name for name, _ in free)
+        sizes = np.stack([_FREE * weights for _, weights in free], axis=1)
+        design = np.concatenate([design, sizes], axis=1)
+    return names, corrected(columns, design, correction)
+
+
+def free_columns(
+    columns: Columns, nominal: Nominal, correction: Correction
+) -> list[tuple[str, Array]]:
+    """Names and weights (p,) of what a correction leaves free, at a size of 1."""
+    wheels = np.eye(len(correction.wheel))
+    free = [("offset", columns.weights(fixed=axis)) for axis in correction.offset.T]
     for w in correction.wheel_factor:
-        own = np.outer(nominal.spins[:, w], np.eye(len(correction.wheel))[w])
-        free.append(columns.weights(wheel_around=_FREE * own))
-        names += ("factor",)
+        own = np.outer(nominal.spins[:, w], wheels[w])
+        free.append(("factor", columns.weights(wheel_around=own)))
     for w in correction.wheel_jump:
         spin = nominal.spins[:, w] / np.linalg.norm(nominal.spins[:, w])
-        own = np.outer(_FREE * spin, np.eye(len(correction.wheel))[w])
-        free.append(columns.weights(jump=own))
-        names += ("jump",)
-    if free:
-        design = np.concatenate([design, np.stack(free, axis=1)], axis=1)
-    return names, corrected(columns, design, correction)
+        free.append(("jump", columns.weights(jump=np.outer(spin, wheels[w]))))
+    if correction.wheel_lag:
+        free.append(("lag", columns.weights(wheel_flow=nominal.spins)))
+    return free
 
 
 def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, ...], Array]:

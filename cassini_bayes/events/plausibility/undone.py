@@ -9,13 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.momentum import (
     Correction,
     Nominal,
     exchanged,
     exchanges_of,
+    largest_jumps,
 )
+from cassini_bayes.events.plausibility.rows import Rows
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ORDER_PRICE: Final = 2.0  # a first-order nat for one of many orders
@@ -28,6 +29,8 @@ WHEEL_UNITS: Final = {
 }
 LEAST_FACTOR_STEP: Final = 0.08
 """A free factor closer to 1 is a departure, no mistake."""
+LEAST_FACTOR: Final = 1e-3
+"""Of a wheel: with less the column says nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +51,23 @@ class Undone:
         """Whether all wheels are scaled."""
         return self.mistake == "wheel-unit"
 
+    def sized(self, factor: float) -> Undone | None:
+        """With a free factor put into words; None where it is as good as 1, or as 0."""
+        if not self.correction.wheel_factor:
+            return self
+        if abs(factor - 1.0) <= LEAST_FACTOR_STEP or abs(factor) <= LEAST_FACTOR:
+            return None
+        return replace(self, what=self.what.format(factor=factor))
+
 
 def of_wheels(
-    nothing: Correction, nominal: Nominal, wheels: Sequence[int], jumps_s: Array
+    nothing: Correction, nominal: Nominal, wheels: Sequence[int], rows: Rows
 ) -> Iterator[Undone]:
     """Orders, signs and units of wheels; a factor, a constant error or a jump of each.
 
-    ``nothing`` corrects nothing; ``jumps_s`` (W,) are the times at which each wheel jumps most.
+    ``nothing`` corrects nothing; a wheel jumps where it jumps most in ``rows``.
     """
-    count = len(wheels)
+    count, jumps_s = len(wheels), rows.time_s[largest_jumps(rows.wheel_rpm)]
     fix = "correct the names of the rwa…_rpm columns, or wheels in event.toml"
     for order in permutations(range(count)):
         if order == tuple(range(count)):
