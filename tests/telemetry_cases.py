@@ -306,8 +306,8 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             y = y + added
             total += own_noise
             constant += density
-        # the density of the rates is that of the balance times |det I| per row; three wheel rates
-        constant += n * (np.linalg.slogdet(inertia)[1] - 1.5 * np.log(2 * np.pi))
+        constant -= 1.5 * n * np.log(2 * np.pi)  # three wheel rates of a row
+        constant += plain_measure(model, term, rows, turns, arms, values)
         if fires:
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
         unknown = np.array(own).T
@@ -340,7 +340,6 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             columns = np.concatenate([columns, on_turns @ columns])
             unknown = np.concatenate([unknown, on_turns @ unknown])
             total = block_diag(total, noise.reshape(3 * len(gained), -1))
-            constant += len(gained) * np.linalg.slogdet(inertia)[1]
         if fires:
             total = total + columns @ linear.own @ linear.own.T @ columns.T
         total = total + unknown @ unknown.T
@@ -361,6 +360,74 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
     return float(log_density - 0.5 * size * np.log(2.0 * np.pi)) + constant
 
 
+def plain_measure(
+    model: Model,
+    term: TelemetryTerm,
+    rows: PlainRows,
+    turns: PlainTurns,
+    arms: Array,
+    values: Mapping[str, float],
+) -> float:
+    """Log of what takes densities of the balance to those of the channels, by dense matrices.
+
+    In bands whose motion is flat: the noise covariance at the priors' medians of the noise levels,
+    on the band's rows, without the constant that the initial momentum takes up.
+    """
+    samples = Samples.joined(list(term.event.rows))
+    fires, n = samples.on_time_s.shape[1] > 0, len(rows.times)
+    fixed = dict(values) | noise_medians(model)
+    tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
+    close, one = values["close_pulse_share"], np.eye(3)
+    inertia = inertia_tensor(values)
+    weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
+        :, [0, 1, 3]
+    ]
+    by_wheels = (fixed["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
+    drift_square = fixed["torque_noise_n_m_s05"] ** 2
+    spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
+    white = fixed["rate_noise_rad_s"] ** 2 * inertia @ inertia + by_wheels
+    white = white + fixed["attitude_noise_rad"] ** 2 * spin
+    result = 0.0
+    for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
+        size = round(np.trace(share))
+        if fires and band > 0:
+            result += size * np.linalg.slogdet(inertia)[1]
+            continue
+        left_open = plain_open(model, term, rows, arms, tau, close, share, np.array(rows.times))
+        own = white + left_open / size
+        values_of, vectors = np.linalg.eigh(share)
+        basis = np.kron(vectors[:, values_of > 0.5], one)
+        noise = np.kron(share, own) + drift_square * np.kron(drift, one)
+        noise = basis.T @ noise @ basis
+        result += 0.5 * np.linalg.slogdet(noise)[1]
+        if band == 0:
+            constant = basis.T @ np.kron(np.ones((n, 1)), one)
+            constant /= np.linalg.norm(constant[:, 0])
+            left = constant.T @ np.linalg.solve(noise, constant)
+            result += 0.5 * np.linalg.slogdet(left)[1]
+    attitude = fixed["attitude_noise_rad"] ** 2 * inertia @ inertia
+    gyro = fixed["rate_noise_rad_s"] ** 2 * inertia @ inertia
+    for share, summed, walked in turns.bands:
+        slopes = share[: len(turns.times), : len(turns.times)]
+        left = plain_open(model, term, rows, arms, tau, close, slopes, turns.times, turns.ramps)
+        shared = summed * by_wheels + walked * drift_square * one + left / np.trace(share)
+        of_gyro = summed * gyro @ np.linalg.inv(summed * gyro + shared)
+        noise = attitude + summed * (gyro - of_gyro @ gyro)  # of what turn and gyro differ by
+        result += 0.5 * np.trace(share) * np.linalg.slogdet(noise)[1]
+    return float(result)
+
+
+def noise_medians(model: Model) -> dict[str, float]:
+    """Prior medians of the noise levels, or their fixed values."""
+    names = ("rate_noise_rad_s", "wheel_noise_rpm", "attitude_noise_rad", "torque_noise_n_m_s05")
+    free = dict(zip(model.space.names, model.space.distributions, strict=True))
+    fixed = dict(model.idle) | dict(model.space.fixed)
+    return {
+        name: float(free[name].quantile_of_standard(0.0)) if name in free else float(fixed[name])
+        for name in names
+    }
+
+
 def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: bool = True) -> float:
     """Log density of rates, wheels and turns of slews without torque noise, as one normal.
 
@@ -376,14 +443,18 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
     axes, moments = wheel_axes(model.spacecraft, values), wheel_inertias(model.spacecraft, values)
     weights = (axes * moments)[:, [0, 1, 3]]
     spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
-    by_rate = values["rate_noise_rad_s"] ** 2 * inertia @ inertia
-    by_attitude = values["attitude_noise_rad"] ** 2 * inertia @ inertia
-    by_wheels = (values["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
     n, contrasts, summed = len(rows.times), len(turns.of_rates), turns.of_rows
-    of_row = by_rate + by_wheels + values["attitude_noise_rad"] ** 2 * spin
-    between = np.kron(summed, by_wheels) * float(shared)
-    of_turns = np.kron(summed @ summed.T, by_wheels) + np.kron(np.eye(contrasts), by_attitude)
-    noise = np.block([[np.kron(np.eye(n), of_row), between.T], [between, of_turns]])
+
+    def noise_at(levels: Mapping[str, float]) -> Array:
+        by_rate = levels["rate_noise_rad_s"] ** 2 * inertia @ inertia
+        by_attitude = levels["attitude_noise_rad"] ** 2 * inertia @ inertia
+        by_wheels = (levels["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
+        of_row = by_rate + by_wheels + levels["attitude_noise_rad"] ** 2 * spin
+        between = np.kron(summed, by_wheels) * float(shared)
+        of_turns = np.kron(summed @ summed.T, by_wheels) + np.kron(np.eye(contrasts), by_attitude)
+        return np.block([[np.kron(np.eye(n), of_row), between.T], [between, of_turns]])
+
+    noise, at_medians = noise_at(values), noise_at(noise_medians(model))
     own, _, mean = _unknowns(model, term, samples, rows, np.zeros((3, 0)), (0.0,) * 3, 0.0)
     unknown = np.array(own).T
     unknown = np.concatenate([unknown, np.kron(summed, np.eye(3)) @ unknown])
@@ -394,9 +465,11 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
     lower = np.linalg.cholesky(dense)
     white = solve_triangular(lower, np.concatenate([residual, turned]).reshape(-1), lower=True)
     log_density = -0.5 * white @ white - np.log(np.diagonal(lower)).sum()
-    jacobian = (n + contrasts) * np.linalg.slogdet(inertia)[1]
+    constant = np.kron(np.ones((n, 1)) / np.sqrt(n), np.eye(3))
+    left = constant.T @ np.linalg.solve(at_medians[: 3 * n, : 3 * n], constant)
+    measure = 0.5 * (np.linalg.slogdet(at_medians)[1] + np.linalg.slogdet(left)[1])
     channels = 2 * n + contrasts  # three wheels and three rates of a row
-    return float(log_density + jacobian - 1.5 * channels * np.log(2.0 * np.pi))
+    return float(log_density + measure - 1.5 * channels * np.log(2.0 * np.pi))
 
 
 def _unknowns(

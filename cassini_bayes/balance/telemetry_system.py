@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.flat_motion import log_measure
 from cassini_bayes.balance.kernel import Noise, Placed, normal_equations
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
@@ -84,11 +85,9 @@ def event_system(
     normal, log_scale, kept = normal_equations(
         used, np.ascontiguousarray(turned), noise, reduced.places, *event.bands, placed
     )
-    channels = 3 + len(event.wheel_places)
+    log_scale += log_measure(event, physics, parameters, thrust_n, by_turn)
     # of the channels' densities: rates and wheels of every row, turns of every contrast
-    per_rate = np.linalg.slogdet(physics.momentum_per_rate)[1]
-    log_scale += event.statistics.rows * (per_rate - 0.5 * channels * np.log(2.0 * np.pi))
-    per_turn = np.linalg.slogdet((np.eye(3) + by_turn.gain) @ physics.inertia_kg_m2[:, None])[1]
-    contrasts = np.array([band.contrasts for band in event.turns], dtype=np.float64)
-    log_scale += (per_turn - 1.5 * np.log(2.0 * np.pi)) @ contrasts
+    contrasts = sum(band.contrasts for band in event.turns)
+    channels = event.statistics.rows * (3 + len(event.wheel_places)) + 3 * contrasts
+    log_scale -= 0.5 * channels * np.log(2.0 * np.pi)
     return EventSystem(normal, log_scale, own_sd, own_mean, kept)

@@ -132,7 +132,9 @@ class TelemetryBalance:
     ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`), ``turns``
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
-    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters.
+    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
+    is a constant of unit length on the slow modes. ``reference_noise`` (name → value) are noise
+    levels at which the measure of flat motion is taken (:mod:`cassini_bayes.balance.flat_motion`).
     """
 
     statistics: EventStatistics
@@ -146,6 +148,8 @@ class TelemetryBalance:
     spin: Array
     wheels: WheelSquares  # over all rows
     reduced: Reduced
+    constant: Array
+    reference_noise: Mapping[str, float]
 
     @property
     def id(self) -> str:
@@ -194,11 +198,13 @@ def make_balance(
     sampling: Sampling,
     spacecraft: Spacecraft,
     nominal: Mapping[str, float],
+    reference_noise: Mapping[str, float],
 ) -> TelemetryBalance:
     """Prepare one event: everything that does not change during a fit.
 
     ``nominal`` are parameter values good to some percent (prior means): they centre the wide prior
-    of the initial momentum and scale the attitude noise.
+    of the initial momentum and scale the attitude noise. ``reference_noise`` are noise levels that
+    have about the right size (prior medians).
     """
     layout = statistics.layout
     numbers = [wheel.number for wheel in spacecraft.wheels]
@@ -218,6 +224,7 @@ def make_balance(
     turns, turn_grams = turn_bands(statistics)
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
+    constant = slow_modes[0, layout.one]
     return TelemetryBalance(
         statistics=statistics,
         sampling=sampling,
@@ -240,6 +247,8 @@ def make_balance(
             slow_modes,
             turn_grams,
         ),
+        constant=constant / np.linalg.norm(constant),
+        reference_noise=reference_noise,
     )
 
 

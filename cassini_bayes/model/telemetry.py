@@ -473,5 +473,6 @@ def _term(event: ReducedEvent, priors: Priors, shared: Shared) -> TelemetryTerm:
             "fix it; the delay cancels in first_order pulses",
         )
     nominal = {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **priors.means()}
-    balance = make_balance(event.statistics, event.sampling, spacecraft, nominal)
+    noise = priors.medians(_CHANNELS)
+    balance = make_balance(event.statistics, event.sampling, spacecraft, nominal, noise)
     return TelemetryTerm(event, balance, names)

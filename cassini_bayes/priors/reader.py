@@ -88,6 +88,13 @@ class ParameterPrior:
         return float(self.distribution.mean())
 
     @property
+    def median(self) -> float:
+        """The distribution's median, or the fixed value."""
+        if self.distribution is None:
+            return self.mean
+        return float(self.distribution.quantile_of_standard(0.0))
+
+    @property
     def sd(self) -> float:
         """The distribution's standard deviation; 0 of a fixed value."""
         return 0.0 if self.distribution is None else float(self.distribution.sd())
@@ -156,6 +163,10 @@ class Priors:
     def means(self) -> dict[str, float]:
         """Prior mean of every parameter, or its fixed value."""
         return {name: prior.mean for name, prior in self.parameters.items()}
+
+    def medians(self, names: Iterable[str]) -> dict[str, float]:
+        """Prior medians of these parameters, or their fixed values."""
+        return {name: self.parameters[name].median for name in names}
 
     def normal(self, names: Iterable[str]) -> tuple[list[float], list[float]]:
         """Means and standard deviations of parameters that are integrated out.

@@ -1,0 +1,88 @@
+"""Measure in which the true motion is flat, in bands where nothing is known of it.
+
+In the slow band of a bias, in all bands of a slew and in the turns of quiet pieces, the true motion
+has a flat distribution. Flat in which coordinates is a choice. Flat wheel rates give the density of
+the channels a factor |det I| per row, flat body rates give it |det T I_w|. At the true parameters,
+the slope of the log likelihood in log I is zero on average for neither: the first draws the inertia
+upwards, the second downwards. The factor for which it is zero is the root of the determinant of the
+balance's own noise, at noise levels that stay fixed (docs/topics/telemetry-likelihood.md §3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.telemetry_terms import (
+    TelemetryBalance,
+    TurnNoise,
+    band_covariances,
+    band_wheel_variances,
+    turn_noise,
+)
+from cassini_bayes.computing.arrays import Array
+
+
+def log_measure(
+    event: TelemetryBalance,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    thrust_n: float,
+    by_turn: TurnNoise,
+) -> Array:
+    """Log determinants (n,) that take the density of the balance to that of the channels.
+
+    With V the covariance of the balance of a row and Σ̃_θ that of the turns, both at the event's
+    reference noise, I the momentum per measured rate and Q the gain of the turns,
+
+        (N − R) log |det I| + ½ Σ_R log det V + Σ log |det (1 + Q)| + ½ Σ log det Σ̃_θ − Σ log |det
+        (1 + Q_reference)|,
+
+    R the rows of bands in which wheels move by any amount. The initial momentum takes up a constant
+    of the slow band: its body rate is flat, too.
+
+    Parameters
+    ----------
+    physics
+        The physics at n points.
+    parameters
+        Noise levels, name → (n,) array, of which those of the reference are replaced.
+    by_turn
+        The turns' noise at the noise levels of the points.
+    """
+    n = len(physics.inertia_kg_m2)
+    fixed_noise = {name: np.full(n, value) for name, value in event.reference_noise.items()}
+    reference = {**parameters, **fixed_noise}
+    result = _of_rows(event, physics, reference, thrust_n)
+    if event.turns:
+        fixed = turn_noise(event, physics, reference, thrust_n)
+        more = _log_det(np.eye(3) + by_turn.gain) - _log_det(np.eye(3) + fixed.gain)
+        contrasts = np.array([band.contrasts for band in event.turns], dtype=np.float64)
+        result = result + (more + 0.5 * _log_det(fixed.covariance)) @ contrasts
+    return result
+
+
+def _of_rows(
+    event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array], thrust_n: float
+) -> Array:
+    """The part of the rows."""
+    by_torque = reference["torque_noise_n_m_s05"] ** 2
+    wheels = event.wheel_weights(physics)[:, None]
+    variance = band_wheel_variances(event, reference)[:, :, None]
+    white = band_covariances(event, physics, reference, thrust_n)
+    noise = white + (wheels * variance) @ np.swapaxes(wheels, -1, -2)
+    slow = np.linalg.eigvalsh(noise[:, 0])[..., None] + by_torque[:, None, None] * event.slow.walk
+    result = np.log(slow).sum((1, 2)) + np.log((event.constant**2 / slow).sum(-1)).sum(-1)
+    others = event.statistics.rows - event.slow.rows
+    for band, white in zip(event.fast, np.moveaxis(noise[:, 1:], 1, 0), strict=True):
+        if band.motion is None:
+            walked = (by_torque * band.walk.mean())[:, None, None] * np.eye(3)
+            result = result + band.rows * _log_det(white + walked)
+            others -= band.rows
+    return np.asarray(0.5 * result + others * _log_det(physics.momentum_per_rate))
+
+
+def _log_det(matrices: Array) -> Array:
+    return np.asarray(np.linalg.slogdet(matrices)[1])

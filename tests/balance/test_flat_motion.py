@@ -1,0 +1,108 @@
+"""The measure in which motion is flat: the slope of the log likelihood at the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from telemetry_cases import RPM, event_of, nominal_values, telemetry_priors
+
+import cassini_bayes.balance.telemetry_system
+from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.statistics import Samples
+from cassini_bayes.balance.telemetry_terms import TelemetryBalance, TurnNoise
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.model import Model, build_model
+from cassini_bayes.model.posterior import log_likelihood
+from cassini_bayes.spacecraft import inertia_tensor, wheel_axes, wheel_inertias
+
+EVENTS = 24
+# wheels and rates that put about as much into the balance
+NOISE = {"rate_noise_rad_s": 2e-6, "wheel_noise_rpm": 0.6, "attitude_noise_rad": 1e-5}
+
+
+def resting_slew(rng: np.random.Generator, rows: int = 120) -> Samples:
+    """A slew in which the body hardly moves: its rates are below their noise.
+
+    All parameters but the noise levels are at their prior means.
+    """
+    values, priors = nominal_values(), telemetry_priors()
+    rate_noise, wheel_noise, attitude_noise = NOISE.values()
+    time = 4.0 * np.arange(rows)
+    rate = 1e-6 * np.sin(np.outer(time, [0.02, 0.013, 0.03]) + 6.28 * rng.random(3))
+    turned = 2.0 * (rate[1:] + rate[:-1])
+    attitude = Rotation.from_rotvec(np.r_[np.zeros((1, 3)), np.cumsum(turned, axis=0)])
+    weights = wheel_axes(priors.spacecraft, values) * wheel_inertias(priors.spacecraft, values)
+    total = attitude.inv().apply([5.0, -3.0, 8.0])
+    wheels = (total - rate @ inertia_tensor(values)) @ np.linalg.inv(weights[:, [0, 1, 3]]).T
+    measured = Rotation.from_rotvec(attitude_noise * rng.standard_normal((rows, 3))) * attitude
+    return Samples(
+        time,
+        measured.as_quat(),
+        rate + rate_noise * rng.standard_normal((rows, 3)),
+        wheels + wheel_noise * RPM * rng.standard_normal((rows, 3)),
+        np.zeros((rows, 0)),
+        np.zeros((rows, 0)),
+    )
+
+
+@pytest.fixture(scope="module")
+def slews() -> list[Model]:
+    """Resting slews, each with a model of its own; the truth is z = 0."""
+    rng = np.random.default_rng(20261123)
+    priors = telemetry_priors().with_fixed("torque_noise_n_m_s05", 0.0)
+    for name, value in NOISE.items():
+        priors = priors.with_fixed(name, value)
+    return [build_model([event_of(resting_slew(rng), priors)], priors) for _ in range(EVENTS)]
+
+
+def slopes(models: list[Model], parameter: str) -> Array:
+    """Slope of the log likelihood at the truth in the log of a parameter with a normal prior."""
+    space = models[0].space
+    place = space.names.index(parameter)
+    z = np.zeros((2, space.dimension))
+    z[:, place] = -0.05, 0.05
+    values = space.to_parameters(z)[parameter]
+    step = float(np.log(values[1] / values[0]))
+    return np.array([np.diff(log_likelihood(model, z))[0] / step for model in models])
+
+
+def z_of_mean(found: Array) -> float:
+    """Mean in units of its standard error."""
+    return float(found.mean() / found.std(ddof=1) * np.sqrt(len(found)))
+
+
+MOMENTS = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
+
+
+@pytest.mark.statistical
+def test_the_slope_at_the_truth_is_zero_on_average(slews: list[Model]) -> None:
+    """No moment of inertia is drawn either way; 3.5 standard errors would be 1 in 700 seeds."""
+    assert max(abs(z_of_mean(slopes(slews, name))) for name in MOMENTS) < 3.5
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("flat", "sign"), [("wheels", 1.0), ("body", -1.0)])
+def test_flat_wheel_or_body_rates_draw_the_inertia(
+    slews: list[Model], monkeypatch: pytest.MonkeyPatch, flat: str, sign: float
+) -> None:
+    """Control: flat wheel rates draw all moments upwards, flat body rates downwards."""
+
+    def measure(
+        event: TelemetryBalance,
+        physics: Physics,
+        parameters: Mapping[str, Array],
+        thrust_n: float,
+        by_turn: TurnNoise,
+    ) -> Any:
+        contrasts = np.array([band.contrasts for band in event.turns])
+        of_turns = np.linalg.slogdet(np.eye(3) + by_turn.gain)[1] @ contrasts
+        inertia = np.linalg.slogdet(physics.inertia_kg_m2)[1]
+        rows = event.statistics.rows if flat == "wheels" else 0
+        return of_turns + (rows + contrasts.sum()) * inertia
+
+    monkeypatch.setattr(cassini_bayes.balance.telemetry_system, "log_measure", measure)
+    assert min(sign * z_of_mean(slopes(slews, name)) for name in MOMENTS) > 5.0
