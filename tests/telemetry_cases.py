@@ -307,7 +307,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             total += own_noise
             constant += density
         constant -= 1.5 * n * np.log(2 * np.pi)  # three wheel rates of a row
-        constant += plain_measure(model, term, rows, turns, arms, values)
+        constant += plain_measure(model, term, rows, turns, values)
         if fires:
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
         unknown = np.array(own).T
@@ -365,19 +365,35 @@ def plain_measure(
     term: TelemetryTerm,
     rows: PlainRows,
     turns: PlainTurns,
-    arms: Array,
     values: Mapping[str, float],
 ) -> float:
     """Log of what takes densities of the balance to those of the channels, by dense matrices.
 
-    In bands whose motion is flat: the noise covariance at the priors' medians of the noise levels,
-    on the band's rows, without the constant that the initial momentum takes up.
+    At the prior means it is |det I| per rate, but for a constant, and per contrast of turns.
+    """
+    means = nominal_of(model)
+    flat, at_means = (_flat_measure(model, term, rows, turns, at) for at in (values, means))
+    count = len(rows.times) - 1 + len(turns.of_rates)
+    return flat - at_means + count * float(np.linalg.slogdet(inertia_tensor(means))[1])
+
+
+def _flat_measure(
+    model: Model,
+    term: TelemetryTerm,
+    rows: PlainRows,
+    turns: PlainTurns,
+    values: Mapping[str, float],
+) -> float:
+    """In bands whose motion is flat: the noise covariance on the band's rows.
+
+    Noise levels are the priors' medians; the initial momentum takes up a constant.
     """
     samples = Samples.joined(list(term.event.rows))
     fires, n = samples.on_time_s.shape[1] > 0, len(rows.times)
-    fixed = dict(values) | noise_medians(model)
+    fixed = dict(values) | reference_noise(term)
     tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
     close, one = values["close_pulse_share"], np.eye(3)
+    arms = lever_arms(model.spacecraft, model.branch, values)
     inertia = inertia_tensor(values)
     weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
         :, [0, 1, 3]
@@ -417,15 +433,9 @@ def plain_measure(
     return float(result)
 
 
-def noise_medians(model: Model) -> dict[str, float]:
-    """Prior medians of the noise levels, or their fixed values."""
-    names = ("rate_noise_rad_s", "wheel_noise_rpm", "attitude_noise_rad", "torque_noise_n_m_s05")
-    free = dict(zip(model.space.names, model.space.distributions, strict=True))
-    fixed = dict(model.idle) | dict(model.space.fixed)
-    return {
-        name: float(free[name].quantile_of_standard(0.0)) if name in free else float(fixed[name])
-        for name in names
-    }
+def reference_noise(term: TelemetryTerm) -> dict[str, float]:
+    """Prior medians of the noise levels, or their fixed values, when the event was reduced."""
+    return dict(term.event.sampling.reference_noise)
 
 
 def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: bool = True) -> float:
@@ -439,22 +449,32 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
     samples = Samples.joined(list(term.event.rows))
     rows = plain_rows(samples, term.event.sampling, np.zeros((3, 0)), (0.0, 0.0, 0.0))
     turns = plain_turns(rows, term.event.sampling)
-    inertia = inertia_tensor(values)
-    axes, moments = wheel_axes(model.spacecraft, values), wheel_inertias(model.spacecraft, values)
-    weights = (axes * moments)[:, [0, 1, 3]]
     spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
     n, contrasts, summed = len(rows.times), len(turns.of_rates), turns.of_rows
 
-    def noise_at(levels: Mapping[str, float]) -> Array:
-        by_rate = levels["rate_noise_rad_s"] ** 2 * inertia @ inertia
-        by_attitude = levels["attitude_noise_rad"] ** 2 * inertia @ inertia
-        by_wheels = (levels["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
-        of_row = by_rate + by_wheels + levels["attitude_noise_rad"] ** 2 * spin
+    def noise_at(at: Mapping[str, float]) -> Array:
+        """Covariance of rows and turns, with the physics and noise levels of some values."""
+        inertia = inertia_tensor(at)
+        weights = wheel_axes(model.spacecraft, at) * wheel_inertias(model.spacecraft, at)
+        by_rate = at["rate_noise_rad_s"] ** 2 * inertia @ inertia
+        by_attitude = at["attitude_noise_rad"] ** 2 * inertia @ inertia
+        by_wheels = (at["wheel_noise_rpm"] * RPM) ** 2
+        by_wheels = by_wheels * weights[:, [0, 1, 3]] @ weights[:, [0, 1, 3]].T
+        of_row = by_rate + by_wheels + at["attitude_noise_rad"] ** 2 * spin
         between = np.kron(summed, by_wheels) * float(shared)
         of_turns = np.kron(summed @ summed.T, by_wheels) + np.kron(np.eye(contrasts), by_attitude)
         return np.block([[np.kron(np.eye(n), of_row), between.T], [between, of_turns]])
 
-    noise, at_medians = noise_at(values), noise_at(noise_medians(model))
+    def measure_at(at: Mapping[str, float]) -> float:
+        """Log of the measure in which the motion is flat, but for its unit."""
+        noise = noise_at(dict(at) | reference_noise(term))
+        constant = np.kron(np.ones((n, 1)) / np.sqrt(n), np.eye(3))
+        left = constant.T @ np.linalg.solve(noise[: 3 * n, : 3 * n], constant)
+        return 0.5 * float(np.linalg.slogdet(noise)[1] + np.linalg.slogdet(left)[1])
+
+    inertia, noise, means = inertia_tensor(values), noise_at(values), nominal_of(model)
+    weights = wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values)
+    weights = weights[:, [0, 1, 3]]
     own, _, mean = _unknowns(model, term, samples, rows, np.zeros((3, 0)), (0.0,) * 3, 0.0)
     unknown = np.array(own).T
     unknown = np.concatenate([unknown, np.kron(summed, np.eye(3)) @ unknown])
@@ -465,9 +485,8 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
     lower = np.linalg.cholesky(dense)
     white = solve_triangular(lower, np.concatenate([residual, turned]).reshape(-1), lower=True)
     log_density = -0.5 * white @ white - np.log(np.diagonal(lower)).sum()
-    constant = np.kron(np.ones((n, 1)) / np.sqrt(n), np.eye(3))
-    left = constant.T @ np.linalg.solve(at_medians[: 3 * n, : 3 * n], constant)
-    measure = 0.5 * (np.linalg.slogdet(at_medians)[1] + np.linalg.slogdet(left)[1])
+    measure = measure_at(values) - measure_at(means)
+    measure += (n - 1 + contrasts) * np.linalg.slogdet(inertia_tensor(means))[1]
     channels = 2 * n + contrasts  # three wheels and three rates of a row
     return float(log_density + measure - 1.5 * channels * np.log(2.0 * np.pi))
 
@@ -782,12 +801,17 @@ def _spin(momentum: Array) -> Array:
     return np.eye(3) * (momentum @ momentum) - np.outer(momentum, momentum)
 
 
-def _nominal_momenta(model: Model, rows: PlainRows) -> list[Array]:
+def nominal_of(model: Model) -> dict[str, float]:
+    """Prior means of all parameters, or their fixed values."""
     means = {
-        name: distribution.mean()
+        name: float(distribution.mean())
         for name, distribution in zip(model.space.names, model.space.distributions, strict=True)
     }
-    values = dict(model.idle) | dict(model.space.fixed) | means
+    return dict(model.idle) | dict(model.space.fixed) | means
+
+
+def _nominal_momenta(model: Model, rows: PlainRows) -> list[Array]:
+    values = nominal_of(model)
     inertia = inertia_tensor(values)
     weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
         :, [0, 1, 3]

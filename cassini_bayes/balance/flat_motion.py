@@ -11,6 +11,7 @@ balance's own noise, at noise levels that stay fixed (docs/topics/telemetry-like
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,13 +36,13 @@ def log_measure(
     """Log determinants (n,) that take the density of the balance to that of the channels.
 
     With V the covariance of the balance of a row and Σ̃_θ that of the turns, both at the event's
-    reference noise, I the momentum per measured rate and Q the gain of the turns,
+    reference noise; I the momentum per measured rate; Q the gain of the turns and Q₀ that at the
+    reference noise,
 
-        (N − R) log |det I| + ½ Σ_R log det V + Σ log |det (1 + Q)| + ½ Σ log det Σ̃_θ − Σ log |det
-        (1 + Q_reference)|,
+        (N − R) log |det I| + ½ Σ_R log det V + Σ_θ [log |det (1 + Q)(1 + Q₀)⁻¹| + ½ log det Σ̃_θ],
 
     R the rows of bands in which wheels move by any amount. The initial momentum takes up a constant
-    of the slow band: its body rate is flat, too.
+    of the slow band: its body rate is flat, too. The unit is that of :func:`in_channel_units`.
 
     Parameters
     ----------
@@ -52,34 +53,55 @@ def log_measure(
     by_turn
         The turns' noise at the noise levels of the points.
     """
-    n = len(physics.inertia_kg_m2)
-    fixed_noise = {name: np.full(n, value) for name, value in event.reference_noise.items()}
-    reference = {**parameters, **fixed_noise}
-    result = _of_rows(event, physics, reference, thrust_n)
+    reference = _at_reference(event, parameters, len(physics.inertia_kg_m2))
+    result = _of_rows(event, physics, reference, thrust_n) - event.log_unit
     if event.turns:
-        fixed = turn_noise(event, physics, reference, thrust_n)
-        more = _log_det(np.eye(3) + by_turn.gain) - _log_det(np.eye(3) + fixed.gain)
+        noise = turn_noise(event, physics, reference, thrust_n)
+        more = _log_det(np.eye(3) + by_turn.gain) - _log_det(np.eye(3) + noise.gain)
         contrasts = np.array([band.contrasts for band in event.turns], dtype=np.float64)
-        result = result + (more + 0.5 * _log_det(fixed.covariance)) @ contrasts
+        result = result + (more + 0.5 * _log_det(noise.covariance)) @ contrasts
     return result
+
+
+def in_channel_units(
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
+) -> TelemetryBalance:
+    """The same event with a measure that is |det I| per rate and turn at one point (n = 1).
+
+    So log densities are those of the channels, in their units.
+    """
+    reference = _at_reference(event, parameters, 1)
+    plain = replace(event, log_unit=0.0)
+    by_turn = turn_noise(plain, physics, reference, thrust_n)
+    unmixed = replace(by_turn, gain=np.zeros_like(by_turn.gain))  # turns alone, per turn
+    flat = log_measure(plain, physics, reference, thrust_n, unmixed)
+    count = event.statistics.rows - 1 + sum(band.contrasts for band in event.turns)
+    return replace(event, log_unit=float((flat - count * _log_det(physics.momentum_per_rate))[0]))
+
+
+def _at_reference(
+    event: TelemetryBalance, parameters: Mapping[str, Array], n: int
+) -> dict[str, Array]:
+    """Parameters (n,) with the event's reference noise."""
+    fixed = {name: np.full(n, value) for name, value in event.sampling.reference_noise}
+    return {**parameters, **fixed}
 
 
 def _of_rows(
     event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array], thrust_n: float
 ) -> Array:
     """The part of the rows."""
-    by_torque = reference["torque_noise_n_m_s05"] ** 2
+    by_torque = reference["torque_noise_n_m_s05"][:, None, None] ** 2
     wheels = event.wheel_weights(physics)[:, None]
     variance = band_wheel_variances(event, reference)[:, :, None]
     white = band_covariances(event, physics, reference, thrust_n)
     noise = white + (wheels * variance) @ np.swapaxes(wheels, -1, -2)
-    slow = np.linalg.eigvalsh(noise[:, 0])[..., None] + by_torque[:, None, None] * event.slow.walk
+    slow = np.linalg.eigvalsh(noise[:, 0])[..., None] + by_torque * event.slow.walk
     result = np.log(slow).sum((1, 2)) + np.log((event.constant**2 / slow).sum(-1)).sum(-1)
     others = event.statistics.rows - event.slow.rows
-    for band, white in zip(event.fast, np.moveaxis(noise[:, 1:], 1, 0), strict=True):
+    for band, own in zip(event.fast, np.moveaxis(noise[:, 1:], 1, 0), strict=True):
         if band.motion is None:
-            walked = (by_torque * band.walk.mean())[:, None, None] * np.eye(3)
-            result = result + band.rows * _log_det(white + walked)
+            result = result + band.rows * _log_det(own + band.walk.mean() * by_torque * np.eye(3))
             others -= band.rows
     return np.asarray(0.5 * result + others * _log_det(physics.momentum_per_rate))
 

@@ -133,8 +133,8 @@ class TelemetryBalance:
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
-    is a constant of unit length on the slow modes. ``reference_noise`` (name → value) are noise
-    levels at which the measure of flat motion is taken (:mod:`cassini_bayes.balance.flat_motion`).
+    is a constant of unit length on the slow modes, ``log_unit`` the unit of the measure of flat
+    motion (:mod:`cassini_bayes.balance.flat_motion`).
     """
 
     statistics: EventStatistics
@@ -149,7 +149,7 @@ class TelemetryBalance:
     wheels: WheelSquares  # over all rows
     reduced: Reduced
     constant: Array
-    reference_noise: Mapping[str, float]
+    log_unit: float = 0.0
 
     @property
     def id(self) -> str:
@@ -198,13 +198,11 @@ def make_balance(
     sampling: Sampling,
     spacecraft: Spacecraft,
     nominal: Mapping[str, float],
-    reference_noise: Mapping[str, float],
 ) -> TelemetryBalance:
     """Prepare one event: everything that does not change during a fit.
 
     ``nominal`` are parameter values good to some percent (prior means): they centre the wide prior
-    of the initial momentum and scale the attitude noise. ``reference_noise`` are noise levels that
-    have about the right size (prior medians).
+    of the initial momentum and scale the attitude noise.
     """
     layout = statistics.layout
     numbers = [wheel.number for wheel in spacecraft.wheels]
@@ -248,7 +246,6 @@ def make_balance(
             turn_grams,
         ),
         constant=constant / np.linalg.norm(constant),
-        reference_noise=reference_noise,
     )
 
 

@@ -62,6 +62,7 @@ from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import Spacecraft, couples
+from cassini_bayes.spacecraft.parameters import NOISE_LEVELS
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
@@ -73,7 +74,6 @@ _TAIL_SPAN: Final = 5.0  # τ_fall after which 0.7 % of a tail is still to come
 _PRIOR_SPAN: Final = 2.0  # prior standard deviations that τ_fall may exceed its mean by
 _CORNER: Final = 0.5  # of the attitude's noise
 _CORNER_NOISE: Final = 5.0  # standard deviations of a second difference
-_NOISES: Final = ("attitude_noise_rad", "wheel_noise_rpm")
 MOST_KEPT: Final = 200_000
 """Rows of an event that stay in memory once they are read, some 50 MB."""
 
@@ -250,9 +250,9 @@ def sampling_of(
     """
     moments = [f"inertia_{axis}{axis}_kg_m2" for axis in "xyz"]
     wheels = [w.inertia_parameter for w in priors.spacecraft.wheels if w.number in priors.wheels]
-    priors.require((*moments, *wheels, *_NOISES), "telemetry")
+    priors.require((*moments, *wheels, *NOISE_LEVELS), "telemetry")
     means = priors.means()
-    attitude_noise, wheel_noise = (means[name] for name in _NOISES)
+    attitude_noise, wheel_noise = means["attitude_noise_rad"], means["wheel_noise_rpm"]
     missed = _CORNER * min(means[name] for name in moments) * attitude_noise
     wheel = max(means[name] for name in wheels)
     noise = wheel_noise * RAD_S_PER_RPM
@@ -272,6 +272,7 @@ def sampling_of(
         control_cycle_s=priors.spacecraft.control_cycle_s,
         corner_rad=8.0 * missed / wheel,
         corner_rad_s=_CORNER_NOISE * np.sqrt(6.0) * noise,
+        reference_noise=tuple(priors.medians(NOISE_LEVELS).items()),
     )
 
 

@@ -20,6 +20,7 @@ from cassini_bayes.balance.accelerometer import (
     accelerometer_information,
     count_columns,
 )
+from cassini_bayes.balance.flat_motion import in_channel_units
 from cassini_bayes.balance.inertia import ELEMENTS, WITHOUT_WHEELS, elements_of, without_wheels
 from cassini_bayes.balance.kernel import without_own
 from cassini_bayes.balance.measured_delta_v import (
@@ -35,6 +36,7 @@ from cassini_bayes.balance.physics import (
     Modifier,
     Physics,
     delta_v_variance,
+    physics_of,
 )
 from cassini_bayes.balance.telemetry_information import row_information
 from cassini_bayes.balance.telemetry_system import EventSystem, event_system
@@ -60,13 +62,12 @@ from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, NOISE_LEVELS
 from cassini_bayes.spacecraft.pulses import effective_on_time
 
 INITIAL: Final = "initial_momentum_n_m_s"
 TAILS: Final = "cut_tails"
 TORQUE_NOISE: Final = "torque_noise_n_m_s05"
-_CHANNELS: Final = ("rate_noise_rad_s", "wheel_noise_rpm", "attitude_noise_rad", TORQUE_NOISE)
 _MOST_POINTS: Final = 1_000  # worked up at a time: normal equations take 10 kB each
 
 
@@ -421,7 +422,7 @@ def telemetry_parameters(
 
     ``has_delta_v``: its velocity change was measured; ``has_accelerometer``: in counts.
     """
-    names = [*INERTIA_PARAMETERS, *_CHANNELS]
+    names = [*INERTIA_PARAMETERS, *NOISE_LEVELS]
     names += shared.spacecraft.wheel_parameters(wheels)
     if fires:
         names += [*PULSE_PARAMETERS, CLOSE_SHARE, *CENTRE_PARAMETERS]
@@ -473,6 +474,8 @@ def _term(event: ReducedEvent, priors: Priors, shared: Shared) -> TelemetryTerm:
             "fix it; the delay cancels in first_order pulses",
         )
     nominal = {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **priors.means()}
-    noise = priors.medians(_CHANNELS)
-    balance = make_balance(event.statistics, event.sampling, spacecraft, nominal, noise)
-    return TelemetryTerm(event, balance, names)
+    balance = make_balance(event.statistics, event.sampling, spacecraft, nominal)
+    at_nominal = {name: np.full(1, value) for name, value in nominal.items()}
+    physics = physics_of(spacecraft, shared.branch, at_nominal, fires=event.fires)
+    thrust = shared.thrust_prior.common_mean_n
+    return TelemetryTerm(event, in_channel_units(balance, physics, at_nominal, thrust), names)

@@ -23,6 +23,13 @@ EFFECT_BLOCK: Final = "effect"
 
 
 CLOSE_SHARE: Final = "close_pulse_share"
+NOISE_LEVELS: Final = (
+    "rate_noise_rad_s",
+    "wheel_noise_rpm",
+    "attitude_noise_rad",
+    "torque_noise_n_m_s05",
+)
+"""Of telemetry: its channels, and the torque that no term explains."""
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,9 @@ from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import ScenarioFile, scenario_of
+from cassini_bayes.spacecraft.parameters import NOISE_LEVELS
 from cassini_bayes.studies.scenario import draw_wheel_rates
 
-NOISE: Final = (
-    "rate_noise_rad_s",
-    "wheel_noise_rpm",
-    "attitude_noise_rad",
-    "torque_noise_n_m_s05",
-)
 # Priors file, branch, wheels, and what is true of the parts that the priors say nothing of.
 CRAFTS: Final = MappingProxyType(
     {
@@ -176,6 +171,6 @@ def beliefs_under(condition: Condition, priors: Path) -> Priors:
 
 def with_known_noise(priors: Priors, truth: Mapping[str, float]) -> Priors:
     """Priors in which every noise level is fixed at its true value."""
-    for name in NOISE:
+    for name in NOISE_LEVELS:
         priors = priors.with_fixed(name, truth[name])
     return priors

@@ -85,6 +85,8 @@ class Sampling:
     ``guard_s`` is how long after its end a pulse may still deliver momentum, ``duration_s`` the
     time of the last row. ``corner_rad`` is what a trapezoid of wheel rates may miss of a turn, in
     rad of the wheel, ``corner_rad_s`` the second difference of wheel rates that is no noise.
+    ``reference_noise`` are noise levels, by name, of about the right size: all hypotheses of an
+    event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
     """
 
     pulse_shape: PulseShape
@@ -96,6 +98,7 @@ class Sampling:
     control_cycle_s: float = 0.0  # pulses start with control cycles
     corner_rad: float = np.inf
     corner_rad_s: float = np.inf
+    reference_noise: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
