@@ -197,8 +197,22 @@ def perturbations(
 @app.command("blind")
 def calibrate_blind_command(
     scenario: ScenarioFile = SCENARIO,
-    priors: PriorsFile = TELEMETRY_PRIORS,
+    priors: Annotated[
+        Path | None,
+        typer.Option(
+            "--priors",
+            help="Priors file of the B branch; with --conditions the folder of priors files.",
+            show_default=f"{TELEMETRY_PRIORS}, or {PRIORS}",
+        ),
+    ] = None,
     events: EventIds = "bias-1,slews",
+    over_conditions: Annotated[
+        bool,
+        typer.Option(
+            "--conditions",
+            help="Draw craft, events, cadence, steps, noise and controller in every trial.",
+        ),
+    ] = False,
     trials: Trials = None,
     quick: Quick = False,
     seed: Seed = 20_261_121,
@@ -212,15 +226,27 @@ def calibrate_blind_command(
     quiet: Quiet = False,
 ) -> None:
     """Hide effects in simulated telemetry and count how often the diagnosis finds them."""
-    from cassini_bayes.studies.blind.campaign import FULL, QUICK, run_campaign, write_results
+    from cassini_bayes.studies.blind import campaign as blind
     from cassini_bayes.studies.blind.flights import Blind
+    from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    campaign = Blind(scenario, priors, seed, tuple(events.split(",")))
-    with _study(out / "blind" / "index.md", seed, work / "blind", quiet, jobs, dask) as study:
+    if over_conditions:
+        name, full, short = (
+            "blind-conditions",
+            blind.FULL_OVER_CONDITIONS,
+            blind.QUICK_OVER_CONDITIONS,
+        )
+        campaign = Blind(
+            scenario, priors or PRIORS, seed, (), OVER_CONDITIONS, over_conditions=True
+        )
+    else:
+        name, full, short = "blind", blind.FULL, blind.QUICK
+        campaign = Blind(scenario, priors or TELEMETRY_PRIORS, seed, tuple(events.split(",")))
+    numbers = _numbers(full, short, trials, quick)
+    with _study(out / name / "index.md", seed, work / name, quiet, jobs, dask) as study:
         if not results_only:
-            run_campaign(study, campaign, numbers["trials"])
-        typer.echo(json.dumps(write_results(study)))
+            blind.run_campaign(study, campaign, numbers["trials"])
+        typer.echo(json.dumps(blind.write_results(study, campaign.strata)))
 
 
 @_campaign("two-wheels", "two-wheels", 20_120_223, "blind.two_wheels")

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from cassini_bayes.balance.linearised import fitted_away
+from cassini_bayes.balance.linearised import Linear, fitted_away
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
@@ -121,7 +121,11 @@ def _log_between(low: Array, high: Array) -> Array:
 
 
 def classifier(
-    events: Events, base: Mode, hidden: Mapping[str, float], line: Oscillation | None = None
+    events: Events,
+    base: Mode,
+    hidden: Mapping[str, float],
+    line: Oscillation | None = None,
+    linear: Linear | None = None,
 ) -> Classifier:
     """Build the classifier on a flight, linear about the baseline's mode.
 
@@ -133,9 +137,13 @@ def classifier(
         Parameters of what is hidden, by key: a time constant is known, not searched for.
     line
         Known line of an oscillation; without it no oscillation is among the causes.
+    linear
+        The baseline's linear model at its mode with columns for what counters leave open
+        (:func:`~cassini_bayes.diagnosis.innovations.innovations`); without it they leave nothing.
     """
     none = none_hypothesis(events)
-    linear, _ = linearise(none, base.point)
+    if linear is None:
+        linear, _ = linearise(none, base.point)
     # departures count from the centre of the prior, not from the mode
     d = len(base.point)
     target = linear.target + linear.columns[:, :d] @ base.point

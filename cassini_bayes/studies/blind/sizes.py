@@ -7,8 +7,9 @@ counts is measured on the flight that has it (:mod:`cassini_bayes.studies.blind.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -22,7 +23,14 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import Hidden, Scene
 from cassini_bayes.studies.blind.rate_information import RATE_KINDS
-from cassini_bayes.studies.blind.shift import View, at_truth, changed_size, held, modelled_size
+from cassini_bayes.studies.blind.shift import (
+    View,
+    at_truth,
+    changed_size,
+    held,
+    in_noise_of,
+    modelled_size,
+)
 
 LARGEST_IN_PRIOR_SCALES: Final = 4.0
 NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
@@ -43,23 +51,37 @@ _ONE_SIDED: Final[Mapping[str, float]] = {
 
 @dataclass(frozen=True)
 class Stage:
-    """A trial before anything is hidden: its flight, baseline and truth, and the quiet flight."""
+    """A trial before anything is hidden: its flight, baseline and truth."""
 
     scene: Scene
     events: Events
     base: Mode
     truth: Truth
-    plain: View
+
+    @cached_property
+    def plain(self) -> View:
+        """The flight without noise and without any effect."""
+        return self._seen(())
+
+    @property
+    def fires(self) -> bool:
+        """Whether any thruster fires in its events."""
+        return any(event.fires for event in self.events.telemetry)
 
     def view(self, hidden: Hidden) -> View:
         """The flight without noise that has this effect."""
-        return at_truth(self.scene.fly_quietly((hidden,)), self.truth)
+        return self._seen((hidden,))
+
+    def _seen(self, hidden: Sequence[Hidden]) -> View:
+        quiet = at_truth(self.scene.fly_quietly(hidden), self.truth)
+        if self.scene.condition is None:
+            return quiet
+        return in_noise_of(quiet, self.scene.fly(hidden), self.truth)
 
 
 def stage(scene: Scene, events: Events, base: Mode) -> Stage:
-    """Fly without noise and without any effect."""
-    truth = scene.truth()
-    return Stage(scene, events, base, truth, at_truth(scene.fly_quietly(()), truth))
+    """Set up what a size is measured on."""
+    return Stage(scene, events, base, scene.truth())
 
 
 @dataclass(frozen=True)
@@ -105,10 +127,13 @@ def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
     return Growth(effect, direction, constant)
 
 
-def sensitivity(events: Events, base: Mode, path: Growth) -> float:
-    """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
+def sensitivity(events: Events, base: Mode, path: Growth, at: float = 0.0) -> float:
+    """σ per unit of s along a path, by the curvature of the marginal likelihood at a size.
+
+    That is zero on data without the effect; ``base`` is the baseline's mode there.
+    """
     none = none_hypothesis(events)
-    values = [_marginal(none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
+    values = [_marginal(none, base, path, at + s) for s in (SHIFT, 0.0, -SHIFT)]
     bend = float((2.0 * values[1] - values[0] - values[2]) / SHIFT**2)
     return float(np.sqrt(bend)) if bend > 0 else 0.0
 
@@ -155,14 +180,23 @@ def measured(stage: Stage, path: Growth, s: float) -> Hidden | None:
     if hidden is None:
         return None
     try:
-        view = stage.view(hidden)
+        sigma = _flown_size(stage, hidden, path, s)
     except InputError:
         return None  # not a spacecraft, or not a motion, that the simulation accepts
-    if path.effect.kind.name == "time_offset":
-        sigma = changed_size(view, stage.plain)
-    else:
-        sigma = modelled_size(view, path.effect, path.values(s))
     return Hidden(hidden.name, hidden.parameters, sigma)
+
+
+def _flown_size(stage: Stage, hidden: Hidden, path: Growth, s: float) -> float:
+    """σ on the flight that has the effect at size s.
+
+    Under conditions the curvature of the marginal likelihood is δᵀV⁻¹δ with all that conditions
+    change in V: what coarse counters leave open, and what attitudes tell of rates that are coarser.
+    """
+    if path.effect.kind.name == "time_offset":
+        return changed_size(stage.view(hidden), stage.plain)
+    if stage.scene.condition is not None:
+        return s * sensitivity(stage.scene.fly((hidden,)), stage.base, path, s)
+    return modelled_size(stage.view(hidden), path.effect, path.values(s))
 
 
 def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> Hidden | None:
@@ -287,17 +321,24 @@ def _flexible(
         }
         hidden = Hidden(effect.name, parameters, float("nan"))
         try:
-            view = stage.view(hidden)
+            return replace(hidden, sigma=_flown_oscillation(stage, effect, hidden))
         except InputError:
             return None  # not a motion that the simulation accepts
-        line, values = hidden_oscillation(parameters)
-        settled = replace(effect, search_result=line)
-        events = view.events.with_columns_of([settled])
-        with_line = replace(view, events=events, none=none_hypothesis(events))
-        sigma = modelled_size(with_line, settled, values)
-        return replace(hidden, sigma=sigma)
 
     if wanted is None:
         return at(1.0)
     sigma, span = wanted
     return search_size(at, 1.0, sigma, span)
+
+
+def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
+    """σ of an oscillation on the flight that has it, its line known."""
+    line, values = hidden_oscillation(hidden.parameters)
+    settled = replace(effect, search_result=line)
+    if stage.scene.condition is not None:
+        events = stage.scene.fly((hidden,)).with_columns_of([settled])
+        return sensitivity(events, stage.base, Growth(settled, values, {}), 1.0)
+    view = stage.view(hidden)
+    events = view.events.with_columns_of([settled])
+    with_line = replace(view, events=events, none=none_hypothesis(events))
+    return modelled_size(with_line, settled, values)
