@@ -180,9 +180,10 @@ def _levels(counted: pd.DataFrame) -> str:
 Shares with 95 % intervals. *null*, *clear*: trials of these parts, in brackets those that the
 package declined: it refused the events before any search, in one line. Where nothing is hidden they
 are left out; of clear trials they are misses, but left out in the last column. Goals: false alarms
-at most 0.05, `unknown` at most 0.03, p-values below 0.05 in 0.05 of the trials, a clear cause or
-its group first in 0.95. Every level is tested (binomial), with Holm's correction over all levels
-and rates; what is rejected at {LEVEL:.0%} is bold. Few trials reject little.
+at most 0.05, `unknown` at most 0.03, p-values below 0.05 in 0.05 of the trials, a clear cause, or
+one that the oracle cannot tell from it, first in 0.95. Every level is tested (binomial), with
+Holm's correction over all levels and rates; what is rejected at {LEVEL:.0%} is bold. Few trials
+reject little.
 
 **Rejected: {len(wrong)} of {len(tested)}{"" if not wrong else ": " + "; ".join(wrong)}.**
 

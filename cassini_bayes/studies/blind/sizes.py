@@ -37,6 +37,7 @@ NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
 NEWTON_STEPS: Final = 3
 STEP: Final = 0.05  # standard deviations, for slopes
 SHIFT: Final = 5e-3  # prior scales: small enough for the noise levels to stay where they are
+BESIDE_NONE: Final = 4.0 * SHIFT  # prior scales: SHIFT to either side is on one side of none
 MOST_FLIGHTS: Final = 6
 MOST_DRAWS: Final = 50
 SAME_SIZE: Final = 0.05
@@ -192,10 +193,10 @@ def _flown_size(stage: Stage, hidden: Hidden, path: Growth, s: float) -> float:
     Under conditions the curvature of the marginal likelihood is δᵀV⁻¹δ with all that conditions
     change in V: what coarse counters leave open, and what attitudes tell of rates that are coarser.
     """
-    if path.effect.kind.name == "time_offset":
-        return changed_size(stage.view(hidden), stage.plain)
     if stage.scene.condition is not None:
         return s * sensitivity(stage.scene.fly((hidden,)), stage.base, path, s)
+    if path.effect.kind.name == "time_offset":
+        return changed_size(stage.view(hidden), stage.plain)
     return modelled_size(stage.view(hidden), path.effect, path.values(s))
 
 
@@ -223,7 +224,9 @@ def sized_between(
     if effect.kind.search is not None:
         return _flexible(stage, effect, (sigma, (low, high)), rng)
     path = draw_path(effect, rng)
-    rate = sensitivity(stage.events, stage.base, path)
+    # over conditions beside none: a kinked effect has no curvature there
+    at = 0.0 if stage.scene.condition is None else BESIDE_NONE
+    rate = sensitivity(stage.events, stage.base, path, at)
     if rate <= 0.0:
         return None
     start = min(sigma / rate, LARGEST_IN_PRIOR_SCALES)

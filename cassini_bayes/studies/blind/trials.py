@@ -28,8 +28,10 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.studies.blind.flights import Blind, Hidden
+from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import classifier, sizes_of
 from cassini_bayes.studies.blind.sizes import (
+    BESIDE_NONE,
     MOST_DRAWS,
     Stage,
     draw_path,
@@ -43,6 +45,7 @@ from cassini_bayes.studies.blind.strata import Stratum, stratum_of
 from cassini_bayes.studies.blind.uncatalogued import draw_uncatalogued
 
 KEPT_CAUSES: Final = 8
+LEAST_SEEN: Final = 1e-2  # σ per prior scale: rounding leaves 1e-4 of what events cannot show
 
 
 class NothingToHideError(Exception):
@@ -97,7 +100,8 @@ def is_seen(set_up: Stage, effect: Effect, rng: np.random.Generator) -> bool:
     """Whether the events can show an effect: where nothing fires, many need what is not there."""
     if set_up.fires or effect.kind.search is not None:
         return True
-    return sensitivity(set_up.events, set_up.base, draw_path(effect, rng)) > 0.0
+    path = draw_path(effect, rng)
+    return sensitivity(set_up.events, set_up.base, path, BESIDE_NONE) > LEAST_SEEN
 
 
 def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str, Any]:
@@ -130,7 +134,7 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
     return {
         **known,
         **_record(verdict, hidden, rng),
-        **_oracle(events, verdict, hidden, truth, rng, open_counters=scene.condition is not None),
+        **_oracle(events, verdict, hidden, truth, rng, over_conditions=campaign.over_conditions),
         "cpu_prepare_s": prepared - worked,
         "cpu_diagnose_s": diagnosed - prepared,
         "wall_s": time.monotonic() - began,
@@ -144,12 +148,12 @@ def _oracle(
     truth: Mapping[str, float],
     rng: np.random.Generator,
     *,
-    open_counters: bool,
+    over_conditions: bool,
 ) -> dict[str, Any]:
     """Place of a single catalogued cause for the oracle, and how often it expects the best three.
 
-    Its oscillation is the hidden one, or else the one that the diagnosis looked at.
-    ``open_counters``: what counters leave open is among what it knows of the noise.
+    Its oscillation is the hidden one, or else the one that the diagnosis looked at. Over conditions
+    it knows all that the likelihood does, and says which causes are as likely.
     """
     nothing = {"oracle_rank": None, "oracle_expected": None}
     if len(hidden) != 1 or hidden[0].name not in events.catalogue.names:
@@ -166,12 +170,14 @@ def _oracle(
     )
     if effect.kind.search is not None:
         line = hidden_oscillation(values)[0]
-    left = verdict.none.remainder
-    linear = left.linear if open_counters and left is not None else None
-    settled = classifier(events, verdict.none.mode, values, line, linear)
+    size = sizes_of(effect, values, truth)
+    make = likelihood_classifier if over_conditions else classifier
+    settled = make(events, verdict.none.mode, values, line)
+    group = {"oracle_group": settled.group(effect.name, size)} if over_conditions else {}
     return {
         "oracle_rank": settled.rank_by_data(effect.name),
-        "oracle_expected": settled.expected(effect.name, sizes_of(effect, values, truth), rng),
+        "oracle_expected": settled.expected(effect.name, size, rng),
+        **group,
     }
 
 
