@@ -41,7 +41,8 @@ def likelihood_classifier(
     events: Events, base: Mode, hidden: Mapping[str, float], line: Oscillation | None = None
 ) -> Classifier:
     """Build the classifier on a flight about the baseline's mode; parameters as for the other."""
-    effects, sides, longest = [], [], []
+    effects, sides = [], []
+    longest: list[float] = []
     for effect in events.catalogue.effects:
         if effect.needs_search and line is None:
             continue

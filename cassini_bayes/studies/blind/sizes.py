@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.diagnosis.events import Events
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
-from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
+from cassini_bayes.diagnosis.modes import Mode, mode_near
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.errors import InputError
@@ -194,7 +194,7 @@ def _flown_size(stage: Stage, hidden: Hidden, path: Growth, s: float) -> float:
     change in V: what coarse counters leave open, and what attitudes tell of rates that are coarser.
     """
     if stage.scene.condition is not None:
-        return s * sensitivity(stage.scene.fly((hidden,)), stage.base, path, s)
+        return s * _flown_sensitivity(stage, stage.scene.fly((hidden,)), path, s)
     if path.effect.kind.name == "time_offset":
         return changed_size(stage.view(hidden), stage.plain)
     return modelled_size(stage.view(hidden), path.effect, path.values(s))
@@ -334,13 +334,20 @@ def _flexible(
     return search_size(at, 1.0, sigma, span)
 
 
+def _flown_sensitivity(stage: Stage, events: Events, path: Growth, s: float) -> float:
+    """σ per unit of s at size s, on the flight that has it, about the mode there."""
+    with_it = compact(held(none_hypothesis(events), path.effect, path.values(s)))
+    near = mode_near(with_it.log_density, stage.base.point, stage.base.factor)
+    return sensitivity(events, near, path, s)
+
+
 def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
     """σ of an oscillation on the flight that has it, its line known."""
     line, values = hidden_oscillation(hidden.parameters)
     settled = replace(effect, search_result=line)
     if stage.scene.condition is not None:
         events = stage.scene.fly((hidden,)).with_columns_of([settled])
-        return sensitivity(events, stage.base, Growth(settled, values, {}), 1.0)
+        return _flown_sensitivity(stage, events, Growth(settled, values, {}), 1.0)
     view = stage.view(hidden)
     events = view.events.with_columns_of([settled])
     with_line = replace(view, events=events, none=none_hypothesis(events))
