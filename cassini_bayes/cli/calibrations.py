@@ -47,6 +47,7 @@ MISSION_PRIORS = Path("priors/cassini_mission.toml")
 TELEMETRY_PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 SCENARIO = Path("runs/scenarios/calibration.toml")
 PRIORS = Path("priors")
+BLIND_EVENTS = "bias-1,slews"
 HYBRID_SCENARIO = Path("runs/scenarios/hybrid_2012.toml")
 HYBRID_PRIORS = Path("priors/cassini_hybrid_2012.toml")
 
@@ -205,7 +206,10 @@ def calibrate_blind_command(
             show_default=f"{TELEMETRY_PRIORS}, or {PRIORS}",
         ),
     ] = None,
-    events: EventIds = "bias-1,slews",
+    events: Annotated[
+        str | None,
+        typer.Option("--events", help="Ids of the scenario's events.", show_default=BLIND_EVENTS),
+    ] = None,
     over_conditions: Annotated[
         bool,
         typer.Option(
@@ -236,12 +240,18 @@ def calibrate_blind_command(
             blind.FULL_OVER_CONDITIONS,
             blind.QUICK_OVER_CONDITIONS,
         )
-        campaign = Blind(
-            scenario, priors or PRIORS, seed, (), OVER_CONDITIONS, over_conditions=True
-        )
+        folder = priors or PRIORS
+        if events is not None:
+            both = ("either --events or --conditions, which draws them", "both")
+            raise InputError("--events", *both, "leave one of them out")
+        if not folder.is_dir():
+            found = ("with --conditions a folder of priors files", str(folder))
+            raise InputError("--priors", *found, f"give {PRIORS}, or a copy of it")
+        campaign = Blind(scenario, folder, seed, (), OVER_CONDITIONS, over_conditions=True)
     else:
         name, full, short = "blind", blind.FULL, blind.QUICK
-        campaign = Blind(scenario, priors or TELEMETRY_PRIORS, seed, tuple(events.split(",")))
+        ids = tuple((events or BLIND_EVENTS).split(","))
+        campaign = Blind(scenario, priors or TELEMETRY_PRIORS, seed, ids)
     numbers = _numbers(full, short, trials, quick)
     with _study(out / name / "index.md", seed, work / name, quiet, jobs, dask) as study:
         if not results_only:

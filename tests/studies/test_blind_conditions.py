@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import run_cases
 from scipy.stats import binom
 from study_cases import study_in
 
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import compact, none_hypothesis
 from cassini_bayes.diagnosis.modes import Mode, find_mode
+from cassini_bayes.errors import InputError
 from cassini_bayes.studies.blind.by_condition import by_condition
 from cassini_bayes.studies.blind.campaign import write_results
 from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
@@ -110,7 +112,7 @@ def test_a_trial_that_is_refused_says_so() -> None:
     assert "error" not in record
 
 
-@pytest.mark.parametrize("name", ["external_torque", "rate_bias:y", "wheel_inertia:2"])
+@pytest.mark.parametrize("name", ["rate_bias:y", "wheel_inertia:2"])
 def test_sizes_are_those_that_simulations_show(name: str) -> None:
     """Flights with and without an effect: scores move by G s, the size by the curvature, in 5 %.
 
@@ -263,3 +265,23 @@ def test_the_page_has_every_level(tmp_path: Path) -> None:
     for name, levels in LEVELS.items():
         assert all(f"| {name} | {own} |" in page for own in levels)
     assert (tmp_path / "page" / "conditions.csv").exists()
+
+
+def test_a_campaign_without_verdicts_has_no_page(tmp_path: Path) -> None:
+    """No trials, or only declined ones, are one line, and nothing is written."""
+    study = study_in(tmp_path, tmp_path / "page" / "index.md")
+    for own in ((), (declined(1, "null"),)):
+        for one in own:
+            (tmp_path / "trial_0001.json").write_text(json.dumps(one))
+        with pytest.raises(InputError, match="finished trials of seed 5 with a verdict"):
+            write_results(study, OVER_CONDITIONS)
+    assert not study.page.exists()
+
+
+@pytest.mark.parametrize("option", [("--events", "bias-1"), ("--priors", "priors/none.toml")])
+def test_options_that_conditions_draw_are_refused(
+    option: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Events are drawn, and priors are those of both craft: neither is taken and passed over."""
+    assert run_cases.command(("calibrate", "blind", "--conditions", *option)) == 2
+    assert capsys.readouterr().err.startswith(f"error: {option[0]}: ")

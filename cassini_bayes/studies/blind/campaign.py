@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import pandas as pd
 
+from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import RecordStore
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.pieces import run_pieces
@@ -32,6 +33,7 @@ from cassini_bayes.studies.blind.rates import (
     FAINT,
     ORACLE,
     Record,
+    answered,
     confusion,
     expected_by_oracle,
     failed,
@@ -89,8 +91,20 @@ def write_results(study: Study, strata: Sequence[Stratum] = STRATA) -> dict[str,
     """Write tables, figures and the page of the trials in the study's folder; the rates.
 
     ``strata`` are the parts that were planned. Trials over conditions are counted by level, too.
+
+    Raises
+    ------
+    InputError
+        No trial of the study's seed has a verdict.
     """
     records = read_trials(study.work, study.seed)
+    if not any(map(answered, records)):
+        raise InputError(
+            str(study.work),
+            f"finished trials of seed {study.seed} with a verdict",
+            f"none among {len(records)}",
+            "run more trials, or give the --seed and --work of those that there are",
+        )
     table, headline = trial_table(records), rates(records)
     stated, matrix = reliability(records), confusion(records)
     frames = [
