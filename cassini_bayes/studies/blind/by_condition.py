@@ -2,9 +2,8 @@
 
 Where nothing is hidden: false alarms, p-values below 0.05, `unknown`. Where a clear cause is: how
 often it, or one that the oracle cannot tell from it, is first, with and without the trials that the
-package declined. A
-bound is tested on the side where it is missed, the share of p-values on both; Holm's correction
-covers all tests of the levels, and all of the pooled trials.
+package declined. A bound is tested on the side where it is missed, the share of p-values on both;
+Holm's correction covers all tests of the levels, and, apart from them, those of all trials.
 """
 
 from __future__ import annotations
@@ -133,7 +132,7 @@ def condition_lines(table: pd.DataFrame) -> str:
 
 
 def _cell(row: pd.Series) -> str:
-    """Share and its interval, in percent."""
+    """Share with its interval, bold where it is rejected."""
     if row["trials"] == 0:
         return ""
     text = f"{row['value']:.3f} ({row['low_95']:.2f} … {row['high_95']:.2f})"

@@ -50,7 +50,7 @@ ENOUGH_TRIALS: Final = 40
 FULL: Final[Mapping[str, int]] = {"trials": planned(STRATA)}
 QUICK: Final[Mapping[str, int]] = {"trials": 47}
 FULL_OVER_CONDITIONS: Final[Mapping[str, int]] = {"trials": planned(OVER_CONDITIONS)}
-QUICK_OVER_CONDITIONS: Final[Mapping[str, int]] = {"trials": 20}
+QUICK_OVER_CONDITIONS: Final[Mapping[str, int]] = {"trials": 16}
 ASKED: Final = "Does the diagnosis find what is hidden from it? An effect is hidden in simulated"
 ONE_CONDITION: Final = f"""\
 {ASKED} telemetry: one

@@ -103,11 +103,10 @@ def _statistics(
     """G (q, q) and b (q,) per prior scale of every size."""
     d = len(base.point)
     point = np.concatenate([base.point, np.zeros(len(longest))])
-    values = joint.log_density(
-        np.vstack([point, point + PROBE * ridges.T, point - PROBE * ridges.T])
-    )
-    ahead, behind = values[1:].reshape(2, -1)
-    curvature = np.maximum((2.0 * values[0] - ahead - behind) / PROBE**2, 1.0)
+    probes = PROBE * ridges.T
+    density = joint.log_density(np.vstack([point, point + probes, point - probes]))
+    ahead, behind = density[1:].reshape(2, -1)
+    curvature = np.maximum((2.0 * density[0] - ahead - behind) / PROBE**2, 1.0)
     lengths = np.minimum(curvature**-0.5, longest)
     axes = np.zeros((len(point), len(point)))
     axes[:d, :d] = base.factor
