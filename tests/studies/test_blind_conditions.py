@@ -234,14 +234,14 @@ def test_levels_are_counted_and_tested() -> None:
     found = records()
     table = by_condition(found)
     assert len(table) == 5 * (1 + sum(map(len, LEVELS.values())))
-    whole = level(table, "all", "all", "first")
+    whole = level(table, "all", "all", "clear: first")
     assert (whole["hits"], whole["trials"], whole["declined"]) == (89, 100, 10)
     assert whole["p"] == pytest.approx(binom.cdf(89, 100, 0.95))
-    assert level(table, "all", "all", "first, declined left out")["trials"] == 90
-    assert level(table, "all", "all", "p < 0.05")["hits"] == 14
-    assert level(table, "all", "all", "unknown")["hits"] == 1
+    assert level(table, "all", "all", "clear: first, declined left out")["trials"] == 90
+    assert level(table, "all", "all", "null: p < 0.05")["hits"] == 14
+    assert level(table, "all", "all", "null: unknown")["hits"] == 1
     for name, levels in LEVELS.items():
-        each = [level(table, name, own, "false alarm")["trials"] for own in levels]
+        each = [level(table, name, own, "null: false alarm")["trials"] for own in levels]
         assert sum(each) == 290
     tested = table[table["condition"] != "all"]
     assert (tested["p_holm"] > 0.05).all()
@@ -250,7 +250,7 @@ def test_levels_are_counted_and_tested() -> None:
             own["causes"] = [{"name": "tail_off", "probability": 0.9, "log_bayes_factor": 9.0}]
     table = by_condition(found)
     bad = table[(table["p_holm"] <= 0.05) & (table["condition"] == "craft")]
-    assert bad[["level", "rate"]].to_numpy().tolist() == [["A branch", "false alarm"]]
+    assert bad[["level", "rate"]].to_numpy().tolist() == [["A branch", "null: false alarm"]]
 
 
 def test_the_page_has_every_level(tmp_path: Path) -> None:
@@ -263,8 +263,8 @@ def test_the_page_has_every_level(tmp_path: Path) -> None:
     assert "| all: declined before any search | 20 of 400 |" in page
     assert "**Rejected: 0 of 120.**" in page
     for name, levels in LEVELS.items():
-        assert all(f"| {name} | {own} |" in page for own in levels)
-    assert (tmp_path / "page" / "conditions.csv").exists()
+        assert all(f"| {name.replace('_', ' ')} | {own} |" in page for own in levels)
+    assert {"conditions.csv", "conditions.png"} <= {p.name for p in (tmp_path / "page").iterdir()}
 
 
 def test_a_campaign_without_verdicts_has_no_page(tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from cassini_bayes.studies.conditions import LEVELS
 
 LEVEL: Final = 0.05
 POOLED: Final = "all"
+PARTS: Final = ("null", "clear")
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,11 @@ def _any(_: Record) -> bool:
 
 
 RATES: Final[Mapping[str, Asked]] = {
-    "false alarm": Asked("null", _asked, lambda r: not named(r), 0.05, 1),
-    "unknown": Asked("null", answered, lambda r: first(r) == "unknown", 0.03, 1),
-    "p < 0.05": Asked("null", answered, lambda r: float(r["p_value"]) < LEVEL, 0.05, 0),
-    "first": Asked("clear", _any, named_by_oracle, 0.95, -1),
-    "first, declined left out": Asked("clear", _asked, named_by_oracle, 0.95, -1),
+    "null: false alarm": Asked("null", _asked, lambda r: not named(r), 0.05, 1),
+    "null: unknown": Asked("null", answered, lambda r: first(r) == "unknown", 0.03, 1),
+    "null: p < 0.05": Asked("null", answered, lambda r: float(r["p_value"]) < LEVEL, 0.05, 0),
+    "clear: first": Asked("clear", _any, named_by_oracle, 0.95, -1),
+    "clear: first, declined left out": Asked("clear", _asked, named_by_oracle, 0.95, -1),
 }
 
 
@@ -76,7 +77,7 @@ def by_condition(records: Sequence[Record]) -> pd.DataFrame:
     """Every rate of all trials and of every level of every condition: counts, interval, tests.
 
     Columns: condition, level, rate, trials, declined, hits, value, low_95, high_95, goal, p,
-    p_holm.
+    p_holm, rejected.
     """
     levels = [(POOLED, POOLED, list(records))] + [
         (name, level, [r for r in records if r["condition"][name] == level])
@@ -93,7 +94,7 @@ def by_condition(records: Sequence[Record]) -> pd.DataFrame:
     adjusted = np.ones(len(table))
     for family in (pooled, ~pooled):
         adjusted[family] = holm(table["p"][family].to_numpy())
-    return table.assign(p_holm=adjusted)
+    return table.assign(p_holm=adjusted, rejected=adjusted <= LEVEL)
 
 
 def _counted(asked: Asked, records: Sequence[Record]) -> dict[str, float]:
@@ -115,19 +116,20 @@ def _counted(asked: Asked, records: Sequence[Record]) -> dict[str, float]:
 
 def condition_lines(table: pd.DataFrame) -> str:
     """The same as a Markdown table, one line per level; what is rejected is bold."""
-    head = ("condition", "level", "null", *list(RATES)[:3], "clear", *list(RATES)[3:])
+    of_null, of_clear = ([r for r, asked in RATES.items() if asked.part == p] for p in PARTS)
+    head = ("condition", "level", PARTS[0], *of_null, PARTS[1], *of_clear)
     lines = [f"| {' | '.join(head)} |", "| --- " * len(head) + "|"]
     for (name, level), rows in table.groupby(["condition", "level"], sort=False):
         by_rate = rows.set_index("rate")
         cells = {rate: _cell(row) for rate, row in by_rate.iterrows()}
-        null, clear = by_rate.loc["false alarm"], by_rate.loc["first"]
+        null, clear = by_rate.loc[of_null[0]], by_rate.loc[of_clear[0]]
         parts = [
             f"{null['trials'] + null['declined']} ({null['declined']})",
-            *(cells[rate] for rate in list(RATES)[:3]),
+            *(cells[rate] for rate in of_null),
             f"{clear['trials']} ({clear['declined']})",
-            *(cells[rate] for rate in list(RATES)[3:]),
+            *(cells[rate] for rate in of_clear),
         ]
-        lines.append(f"| {name} | {level} | {' | '.join(parts)} |")
+        lines.append(f"| {name.replace('_', ' ')} | {level} | {' | '.join(parts)} |")
     return "\n".join(lines)
 
 
@@ -136,4 +138,4 @@ def _cell(row: pd.Series) -> str:
     if row["trials"] == 0:
         return ""
     text = f"{row['value']:.3f} ({row['low_95']:.2f} … {row['high_95']:.2f})"
-    return f"**{text}**" if row["p_holm"] <= LEVEL else text
+    return f"**{text}**" if row["rejected"] else text

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 from cassini_bayes.errors import InputError
@@ -20,7 +21,11 @@ from cassini_bayes.files.pieces import run_pieces
 from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report.plots import encode
-from cassini_bayes.report.plots.blind import blind_figure, confusion_figure
+from cassini_bayes.report.plots.blind import (
+    blind_figure,
+    conditions_figure,
+    confusion_figure,
+)
 from cassini_bayes.studies.blind.by_condition import (
     LEVEL,
     POOLED,
@@ -114,20 +119,23 @@ def write_results(study: Study, strata: Sequence[Stratum] = STRATA) -> dict[str,
         ("timing", timing_table(records), False),
         ("confusion", matrix, True),
     ]
-    told, levels = ONE_CONDITION, ""
-    if any("condition" in record for record in records):
-        counted = by_condition(records)
-        told, levels = OVER_CONDITIONS_DRAWN, _levels(counted)
-        frames.append(("conditions", counted, False))
-    for name, frame, index in frames:
-        write_text(study.page.with_name(f"{name}.csv"), frame_csv(frame, index))
-    for name, figure in (
+    figures = [
         ("blind", blind_figure(table, stated, headline)),
         ("confusion", confusion_figure(matrix)),
-    ):
+    ]
+    title, told, levels = "Blind trials of the diagnosis", ONE_CONDITION, ""
+    if any("condition" in record for record in records):
+        counted = by_condition(records)
+        title = "Blind trials over conditions"
+        told, levels = OVER_CONDITIONS_DRAWN, _levels(counted)
+        frames.append(("conditions", counted, False))
+        figures.append(("conditions", conditions_figure(counted)))
+    for name, frame, index in frames:
+        write_text(study.page.with_name(f"{name}.csv"), frame_csv(frame, index))
+    for name, figure in figures:
         write_bytes(study.page.with_name(f"{name}.png"), encode(figure, "png"))
     body = _body(records, table, headline, stated, _planned(records, strata), told, levels)
-    study.publish("Blind trials of the diagnosis", body, "studies.blind.trials", {}, {})
+    study.publish(title, body, "studies.blind.trials", {}, {})
     return {row["rate"]: row["value"] for row in headline.to_dict(orient="records")}
 
 
@@ -162,6 +170,8 @@ def _failures(table: pd.DataFrame) -> str:
 
 def _faint_sentence(records: Sequence[Record], headline: pd.DataFrame) -> str:
     value = headline.set_index("rate")["value"]
+    if np.isnan(value[ORACLE]):
+        return ""
     return (
         f"Faint causes: {value[FAINT]:.3f} are among the three best. The oracle has "
         f"{value[ORACLE]:.3f} on the same data (difference {value[FAINT] - value[ORACLE]:+.3f}); "
@@ -184,8 +194,8 @@ def _levels(counted: pd.DataFrame) -> str:
     """The section of trials over conditions, by level."""
     tested = counted[counted["condition"] != POOLED]
     wrong = [
-        f"{row.condition} {row.level}: {row.rate}"
-        for row in tested[tested["p_holm"] <= LEVEL].itertuples()
+        f"{row.condition.replace('_', ' ')} {row.level} ({row.rate})"
+        for row in tested[tested["rejected"]].itertuples()
     ]
     return f"""\
 
@@ -202,6 +212,10 @@ reject little.
 **Rejected: {len(wrong)} of {len(tested)}{"" if not wrong else ": " + "; ".join(wrong)}.**
 
 {condition_lines(counted)}
+
+Dots: rates with 95 % intervals; filled ones are rejected, lines are the goals.
+
+![Rates by condition]({"conditions.png"})
 
 """
 

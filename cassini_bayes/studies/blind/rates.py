@@ -21,6 +21,7 @@ ORACLE_MARGIN: Final = 0.10
 CLEAR: Final = "clear: named first (confounded group counts)"
 CLEAR_BY_ORACLE: Final = "clear: named first (the oracle's group counts)"
 FALSE_ALARM: Final = "null: causes[0] is not none"
+FAILED: Final = "all: trial failed"
 DECLINED: Final = "all: declined before any search"
 WITHOUT_DECLINED: Final = ", declined left out"
 GOALS: Final[Mapping[str, float]] = {
@@ -129,7 +130,7 @@ def _counts(records: Sequence[Record]) -> dict[str, list[bool]]:
     result = {}
     for (name, hits), without in zip(counts.items(), _hits(asked).values(), strict=True):
         result[name] = hits
-        if len(without) < len(hits):
+        if len(without) < len(hits) and name != FAILED:
             result[f"{name}{WITHOUT_DECLINED}"] = without
     return {**result, DECLINED: [declined(r) for r in records]}
 
@@ -165,7 +166,7 @@ def _hits(records: Sequence[Record]) -> dict[str, list[bool]]:
         "two: one of them first (group counts)": [named(r) for r in two],
         "prior: truth first (none included, group counts)": [named(r) for r in prior],
         COVERAGE: [bool(s["covers"]) for s in sizes],
-        "all: trial failed": [failed(r) for r in records],
+        FAILED: [failed(r) for r in records],
     }
 
 
