@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -156,4 +157,6 @@ class Scene:
 
 def reduced(flight: Simulation, priors: Priors) -> Events:
     """All events of a flight, ready for a diagnosis."""
+    # those of earlier flights lie in cycles, six events 0.3 GB, and collections are rare by default
+    gc.collect()
     return prepare([reduced_simulation(event, priors) for event in flight.events], priors)
