@@ -137,5 +137,5 @@ def _cell(row: pd.Series) -> str:
     """Share with its interval, bold where it is rejected."""
     if row["trials"] == 0:
         return ""
-    text = f"{row['value']:.3f} ({row['low_95']:.2f} … {row['high_95']:.2f})"
+    text = f"{row['value']:.2f} ({row['low_95']:.2f}…{row['high_95']:.2f})"
     return f"**{text}**" if row["rejected"] else text
