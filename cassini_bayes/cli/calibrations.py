@@ -47,6 +47,7 @@ MISSION_PRIORS = Path("priors/cassini_mission.toml")
 TELEMETRY_PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 SCENARIO = Path("runs/scenarios/calibration.toml")
 PRIORS = Path("priors")
+BLIND_EVENTS = "bias-1,slews"
 HYBRID_SCENARIO = Path("runs/scenarios/hybrid_2012.toml")
 HYBRID_PRIORS = Path("priors/cassini_hybrid_2012.toml")
 
@@ -197,8 +198,25 @@ def perturbations(
 @app.command("blind")
 def calibrate_blind_command(
     scenario: ScenarioFile = SCENARIO,
-    priors: PriorsFile = TELEMETRY_PRIORS,
-    events: EventIds = "bias-1,slews",
+    priors: Annotated[
+        Path | None,
+        typer.Option(
+            "--priors",
+            help="Priors file of the B branch; with --conditions the folder of priors files.",
+            show_default=f"{TELEMETRY_PRIORS}, or {PRIORS}",
+        ),
+    ] = None,
+    events: Annotated[
+        str | None,
+        typer.Option("--events", help="Ids of the scenario's events.", show_default=BLIND_EVENTS),
+    ] = None,
+    over_conditions: Annotated[
+        bool,
+        typer.Option(
+            "--conditions",
+            help="Draw craft, events, cadence, steps, noise and controller in every trial.",
+        ),
+    ] = False,
     trials: Trials = None,
     quick: Quick = False,
     seed: Seed = 20_261_121,
@@ -212,15 +230,33 @@ def calibrate_blind_command(
     quiet: Quiet = False,
 ) -> None:
     """Hide effects in simulated telemetry and count how often the diagnosis finds them."""
-    from cassini_bayes.studies.blind.campaign import FULL, QUICK, run_campaign, write_results
+    from cassini_bayes.studies.blind import campaign as blind
     from cassini_bayes.studies.blind.flights import Blind
+    from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    campaign = Blind(scenario, priors, seed, tuple(events.split(",")))
-    with _study(out / "blind" / "index.md", seed, work / "blind", quiet, jobs, dask) as study:
+    if over_conditions:
+        name, full, short = (
+            "blind-conditions",
+            blind.FULL_OVER_CONDITIONS,
+            blind.QUICK_OVER_CONDITIONS,
+        )
+        folder = priors or PRIORS
+        if events is not None:
+            both = ("either --events or --conditions, which draws them", "both")
+            raise InputError("--events", *both, "leave one of them out")
+        if not folder.is_dir():
+            found = ("with --conditions a folder of priors files", str(folder))
+            raise InputError("--priors", *found, f"give {PRIORS}, or a copy of it")
+        campaign = Blind(scenario, folder, seed, (), OVER_CONDITIONS, over_conditions=True)
+    else:
+        name, full, short = "blind", blind.FULL, blind.QUICK
+        ids = tuple((events or BLIND_EVENTS).split(","))
+        campaign = Blind(scenario, priors or TELEMETRY_PRIORS, seed, ids)
+    numbers = _numbers(full, short, trials, quick)
+    with _study(out / name / "index.md", seed, work / name, quiet, jobs, dask) as study:
         if not results_only:
-            run_campaign(study, campaign, numbers["trials"])
-        typer.echo(json.dumps(write_results(study)))
+            blind.run_campaign(study, campaign, numbers["trials"])
+        typer.echo(json.dumps(blind.write_results(study, campaign.strata)))
 
 
 @_campaign("two-wheels", "two-wheels", 20_120_223, "blind.two_wheels")

@@ -110,14 +110,10 @@ def draw_condition(rng: np.random.Generator) -> Condition:
     return Condition(**{name: str(rng.choice(levels)) for name, levels in LEVELS.items()})
 
 
-def scenario_under(
-    condition: Condition,
-    scenario: Path,
-    priors: Path,
-    rng: np.random.Generator,
-    effects: Sequence[Mapping[str, Any]] = (),
-) -> ScenarioFile:
-    """The scenario of a campaign flown under a condition, wheel rates drawn anew.
+def document_under(
+    condition: Condition, scenario: Path, priors: Path, rng: np.random.Generator
+) -> dict[str, Any]:
+    """The document of a campaign's scenario under a condition, wheel rates drawn anew.
 
     Parameters
     ----------
@@ -125,8 +121,6 @@ def scenario_under(
         Whose first bias and slews are flown.
     priors
         Folder of the priors files of :data:`CRAFTS`.
-    effects
-        Tables of effects hidden in all events.
     """
     document = read_toml(scenario, "a scenario file")
     file, branch, wheels, given = CRAFTS[condition.craft]
@@ -145,8 +139,20 @@ def scenario_under(
     }
     document["torque_noise"] = True
     document["event"] = _events(document["event"], condition.events)
-    document["effect"] = [dict(effect) for effect in effects]
     draw_wheel_rates(document["event"], rng)
+    return document
+
+
+def scenario_under(
+    condition: Condition,
+    scenario: Path,
+    priors: Path,
+    rng: np.random.Generator,
+    effects: Sequence[Mapping[str, Any]] = (),
+) -> ScenarioFile:
+    """The scenario of :func:`document_under`, with tables of ``effects`` hidden in all events."""
+    document = document_under(condition, scenario, priors, rng)
+    document["effect"] = [dict(effect) for effect in effects]
     return scenario_of(document, scenario.parent, str(scenario))
 
 

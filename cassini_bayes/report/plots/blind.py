@@ -106,12 +106,43 @@ def _rates(axes: Axes, rates: pd.DataFrame) -> None:
     error = np.stack([value - shown["low_95"], shown["high_95"] - value])
     axes.errorbar(value, rows, xerr=np.abs(error), fmt="o", color=POSTERIOR, capsize=3)
     axes.plot(shown["goal"], rows, "|", color=INK, markersize=14)
-    names = [str(name).replace(": ", ":\n").replace(" (conf", "\n(conf") for name in shown["rate"]]
+    names = [str(name).replace(": ", ":\n").replace(" (", "\n(") for name in shown["rate"]]
     axes.set_yticks(rows, names, fontsize=6.5)
     axes.set_ylim(-0.6, len(shown) - 0.4)
     axes.set_xlim(-0.03, 1.03)
     axes.set_xlabel("rate (fraction)")
     axes.set_title("rates and goals (ticks), 95 % bars", loc="left")
+
+
+def conditions_figure(counted: pd.DataFrame) -> Figure:
+    """Every rate by level of every condition, with 95 % binomial bars; rejected ones are filled.
+
+    ``counted`` has a row for every condition, level and rate: hits, trials, value, low_95, high_95,
+    goal, rejected.
+    """
+    names, levels = list(counted["rate"].unique()), counted[["condition", "level"]]
+    levels = levels.drop_duplicates().agg(": ".join, axis=1).replace("all: all", "all")
+    places = levels.str.replace("_", " ").to_list()
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(figsize=(10.0, 1.2 + 0.23 * len(places)), layout="constrained")
+        each = figure.subplots(1, len(names), sharey=True)
+        for axes, name in zip(each, names, strict=True):
+            rows = counted[counted["rate"] == name].reset_index(drop=True)
+            shown = rows[rows["trials"] > 0]
+            error = np.abs([shown["value"] - shown["low_95"], shown["high_95"] - shown["value"]])
+            axes.errorbar(shown["value"], shown.index, xerr=error, fmt="none", ecolor=POSTERIOR)
+            for rejected, face in ((True, POSTERIOR), (False, "white")):
+                own = shown[shown["rejected"] == rejected]
+                axes.plot(own["value"], own.index, "o", mec=POSTERIOR, mfc=face, ms=5)
+            goal = float(rows["goal"].iloc[0])
+            axes.axvline(goal, lw=0.8, color=INK)
+            most = 1.0 if goal > 0.5 else max(0.2, float(shown["high_95"].max()))
+            axes.set_xlim(-0.03 * most, 1.03 * most)
+            axes.set_xlabel("rate (fraction)")
+            axes.set_title(name.replace(": ", ":\n").replace(", ", ",\n"), loc="left", fontsize=9)
+        each[0].set_yticks(range(len(places)), places, fontsize=7.5)
+        each[0].set_ylim(len(places) - 0.4, -0.6)
+    return figure
 
 
 def confusion_figure(matrix: pd.DataFrame) -> Figure:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.priors.reader import Priors
+from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import ScenarioFile, Truth, scenario_of
 from cassini_bayes.studies.blind.strata import STRATA, Stratum
+from cassini_bayes.studies.conditions import (
+    Condition,
+    beliefs_under,
+    document_under,
+    draw_condition,
+    with_known_noise,
+)
 from cassini_bayes.studies.scenario import (
     Simulation,
     draw_truth,
@@ -23,6 +32,10 @@ from cassini_bayes.studies.scenario import (
 from cassini_bayes.studies.telemetry_calibration import reduced_simulation
 
 CHANNEL_NOISE: Final = ("rate_noise_rad_s", "wheel_noise_rpm", "attitude_noise_rad")
+FINEST_STEPS: Final = MappingProxyType(
+    {"wheel_resolution_rpm": 0.0, "rate_resolution_rad_s": 0.0, "on_time_resolution_s": 0.001}
+)
+"""Of telemetry that shows what an effect changes, and nothing of how channels are rounded."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +52,8 @@ class Blind:
     """A campaign: scenario, priors, seed, which of its events are flown, and its parts.
 
     ``all_drawn``: what the scenario gives of parameters that the priors know is drawn as well.
+    ``over_conditions``: every trial draws its conditions and with them its events, and ``priors``
+    is the folder of the files of :data:`~cassini_bayes.studies.conditions.CRAFTS`.
     """
 
     scenario: Path
@@ -47,6 +62,15 @@ class Blind:
     events: tuple[str, ...]
     strata: tuple[Stratum, ...] = STRATA
     all_drawn: bool = False
+    over_conditions: bool = False
+
+    def stream(self, index: int) -> np.random.Generator:
+        """All that is random in a trial: it depends on the seed and the trial's number alone."""
+        return np.random.default_rng(np.random.SeedSequence((self.seed, index)))
+
+    def condition(self, rng: np.random.Generator) -> Condition | None:
+        """The first draw of a trial over conditions."""
+        return draw_condition(rng) if self.over_conditions else None
 
     def document(self, rng: np.random.Generator) -> dict[str, Any]:
         """The scenario with wheel rates of this trial."""
@@ -55,12 +79,26 @@ class Blind:
         draw_wheel_rates(document["event"], rng)
         return document
 
-    def scene(self, rng: np.random.Generator, priors: Priors) -> Scene:
-        """A trial's truth, before anything is hidden in it."""
+    def scene(self, rng: np.random.Generator, priors: Priors | None = None) -> Scene:
+        """A trial's truth, before anything is hidden in it; ``priors`` where they are read."""
+        condition = self.condition(rng)
+        if condition is not None:
+            return self._scene_under(condition, rng)
+        priors = read_priors(self.priors) if priors is None else priors
         document = self.document(rng)
         if self.all_drawn:
             document = without_given(document, priors)
         return Scene(self, document, int(rng.integers(2**62)), priors)
+
+    def _scene_under(self, condition: Condition, rng: np.random.Generator) -> Scene:
+        document = document_under(condition, self.scenario, self.priors, rng)
+        # torque noise is what `unknown` says: with it something would be hidden in every trial
+        document["torque_noise"] = False
+        believed = beliefs_under(condition, self.priors)
+        scene = Scene(self, document, int(rng.integers(2**62)), believed, condition)
+        if condition.noise == "inferred":
+            return scene
+        return replace(scene, priors=with_known_noise(believed, scene.truth().parameters))
 
 
 def without_given(document: Mapping[str, Any], priors: Priors) -> dict[str, Any]:
@@ -81,6 +119,7 @@ class Scene:
     document: dict[str, Any]
     seed: int
     priors: Priors
+    condition: Condition | None = None
 
     def file(self, hidden: Sequence[Hidden]) -> ScenarioFile:
         """The scenario with effects."""
@@ -97,15 +136,27 @@ class Scene:
         return reduced(simulate_file(self.file(hidden), self.seed, priors=self.priors), self.priors)
 
     def fly_quietly(self, hidden: Sequence[Hidden]) -> Events:
-        """The same flight with channels that have no noise; counters keep their resolution."""
-        truth = self.truth()
+        """The same flight with channels that have no noise.
+
+        Without conditions counters keep their resolution; under conditions steps are the finest:
+        those that are coarse would drown what an effect changes.
+        """
+        truth, scene = self.truth(), self
         quiet = {**truth.parameters, **dict.fromkeys(CHANNEL_NOISE, 0.0)}
+        if self.condition is not None:
+            telemetry = {**self.document["telemetry"], **FINEST_STEPS}
+            scene = replace(self, document={**self.document, "telemetry": telemetry})
         flight = simulate_file(
-            self.file(hidden), self.seed, truth=replace(truth, parameters=quiet), priors=self.priors
+            scene.file(hidden),
+            self.seed,
+            truth=replace(truth, parameters=quiet),
+            priors=self.priors,
         )
         return reduced(flight, self.priors)
 
 
 def reduced(flight: Simulation, priors: Priors) -> Events:
     """All events of a flight, ready for a diagnosis."""
+    # those of earlier flights lie in cycles, six events 0.3 GB, and collections are rare by default
+    gc.collect()
     return prepare([reduced_simulation(event, priors) for event in flight.events], priors)

@@ -8,6 +8,9 @@ of all causes is b = Mᵀ V⁻¹ y, and b ~ N(G s, G) with the Gram matrix G = M
 
 and for one s between bounds that times the posterior's share of the bounds over the prior's. The
 attitude channel's information on rate bias and scale adds to G and b. docs/topics/criticism.md §6.
+
+Over conditions G and b are those of the whole likelihood
+(:mod:`cassini_bayes.studies.blind.likelihood_oracle`).
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS
 from cassini_bayes.effects.changes import AXES
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import Oscillation
@@ -36,6 +40,7 @@ KINKED: Final = ("pulse_shape", "time_offset")
 """Kinds whose change of the data has another direction on each side of zero."""
 KINK: Final = 5e-3  # prior scales off zero, where a kinked effect's slopes are taken
 BEST: Final = 3
+MOST_ALIKE: Final = 4  # names of a group: more say next to nothing
 DRAWS: Final = 500
 
 
@@ -66,12 +71,13 @@ class Classifier:
     def log_scores(self, scores: Array) -> Array:
         """Log of evidence times prior (n, causes) for statistics b (n, q)."""
         each = [side.log_prior + log_evidence(self.gram, scores, side) for side in self.sides]
+        return self._by_name(each)
+
+    def _by_name(self, of_sides: Sequence[Array | float]) -> Array:
+        """Log of the sum over sides of every cause, (…, causes)."""
+        sides = list(zip(of_sides, self.sides, strict=True))
         return np.stack(
-            [
-                logsumexp([v for v, s in zip(each, self.sides, strict=True) if s.name == n], axis=0)
-                for n in self.names
-            ],
-            axis=1,
+            [logsumexp([v for v, s in sides if s.name == n], axis=0) for n in self.names], axis=-1
         )
 
     def ranks(self, scores: Array, name: str) -> Places:
@@ -92,6 +98,18 @@ class Classifier:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         draws = mean + rng.standard_normal((DRAWS, len(mean))) @ root.T
         return float((self.ranks(draws, name) < BEST).mean())
+
+    def group(self, name: str, size: Array) -> tuple[str, ...]:
+        """The cause and up to three more that are as likely on the data that it has on average.
+
+        As likely: log evidence within three nats, as the diagnosis counts them.
+        """
+        mean = self.gram[:, self._side_of(name, size).places] @ size
+        prior = self._by_name([side.log_prior for side in self.sides])
+        evidence = dict(zip(self.names, self.log_scores(mean[None])[0] - prior, strict=True))
+        own = evidence.pop(name)
+        alike = [n for n, value in evidence.items() if abs(value - own) < CONFOUNDED_NATS]
+        return (name, *sorted(alike, key=lambda n: -evidence[n])[: MOST_ALIKE - 1])
 
     def _side_of(self, name: str, size: Array) -> Side:
         named = [side for side in self.sides if side.name == name]
@@ -151,7 +169,7 @@ def classifier(
         for sign in (1.0, -1.0) if effect.kind.name in KINKED else (0.0,):
             columns.append(_columns(baseline, base, settled, sign, hidden))
             first = sum(part.shape[1] for part in columns[:-1])
-            sides.append(_side(effect, sign, first))
+            sides.append(side_of(effect, sign, first))
     every = np.concatenate(columns, axis=1)
     weighed = np.asarray(fitted_away(linear, every))
     gram, score = every.T @ weighed, weighed.T @ target
@@ -177,7 +195,8 @@ def _null(key: str) -> float:
     return NULL_VALUES.get(key, 0.0)
 
 
-def _side(effect: Effect, sign: float, first: int) -> Side:
+def side_of(effect: Effect, sign: float, first: int) -> Side:
+    """An effect, or its side of a sign, with its columns from ``first`` on."""
     sized = [p for p in effect.parameters if p.distribution.name != "lognorm"]
     scale = sized[0].distribution.scale
     low, high = ((end - _null(sized[0].key)) / scale for end in sized[0].distribution.support)
@@ -189,14 +208,13 @@ def _side(effect: Effect, sign: float, first: int) -> Side:
     return Side(effect.name, places, low, high, float(np.log(share * effect.prior_probability)))
 
 
-def _columns(
-    none: Hypothesis,
-    base: Mode,
-    effect: Effect,
-    sign: float,
-    hidden: Mapping[str, float],
-) -> Array:
-    """Whitened change of the data (m, q) per prior scale of every parameter of an effect."""
+def about_null(
+    effect: Effect, sign: float, hidden: Mapping[str, float]
+) -> tuple[Effect, list[float]]:
+    """The effect with normal sizes about none, and standard values of all its parameters there.
+
+    ``sign``: on which side of none a kinked one stands. Time constants are those that are hidden.
+    """
     plain, rest = [], []
     for p in effect.parameters:
         if p.distribution.name == "lognorm":
@@ -208,7 +226,19 @@ def _columns(
         middle = _null(p.key) + sign * KINK * scale
         plain.append(replace(p, distribution=Distribution("norm", {"loc": middle, "scale": scale})))
         rest.append(0.0)
-    extended = extend(none, [replace(effect, parameters=tuple(plain))])
+    return replace(effect, parameters=tuple(plain)), rest
+
+
+def _columns(
+    none: Hypothesis,
+    base: Mode,
+    effect: Effect,
+    sign: float,
+    hidden: Mapping[str, float],
+) -> Array:
+    """Whitened change of the data (m, q) per prior scale of every parameter of an effect."""
+    changed, rest = about_null(effect, sign, hidden)
+    extended = extend(none, [changed])
     linear, _ = linearise(extended, np.concatenate([base.point, rest]))
     d = len(base.point)
     sized = [i for i, p in enumerate(effect.parameters) if p.distribution.name != "lognorm"]

@@ -18,9 +18,16 @@ FAINT: Final = "faint: among the three best real causes"
 ORACLE: Final = "faint: the oracle, on the same data"
 COVERAGE: Final = "prior: 90 % intervals of the size hold it"
 ORACLE_MARGIN: Final = 0.10
+CLEAR: Final = "clear: named first (confounded group counts)"
+CLEAR_BY_ORACLE: Final = "clear: named first (the oracle's group counts)"
+FALSE_ALARM: Final = "null: causes[0] is not none"
+FAILED: Final = "all: trial failed"
+DECLINED: Final = "all: declined before any search"
+WITHOUT_DECLINED: Final = ", declined left out"
 GOALS: Final[Mapping[str, float]] = {
-    "clear: named first (confounded group counts)": 0.95,
-    "null: causes[0] is not none": 0.05,
+    CLEAR: 0.95,
+    CLEAR_BY_ORACLE: 0.95,
+    FALSE_ALARM: 0.05,
     "uncatalogued: unknown first": 0.90,
     "two: both named (confounded groups count)": 0.80,
     "two: both named, names alone": 0.80,
@@ -53,6 +60,16 @@ def failed(record: Record) -> bool:
     return "error" in record
 
 
+def declined(record: Record) -> bool:
+    """Whether the package refused the events before any search, in one line."""
+    return "declined" in record
+
+
+def answered(record: Record) -> bool:
+    """Whether there is a verdict."""
+    return not failed(record) and not declined(record)
+
+
 def first(record: Record) -> str:
     """Name of the most probable cause."""
     return str(record["causes"][0]["name"])
@@ -60,7 +77,7 @@ def first(record: Record) -> str:
 
 def named(record: Record) -> bool:
     """Whether the first cause is (one of) the hidden, or is confounded with it, or rightly none."""
-    if failed(record):
+    if not answered(record):
         return False
     hidden = [h["name"] for h in record["hidden"]]
     if not hidden:
@@ -69,29 +86,34 @@ def named(record: Record) -> bool:
     return first(record) != "none" and any(name in group for name in hidden)
 
 
+def named_by_oracle(record: Record) -> bool:
+    """Whether the first cause is the hidden one, or of the group that the oracle makes of it."""
+    return answered(record) and first(record) in record["oracle_group"]
+
+
 def alone(record: Record) -> bool:
     """Whether the first cause is the hidden one itself, or rightly none."""
-    if failed(record):
+    if not answered(record):
         return False
     return first(record) in ([h["name"] for h in record["hidden"]] or ["none"])
 
 
 def _among_best(record: Record) -> bool:
-    if failed(record):
+    if not answered(record):
         return False
     rank = record["rank_of_truth"][0]
     return rank is not None and rank < BEST
 
 
 def _both(record: Record) -> bool:
-    if failed(record) or record["pair"] is None:
+    if not answered(record) or record["pair"] is None:
         return False
     return {h["name"] for h in record["hidden"]} == set(str(record["pair"]).split("+"))
 
 
 def _both_alike(record: Record) -> bool:
     """Whether two hidden causes are the pair that is named, each or one confounded with it."""
-    if failed(record) or record["pair"] is None:
+    if not answered(record) or record["pair"] is None:
         return False
     one, other = str(record["pair"]).split("+")
     groups = {one, *record["pair_first_like"]}, {other, *record["pair_second_like"]}
@@ -100,29 +122,51 @@ def _both_alike(record: Record) -> bool:
 
 
 def _counts(records: Sequence[Record]) -> dict[str, list[bool]]:
-    """Hits of every rate. A trial that failed is a miss, and a false alarm where none is hidden."""
+    """Hits of every rate, over all trials and, where some were declined, without these."""
+    counts = _hits(records)
+    asked = [record for record in records if not declined(record)]
+    if len(asked) == len(records):
+        return counts
+    result = {}
+    for (name, hits), without in zip(counts.items(), _hits(asked).values(), strict=True):
+        result[name] = hits
+        if len(without) < len(hits) and name != FAILED:
+            result[f"{name}{WITHOUT_DECLINED}"] = without
+    return {**result, DECLINED: [declined(r) for r in records]}
+
+
+def _hits(records: Sequence[Record]) -> dict[str, list[bool]]:
+    """Hits of every rate. A trial that failed is a miss, and a false alarm where none is hidden.
+
+    One that was declined is a miss, and no trial at all where none is hidden.
+    """
 
     def of(stratum: str) -> list[Record]:
         return [r for r in records if r["stratum"] == stratum]
 
     null, clear, faint, two, prior = map(of, ("null", "clear", "faint", "two", "prior"))
-    other = [r for r in of("uncatalogued") if failed(r) or r["hidden"][0]["sigma"] >= LEAST_SIGMA]
-    sizes = [s for r in prior if not failed(r) for s in r["sizes"]]
-    judged = [r for r in faint if not failed(r)]
+    null = [r for r in null if not declined(r)]
+    other = [
+        r for r in of("uncatalogued") if not answered(r) or r["hidden"][0]["sigma"] >= LEAST_SIGMA
+    ]
+    sizes = [s for r in prior if answered(r) for s in r["sizes"]]
+    judged = [r for r in faint if answered(r)]
+    grouped = any("oracle_group" in r for r in clear)
     return {
-        "clear: named first (confounded group counts)": [named(r) for r in clear],
+        CLEAR: [named(r) for r in clear],
+        **({CLEAR_BY_ORACLE: [named_by_oracle(r) for r in clear]} if grouped else {}),
         "clear: named first, name alone": [alone(r) for r in clear],
         FAINT: [_among_best(r) for r in faint],
         ORACLE: [r["oracle_rank"] < BEST for r in judged],
-        "null: causes[0] is not none": [not named(r) for r in null],
+        FALSE_ALARM: [not named(r) for r in null],
         "null: P(none) < 0.5": [failed(r) or r["probability_of_none"] < NAMED for r in null],
-        "uncatalogued: unknown first": [not failed(r) and first(r) == "unknown" for r in other],
+        "uncatalogued: unknown first": [answered(r) and first(r) == "unknown" for r in other],
         "two: both named (confounded groups count)": [_both_alike(r) for r in two],
         "two: both named, names alone": [_both(r) for r in two],
         "two: one of them first (group counts)": [named(r) for r in two],
         "prior: truth first (none included, group counts)": [named(r) for r in prior],
         COVERAGE: [bool(s["covers"]) for s in sizes],
-        "all: trial failed": [failed(r) for r in records],
+        FAILED: [failed(r) for r in records],
     }
 
 
@@ -165,7 +209,7 @@ def _reached(name: str, value: float, interval_95: tuple[float, float], goal: fl
 
 def expected_by_oracle(records: Sequence[Record]) -> float:
     """Mean over faint trials of how often the oracle expects the cause among the three best."""
-    expected = [r["oracle_expected"] for r in records if r["stratum"] == "faint" and not failed(r)]
+    expected = [r["oracle_expected"] for r in records if r["stratum"] == "faint" and answered(r)]
     return float(np.mean(expected)) if expected else float("nan")
 
 
@@ -174,7 +218,7 @@ def reliability(records: Sequence[Record]) -> pd.DataFrame:
 
     ``inside``: the mean stated one is in the binomial 95 % interval. The last row holds all trials.
     """
-    chosen = [r for r in records if r["stratum"] == "prior" and not failed(r)]
+    chosen = [r for r in records if r["stratum"] == "prior" and answered(r)]
     stated = np.array([r["causes"][0]["probability"] for r in chosen])
     right = np.array([alone(r) for r in chosen], dtype=bool)
     bins = [*pairwise(EDGES), (EDGES[0], EDGES[-1])]
@@ -192,7 +236,7 @@ def reliability(records: Sequence[Record]) -> pd.DataFrame:
 
 def confusion(records: Sequence[Record]) -> pd.DataFrame:
     """Hidden kind (rows) against first named kind (columns), one hidden effect or none."""
-    single = [r for r in records if not failed(r) and len(r["hidden"]) <= 1]
+    single = [r for r in records if answered(r) and len(r["hidden"]) <= 1]
     pairs = [
         (
             r["hidden"][0]["name"].partition(":")[0] if r["hidden"] else "none",
@@ -207,12 +251,13 @@ def confusion(records: Sequence[Record]) -> pd.DataFrame:
 
 
 def trial_table(records: Sequence[Record]) -> pd.DataFrame:
-    """One row per trial that did not fail; nothing that changes from run to run."""
+    """One row per trial with a verdict; nothing that changes from run to run."""
     return pd.DataFrame(
         [
             {
                 "index": r["index"],
                 "stratum": r["stratum"],
+                **r.get("condition", {}),
                 "hidden": "+".join(h["name"] for h in r["hidden"]) or "none",
                 "sigma": "+".join(f"{h['sigma']:.2f}" for h in r["hidden"]),
                 "first": first(r),
@@ -232,7 +277,7 @@ def trial_table(records: Sequence[Record]) -> pd.DataFrame:
                 "code": r["code"],
             }
             for r in records
-            if not failed(r)
+            if answered(r)
         ]
     )
 
@@ -243,7 +288,7 @@ def timing_table(records: Sequence[Record]) -> pd.DataFrame:
         [
             {key: round(r[key], 1) if key != "index" else r[key] for key in keys}
             for r in records
-            if not failed(r)
+            if answered(r)
             for keys in [("index", "cpu_prepare_s", "cpu_diagnose_s", "wall_s")]
         ]
     )

@@ -4,20 +4,25 @@ A flight without channel noise is looked at by the baseline at the true paramete
 leaves, whitened, is the effect's δ and the little that the model approximates (cut tails, counters
 between readings). V = 1 + X P⁻¹ Xᵀ is the baseline's prior-predictive covariance, X its columns on
 that same flight: V⁻¹ = 1 − X (XᵀX + P)⁻¹ Xᵀ. Columns are not smoothed here: there is no noise.
+
+Where channels and counters are coarse (trials over conditions), the flight without noise has the
+finest steps, and V is that of the flight with them: its noise, and a column for everything that its
+counters leave open (:func:`in_noise_of`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cassini_bayes.balance.linearised import Linear, fitted_away
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
-from cassini_bayes.diagnosis.innovations import linearise
+from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
+from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.simulation import Truth
@@ -30,7 +35,7 @@ class View:
     """A flight without noise as the baseline sees it at the truth.
 
     ``left`` (m,) is the whitened balance that the true parameters leave; ``factors`` are the lower
-    factors (3, 3) of every event's noise.
+    factors (3, 3) of every event's noise, ``times`` (n,) the times of its rows, s.
     """
 
     events: Events
@@ -39,6 +44,7 @@ class View:
     linear: Linear
     left: Array
     factors: tuple[Array, ...]
+    times: tuple[Array, ...]
 
 
 def squared_size(linear: Linear, shift: Array) -> float:
@@ -46,8 +52,11 @@ def squared_size(linear: Linear, shift: Array) -> float:
     return float(shift @ fitted_away(linear, shift))
 
 
-def at_truth(events: Events, truth: Truth) -> View:
-    """Look at a flight without noise with the true parameters, thrusts and torques."""
+def at_truth(events: Events, truth: Truth, *, noisy: bool = False) -> View:
+    """Look at a flight without noise with the true parameters, thrusts and torques.
+
+    ``noisy``: a flight with noise, where slopes see running means of the channels.
+    """
     none = none_hypothesis(events)
     names = none.model.space.names
     # how often pulses are close is what the controller did, no parameter of the truth
@@ -55,9 +64,33 @@ def at_truth(events: Events, truth: Truth) -> View:
     point = none.model.space.to_standard(
         {name: truth.parameters.get(name, means[name].mean()) for name in names}
     )
-    linear, factors = linearise(none, point, smooth_channels=False)
+    linear, factors = linearise(none, point, smooth_channels=noisy)
     left = linear.target - linear.columns @ _known(none, events, truth, linear.columns.shape[1])
-    return View(events, none, point, linear, left, tuple(factors))
+    times = tuple(event.usable_rows.time_s for event in events.telemetry)
+    return View(events, none, point, linear, left, tuple(factors), times)
+
+
+def in_noise_of(quiet: View, flown: Events, truth: Truth) -> View:
+    """What a flight without noise leaves, in the noise of the same flight as it was recorded.
+
+    V then has the noise of rounded channels, and a column for everything that counters leave open.
+    """
+    seen = at_truth(flown, truth, noisy=True)
+    opened = [unresolved(seen.none, seen.point, place) for place in range(len(seen.times))]
+    linear = with_unknowns(seen.linear, opened, seen.factors)
+    ours, theirs, times = _common_rows(quiet.times, seen.times)
+    momentum = _in_momentum(quiet.left, quiet.linear, quiet.factors)
+    whitened = [
+        (part @ np.linalg.inv(factor).T).reshape(-1)
+        for part, factor in zip(momentum, seen.factors, strict=True)
+    ]
+    return replace(
+        quiet,
+        linear=_rows_of(linear, theirs, times),
+        left=np.concatenate(whitened)[ours],
+        factors=seen.factors,
+        times=times,
+    )
 
 
 def _known(none: Hypothesis, events: Events, truth: Truth, width: int) -> Array:
@@ -97,7 +130,8 @@ def modelled_size(view: View, effect: Effect, values: Mapping[str, float]) -> fl
     """σ by the change that the model of the effect makes on the flight that has it."""
     changed = held(view.none, effect, values)
     other, factors = linearise(changed, view.point, smooth_channels=False)
-    before, after = _in_momentum(view.linear, view.factors), _in_momentum(other, tuple(factors))
+    before = _in_momentum(view.linear.target, view.linear, view.factors)
+    after = _in_momentum(other.target, other, tuple(factors))
     shift = np.concatenate(
         [
             ((b - a) @ np.linalg.inv(factor).T).reshape(-1)
@@ -107,9 +141,10 @@ def modelled_size(view: View, effect: Effect, values: Mapping[str, float]) -> fl
     return float(np.sqrt(squared_size(view.linear, shift)))
 
 
-def _in_momentum(linear: Linear, factors: tuple[Array, ...]) -> list[Array]:
+def _in_momentum(white: Array, linear: Linear, factors: tuple[Array, ...]) -> list[Array]:
+    """Whitened values (m,) of a linear model's rows as momentum (n, 3) of every event."""
     parts = zip(linear.parts, factors, strict=True)
-    return [linear.target[part].reshape(-1, 3) @ factor.T for part, factor in parts]
+    return [white[part].reshape(-1, 3) @ factor.T for part, factor in parts]
 
 
 def changed_size(shown: View, plain: View) -> float:
@@ -130,21 +165,27 @@ def changed_size(shown: View, plain: View) -> float:
 
 
 def _paired(shown: View, plain: View) -> float:
-    ours, theirs = [], []
+    mine, others, times = _common_rows(shown.times, plain.times)
+    linear = _rows_of(plain.linear, others, times)
+    return float(np.sqrt(squared_size(linear, shown.left[mine] - plain.left[others])))
+
+
+def _common_rows(
+    one: Sequence[Array], other: Sequence[Array]
+) -> tuple[Places, Places, tuple[Array, ...]]:
+    """Places of the values of rows that two flights have in common, in each, and their times."""
+    ours, theirs, times = [], [], []
     first, second = 0, 0
-    counts = []
-    for one, other in zip(shown.events.telemetry, plain.events.telemetry, strict=True):
-        a, b = one.usable_rows.time_s, other.usable_rows.time_s
+    for a, b in zip(one, other, strict=True):
         _, i, j = np.intersect1d(np.round(a / _SAME_S), np.round(b / _SAME_S), return_indices=True)
         ours.append((first + 3 * i[:, None] + np.arange(3)).reshape(-1))
         theirs.append((second + 3 * j[:, None] + np.arange(3)).reshape(-1))
         first, second = first + 3 * len(a), second + 3 * len(b)
-        counts.append(len(i))
-    mine, others = np.concatenate(ours), np.concatenate(theirs)
-    linear = Linear(
-        plain.linear.target[others],
-        plain.linear.columns[others],
-        plain.linear.precision,
-        tuple(counts),
-    )
-    return float(np.sqrt(squared_size(linear, shown.left[mine] - plain.left[others])))
+        times.append(a[i])
+    return np.concatenate(ours), np.concatenate(theirs), tuple(times)
+
+
+def _rows_of(linear: Linear, places: Places, times: Sequence[Array]) -> Linear:
+    """The linear model of some of its rows."""
+    counts = tuple(len(time) for time in times)
+    return Linear(linear.target[places], linear.columns[places], linear.precision, counts)

@@ -7,28 +7,37 @@ counts is measured on the flight that has it (:mod:`cassini_bayes.studies.blind.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from cassini_bayes.diagnosis.events import Events
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
-from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
+from cassini_bayes.diagnosis.modes import Mode, mode_near
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import Hidden, Scene
 from cassini_bayes.studies.blind.rate_information import RATE_KINDS
-from cassini_bayes.studies.blind.shift import View, at_truth, changed_size, held, modelled_size
+from cassini_bayes.studies.blind.shift import (
+    View,
+    at_truth,
+    changed_size,
+    held,
+    in_noise_of,
+    modelled_size,
+)
 
 LARGEST_IN_PRIOR_SCALES: Final = 4.0
 NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
 NEWTON_STEPS: Final = 3
 STEP: Final = 0.05  # standard deviations, for slopes
 SHIFT: Final = 5e-3  # prior scales: small enough for the noise levels to stay where they are
+BESIDE_NONE: Final = 4.0 * SHIFT  # prior scales: SHIFT to either side is on one side of none
 MOST_FLIGHTS: Final = 6
 MOST_DRAWS: Final = 50
 SAME_SIZE: Final = 0.05
@@ -43,23 +52,37 @@ _ONE_SIDED: Final[Mapping[str, float]] = {
 
 @dataclass(frozen=True)
 class Stage:
-    """A trial before anything is hidden: its flight, baseline and truth, and the quiet flight."""
+    """A trial before anything is hidden: its flight, baseline and truth."""
 
     scene: Scene
     events: Events
     base: Mode
     truth: Truth
-    plain: View
+
+    @cached_property
+    def plain(self) -> View:
+        """The flight without noise and without any effect."""
+        return self._seen(())
+
+    @property
+    def fires(self) -> bool:
+        """Whether any thruster fires in its events."""
+        return any(event.fires for event in self.events.telemetry)
 
     def view(self, hidden: Hidden) -> View:
         """The flight without noise that has this effect."""
-        return at_truth(self.scene.fly_quietly((hidden,)), self.truth)
+        return self._seen((hidden,))
+
+    def _seen(self, hidden: Sequence[Hidden]) -> View:
+        quiet = at_truth(self.scene.fly_quietly(hidden), self.truth)
+        if self.scene.condition is None:
+            return quiet
+        return in_noise_of(quiet, self.scene.fly(hidden), self.truth)
 
 
 def stage(scene: Scene, events: Events, base: Mode) -> Stage:
-    """Fly without noise and without any effect."""
-    truth = scene.truth()
-    return Stage(scene, events, base, truth, at_truth(scene.fly_quietly(()), truth))
+    """Set up what a size is measured on."""
+    return Stage(scene, events, base, scene.truth())
 
 
 @dataclass(frozen=True)
@@ -105,10 +128,13 @@ def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
     return Growth(effect, direction, constant)
 
 
-def sensitivity(events: Events, base: Mode, path: Growth) -> float:
-    """σ per unit of s along a path, by the curvature of the marginal likelihood on null data."""
+def sensitivity(events: Events, base: Mode, path: Growth, at: float = 0.0) -> float:
+    """σ per unit of s along a path, by the curvature of the marginal likelihood at a size.
+
+    That is zero on data without the effect; ``base`` is the baseline's mode there.
+    """
     none = none_hypothesis(events)
-    values = [_marginal(none, base, path, s) for s in (SHIFT, 0.0, -SHIFT)]
+    values = [_marginal(none, base, path, at + s) for s in (SHIFT, 0.0, -SHIFT)]
     bend = float((2.0 * values[1] - values[0] - values[2]) / SHIFT**2)
     return float(np.sqrt(bend)) if bend > 0 else 0.0
 
@@ -155,14 +181,23 @@ def measured(stage: Stage, path: Growth, s: float) -> Hidden | None:
     if hidden is None:
         return None
     try:
-        view = stage.view(hidden)
+        sigma = _flown_size(stage, hidden, path, s)
     except InputError:
         return None  # not a spacecraft, or not a motion, that the simulation accepts
-    if path.effect.kind.name == "time_offset":
-        sigma = changed_size(view, stage.plain)
-    else:
-        sigma = modelled_size(view, path.effect, path.values(s))
     return Hidden(hidden.name, hidden.parameters, sigma)
+
+
+def _flown_size(stage: Stage, hidden: Hidden, path: Growth, s: float) -> float:
+    """σ on the flight that has the effect at size s.
+
+    Under conditions the curvature of the marginal likelihood is δᵀV⁻¹δ with all that conditions
+    change in V: what coarse counters leave open, and what attitudes tell of rates that are coarser.
+    """
+    if stage.scene.condition is not None:
+        return s * _flown_sensitivity(stage, stage.scene.fly((hidden,)), path, s)
+    if path.effect.kind.name == "time_offset":
+        return changed_size(stage.view(hidden), stage.plain)
+    return modelled_size(stage.view(hidden), path.effect, path.values(s))
 
 
 def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> Hidden | None:
@@ -189,7 +224,9 @@ def sized_between(
     if effect.kind.search is not None:
         return _flexible(stage, effect, (sigma, (low, high)), rng)
     path = draw_path(effect, rng)
-    rate = sensitivity(stage.events, stage.base, path)
+    # over conditions beside none: a kinked effect has no curvature there
+    at = 0.0 if stage.scene.condition is None else BESIDE_NONE
+    rate = sensitivity(stage.events, stage.base, path, at)
     if rate <= 0.0:
         return None
     start = min(sigma / rate, LARGEST_IN_PRIOR_SCALES)
@@ -287,17 +324,31 @@ def _flexible(
         }
         hidden = Hidden(effect.name, parameters, float("nan"))
         try:
-            view = stage.view(hidden)
+            return replace(hidden, sigma=_flown_oscillation(stage, effect, hidden))
         except InputError:
             return None  # not a motion that the simulation accepts
-        line, values = hidden_oscillation(parameters)
-        settled = replace(effect, search_result=line)
-        events = view.events.with_columns_of([settled])
-        with_line = replace(view, events=events, none=none_hypothesis(events))
-        sigma = modelled_size(with_line, settled, values)
-        return replace(hidden, sigma=sigma)
 
     if wanted is None:
         return at(1.0)
     sigma, span = wanted
     return search_size(at, 1.0, sigma, span)
+
+
+def _flown_sensitivity(stage: Stage, events: Events, path: Growth, s: float) -> float:
+    """σ per unit of s at size s, on the flight that has it, about the mode there."""
+    with_it = compact(held(none_hypothesis(events), path.effect, path.values(s)))
+    near = mode_near(with_it.log_density, stage.base.point, stage.base.factor)
+    return sensitivity(events, near, path, s)
+
+
+def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
+    """σ of an oscillation on the flight that has it, its line known."""
+    line, values = hidden_oscillation(hidden.parameters)
+    settled = replace(effect, search_result=line)
+    if stage.scene.condition is not None:
+        events = stage.scene.fly((hidden,)).with_columns_of([settled])
+        return _flown_sensitivity(stage, events, Growth(settled, values, {}), 1.0)
+    view = stage.view(hidden)
+    events = view.events.with_columns_of([settled])
+    with_line = replace(view, events=events, none=none_hypothesis(events))
+    return modelled_size(with_line, settled, values)

@@ -28,6 +28,15 @@ STRATA: Final = (
     Stratum("uncatalogued", 40),
     Stratum("two", 40, (5.0, 10.0)),
 )
+OVER_CONDITIONS: Final = (
+    Stratum("null", 750),
+    Stratum("clear", 750, (5.0, 10.0)),
+    Stratum("prior", 150),
+    Stratum("faint", 150, (2.0, 3.0)),
+    Stratum("uncatalogued", 100),
+    Stratum("two", 100, (5.0, 10.0)),
+)
+"""Over conditions: 150 of `null` and of `clear` for each of five kinds of events."""
 TWO_WHEELS: Final = (
     Stratum("null", 20),
     Stratum("articulation", 20, (5.0, 10.0), "wheel_articulation"),

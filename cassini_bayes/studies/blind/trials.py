@@ -24,14 +24,19 @@ from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import Oscillation
+from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import code_digest
-from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.priors.reader import Priors
 from cassini_bayes.studies.blind.flights import Blind, Hidden
+from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import classifier, sizes_of
 from cassini_bayes.studies.blind.sizes import (
+    BESIDE_NONE,
     MOST_DRAWS,
     Stage,
+    draw_path,
     hidden_oscillation,
+    sensitivity,
     sized_between,
     sized_from_prior,
     stage,
@@ -40,6 +45,7 @@ from cassini_bayes.studies.blind.strata import Stratum, stratum_of
 from cassini_bayes.studies.blind.uncatalogued import draw_uncatalogued
 
 KEPT_CAUSES: Final = 8
+LEAST_SEEN: Final = 1e-2  # σ per prior scale: rounding leaves 1e-4 of what events cannot show
 
 
 class NothingToHideError(Exception):
@@ -83,21 +89,37 @@ def _drawn(
     if stratum.name == "uncatalogued":
         return draw_uncatalogued(set_up, rng)
     effect = draw_effect(set_up.events.catalogue, rng, stratum.kind)
-    if effect.kind.name in taken:
+    if effect.kind.name in taken or not is_seen(set_up, effect, rng):
         return None
     if stratum.sigmas is None:
         return sized_from_prior(set_up, effect, rng)
     return sized_between(set_up, effect, *stratum.sigmas, rng)
 
 
+def is_seen(set_up: Stage, effect: Effect, rng: np.random.Generator) -> bool:
+    """Whether the events can show an effect: where nothing fires, many need what is not there."""
+    if set_up.fires or effect.kind.search is not None:
+        return True
+    path = draw_path(effect, rng)
+    return sensitivity(set_up.events, set_up.base, path, BESIDE_NONE) > LEAST_SEEN
+
+
 def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str, Any]:
-    """One trial, as the record that is kept."""
-    prior_table = read_priors(campaign.priors) if priors is None else priors
-    rng = np.random.default_rng(np.random.SeedSequence((campaign.seed, index)))
+    """One trial, as the record that is kept.
+
+    Under conditions, events that the package refuses are no failure: the record says what it said.
+    """
+    rng = campaign.stream(index)
     stratum = stratum_of(campaign.strata, index)
-    scene = campaign.scene(rng, prior_table)
+    scene = campaign.scene(rng, priors)
+    known = identity_of(campaign, index)
     began, worked = time.monotonic(), time.process_time()
-    events = scene.fly(())
+    try:
+        events = scene.fly(())
+    except InputError as refusal:
+        if scene.condition is None:
+            raise
+        return {**known, "declined": str(refusal)}
     hidden: tuple[Hidden, ...] = ()
     if stratum.name != "null":
         none = compact(none_hypothesis(events))
@@ -110,13 +132,9 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
     diagnosed = time.process_time()
     truth = scene.truth().parameters
     return {
-        "index": index,
-        "seed": campaign.seed,
-        "events": list(campaign.events),
-        "code": trial_code(),
-        "stratum": stratum.name,
+        **known,
         **_record(verdict, hidden, rng),
-        **_oracle(events, verdict, hidden, truth, rng),
+        **_oracle(events, verdict, hidden, truth, rng, over_conditions=campaign.over_conditions),
         "cpu_prepare_s": prepared - worked,
         "cpu_diagnose_s": diagnosed - prepared,
         "wall_s": time.monotonic() - began,
@@ -129,10 +147,13 @@ def _oracle(
     hidden: Sequence[Hidden],
     truth: Mapping[str, float],
     rng: np.random.Generator,
+    *,
+    over_conditions: bool,
 ) -> dict[str, Any]:
     """Place of a single catalogued cause for the oracle, and how often it expects the best three.
 
-    Its oscillation is the hidden one, or else the one that the diagnosis looked at.
+    Its oscillation is the hidden one, or else the one that the diagnosis looked at. Over conditions
+    it knows all that the likelihood does, and says which causes are as likely.
     """
     nothing = {"oracle_rank": None, "oracle_expected": None}
     if len(hidden) != 1 or hidden[0].name not in events.catalogue.names:
@@ -149,10 +170,14 @@ def _oracle(
     )
     if effect.kind.search is not None:
         line = hidden_oscillation(values)[0]
-    settled = classifier(events, verdict.none.mode, values, line)
+    size = sizes_of(effect, values, truth)
+    make = likelihood_classifier if over_conditions else classifier
+    settled = make(events, verdict.none.mode, values, line)
+    group = {"oracle_group": settled.group(effect.name, size)} if over_conditions else {}
     return {
         "oracle_rank": settled.rank_by_data(effect.name),
-        "oracle_expected": settled.expected(effect.name, sizes_of(effect, values, truth), rng),
+        "oracle_expected": settled.expected(effect.name, size, rng),
+        **group,
     }
 
 
@@ -240,17 +265,24 @@ def trial_name(index: int) -> str:
     return f"trial_{index:04d}"
 
 
-def failed_trial(campaign: Blind, index: int, error: Exception) -> dict[str, Any]:
-    """The record of a trial that ended in an exception: it is counted, and not done again."""
-    where = traceback.extract_tb(error.__traceback__)[-1]
+def identity_of(campaign: Blind, index: int) -> dict[str, Any]:
+    """What every record of a trial says of it, however it ended."""
+    condition = campaign.condition(campaign.stream(index))
     return {
         "index": index,
         "seed": campaign.seed,
         "events": list(campaign.events),
         "code": trial_code(),
         "stratum": stratum_of(campaign.strata, index).name,
-        "error": f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})",
+        **({} if condition is None else {"condition": condition.strata}),
     }
+
+
+def failed_trial(campaign: Blind, index: int, error: Exception) -> dict[str, Any]:
+    """The record of a trial that ended in an exception: it is counted, and not done again."""
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    told = f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
+    return {**identity_of(campaign, index), "error": told}
 
 
 def run_trial(campaign: Blind, index: int) -> dict[str, Any]:

@@ -15,6 +15,8 @@ from cassini_bayes.studies.blind.shift import changed_size
 from cassini_bayes.studies.blind.sizes import MOST_FLIGHTS, Stage
 
 LEAST_SIGMA: Final = 5.0
+KINDS: Final = ("atmospheric_torque", "pressure_surge", "tachometer_scale", "plume_impingement")
+WITHOUT_THRUSTERS: Final = ("atmospheric_torque", "tachometer_scale")
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,12 @@ class UncataloguedKind:
 
 
 def draw_kind(events: Events, rng: np.random.Generator) -> UncataloguedKind:
-    """An atmospheric torque, a pressure surge, a tachometer scale or plume impingement."""
-    kinds = ("atmospheric_torque", "pressure_surge", "tachometer_scale", "plume_impingement")
-    kind = str(rng.choice(kinds))
-    event = next(event for event in events.telemetry if event.fires)
+    """An atmospheric torque, a pressure surge, a tachometer scale or plume impingement.
+
+    Where no thruster fires, one that needs none.
+    """
+    event = next((event for event in events.telemetry if event.fires), events.telemetry[0])
+    kind = str(rng.choice(KINDS if event.fires else WITHOUT_THRUSTERS))
     if kind == "atmospheric_torque":
         peak = rng.standard_normal(3)
         direction = {f"peak_{a}_n_m": float(v) for a, v in zip("xyz", peak, strict=True)}
