@@ -65,6 +65,13 @@ def test_far_posterior_has_its_closed_form_evidence() -> None:
     assert untrusted([found]) == ""
 
 
+def test_estimates_have_no_model_to_sample(tmp_path: Path) -> None:
+    """One line, before anything is written."""
+    with pytest.raises(InputError, match="expected telemetry or totals"):
+        CASE.refit(weighed(100), tmp_path / "fit", 1)
+    assert not list(tmp_path.iterdir())
+
+
 def test_draws_from_the_prior_alone_fail_there() -> None:
     """Negative control: as many plain prior draws miss the same evidence by far."""
     z = np.random.default_rng(1).standard_normal((40_000, 3))
