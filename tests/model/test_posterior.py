@@ -100,7 +100,7 @@ def test_draws_have_the_conditional_moments() -> None:
     z = np.repeat(model.space.sample(rng, 1), 4_000, axis=0)
     (event,) = collapse(model, z[:1]).terms
     draws = draw(model, z, rng)
-    own = unknowns_of(draws.thrusts.thrust_n, draws.own[0])
+    own = unknowns_of(draws.thrusts.thrust_n, draws.integrated[0])
     normal, mean, sd = event.system.normal[0], event.system.own_mean, event.system.own_sd[0]
     precision = normal[:-1, :-1] + np.diag(sd**-2)
     covariance = np.linalg.inv(precision)
