@@ -125,7 +125,7 @@ def test_killed_sweep_goes_on_without_redoing_finished_cells(
 
     The child kills itself, so that where it dies does not depend on how fast the machine is.
     """
-    spec = write_spec(finished, "killed.toml", seed=77 + half_written)
+    spec = write_spec(finished, "killed.toml", seed=77 + half_written, draws=1_000)
     cells = finished / "small" / "sweep" / "cells"
     before = finished_cells(cells)
     arguments = ["sweep", str(finished / "small.toml"), "--spec", str(spec), "--jobs", "1"]
@@ -154,7 +154,7 @@ def test_killed_sweep_goes_on_without_redoing_finished_cells(
 def test_two_dask_workers_give_the_same_cells(tmp_path: Path) -> None:
     """A local cluster of two worker processes gives bit for bit what this process gives."""
     distributed = pytest.importorskip("distributed")
-    baseline = toy_baseline(2_000)
+    baseline = toy_baseline(500)
     names = ("cm_x_m", "cm_y_m")
     cells = {
         cell.key: (cell, "auto")
