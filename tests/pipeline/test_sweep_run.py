@@ -56,7 +56,7 @@ def write_spec(folder: Path, name: str = "spec.toml", **changes: object) -> Path
     table = {
         "quantities": ["thrust_level_n[z1]", "tau_fall_s"],
         "blocks": ["tail-off", "wheel alignment"],
-        "draws": 2_000,
+        "draws": 1_000,
         "grid": {"widths": [0.5, 4.0], "families": ["uniform"]},
         **changes,
     }
@@ -125,7 +125,7 @@ def test_killed_sweep_goes_on_without_redoing_finished_cells(
 
     The child kills itself, so that where it dies does not depend on how fast the machine is.
     """
-    spec = write_spec(finished, "killed.toml", seed=77 + half_written, draws=1_000)
+    spec = write_spec(finished, "killed.toml", seed=77 + half_written)
     cells = finished / "small" / "sweep" / "cells"
     before = finished_cells(cells)
     arguments = ["sweep", str(finished / "small.toml"), "--spec", str(spec), "--jobs", "1"]
