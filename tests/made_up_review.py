@@ -172,8 +172,9 @@ def blank(drawings: Mapping[str, Callable[[], object]], _: int = 1) -> dict[str,
 
 
 def without_corners(section: Section) -> Section:
-    """A section without the corner plots of nuisances."""
-    kept = (b for b in section.blocks if not getattr(b, "name", "").startswith("corner_nuisances"))
+    """A section without the corner plots of nuisances, those chosen for the joint one included."""
+    slow = ("corner_nuisances", "corner_joint")
+    kept = (b for b in section.blocks if not getattr(b, "name", "").startswith(slow))
     return replace(section, blocks=tuple(kept))
 
 

@@ -51,7 +51,9 @@ def physics(n: int = SIZE, seed: int = 3) -> Physics:
     z = 0.3 * rng.standard_normal((n, len(model().space.names)))
     draws = draw(model(), z, rng)
     full: Mapping[str, Array | float] = {**draws.parameters, **model().idle}
-    return Physics(full, draws.thrusts.thrust_n, draws.thrusts.level_n, software_of(draws.own[0]))
+    return Physics(
+        full, draws.thrusts.thrust_n, draws.thrusts.level_n, software_of(draws.integrated[0])
+    )
 
 
 @cache

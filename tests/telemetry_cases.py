@@ -341,7 +341,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             unknown = np.concatenate([unknown, on_turns @ unknown])
             total = block_diag(total, noise.reshape(3 * len(gained), -1))
         if fires:
-            total = total + columns @ linear.own @ linear.own.T @ columns.T
+            total = total + columns @ linear.departures @ linear.departures.T @ columns.T
         total = total + unknown @ unknown.T
         means.append((y - mean).reshape(-1))
         blocks.append(total)

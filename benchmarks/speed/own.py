@@ -142,7 +142,7 @@ def least_ess(fitted: Sampled) -> tuple[float, str]:
     draws = draw(model, fitted.flat_z, np.random.default_rng(0))
     parts = {
         f"{name} of {term.id}": values.reshape(m * n, -1)
-        for term, own in zip(model.telemetry, draws.own, strict=True)
+        for term, own in zip(model.telemetry, draws.integrated, strict=True)
         for name, values in own.items()
     }
     parts["thrust"] = draws.thrusts.thrust_n.reshape(m * n, -1)

@@ -115,7 +115,7 @@ def lifted(problem: plain.Problem, z: Array, rng: np.random.Generator) -> Array:
     """Draws of the plain likelihood's unknowns at walked coordinates, from their conditional."""
     model, terms = problem.model, problem.terms
     draws = draw(model, z, rng)
-    unknowns = unknowns_of(draws.thrusts.thrust_n, draws.own[0])
+    unknowns = unknowns_of(draws.thrusts.thrust_n, draws.integrated[0])
     places = terms.unknowns
     thrust = unknowns[:, places.thrusts] - model.thrust_prior.common_mean_n
     parts = [

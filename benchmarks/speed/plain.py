@@ -95,7 +95,7 @@ def make_problem(model: Model, event: ReducedEvent) -> Problem:
     vector = rows.vector.reshape(n, -1)
     slow = modes[:, places[0]].T
     amplitude = modes.T @ wheel
-    own, shared = model.thrust_prior.own, model.thrust_prior.shared
+    own, shared = model.thrust_prior.departures, model.thrust_prior.shared
     return Problem(
         model=model,
         terms=terms,

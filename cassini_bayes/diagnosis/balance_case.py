@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final, get_type_hints
 
 import numpy as np
+import pandas as pd
 
 from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.computing.arrays import Array
@@ -40,6 +42,7 @@ from cassini_bayes.diagnosis.nuisances import Trade, nuisance_shifts, traded
 from cassini_bayes.diagnosis.onsets import Beginnings
 from cassini_bayes.diagnosis.overlay import Overlay, overlays
 from cassini_bayes.diagnosis.p_value import p_value
+from cassini_bayes.diagnosis.refit import fit_extended
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
 from cassini_bayes.diagnosis.separation import separating_measurement
@@ -52,6 +55,7 @@ from cassini_bayes.diagnosis.visible import visible_record
 from cassini_bayes.diagnosis.widths import by_width, change_of_evidence
 from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
 from cassini_bayes.effects.registry import Kinds
+from cassini_bayes.files.checkpoint import CheckpointStore
 
 Candidate = Weighed[Hypothesis]
 NEAR_NATS: Final = 10.0
@@ -108,6 +112,20 @@ class BalanceCase(Case[Hypothesis]):
     def findings(self) -> Sequence[str]:
         """Of reading the events."""
         return self.events.findings
+
+    @property
+    def digests(self) -> Mapping[str, str]:
+        """Of every telemetry event and its channel map, the spacecraft, an earlier fit."""
+        result, known = {}, self.events.priors
+        for event in self.events.telemetry:
+            if event.digest:
+                result[f"event {event.id}"] = event.digest
+            if event.channels:
+                result[f"channels of {event.id}"] = event.channels.digest
+        result[f"spacecraft {known.spacecraft.name}"] = known.spacecraft.digest
+        if known.earlier is not None:
+            result[known.earlier.path] = known.earlier.digest
+        return result
 
     def weigh(
         self, rng: np.random.Generator, log: Log, workers: StageRunner = SERIAL
@@ -235,8 +253,25 @@ class BalanceCase(Case[Hypothesis]):
         return self.events.catalogue.kinds
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
-        """From draws with what counters leave open (:mod:`cassini_bayes.diagnosis.sizes`)."""
-        return summarised(*mixed(size_draws, weighed, rng))
+        """From draws with what counters leave open."""
+        return summarised(*mixed(self.size_draws, weighed, rng))
+
+    def size_draws(
+        self, weighed: Candidate, rng: np.random.Generator
+    ) -> tuple[dict[str, Array], Array]:
+        """Of the balance's model (:mod:`cassini_bayes.diagnosis.sizes`)."""
+        return size_draws(weighed, rng)
+
+    def refit(
+        self,
+        weighed: Candidate,
+        folder: Path,
+        seed: int,
+        log: Log = silent,
+        store: CheckpointStore | None = None,
+    ) -> pd.DataFrame:
+        """As an ordinary model (:mod:`.refit`)."""
+        return fit_extended(weighed, folder, seed, log, store=store)
 
     def held_out(
         self, weighed: Candidate, rng: np.random.Generator, log: Log = silent

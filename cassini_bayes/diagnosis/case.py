@@ -10,9 +10,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
+import pandas as pd
 from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
@@ -22,6 +24,8 @@ from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.effects.registry import Kinds
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.sampling.warmstart import Proposal
 
 Work = Callable[[], Any]
@@ -154,7 +158,8 @@ def over_beginnings(weighed: Weighed[H], change: Callable[[Weighed[H], float], f
 class Discrepancies:
     """What tests say of the baseline and of the extended model, for the record.
 
-    ``more`` are further fields of the record, ``detail`` is what the case's own figures need.
+    ``more`` are further fields of the record, ``detail`` is what the case's own figures and tables
+    need; None where it has none.
     """
 
     symptoms: Sequence[Mapping[str, Any]] = ()
@@ -230,9 +235,38 @@ class Case(ABC, Generic[H]):
     def kinds(self) -> Kinds:
         """The effects that there are, which put their sizes in words."""
 
+    @property
+    def digests(self) -> Mapping[str, str]:
+        """SHA-256 of what was read beyond the files that a caller named."""
+        return {}
+
+    @abstractmethod
+    def size_draws(
+        self, weighed: Weighed[H], rng: np.random.Generator
+    ) -> tuple[dict[str, Array], Array]:
+        """Draws (n,) of every size of a cause by key, and their weights (n,)."""
+
     @abstractmethod
     def sizes(self, weighed: Weighed[H], rng: np.random.Generator) -> Mapping[str, Size]:
         """Sizes of a cause by key."""
+
+    def refit(
+        self,
+        weighed: Weighed[H],
+        folder: Path,
+        seed: int,
+        log: Log = silent,
+        store: CheckpointStore | None = None,
+    ) -> pd.DataFrame:
+        """Sample the model of a hypothesis with emcee (:mod:`.refit`).
+
+        Raises
+        ------
+        InputError
+            The case has no such model; the folder cannot be written.
+        """
+        del weighed, folder, seed, log, store
+        raise InputError("--then-fit", "telemetry or totals", "data of another kind", "drop it")
 
     @abstractmethod
     def held_out(

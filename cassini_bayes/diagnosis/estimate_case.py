@@ -148,13 +148,19 @@ class EstimateCase(Case[EstimateHypothesis]):
         """Those that the hypotheses were made of."""
         return self.known
 
-    def sizes(self, weighed: Candidate, _: np.random.Generator) -> Mapping[str, Size]:
+    def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """Of all parameters that are not fixed."""
+        posterior = summarised(*self.size_draws(weighed, rng))
+        return {key: size for key, size in posterior.items() if size.sd > 0.0}
+
+    def size_draws(
+        self, weighed: Candidate, _: np.random.Generator
+    ) -> tuple[dict[str, Array], Array]:
+        """Of all parameters."""
         assert weighed.z is not None
         assert weighed.log_weights is not None
         values = weighed.hypothesis.predict(weighed.z).parameters
-        posterior = summarised(values, np.exp(weighed.log_weights))
-        return {key: size for key, size in posterior.items() if size.sd > 0.0}
+        return dict(values), np.exp(weighed.log_weights)
 
     def residual_n(self, weighed: Candidate) -> Array:
         """Estimates less the posterior mean prediction (E,)."""

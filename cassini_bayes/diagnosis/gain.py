@@ -246,6 +246,6 @@ def predicted_balance(
     design = system.design[:, place, :3]
     residual = system.target[:, place, :3] - (design @ level[..., None])[..., 0]
     noise = system.covariance[:, place, :3, :3] + system.torque_covariance[place, :3, :3]
-    thrusts = design @ prior.own
+    thrusts = design @ prior.departures
     spread = np.einsum("nii->ni", noise) + (thrusts**2).sum(-1)
     return residual.mean(0), np.sqrt(residual.var(0) + spread.mean(0))

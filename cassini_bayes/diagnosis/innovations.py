@@ -117,7 +117,7 @@ def linearise(
             if k
             else slopes
         )
-        individual = unknown[:, :, :k] @ model.thrust_prior.own if k else unknown[:, :, :0]
+        individual = unknown[:, :, :k] @ model.thrust_prior.departures if k else unknown[:, :, :0]
         sd = _event_sd(terms, model.torque_sd_n_m)
         blocks.append((shared, np.concatenate([individual, rest], axis=2)))
         event_precision.append(np.concatenate([np.ones(individual.shape[2]), sd**-2]))

@@ -395,10 +395,8 @@ def _noise(data: OnTimes, flown: Callable[[Array, Nudge], Flown], z: Array) -> A
     force[: k + 1] = forces[:, None, :]
     momentum = np.zeros((size, events, 3))
     momentum[k + 1 :] = np.linalg.cholesky(held).T[:, None, :]
-    up, down = (
-        flown(np.tile(z, (size, 1)), Nudge(sign * force, sign * momentum)).on_time_s
-        for sign in (1.0, -1.0)
-    )
+    both = Nudge(np.concatenate([force, -force]), np.concatenate([momentum, -momentum]))
+    up, down = np.split(flown(np.tile(z, (2 * size, 1)), both).on_time_s, 2)
     columns = [*(0.5 * (up - down)), *_chance(data, flown, z)]
     slopes = np.stack(columns, axis=-1)
     floor = CYCLE_S**2 + data.fixed["on_time_resolution_s"] ** 2 / 12.0

@@ -348,7 +348,7 @@ def _with_totals(
         design = system.design[0, row, :3]
         targets.append(inverse @ left[0, row])
         shared.append(inverse @ np.column_stack([slopes[:, row].T, design @ prior.shared]))
-        departures.append(inverse @ design @ prior.own)
+        departures.append(inverse @ design @ prior.departures)
         added.append(inverse @ effects[:, row].T)
     width, by_event = shared[0].shape[1], block_diag(*departures)
     rows = np.concatenate([np.concatenate(shared), by_event], axis=1)

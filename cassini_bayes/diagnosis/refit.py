@@ -13,7 +13,6 @@ from cassini_bayes import __version__
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log
 from cassini_bayes.diagnosis.case import Weighed
-from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.evidence import DOF
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
@@ -52,7 +51,7 @@ def _renamed(fit: Fit, weighed: Weighed[Hypothesis], z: Array) -> Fit:
 
 
 def fit_extended(
-    diagnosis: Diagnosis[Hypothesis],
+    weighed: Weighed[Hypothesis],
     folder: Path,
     seed: int,
     log: Log,
@@ -65,8 +64,8 @@ def fit_extended(
 
     Parameters
     ----------
-    diagnosis
-        What was found.
+    weighed
+        The hypothesis whose model is sampled.
     folder, seed, log
         Where to write; the sampler's seed; a reporter of progress.
     settings
@@ -79,7 +78,6 @@ def fit_extended(
     InputError
         The folder cannot be written.
     """
-    weighed = diagnosis.extended
     density_of = weighed.hypothesis.log_density
     # the ridge along which all masses and thrusts scale together needs axes of its own
     proposal = Proposal(*laplace(density_of, weighed.mode.point), DOF)

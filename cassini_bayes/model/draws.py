@@ -19,13 +19,13 @@ from cassini_bayes.model.thrusts import ThrustDraws, draw_thrusts, prior_thrusts
 class Draws:
     """One draw of everything per parameter point.
 
-    ``parameters`` are the walked and fixed ones, ``thrusts`` those of the events that fire, ``own``
-    per term what it has of its own.
+    ``parameters`` are the walked and fixed ones, ``thrusts`` those of the events that fire,
+    ``integrated`` per term the nuisances that are integrated out.
     """
 
     parameters: Parameters
     thrusts: ThrustDraws
-    own: tuple[TermDraws, ...]
+    integrated: tuple[TermDraws, ...]
 
     @property
     def size(self) -> int:
@@ -35,7 +35,7 @@ class Draws:
     @property
     def torque_n_m(self) -> Array:
         """Steady external torque (n, E, 3) of all events."""
-        return np.concatenate([part[TORQUE] for part in self.own], axis=1)
+        return np.concatenate([part[TORQUE] for part in self.integrated], axis=1)
 
     def at(self, places: Places | slice) -> Draws:
         """Some of the draws, by their places among the n."""
@@ -51,7 +51,9 @@ class Draws:
                 thrusts.level_n[places],
                 np.asarray(thrusts.factor)[places] if np.ndim(thrusts.factor) else 1.0,
             ),
-            tuple({name: values[places] for name, values in part.items()} for part in self.own),
+            tuple(
+                {name: values[places] for name, values in part.items()} for part in self.integrated
+            ),
         )
 
 
@@ -104,7 +106,7 @@ def event_log_density(model: Model, z: Array, draws: Draws) -> Array:
     result = []
     for rows in model.batches(len(z)):
         points, some = model.points(z[rows]), draws.at(rows)
-        parts = zip(model.terms, model.fired_of_term, some.own, strict=True)
+        parts = zip(model.terms, model.fired_of_term, some.integrated, strict=True)
         result.append(
             np.concatenate(
                 [
@@ -144,8 +146,8 @@ def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array |
                 if factor is not None:
                     each = factor * level_n[rows, None, :]
                     moved = each - points.common_n[:, None, None]
-                loading = model.thrust_prior.own
-                parts.append(at.information.without_own(loading).about(moved).constant)
+                loading = model.thrust_prior.departures
+                parts.append(at.information.without_departures(loading).about(moved).constant)
             else:
                 parts.append(at.log_likelihood[:, None])
         for i, term in enumerate(model.totals):

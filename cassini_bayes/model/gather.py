@@ -14,7 +14,7 @@ from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import STRICT, Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import TelemetryEvent
-from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.events.totals import TotalsEvent, read_totals, split_reference
 from cassini_bayes.model.event_reduction import ReducedEvent, is_event_folder, reduce_event
 from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Event
@@ -48,18 +48,33 @@ def each_event(events: EventLike | Iterable[EventLike]) -> tuple[EventLike, ...]
     return result
 
 
-LEAST_TURNED: Final = 0.2
-"""Rate about an axis, rms and noise included, of the largest: noise alone is 0.14 of a slew's 5e-4
-rad/s at most (7e-5 rad/s)."""
+AT_REST: Final = 0.2
+"""Rate (rms, noise included) about an axis that none turns about, of the largest: noise alone is
+0.14 of a slew's 5e-4 rad/s at most (7e-5 rad/s)."""
 
 
 @dataclass(frozen=True)
 class Read:
-    """What a reference names: events, findings in words, and the digest of each one's numbers."""
+    """Events, findings in words, and where each one came from with the digest of its numbers."""
 
     events: tuple[Event, ...]
     findings: tuple[str, ...]
-    contents: tuple[str, ...]
+    contents: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of_reduced(cls, event: ReducedEvent, where: str = "") -> Read:
+        """Telemetry that was reduced."""
+        reading = event.reading
+        return cls((event,), reading.findings, ((where or event.id, reading.content),))
+
+    @classmethod
+    def of_rows(
+        cls, rows: Sequence[TotalsEvent], findings: Sequence[str] = (), file: str = ""
+    ) -> Read:
+        """Totals rows, of a file or in memory."""
+        names = (f"{file}: {row.id}" if file else row.id for row in rows)
+        contents = zip(names, map(content_of_totals, rows), strict=True)
+        return cls(tuple(rows), tuple(findings), tuple(contents))
 
 
 def read_reference(
@@ -81,13 +96,14 @@ def read_reference(
     InputError
         Bad data: file, row and column are named.
     """
-    if isinstance(given, TelemetryEvent) or is_event_folder(Path(given)):
-        folder = given if isinstance(given, TelemetryEvent) else Path(given)
-        reduced = reduce_event(folder, priors, pulse_shape, cache, log, policy)
-        return Read((reduced,), reduced.reading.findings, (reduced.reading.content,))
+    if isinstance(given, TelemetryEvent):
+        return Read.of_reduced(reduce_event(given, priors, pulse_shape, cache, log, policy))
+    if is_event_folder(Path(given)):
+        reduced = reduce_event(Path(given), priors, pulse_shape, cache, log, policy)
+        return Read.of_reduced(reduced, str(given))
     rows = read_totals(str(given), priors.spacecraft, source)
-    findings = check_rows(rows, priors, str(given), policy)
-    return Read(rows, findings, tuple(content_of_totals(row) for row in rows))
+    file, _ = split_reference(str(given), Path())
+    return Read.of_rows(rows, check_rows(rows, priors, str(given), policy), file)
 
 
 def gather(
@@ -116,25 +132,36 @@ def gather(
     InputError
         Bad data: file, row and column are named.
     """
-    result: list[Event] = []
-    findings: list[str] = []
-    contents: list[tuple[str, str]] = []
+    reads = []
     for given in each_event(events):
         if isinstance(given, TotalsEvent):
-            read = Read((given,), (), (content_of_totals(given),))
+            reads.append(Read.of_rows((given,)))
         elif isinstance(given, ReducedEvent):
-            read = Read((given,), given.reading.findings, (given.reading.content,))
+            reads.append(Read.of_reduced(given))
         else:
-            read = read_reference(
-                given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
+            reads.append(
+                read_reference(
+                    given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
+                )
             )
-        result += read.events
-        findings += read.findings
-        names = (_place(given, event) for event in read.events)
-        contents += zip(names, read.contents, strict=True)
-    findings += refuse_duplicates([pair for pair in contents if pair[1]], policy)
-    findings += unturned(result, priors)
-    return tuple(result), tuple(findings)
+    return together(reads, priors, policy)
+
+
+def together(
+    reads: Sequence[Read], priors: Priors, policy: Policy
+) -> tuple[tuple[Event, ...], tuple[str, ...]]:
+    """Events of all references, and the findings of each and of all together.
+
+    Raises
+    ------
+    InputError
+        The same data under two names.
+    """
+    result = tuple(event for read in reads for event in read.events)
+    findings = [finding for read in reads for finding in read.findings]
+    contents = [pair for read in reads for pair in read.contents if pair[1]]
+    findings += [*refuse_duplicates(contents, policy), *unturned(result, priors)]
+    return result, tuple(findings)
 
 
 def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
@@ -160,13 +187,6 @@ def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
         f"another axis): the noise of wheels draws {name} upwards, by many standard deviations; "
         "add a slew about that axis, or fix it in the priors"
         for axis, rate in zip("xyz", turned, strict=True)
-        if rate < LEAST_TURNED * largest
+        if rate < AT_REST * largest
         and priors.parameters[name := f"inertia_{axis}{axis}_kg_m2"].fixed is None
     )
-
-
-def _place(given: EventLike, event: Event) -> str:
-    """Where an event came from, for a message."""
-    if isinstance(given, READ):
-        return event.id
-    return str(given) if isinstance(event, ReducedEvent) else f"{given}: {event.id}"

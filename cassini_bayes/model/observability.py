@@ -169,7 +169,7 @@ def _with_levels(information: Array, slopes: Array, prior: ThrustPrior) -> Array
 
     A term's own takes them as constant: a step of the mean is a step of levels and departures.
     """
-    d, factor = slopes.shape[1], np.concatenate([prior.shared, prior.own], axis=1)
+    d, factor = slopes.shape[1], np.concatenate([prior.shared, prior.departures], axis=1)
     move = np.eye(len(information))
     move[d : d + factor.shape[1], :d] = np.linalg.pinv(factor) @ slopes
     return np.asarray(move.T @ information @ move)
@@ -211,7 +211,7 @@ def _thrust_rows(model: Model, unknowns: Unknowns, covariance: Array) -> list[di
         unknowns,
         covariance,
         [
-            (event.id, places.departures, model.thrust_prior.own)
+            (event.id, places.departures, model.thrust_prior.departures)
             for event, places in zip(model.events, unknowns.events, strict=True)
             if event.fires
         ],
@@ -223,7 +223,7 @@ def _level_rows(model: Model, unknowns: Unknowns, covariance: Array) -> list[dic
     if not model.fires:
         return []
     nothing = slice(unknowns.levels.stop, unknowns.levels.stop)
-    case = ("all events", nothing, model.thrust_prior.own[:, :0])
+    case = ("all events", nothing, model.thrust_prior.departures[:, :0])
     return _rows_of_cases(model, unknowns, covariance, [case])
 
 

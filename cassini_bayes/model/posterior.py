@@ -119,8 +119,11 @@ class Model(Shared):
     @property
     def unknowns(self) -> Unknowns:
         """Places of everything unknown, walked or integrated out."""
-        levels, departures = self.thrust_prior.shared.shape[1], self.thrust_prior.own.shape[1]
-        events = ((event.fires, event.own) for event in self.events)
+        levels, departures = (
+            self.thrust_prior.shared.shape[1],
+            self.thrust_prior.departures.shape[1],
+        )
+        events = ((event.fires, event.nuisances) for event in self.events)
         return Unknowns.of(self.space.dimension, levels, departures, events)
 
     def points(self, z: Array) -> Points:

@@ -329,7 +329,7 @@ class TelemetryAt:
             self.system.kept[0],
             mean=mean,
             own_sd=self.system.own_sd[0],
-            levels=np.concatenate([prior.shared, prior.own], axis=1),
+            levels=np.concatenate([prior.shared, prior.departures], axis=1),
             step=step,
         )
         if self.term.event.delta_v is not None:
@@ -355,7 +355,7 @@ class TelemetryAt:
         )
         total = prior.common_mean_n * each.sum(1) + drift
         walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * step)
-        return np.concatenate([walked, prior.shared.T @ each[0], prior.own.T @ each[0]])
+        return np.concatenate([walked, prior.shared.T @ each[0], prior.departures.T @ each[0]])
 
     def _delta_v_columns(self, statistics: DeltaVStatistics, d: int, step: float) -> Array:
         """Slopes (unknown, 3, 4 K) of the velocity change: walked, levels, departures."""
@@ -364,7 +364,7 @@ class TelemetryAt:
         total = prior.common_mean_n * each.sum(1)
         walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * step)
         levels = np.einsum("kca,kq->qca", each[0], prior.shared)
-        own = np.einsum("kca,kq->qca", each[0], prior.own)
+        own = np.einsum("kca,kq->qca", each[0], prior.departures)
         return np.concatenate([walked, levels, own])
 
     def variables(self, draws: TermDraws) -> Mapping[str, Variable]:

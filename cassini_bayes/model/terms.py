@@ -120,12 +120,12 @@ class TermAt(Protocol):
 
 @dataclass(frozen=True)
 class TermEvent:
-    """One event of a term: its id and kind, whether it fires, how many unknowns are its own."""
+    """One event of a term: its id and kind, whether it fires, how many nuisances are its own."""
 
     id: str
     kind: str
     fires: bool
-    own: int
+    nuisances: int
 
 
 class Term(Protocol):

@@ -28,10 +28,10 @@ THRUST_LEVELS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_
 class ThrustPrior:
     """Prior of the thrusts, which enter linearly.
 
-    thrust[e] = common mean + shared @ η + own @ ξ_e, with η shared by all events, ξ_e the event's
-    own, all N(0, 1) before the data: shared @ sharedᵀ is the prior covariance of the thrusters'
-    levels (common + individual), own @ ownᵀ that of an event's departures (event + jitter). Where
-    nothing fires there are no thrusters, K = 0.
+    thrust[e] = common mean + shared @ η + departures @ ξ_e, with η shared by all events, ξ_e the
+    event's own, all N(0, 1) before the data: shared @ sharedᵀ is the prior covariance of the
+    thrusters' levels (common + individual), departures @ departuresᵀ that of an event's departures
+    (event + jitter). Where nothing fires there are no thrusters, K = 0.
 
     Either factor may have a leading axis of events, ``shared`` also one of points before it: every
     event then has a design row of its own for the shared coefficients (docs/topics/mission.md).
@@ -42,7 +42,7 @@ class ThrustPrior:
     common_is_walked: bool
     individual_sd_n: float
     shared: Array  # (K, q), or (…, E, K, q)
-    own: Array  # (K, p), or (E, K, p)
+    departures: Array  # (K, p), or (E, K, p)
     # levels from an earlier fit: ``shared`` is then a factor of their covariance given the walked
     # parameters, and their mean takes the place of the common one
     chained: ChainedLevels | None = None
@@ -103,7 +103,7 @@ def thrust_prior_of(priors: Priors, thrusters: int) -> ThrustPrior:
         common_is_walked=walked,
         individual_sd_n=individual,
         shared=level_factor(common_sd, individual, thrusters),
-        own=level_factor(event, jitter, thrusters),
+        departures=level_factor(event, jitter, thrusters),
     )
 
 
@@ -174,14 +174,14 @@ class ThrustInformation:
         along = each * (self.vector - 0.5 * moved)
         return replace(self, vector=self.vector - moved, constant=self.constant + along.sum(-1))
 
-    def without_own(self, own: Array) -> ThrustInformation:
+    def without_departures(self, loading: Array) -> ThrustInformation:
         """What is left for the levels once the events' own departures are integrated out.
 
-        With L = ``own`` (K, p) or (E, K, p): G − GL(1 + LᵀGL)⁻¹LᵀG, and ν likewise.
+        With L = ``loading`` (K, p) or (E, K, p): G − GL(1 + LᵀGL)⁻¹LᵀG, and ν likewise.
         """
-        across = np.swapaxes(own, -1, -2) @ self.matrix
-        factor = _cholesky(across @ own + np.eye(own.shape[-1]))
-        linear = np.swapaxes(own, -1, -2) @ self.vector[..., None]
+        across = np.swapaxes(loading, -1, -2) @ self.matrix
+        factor = _cholesky(across @ loading + np.eye(loading.shape[-1]))
+        linear = np.swapaxes(loading, -1, -2) @ self.vector[..., None]
         solved = np.linalg.solve(factor, np.concatenate([across, linear], axis=-1))
         schur = np.swapaxes(solved, -1, -2) @ solved
         log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
@@ -246,7 +246,7 @@ def collapse_thrusts(
     if factor is not None:
         mean = common_n[:, None] if offset_n is None else common_n[:, None] + offset_n
         information = information.about((factor - 1.0) * mean[:, None, :])
-    loading, shared = prior.own, prior.scaled(factor).shared
+    loading, shared = prior.departures, prior.scaled(factor).shared
     matrix, vector = information.matrix, information.vector
     by_shared = _times(matrix, shared)
     own_precision = _times(np.swapaxes(_times(matrix, loading), -1, -2), loading)
@@ -328,7 +328,7 @@ def draw_thrusts(
         level = level + collapsed.offset_n
     factor = np.ones((n, n_events, 1)) if collapsed.factor is None else collapsed.factor
     return ThrustDraws(
-        thrust_n=factor * level[:, None, :] + white @ prior.own.T,
+        thrust_n=factor * level[:, None, :] + white @ prior.departures.T,
         common_n=_draw_common(prior, common, level, rng),
         level_n=level,
         factor=factor,
@@ -360,7 +360,7 @@ def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Arr
     This is the estimate, and the noise-only variance, that a fit with all nuisances held at these
     points would report; its change with them is the consider-style contribution of each nuisance.
     """
-    loading, shared = prior.own, prior.scaled(collapsed.factor).shared
+    loading, shared = prior.departures, prior.scaled(collapsed.factor).shared
     shared_inverse = np.linalg.inv(collapsed.shared_factor)
     shared_mean = (np.swapaxes(shared_inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0]
     own_inverse_t = np.swapaxes(np.linalg.inv(collapsed.event_factor), -1, -2)
@@ -413,16 +413,16 @@ def _prior_thrusts(
     if not thrusters:
         return ThrustDraws(np.zeros((*shape, 0)), common, np.zeros((n, 0)))
     if prior.chained is not None:
-        white = rng.standard_normal((*shape, prior.own.shape[1]))
+        white = rng.standard_normal((*shape, prior.departures.shape[1]))
         spread = rng.standard_normal((n, prior.shared.shape[1])) @ prior.shared.T
         level = prior.chained.levels_n(parameters) + spread
         common = _draw_common(prior, common, level, rng)
-        return ThrustDraws(level[:, None, :] + white @ prior.own.T, common, level)
+        return ThrustDraws(level[:, None, :] + white @ prior.departures.T, common, level)
     individual = prior.individual_sd_n * rng.standard_normal((n, thrusters))
     common = common + prior.common_sd_n * rng.standard_normal(n)
-    white = rng.standard_normal((*shape, prior.own.shape[1]))
+    white = rng.standard_normal((*shape, prior.departures.shape[1]))
     level = common[:, None] + individual
-    return ThrustDraws(level[:, None, :] + white @ prior.own.T, common, level)
+    return ThrustDraws(level[:, None, :] + white @ prior.departures.T, common, level)
 
 
 def thrust_log_prior(prior: ThrustPrior, parameters: Parameters, draws: ThrustDraws) -> Array:
@@ -438,9 +438,9 @@ def thrust_log_prior(prior: ThrustPrior, parameters: Parameters, draws: ThrustDr
         thrust = normal_log_density(draws.common_n - mean, prior.common_sd_n)
         individual = draws.level_n - draws.common_n[:, None]
         thrust = thrust + normal_log_density(individual, prior.individual_sd_n).sum(-1)
-    if prior.own.shape[1]:
-        white = departure @ np.linalg.pinv(prior.own).T
-        scale = 0.5 * np.linalg.slogdet(prior.own.T @ prior.own)[1]
+    if prior.departures.shape[1]:
+        white = departure @ np.linalg.pinv(prior.departures).T
+        scale = 0.5 * np.linalg.slogdet(prior.departures.T @ prior.departures)[1]
         thrust = thrust + (normal_log_density(white, 1.0).sum(-1) - scale).sum(-1)
     return np.asarray(thrust)
 

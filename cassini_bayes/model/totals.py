@@ -296,7 +296,7 @@ class TotalsAt:
             torque = system.torque_design[i] * shared.torque_sd_n_m
             levels = prior.scaled(None if factor is None else factor[0, i]).shared
             columns = np.concatenate(
-                [walked[:, i].T, design @ levels, design @ prior.own, torque], axis=1
+                [walked[:, i].T, design @ levels, design @ prior.departures, torque], axis=1
             )
             white = np.linalg.solve(np.linalg.cholesky(system.covariance[0, i]), columns)
             yield first + i, white.T @ white
@@ -419,7 +419,7 @@ def _require_sense(priors: Priors, shared: Shared, noises: Sequence[tuple[str, .
             f"{prior.common_mean_n:g}",
             "thrust is counted along each thruster's direction; change loc",
         )
-    if prior.shared.shape[1] + prior.own.shape[1] == 0 and not prior.common_is_walked:
+    if prior.shared.shape[1] + prior.departures.shape[1] == 0 and not prior.common_is_walked:
         raise InputError(
             f"{priors.path}: parameters.{THRUST_COMMON}",
             "a distribution for at least one of the thrust parameters",

@@ -21,7 +21,7 @@ class EventSlices:
 
     levels: slice  # shared by all events; empty where nothing fires
     departures: slice  # of its thrusts, the same
-    own: slice
+    nuisances: slice
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class Unknowns:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return int(self.events[-1].own.stop)
+        return int(self.events[-1].nuisances.stop)
 
     def of_event(self, event: int) -> Places:
         """Places of all that one event depends on."""
         slices = self.events[event]
-        parts = (self.walked, slices.levels, slices.departures, slices.own)
+        parts = (self.walked, slices.levels, slices.departures, slices.nuisances)
         return np.concatenate([np.arange(part.start, part.stop) for part in parts])

@@ -22,8 +22,6 @@ from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawer, undrawn
 from cassini_bayes.diagnosis.diagnosis import diagnose as diagnose_case
 from cassini_bayes.diagnosis.estimates import is_estimates
 from cassini_bayes.diagnosis.read import read_estimate_case, read_events
-from cassini_bayes.diagnosis.refit import fit_extended
-from cassini_bayes.diagnosis.sizes import size_draws
 from cassini_bayes.diagnosis.stages import Progress, StageRunner, no_progress
 from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
@@ -174,12 +172,12 @@ class DiagnosisResult:
             The verdict names no cause: there is no size.
         """
         case, weighed = self.diagnosis.case, self.diagnosis.extended
-        if not isinstance(case, BalanceCase) or not weighed.is_cause:
+        if not weighed.is_cause:
             raise InputError(
                 "to_arviz", "a verdict that names a cause", repr(weighed.name), "see summary()"
             )
         rng = np.random.default_rng(self.seed)
-        values, weights = size_draws(weighed, rng)
+        values, weights = case.size_draws(weighed, rng)
         chosen = rng.choice(len(weights), draws, p=weights / weights.sum())
         units = self._units(weighed.name)
         variables = {
@@ -201,10 +199,8 @@ class DiagnosisResult:
         Raises
         ------
         InputError
-            A diagnosis of printed estimates; the folder cannot be written.
+            Printed estimates have no model to sample; the folder cannot be written.
         """
-        if not isinstance(self.diagnosis.case, BalanceCase):
-            raise InputError("--then-fit", "telemetry or totals", "printed estimates", "drop it")
         number = self.seed if seed is None else seed
         store = None
         if folder is None:
@@ -213,7 +209,8 @@ class DiagnosisResult:
             folder = self.folder / EXTENDED
             identity = read_provenance(self.folder / PROVENANCE).identity
             store = CheckpointStore(folder / CHECKPOINT, f"{identity} seed {number}")
-        return fit_extended(self.diagnosis, Path(folder), number, log, store=store)
+        found = self.diagnosis
+        return found.case.refit(found.extended, Path(folder), number, log, store)
 
     def report(self, folder: PathLike) -> Path:
         """Write ``diagnosis.json``, tables, figures and ``report.html``; returns its path."""
@@ -379,21 +376,7 @@ def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -
     references = [str(name) for name in given if not is_event_folder(Path(name))]
     tables = [split_reference(reference)[0] for reference in references]
     files = [str(path) for path in (priors, *tables) if not isinstance(path, Priors)]
-    result = {path: digest(Path(path)) for path in files}
-    if isinstance(case, BalanceCase):
-        telemetry = case.events.telemetry
-        result |= {f"event {event.id}": event.digest for event in telemetry if event.digest}
-        maps = {event.id: event.channels for event in telemetry}
-        result |= {
-            f"channels of {name}": channel_map.digest
-            for name, channel_map in maps.items()
-            if channel_map
-        }
-        known = case.events.priors
-        result[f"spacecraft {known.spacecraft.name}"] = known.spacecraft.digest
-        if known.earlier is not None:
-            result[known.earlier.path] = known.earlier.digest
-    return result
+    return {path: digest(Path(path)) for path in files} | dict(case.digests)
 
 
 def _case(

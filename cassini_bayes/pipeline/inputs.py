@@ -13,11 +13,11 @@ from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility import Policy, refuse_duplicates
+from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import TotalsEvent, split_reference
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import ReducedEvent, store_reduction
-from cassini_bayes.model.gather import read_reference, unturned
+from cassini_bayes.model.gather import read_reference, together
 from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.pipeline.run_file import RunFile
@@ -70,9 +70,7 @@ def read_inputs(
     if priors.earlier is not None:
         digests[priors.earlier.path] = priors.earlier.digest
     given: dict[str, str] = {}
-    events: list[Event] = []
-    findings: list[str] = []
-    contents: list[tuple[str, str]] = []
+    reads = []
     policy = Policy.of(run.accept, leave_out=run.leave_out)
     cache = None if folder is None else folder / STATISTICS
     for reference in run.events:
@@ -85,30 +83,24 @@ def read_inputs(
             log=log,
             cache=cache,
         )
-        result = read.events
-        findings += read.findings
+        reads.append(read)
         file, _ = split_reference(reference, base)
-        for event, content in zip(result, read.contents, strict=True):
+        for event in read.events:
+            if event.id in given:
+                raise InputError(
+                    f"{base / reference}: event {event.id}",
+                    "each event once in a fit",
+                    f"the id that {base / given[event.id]} has given",
+                    "leave one of the two out, or rename one of them",
+                )
             if isinstance(event, ReducedEvent):
                 digests[reference] = event.digest
                 if event.channels is not None:
                     digests[f"channels of {reference}"] = event.channels.digest
-                contents.append((str(base / reference), content))
-            else:
-                if file not in digests:
-                    digests[file] = digest(base / file)
-                contents.append((f"{base / file}: {event.id}", content))
-        for name in (event.id for event in result):
-            if name in given:
-                raise InputError(
-                    f"{base / reference}: event {name}",
-                    "each event once in a fit",
-                    f"the id that {base / given[name]} has given",
-                    "leave one of the two out, or rename one of them",
-                )
-        given |= dict.fromkeys((event.id for event in result), reference)
-        events.extend(result)
-    findings += [*refuse_duplicates(contents, policy), *unturned(events, priors)]
+            elif file not in digests:
+                digests[file] = digest(base / file)
+        given |= dict.fromkeys((event.id for event in read.events), reference)
+    events, findings = together(reads, priors, policy)
     effects = effects_of(run, events, priors, kinds)
     if kinds is not None:
         digests |= kinds.files
@@ -119,7 +111,7 @@ def read_inputs(
         delta_v=run.model.delta_v,
         effects=effects,
     )
-    return Inputs(tuple(events), priors, model, digests, tuple(findings))
+    return Inputs(events, priors, model, digests, findings)
 
 
 def effects_of(

@@ -131,7 +131,7 @@ def ideal_on_times(steps: Array, torque: Array, layout: PairLayout) -> Array:
     ring = layout.ring.ravel()
     axes = np.array(layout.ring_axes)
     least = np.full(steps.shape[:-1], np.inf)
-    best = np.zeros((*steps.shape[:-1], len(ring)))
+    best = [np.zeros(steps.shape[:-1]) for _ in ring]
     for pair_of_ring in combinations(range(len(ring)), 2):
         columns = ring[list(pair_of_ring)]
         inverse = np.linalg.inv(torque[..., axes[:, None], columns])
@@ -140,10 +140,10 @@ def ideal_on_times(steps: Array, torque: Array, layout: PairLayout) -> Array:
         one, other = seconds[..., 0], seconds[..., 1]
         better = (one >= -1e-12) & (other >= -1e-12) & (one + other < least)
         least = np.where(better, one + other, least)
-        trial = np.zeros_like(best)
-        trial[..., list(pair_of_ring)] = np.maximum(seconds, 0.0)
-        best[better] = trial[better]
-    result[..., ring] += best
+        fired = dict(zip(pair_of_ring, (one, other), strict=True))
+        for place, before in enumerate(best):
+            best[place] = np.where(better, np.maximum(fired.get(place, 0.0), 0.0), before)
+    result[..., ring] += np.stack(best, axis=-1)
     return result
 
 

@@ -109,7 +109,7 @@ def importance_physics(
     warm = warm_start(partial(log_posterior, model), model.space.dimension, rng, draws=8_000)
     draws = draw(model, warm.draws.resample(rng, size), rng)
     values = {**draws.parameters, **model.idle}
-    thrusts, (integrated,) = draws.thrusts, draws.own
+    thrusts, (integrated,) = draws.thrusts, draws.integrated
     software = (
         software_of(integrated) if model.totals_rows.computed is not None else np.zeros((size, 2))
     )

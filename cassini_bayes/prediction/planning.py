@@ -233,7 +233,7 @@ class _Judge:
         n, p = len(draws), physics.parameters
         inertia = physics.balance(model).inertia_kg_m2
         hold = hold_rate_covariance(inertia, np.asarray(p["hold_rate_rad_s"]))
-        loading = model.thrust_prior.own
+        loading = model.thrust_prior.departures
         return _Judge(
             thruster_moment=np.einsum("nik,njl->ikjl", t, t) / n,
             cross_moment=np.einsum("nik,njl->ikjl", t, w) / n,

@@ -152,7 +152,7 @@ def _firings(
 
 def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:
     """Thrusts (n, K) of a new event: level, trend of the printed thrust, its own departures."""
-    loading = learned.model.thrust_prior.own
+    loading = learned.model.thrust_prior.departures
     trend = learned.thrust_trend
     moved = trend.at(epoch) - trend.centre
     departure = rng.standard_normal((learned.size, loading.shape[1])) @ loading.T

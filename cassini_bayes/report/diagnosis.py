@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.diagnosis.balance_case import BalanceDetail
 from cassini_bayes.diagnosis.correlations import POINTWISE, InnovationTests
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.discrepancy import Curve
@@ -39,7 +38,7 @@ def write_diagnosis(diagnosis: Diagnosis[Any], folder: Path, name: str, processe
     record["verdict"] = verdict_sentences(record)
     remove_leftovers(folder)
     detail = diagnosis.shown.detail
-    if isinstance(detail, BalanceDetail):
+    if detail is not None:
         write_text(folder / "discrepancy.csv", frame_csv(curve_table(diagnosis.curves)))
         table = driver_table(detail.before, detail.after)
         write_text(folder / "correlation.csv", frame_csv(table))

@@ -82,9 +82,7 @@ def pictures_of(shown: Discrepancies | Sequence[Curve]) -> list[Drawing]:
     if not isinstance(shown, Discrepancies):
         alt = "Unexplained momentum against time about X, Y and Z of every event, with 90 % bands."
         return [_drawing("discrepancy", alt, partial(discrepancy_figure, tuple(shown)))]
-    if not isinstance(shown.detail, BalanceDetail):
-        return []
-    return _balance_pictures(shown.detail)
+    return [] if shown.detail is None else _balance_pictures(shown.detail)
 
 
 def drawings(shown: Discrepancies | Sequence[Curve]) -> list[Drawn]:

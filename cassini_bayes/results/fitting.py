@@ -345,6 +345,8 @@ def _derived_ess(drawn: _DrawnBack, walkers: int, processes: int) -> float:
 
 def watched(draws: Draws) -> Array:
     """Draws (n, q) that the stop rule watches beside the walked ones: all but cut tails."""
-    integrated = [values for part in draws.own for name, values in part.items() if name != TAILS]
+    integrated = [
+        values for part in draws.integrated for name, values in part.items() if name != TAILS
+    ]
     parts = (draws.thrusts.thrust_n, draws.thrusts.level_n, *integrated)
     return np.concatenate([values.reshape(draws.size, -1) for values in parts], axis=1)

@@ -139,7 +139,9 @@ def _drawn_terms(model: Model, draws: Draws) -> list[DrawnTerm]:
     thrust_n = draws.thrusts.thrust_n
     return [
         (term.at(points), thrust_n[:, fired], integrated)
-        for term, fired, integrated in zip(model.terms, model.fired_of_term, draws.own, strict=True)
+        for term, fired, integrated in zip(
+            model.terms, model.fired_of_term, draws.integrated, strict=True
+        )
     ]
 
 
@@ -158,7 +160,7 @@ def _posterior(model: Model, draws: Draws, terms: Sequence[DrawnTerm]) -> dict[s
     variables |= merged(model, [term.variables(item) for term, _, item in terms])
     integrated = {
         name: item[name]
-        for term, item in zip(model.terms, draws.own, strict=True)
+        for term, item in zip(model.terms, draws.integrated, strict=True)
         for name in term.integrated
     }
     walked = {name: np.asarray(draws.parameters[name]) for name in model.space.names}
@@ -219,7 +221,7 @@ def _log_prior(model: Model, z: Array, draws: Draws) -> dict[str, Variable]:
     added.append({"torque": torque.sum((-2, -1))})
     added += [
         dict(term.log_prior(integrated))
-        for term, integrated in zip(model.terms, draws.own, strict=True)
+        for term, integrated in zip(model.terms, draws.integrated, strict=True)
     ]
     blocks = dict(model.space.log_prior_by_block(z))
     for part in added:

@@ -153,7 +153,7 @@ def balances(
     """
     points, first = model.points(z), len(model.totals)
     places = slice(first, first + len(model.telemetry))
-    thrust, integrated = model.fired_of_term[places], draws.own[places]
+    thrust, integrated = model.fired_of_term[places], draws.integrated[places]
     for term, fired, drawn in zip(model.telemetry, thrust, integrated, strict=True):
         balance, physics = term.balance, term.physics(points)
         rows, every = _rows(term, most_rows)

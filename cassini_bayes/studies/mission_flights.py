@@ -32,7 +32,7 @@ from cassini_bayes.results.mission.fitting import Losses, fit_mission, loss_prio
 from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.studies.bias_estimates import bias_estimates
-from cassini_bayes.studies.mission_looks import analyses
+from cassini_bayes.studies.interim_analyses import analyses
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 MODULE: Final = "studies.mission_flights"
@@ -225,7 +225,7 @@ def _true_thrusts(
     level = own.common_n + own.rows(own.years) @ shared
     for loss, share in zip(losses, shares, strict=True):
         level[loss.onset :, loss.thruster] -= own.common_n * share
-    departures = rng.standard_normal((len(own.events), own.own.shape[1])) @ own.own.T
+    departures = rng.standard_normal((len(own.events), own.departures.shape[1])) @ own.departures.T
     return np.asarray(scale[:, None] * level + departures)
 
 
@@ -249,9 +249,9 @@ def judge_flight(
     begun = fit(first, prior, rng)
     note(counts[0], begun.losses)
     untrusted, earlier = 0, begun.draws
-    for look in analyses(flown.model, prior, earlier, counts[1:], DRAWS, rng):
-        note(look.events, look.losses)
-        untrusted, earlier = untrusted + (not look.trusted), look.draws
+    for interim in analyses(flown.model, prior, earlier, counts[1:], DRAWS, rng):
+        note(interim.events, interim.losses)
+        untrusted, earlier = untrusted + (not interim.trusted), interim.draws
     fits = fit(flown.model, prior, rng, earlier=earlier)
     note(whole, fits.losses)
     drawn = draw_branches(fits, rng).branches
@@ -318,7 +318,7 @@ def _oracle_onsets(branch: BranchAt, flown: Flown) -> dict[int, int]:
             if j != i:
                 known[other.onset :, other.thruster] -= thrusts.common_n * shares[j]
         mean = scale[:, None] * known - thrusts.reference_n[:, None]
-        left = branch.information.about(mean[None]).without_own(thrusts.own)
+        left = branch.information.about(mean[None]).without_departures(thrusts.departures)
         lost = -thrusts.common_n * scale * shares[i]
         k = loss.thruster
         gain = lost * left.vector[0, :, k] - 0.5 * lost**2 * left.matrix[0, :, k, k]

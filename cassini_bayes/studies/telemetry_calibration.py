@@ -264,7 +264,7 @@ def flat_draws(model: Model, z: Array, rng: np.random.Generator) -> dict[str, Ar
     for e, event in enumerate(model.fired_ids):
         for k, thruster in enumerate(model.thrusters):
             flat[f"thrust_n[{event},{thruster}]"] = draws.thrusts.thrust_n[:, e, k]
-    for term, integrated in zip(model.telemetry, draws.own, strict=True):
+    for term, integrated in zip(model.telemetry, draws.integrated, strict=True):
         for c, axis in enumerate("xyz"):
             flat[f"external_torque_n_m[{term.id},{axis}]"] = integrated[TORQUE][:, 0, c]
     return flat

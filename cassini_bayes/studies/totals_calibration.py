@@ -258,7 +258,7 @@ def _on_board_delta_v(
     directions = thruster_directions(model.spacecraft, model.branch)
     impulse = on_time @ directions.T
     along = impulse / np.linalg.norm(impulse, axis=-1, keepdims=True)
-    software = software_of(truth.own[0])[0]
+    software = software_of(truth.integrated[0])[0]
     counted = software[0] * on_time + software[1] * pulses
     size = ((counted @ directions.T) * along).sum(-1) * stack.thrust_predicted_n / stack.mass_kg
     size = size + rng.normal(0.0, parameters["delta_v_noise_m_s"], len(size))
@@ -276,7 +276,7 @@ def _controlled(priors: Priors, control: Control) -> Priors:
 def _flatten(draws: Draws, model: Model) -> dict[str, Array]:
     """Every inferred scalar as name → (n,)."""
     names = [*model.space.names, *model.totals_rows.integrated]
-    values = {**draws.parameters, **draws.own[0]}
+    values = {**draws.parameters, **draws.integrated[0]}
     flat = {name: np.asarray(values[name]) for name in names}
     thrusts, torque = draws.thrusts, draws.torque_n_m
     flat["thrust_common_n"] = thrusts.common_n

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, truncnorm
 
-from cassini_bayes.diagnosis.diagnosis import diagnose
+from cassini_bayes.diagnosis.diagnosis import Diagnosis, diagnose
 from cassini_bayes.diagnosis.estimate_case import Candidate, EstimateCase, untrusted
 from cassini_bayes.diagnosis.estimates import (
     EstimateHypothesis,
@@ -21,6 +23,7 @@ from cassini_bayes.diagnosis.estimates import (
 from cassini_bayes.diagnosis.read import read_estimate_case
 from cassini_bayes.diagnosis.verdict import ranked
 from cassini_bayes.errors import InputError
+from cassini_bayes.pipeline.diagnoses import DiagnosisResult
 from cassini_bayes.studies.published_cases import a_branch, flight_2004, fsds
 
 ROOT_FOLDER = Path(__file__).parents[2]
@@ -63,6 +66,24 @@ def test_far_posterior_has_its_closed_form_evidence() -> None:
     assert size.mean == pytest.approx(mean[0], abs=0.1 * sd)
     assert size.sd == pytest.approx(sd, rel=0.1)
     assert untrusted([found]) == ""
+
+
+def test_estimates_have_no_model_to_sample(tmp_path: Path) -> None:
+    """One line, before anything is written."""
+    with pytest.raises(InputError, match="expected telemetry or totals"):
+        CASE.refit(weighed(100), tmp_path / "fit", 1)
+    assert not list(tmp_path.iterdir())
+
+
+def test_draws_of_a_cause_go_to_arviz() -> None:
+    """Resampled by their weights, they have the size's mean and width."""
+    found = weighed(4_000)
+    named = SimpleNamespace(case=CASE, extended=found, verdict=SimpleNamespace(weighed=()))
+    data = DiagnosisResult(cast(Diagnosis[EstimateHypothesis], named), 1).to_arviz(4_000)
+    size = CASE.sizes(found, np.random.default_rng(1))["first"]
+    drawn = data.posterior["first"].values
+    assert abs(drawn.mean() - size.mean) < 0.1 * size.sd
+    assert drawn.std() == pytest.approx(size.sd, rel=0.1)
 
 
 def test_draws_from_the_prior_alone_fail_there() -> None:

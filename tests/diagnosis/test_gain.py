@@ -56,7 +56,9 @@ def leaking(thrusters: Mapping[str, str]) -> Events:
         {"name": f"thruster_leak:{name}", "parameters": {"leak_n": LEAK_N}, "events": [event]}
         for event, name in thrusters.items()
     ]
-    simulation = simulate_file(scenario_of(eased(document), SCENARIO.parent), 11, priors=priors())
+    simulation = simulate_file(
+        scenario_of(eased(document, 0.2, 4.0), SCENARIO.parent), 11, priors=priors()
+    )
     return reduced(simulation, priors())
 
 

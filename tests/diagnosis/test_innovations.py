@@ -6,8 +6,6 @@ import tomllib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -20,7 +18,6 @@ from cassini_bayes.diagnosis.correlations import (
     family_band,
     innovation_tests,
 )
-from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.nuisances import traded
@@ -151,9 +148,8 @@ def test_extended_fit_is_read_back(tmp_path: Path) -> None:
     """``fit.nc`` has the §3 groups, and the leak as a posterior variable with its unit."""
     own = verdict(True)
     leak = next(w for w in own.weighed if w.name == "thruster_leak:z3")
-    diagnosis = cast(Diagnosis[Hypothesis], SimpleNamespace(extended=leak))
     short = SamplerSettings(ensembles=2, first_check=100, max_steps=100, target_ess=100)
-    fit_extended(diagnosis, tmp_path / "fit", 1, lambda _: None, short)
+    fit_extended(leak, tmp_path / "fit", 1, lambda _: None, short)
     fit = read_fit(tmp_path / "fit" / "fit.nc")
     found = fit.groups["posterior"]["thruster_leak_z3_leak_n"]
     assert found.attrs["units"] == "N"

@@ -28,7 +28,7 @@ from readers import Good, good_files
 
 from cassini_bayes.errors import CassiniBayesError
 
-SHORT: Final = 2_000
+SHORT: Final = 1_000
 LONG: Final = 100_000
 MOST_SECONDS: Final = 2.0
 """Of processor time for one input."""

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from cassini_bayes.events.plausibility import STRICT
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.model.gather import unturned
+from cassini_bayes.model.gather import Read, together
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file
@@ -28,12 +29,13 @@ def test_an_axis_about_which_no_slew_turns_is_named(axes: str) -> None:
     document["event"] = [slews]
     priors = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
     flight = simulate_file(scenario_of(document, path.parent, str(path)), 3, priors=priors)
-    events = [reduced_simulation(event, priors) for event in flight.events]
-    warnings = unturned(events, priors)
+    reads = [Read.of_reduced(reduced_simulation(event, priors)) for event in flight.events]
+    warnings = together(reads, priors, STRICT)[1]
     if axes == "xyz":
         assert not warnings
         return
     (warning,) = warnings
     assert "none turns about Z" in warning
     assert "inertia_zz_kg_m2" in warning
-    assert not unturned(events, priors.with_fixed("inertia_zz_kg_m2", 4_000.0))
+    known = priors.with_fixed("inertia_zz_kg_m2", 4_000.0)
+    assert not together(reads, known, STRICT)[1]

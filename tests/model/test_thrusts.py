@@ -46,7 +46,7 @@ def dense_thrust_prior(model: Model, factor: Array | None = None) -> tuple[Array
     """
     linear, n_events = model.thrust_prior, len(model.totals_rows.stack.event_ids)
     shared = linear.shared @ linear.shared.T
-    own = linear.own @ linear.own.T
+    own = linear.departures @ linear.departures.T
     scale = np.ones(n_events * len(shared)) if factor is None else factor.reshape(-1)
     levels = scale[:, None] * np.kron(np.ones((n_events, n_events)), shared) * scale
     covariance = levels + np.kron(np.eye(n_events), own)
@@ -106,7 +106,9 @@ def test_a_factor_scales_levels_from_its_onset_on_and_no_departures(name: str) -
         found = log_likelihood(model, z[None])[0]
         assert found == pytest.approx(dense_log_likelihood(model, z[None], factor), rel=1e-8)
         # with the same density of the rows in scaled thrusts F' = f F
-        wide = replace(model.thrust_prior, own=factor[:, :, None] * model.thrust_prior.own)
+        wide = replace(
+            model.thrust_prior, departures=factor[:, :, None] * model.thrust_prior.departures
+        )
         scaled = replace(model, thrust_prior=wide)
         assert abs(log_likelihood(scaled, z[None])[0] - found) > 1e-3
 
@@ -126,7 +128,7 @@ def test_thrusts_with_a_factor_are_drawn_as_they_are_delivered() -> None:
     level, factor = drawn.thrusts.level_n[:, k], np.asarray(drawn.parameters[size])
     before = drawn.thrusts.thrust_n[:, 4, k] - level
     after = drawn.thrusts.thrust_n[:, 5, k] - factor * level
-    own = float(np.sqrt((model.thrust_prior.own[k] ** 2).sum()))
+    own = float(np.sqrt((model.thrust_prior.departures[k] ** 2).sum()))
     assert [before.std(), after.std()] == pytest.approx([own, own], rel=0.1)
     assert abs(after.mean()) < 5.0 * own / np.sqrt(n)
     log_prior = thrust_log_prior(model.thrust_prior, drawn.parameters, drawn.thrusts)

@@ -206,7 +206,7 @@ def test_event_density_is_the_collapsed_one_before_integrating() -> None:
     z = np.repeat(joint.space.sample(np.random.default_rng(4), 1) * 0.1, 3, axis=0)
     collapsed, draws = collapse(joint, z), draw(joint, z, np.random.default_rng(5))
     system = collapsed.terms[0].system
-    own = unknowns_of(draws.thrusts.thrust_n, draws.own[0])
+    own = unknowns_of(draws.thrusts.thrust_n, draws.integrated[0])
     mean, sd = system.own_mean, system.own_sd
     prior = normal_log_density(own - mean, sd).sum(-1)
     # the conditional normal from the normal equations, without their elimination

@@ -64,10 +64,13 @@ def resumed(folder: Path) -> list[str]:
 def test_a_killed_telemetry_run_ends_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed in its first write, its sampling, its tables and its report, then resumed."""
+    """Killed in its first write, its warm start, its tables and its figures, then resumed.
+
+    Of slews: those without thrusters take half as long; tables of thrusts are test_resume's.
+    """
     monkeypatch.setattr(sections, "draw_encoded", blank)
     table = {
-        "events": [str(simulated() / "bias")],
+        "events": [str(simulated() / "slews")],
         "priors": str(PRIORS),
         "sampler": SAMPLER,
         "output": {"report": True, "draws_per_ensemble": 500, "prior_draws": 500},

@@ -56,7 +56,7 @@ def write_spec(folder: Path, name: str = "spec.toml", **changes: object) -> Path
     table = {
         "quantities": ["thrust_level_n[z1]", "tau_fall_s"],
         "blocks": ["tail-off", "wheel alignment"],
-        "draws": 2_000,
+        "draws": 1_000,
         "grid": {"widths": [0.5, 4.0], "families": ["uniform"]},
         **changes,
     }
@@ -154,7 +154,7 @@ def test_killed_sweep_goes_on_without_redoing_finished_cells(
 def test_two_dask_workers_give_the_same_cells(tmp_path: Path) -> None:
     """A local cluster of two worker processes gives bit for bit what this process gives."""
     distributed = pytest.importorskip("distributed")
-    baseline = toy_baseline(2_000)
+    baseline = toy_baseline(500)
     names = ("cm_x_m", "cm_y_m")
     cells = {
         cell.key: (cell, "auto")

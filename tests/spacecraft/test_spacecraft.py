@@ -342,7 +342,7 @@ def test_thrusts_of_any_spacecraft_are_recovered(name: str, tmp_path: Path) -> N
     assert 0.3 < np.sqrt(np.mean(score**2)) < 2.5
     prior_sd = np.hypot(
         model.thrust_prior.common_sd_n,
-        np.sqrt(np.diag(model.thrust_prior.own @ model.thrust_prior.own.T)),
+        np.sqrt(np.diag(model.thrust_prior.departures @ model.thrust_prior.departures.T)),
     )
     assert np.median(sd / np.hypot(prior_sd, model.thrust_prior.individual_sd_n)) < 0.6
     # negative control: on-times recorded half again too long cannot pass for these thrusts

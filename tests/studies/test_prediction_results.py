@@ -245,7 +245,7 @@ def test_information_is_that_of_the_sampled_moments() -> None:
     both = np.cov(np.column_stack([residual, quantity]).T, bias=True)
     h0, h1 = columns.mean(0) @ start, columns.mean(0) @ end
     mean_arm = (arms * kappa[:, None]).mean(0) * u
-    own = model().thrust_prior.own
+    own = model().thrust_prior.departures
     noise = judge.inertia_noise + mean_arm @ own @ own.T @ mean_arm.T
     for h in (h0, h1):
         noise = noise + judge.attitude**2 * (h @ h * np.eye(3) - np.outer(h, h))

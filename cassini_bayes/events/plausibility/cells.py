@@ -22,13 +22,16 @@ from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.telemetry import Chunk
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-LEAST_ROWS: Final = 20
+LEAST_ROWS: Final = 20  # the robust spread of fewer is off by a quarter (1.17/√n): none is asked
 CELL_SIGMAS: Final = 10.0
+"""Robust spreads that a cell lies off (docs/topics/plausibility.md, single cells): by trial. A
+smaller error is left in the data."""
 CONFIRMED: Final = 0.3
-"""Of the square of the total's jump: what the cell leaves of it, if it is the cause."""
+"""Of the square of the total's jump: what the cell leaves of it, if it is the cause (the same
+page): by trial."""
 TAIL_S: Final = 0.15
 """Of thrust that may be counted and not yet delivered when a row is taken: no bad cell."""
-MOST_PASSES: Final = 20
+MOST_PASSES: Final = 20  # each finds what larger cells hid; the search ends sooner without any
 
 
 @dataclass(frozen=True)

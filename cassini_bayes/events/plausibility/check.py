@@ -43,13 +43,17 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ONE_MOTION: Final = "attitude, rates, wheels and counters of one motion"
 OPEN: Final = 0.3
-"""Of the momentum exchanged: what may stay open without a name before an event is refused."""
-MOST_CELLS_NAMED: Final = 3
+"""Of the momentum exchanged: what may stay open without a name before an event is refused. By trial
+(docs/topics/plausibility.md); what it does to honest events is in docs/results/mistakes.md."""
+MOST_CELLS_NAMED: Final = 3  # that a line can hold
 SILENT_SIGMAS: Final = 8.0
+"""Of the attitude's noise: a wobble that is none (judgement: the largest of 10⁵ normal rows, a day,
+is 4.4). A wobble of less leaves a stuck rate unasked."""
 LEAST_EXCESS_S: Final = 1.0
-"""Of a counter over time: rounding."""
+"""Of a counter over time: rounding, of counters in steps of up to a second (judgement)."""
 LEAST_TURN_RAD: Final = 2e-4
-"""A wobble of the attitude that a rate which never changes cannot have made."""
+"""A wobble of the attitude that a rate which never changes cannot have made: ten times the
+largest noise measured (docs/results/real-attitude.md)."""
 
 
 @dataclass(frozen=True)

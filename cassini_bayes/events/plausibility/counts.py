@@ -10,7 +10,8 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.telemetry import Chunk
 
 LEAST_STEPS: Final = 24
-"""Rows with new pulses: were even counts chance, thrusters would throw so many heads in a row."""
+"""Rows with new pulses: were even counts chance, thrusters would throw so many heads in a row
+(a chance of 6e-8)."""
 
 
 class PulseSteps:

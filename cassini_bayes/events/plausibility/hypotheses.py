@@ -42,10 +42,10 @@ from cassini_bayes.events.plausibility.verdict import (
 )
 
 SILENT: Final = 1.5
-"""Without one axis of three, noise-free misfits are two thirds as large."""
+"""Factor of misfits: without one axis of three, noise-free ones are two thirds as large."""
 LEAST_STILL: Final = 0.4
 """Of the event: how long a channel has to stand still before it is asked whether it is stuck:
-longer than wheels keep their rates at the end of a bias."""
+longer than wheels keep their rates at the end of a bias (judgement)."""
 RATE_UNITS: Final = {
     "deg/s": np.pi / 180.0,
     "mrad/s": 1e-3,
@@ -58,26 +58,31 @@ SHORTEST_PULSE_S: Final = 5e-3
 """No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
 LATE_S: Final = (2.0, 5.0, 8.0, 12.0, 20.0, 32.0, 50.0, 75.0)
+"""Delays that are tried first, each some 1.6 times the one before (judgement): the best is refined
+from half of it to 1.8 of it, beyond both neighbours."""
 CHANCE_SIGMAS: Final = 4.0
 """Of the χ² of turns, whose noise is itself measured on some forty steps."""
 PHYSICAL_LAG_S: Final = 2.5
 """Of counters: the bound of the catalogue's time_offset, which is the diagnosis's to name."""
 AXES: Final = "xyz"
-SAME_TIME_S: Final = 1e-6
+SAME_TIME_S: Final = 1e-6  # rounding of times that were written to a microsecond
 MOST_OF_ROWS: Final = 0.3
+"""Of the rows: fewer are not asked for their noise (judgement)."""
 SAME_NOISE: Final = 1.5
-"""Of what few rows away from firings show."""
+"""Of the noise that moved counters leave (docs/topics/plausibility.md): by trial."""
 AnyRows = TypeVar("AnyRows", bound=Motion)
-LEAST_TURNED: Final = 10.0
-"""Misfit of turns and rates below which nothing is wrong with rates or the unit of time."""
-MOST_SHIFTS: Final = 16
+WRONG_TURNS: Final = 10.0
+"""Misfit of turns and rates below which nothing is wrong with rates or the unit of time: 125 honest
+events had 7 at most, 32 with a gyro scale of 2 % in slews (docs/topics/plausibility.md)."""
+MOST_SHIFTS: Final = 16  # on a finer grid about the best: to a row, or an eighth of the delay
 BESIDE: Final = 1.4
 """Factor between a unit of wheel rates and what it has to fit better than: units are further
-apart."""
+apart (the nearest two, deg/s and rev/min turned twice, by 1.59)."""
 SHARPER: Final = 5.0
-"""Misfit that these have to leave beyond it."""
+"""Misfit that these have to leave beyond it: half of what tells two mistakes apart (AS_GOOD). With
+none, a unit that takes the wheels out of the balance would be named."""
 MOST_FACTOR: Final = 5.0
-"""Of body rates: where instruments are weak, a factor of 0.03 may fit by chance."""
+"""Of body rates: where instruments are weak, a factor of 0.03 may fit by chance (by trial)."""
 RATE_FIX: Final = "give rate_…_rad_s about the body axes, in rad/s"
 LIKELIER: Final = 18.0
 """Twice the logarithm of a ratio of evidences, nine nats: honest events gain 11 at most."""
@@ -263,7 +268,7 @@ def likeliest(
     Empty if nothing does, or if even then more is left than of an honest event.
     """
     found = by_evidence(evidence, wheels, thrusters)
-    if not _are_likely(found) or evidence.turned() > LEAST_TURNED:
+    if not _are_likely(found) or evidence.turned() > WRONG_TURNS:
         return ()  # where rates or attitudes are wrong the balance says nothing of wheels
     for with_more in (with_swing, _with_physical_lag):
         found = by_evidence(with_more(evidence), wheels, thrusters)
@@ -302,7 +307,7 @@ def likelier_rates(evidence: Evidence) -> tuple[Explanation, ...]:
             left = evidence.turned(matrix)
             found.append((gain, Explanation("rate-factor", what, RATE_FIX, left, FREE_PRICE)))
     gain, best = max(found, key=lambda each: each[0], default=(0.0, None))
-    return () if best is None or gain < LIKELIER or best.left > LEAST_TURNED else (best,)
+    return () if best is None or gain < LIKELIER or best.left > WRONG_TURNS else (best,)
 
 
 def with_scaled_rates(evidence: Evidence, best: Sequence[Explanation]) -> tuple[Explanation, ...]:
@@ -446,7 +451,7 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
     turning, nothing = evidence.turning, evidence.as_recorded
     if turning is None:
         return
-    known = evidence.turned() > LEAST_TURNED
+    known = evidence.turned() > WRONG_TURNS
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         matrix = np.diag(signs)[:, list(order)]
         plain = order == (0, 1, 2)
@@ -454,7 +459,7 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
             continue
         turned = evidence.turned(matrix)
         # motion speaks against it: momentum need not be asked
-        if turned > (0.5 * evidence.turned() if known else LEAST_TURNED):
+        if turned > (0.5 * evidence.turned() if known else WRONG_TURNS):
             continue
         # column j of the file holds what belongs in row i where matrix[i, j] is set
         held = "".join(
@@ -530,7 +535,7 @@ def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
 
 def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
     motion, rows = evidence.motion, evidence.rows
-    if motion is None or evidence.turned() < LEAST_TURNED:
+    if motion is None or evidence.turned() < WRONG_TURNS:
         return
     for unit, factor in TIME_UNITS.items():
         other = replace(

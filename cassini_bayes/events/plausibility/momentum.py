@@ -57,26 +57,29 @@ WIDTHS: Final[Mapping[str, float]] = {
 """One standard deviation of what may depart from the nominal values: the catalogue of effects, five
 to ten times the published uncertainties; drift: twice the median of `unknown`
 there, as a mistake that explains more than a torque of nobody's catalogue has to win against it."""
-WARM_UP_S: Final = 5.0
+WARM_UP_S: Final = 5.0  # of firing: the median of the catalogue's warmup_time_s
 DRIFT_LEVELS: Final = (0.05, 0.25, 1.0)
-"""Shares of its width that a torque which nothing explains may have: inferred from each event."""
+"""Shares of its width that a torque which nothing explains may have: inferred from each event
+(docs/topics/plausibility.md). Steps of four to five are judgement."""
 USUAL_DRIFT: Final = 1e-4
 """N m s per √s: the median of the priors', whose logarithm has a width of 1."""
 LEAST_STRENGTH: Final = 1e-9
-"""Of a free column, in units of noise: nothing is known of it."""
+"""Of a free column, in units of noise: nothing is known of it. A guard against division by 0."""
 DRIFT_MODES: Final = 24
 """Of a torque that wanders: with 12, what a strong one has left was no noise (by trial)."""
-CUT_MODES: Final = 24
-SWING_MODES: Final = 4
+CUT_MODES: Final = 24  # of a walk with every pulse: as many as of the torque's
+SWING_MODES: Final = 4  # cosine and sine, each of even and of growing amplitude
 LEAST_CYCLES: Final = 4.0
 """Of a swing in an event: what is slower is drift."""
 LEAST_NOISE: Final = 1e-5
-LEAST_SPAN: Final = 1e-9
-LEAST_IMPULSE: Final = 1e-9
-"""N m s, of events that fire nothing."""
+"""N m s of a row: a hundredth of what 0.05 rpm of a wheel is. Noise-free data would divide by 0."""
+LEAST_SPAN: Final = 1e-9  # s, or s of firing: a guard against division by 0
+LEAST_IMPULSE: Final = 1e-9  # N m s, of events that fire nothing: the same
 SHARED: Final = 3.0
 """Rows that a rounding error counts for (by trial, on pulses of 30 to 250 ms in steps of 125)."""
 MOST_SIGMAS: Final = 5.0
+"""Widths to which departures are held where it is asked how much momentum stays open: what nobody
+believes explains nothing (judgement)."""
 NOISE_SIGMAS: Final = 3.0
 """Departures that fit noise are a χ² of their number: what noise may make of it, in its σ."""
 NEARLY_FREE: Final = 1e-3

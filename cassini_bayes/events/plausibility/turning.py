@@ -28,17 +28,17 @@ from cassini_bayes.events.plausibility.rows import Motion
 GYRO_SD: Final = 0.01
 """Scale factors and misalignments of a gyro that are physics: the catalogue's rate_scale."""
 LAG_SD_S: Final = 0.5
-"""Delays of a gyro's filter that are physics."""
-INSTRUMENTS: Final = 6
+"""Delays of a gyro's filter that are physics (judgement: half a row of 1 Hz telemetry)."""
+INSTRUMENTS: Final = 6  # rates of both neighbours, three axes each
 LONGEST_STEP: Final = 3.0
-"""Of the median: over longer gaps the mean of two rates is no mean rate."""
-LEAST_STEPS: Final = 12
+"""Of the median: over longer gaps the mean of two rates is no mean rate (judgement)."""
+LEAST_STEPS: Final = 12  # judgement: two for each instrument, fewer are not asked
 STEP_S: Final = 8.0
 """Booms that swing faster are none of the body's turning; the body itself, fired at, is not much
 slower."""
-MOST_JOINED: Final = 8
-MOST_LAGS: Final = 20
-BIAS_SIGMAS: Final = 3.0
+MOST_JOINED: Final = 8  # rows to a step: 8 s of 1 Hz telemetry
+MOST_LAGS: Final = 20  # intervals either way: the choice costs BY_CHANCE
+BIAS_SIGMAS: Final = 3.0  # of the mean difference: a bias beyond it has a chance of 0.3 %
 BY_CHANCE: Final = 25.0
 """Of twice a log likelihood ratio: the best of all rotations (three angles) and of forty lags."""
 

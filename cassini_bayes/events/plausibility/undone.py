@@ -28,7 +28,7 @@ WHEEL_UNITS: Final = {
     "rev/min turned to rad/s twice": RAD_S_PER_RPM,
 }
 LEAST_FACTOR_STEP: Final = 0.08
-"""A free factor closer to 1 is a departure, no mistake."""
+"""A free factor closer to 1 is a departure, no mistake: four widths of a wheel's inertia."""
 LEAST_FACTOR: Final = 1e-3
 """Of a wheel: with less the column says nothing."""
 

@@ -39,7 +39,8 @@ MISTAKES: Final = {
 PHYSICS: Final = "physics"
 """In place of a mistake's name: a cause that the catalogue holds, no reason to refuse anything."""
 SUSPECT: Final = 30.0
-"""Misfit beyond noise's below which nothing is asked."""
+"""Misfit beyond noise's below which nothing is asked. This and what follows were set by trial on
+simulated events; what they do to others is measured (docs/results/mistakes.md)."""
 UNKNOWN: Final = 300.0
 """Misfit above which an event is flagged though no mistake explains it: nearly all honest events
 stay below (docs/results/mistakes.md)."""
@@ -51,7 +52,7 @@ LEAST_GAIN: Final = 25.0
 """Misfit that it has to remove beyond its price: twelve nats."""
 AS_GOOD: Final = 10.0
 """Difference of misfits (five nats) within which data do not tell two mistakes apart."""
-MOST_NAMED: Final = 3
+MOST_NAMED: Final = 3  # that a line can hold
 
 
 class MistakeError(InputError):

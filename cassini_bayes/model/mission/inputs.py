@@ -12,15 +12,17 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
+from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import (
     EventRows,
+    ReducedEvent,
     is_event_folder,
     reduce_event,
     store_reduction,
 )
+from cassini_bayes.model.gather import Read, together
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.model.mission.model import MissionModel, build_mission
@@ -73,28 +75,28 @@ def read_mission(
             repr(name),
             "use the priors of that spacecraft",
         )
-    events: list[Event] = []
+    reads: list[Read] = []
     facts: list[EventFacts] = []
     digests: dict[str, str] = {}
-    findings: list[str] = []
-    contents: list[tuple[str, str]] = []
     policy = Policy.of(mission.accept, leave_out=mission.leave_out)
     for reference in mission.events:
         place = base / reference
         if is_event_folder(place):
-            result: list[tuple[Event, EventFacts, str]] = [
-                _telemetry(place, priors, mission.pulse_shape, cache, log, policy)
-            ]
+            reduced, fact = _telemetry(place, priors, mission.pulse_shape, cache, log, policy)
+            reads.append(Read.of_reduced(reduced, str(place)))
+            result = [(fact, reduced.digest)]
         else:
             rows = read_totals(str(place), priors.spacecraft, mission.source)
+            findings: list[str] = []
             for branch in sorted({row.branch for row in rows}):
                 of_branch = priors.for_branch(branch)
                 findings += check_rows(rows, of_branch, str(place), policy, steady=False)
+            reads.append(Read.of_rows(rows, findings, str(place)))
             result = [
-                (row, EventFacts(row.id, row.epoch, row.branch, True, None), _row_digest(row))
+                (EventFacts(row.id, row.epoch, row.branch, True, None), _row_digest(row))
                 for row in rows
             ]
-        for event, fact, content in result:
+        for fact, content in result:
             if fact.id in digests:
                 raise InputError(
                     f"{where}: event {fact.id}",
@@ -102,24 +104,18 @@ def read_mission(
                     "the same id twice",
                     "leave one out, or rename one",
                 )
-            if isinstance(event, TotalsEvent):
-                contents.append((f"{place}: {event.id}", content_of_totals(event)))
-            else:
-                findings += event.reading.findings
-                contents.append((str(place), event.reading.content))
             digests[fact.id] = content
-            events.append(event)
             facts.append(fact)
-    findings += refuse_duplicates(contents, policy)
+    events, findings_of_all = together(reads, priors, policy)
     circumstances = circumstances_of(mission, facts, where)
     model = build_mission(mission, priors, events, circumstances)
     on_times = {event.id: _on_times(event) for event in events}
-    return MissionInputs(priors, model, on_times, digests, tuple(findings))
+    return MissionInputs(priors, model, on_times, digests, findings_of_all)
 
 
 def _telemetry(
     folder: Path, priors: Priors, pulse_shape: str, cache: Path | None, log: Log, policy: Policy
-) -> tuple[Event, EventFacts, str]:
+) -> tuple[ReducedEvent, EventFacts]:
     """A folder of telemetry, reduced; its tank pressure is the mean of its readings."""
     described = read_event(folder, priors.spacecraft)
     of_branch = priors.for_branch(described.branch)
@@ -133,7 +129,7 @@ def _telemetry(
     values = np.concatenate(readings)
     pressure = float(values.mean()) if len(values) else None
     fact = EventFacts(reduced.id, described.epoch, described.branch, reduced.fires, pressure)
-    return reduced, fact, reduced.digest
+    return reduced, fact
 
 
 def _on_times(event: Event) -> Array:

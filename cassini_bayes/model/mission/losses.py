@@ -352,7 +352,7 @@ def draw_thrusts_given(
 
 def _with_departures(branch: BranchAt, mean: Array, rng: np.random.Generator) -> Array:
     """Thrusts less the reference, (n, E, K), each event's departures drawn about their mean."""
-    thrusts = branch.thrusts.own
+    thrusts = branch.thrusts.departures
     information = branch.information.about(mean)
     across = thrusts.T @ information.matrix @ thrusts
     factor = np.linalg.cholesky(across + np.eye(thrusts.shape[1]))

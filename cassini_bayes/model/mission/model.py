@@ -95,7 +95,7 @@ class BranchThrusts:
     common_n: float  # prior mean of a level
     levels: Array  # (K, q0) factor of the levels' prior covariance
     ageing: Array  # (K, q1) factor of the prior covariance of their change in a year
-    own: Array  # (K, p) factor of an event's departures
+    departures: Array  # (K, p) factor of an event's departures
     reference_n: Array  # (E,) thrust about which each event's information is given
 
     def rows(self, years: Array) -> Array:
@@ -160,7 +160,7 @@ class BranchAt:
     def of(cls, thrusts: BranchThrusts, scale: Array, information: ThrustInformation) -> BranchAt:
         """With the events' own departures eliminated."""
         about = information.about(_offset_n(thrusts, scale))
-        return cls(thrusts, scale, information, about.without_own(thrusts.own))
+        return cls(thrusts, scale, information, about.without_departures(thrusts.departures))
 
     @classmethod
     def joined(cls, lots: Sequence[BranchAt]) -> BranchAt:
@@ -431,7 +431,7 @@ def _branch_thrusts(branch: str, priors: Priors, circumstances: Circumstances) -
         common_n=prior.common_mean_n,
         levels=prior.shared,
         ageing=level_factor(drift, departure, len(thrusters)),
-        own=prior.own,
+        departures=prior.departures,
         reference_n=np.asarray(np.exp(_SAME_THRUST * steps)),
     )
 

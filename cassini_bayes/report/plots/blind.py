@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE
 
 EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 20.0, 50.0, np.inf)
-
-TICKS = (0, 1, 2, 3, 5, 10, 30, 100)
+"""Of sizes in σ: finer where detection turns from chance to sure."""
+TICKS = (0, 1, 2, 3, 5, 10, 30, 100)  # of the same axis
 
 
 def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame, rates: pd.DataFrame) -> Figure:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.patches import Patch
 
 BAND: Final = "#e6e6e6"
-LEGEND_COLUMN_IN: Final = 2.3
+LEGEND_COLUMN_IN: Final = 2.3  # inches for one entry
 NOT_REPLICATED_S: Final = 1e-9  # a replicate that never varies: set by the limit cycle
 
 

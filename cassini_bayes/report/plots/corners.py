@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MOST_DRAWS: Final = 8_000
+MOST_DRAWS: Final = 8_000  # in the panels, evenly thinned: contours are smooth with them
 FEW_COLUMNS: Final = 5
 """Of a corner plot that can be read at the width of the page."""
 CONTOUR_LEVELS: Final = (0.393, 0.865)  # 1 and 2 standard deviations of a two-dimensional normal
-PANEL_IN: Final = 1.32
-SMALLEST_IN: Final = 6.0
-KEY_IN: Final = 1.0
+PANEL_IN: Final = 1.32  # inches of a panel
+SMALLEST_IN: Final = 6.0  # inches of a figure: its title fits
+KEY_IN: Final = 1.0  # inches for the legend above few panels
 ROOM_FOR_KEY: Final = 6  # columns
-LABEL_OFFSET_IN: Final = 0.46
-BINS: Final = 26
-PRIOR_BINS: Final = 40
+LABEL_OFFSET_IN: Final = 0.46  # inches from axis to label: two lines of ticks
+BINS: Final = 26  # across a panel of the posterior
+PRIOR_BINS: Final = 40  # across a panel of the prior, smoothed over two
 FARTHEST_PRIOR: Final = 10.0  # posterior standard deviations at which a prior is still shown
 WIDEST_VIEW: Final = 5.0  # posterior standard deviations shown on either side for a wide prior
 

@@ -25,8 +25,8 @@ from cassini_bayes.diagnosis.discrepancy import Curve
 from cassini_bayes.report.plots.powers import label_powers
 from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
 
-MOST_CAUSES: Final = 12
-LINEAR_NATS: Final = 10.0
+MOST_CAUSES: Final = 12  # bars that fit one column
+LINEAR_NATS: Final = 10.0  # up to which the axis of log Bayes factors is linear
 UNSEEN: Final = 0.005  # a probability whose bar is too short to be seen
 EXTENDED: Final = "#d95f02"
 SINGLE_BAND: Final = "#d2d2d2"
@@ -37,7 +37,7 @@ BEFORE: Final[dict[str, Any]] = {
 AFTER: Final[dict[str, Any]] = {
     "ls": "", "marker": "D", "ms": 3.4, "mfc": "none", "color": EXTENDED, "label": "extended",
 }  # fmt: skip
-_POINTS: Final = 2_500
+_POINTS: Final = 2_500  # of a curve: more than a page has pixels
 
 
 def innovation_figure(

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from cassini_bayes.report.plots.style import POSTERIOR, STYLE, VERDICT_COLOURS
 from cassini_bayes.results.ranks import Ranks, envelope_band, envelope_p_values
 
-_COLUMNS: Final = 3
+_COLUMNS: Final = 3  # panels across a page
 
 
 def envelope_figure(ranks: Mapping[str, Ranks], probability: float) -> Figure:

@@ -35,7 +35,7 @@ VERDICT_FILLS: Final = {
     "hardly seen": "#c9d8e8",
     "not seen": "#dddddd",
 }
-WIDEST_SD: Final = 6.0
+WIDEST_SD: Final = 6.0  # prior standard deviations that the axis shows on either side
 
 
 def inertia_figure(review: Review) -> Figure | None:

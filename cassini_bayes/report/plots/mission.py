@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLUMNS: Final = 4
+_COLUMNS: Final = 4  # panels across a page
 _FEW: Final = 60  # events above which points get no bars
 
 

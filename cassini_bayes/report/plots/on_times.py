@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from cassini_bayes.report.plots.powers import label_powers
 from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
 
-MOST_CAUSES = 7
+MOST_CAUSES = 7  # bars that fit one column
 GREY = "#777777"
-LINEAR_NATS = 10.0
+LINEAR_NATS = 10.0  # up to which the axis of log Bayes factors is linear
 
 
 def on_time_figure(

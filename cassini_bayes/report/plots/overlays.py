@@ -26,9 +26,9 @@ CAUSE: Final = "#f3c9a4"
 MEASURED_DOTS: Final[dict[str, Any]] = {"ms": 1.6, "color": MEASURED, "rasterized": True}
 BASELINE_LINE: Final[dict[str, Any]] = {"lw": 2.2, "color": POSTERIOR, "alpha": 0.75}
 EXTENDED_LINE: Final[dict[str, Any]] = {"lw": 0.9, "color": EXTENDED}
-CONTOURS: Final = (0.5, 0.9)
-_POINTS: Final = 2_500
-_BINS: Final = 40
+CONTOURS: Final = (0.5, 0.9)  # probability inside
+_POINTS: Final = 2_500  # of a curve: more than a page has pixels
+_BINS: Final = 40  # each way: a bin holds some draws of a few thousand
 
 
 def overlay_figure(overlay: Overlay) -> Figure:

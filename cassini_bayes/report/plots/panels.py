@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.patches import Patch
 
 
-PANELS_ACROSS: Final = 4
+PANELS_ACROSS: Final = 4  # a page
 NARROWEST_IN: Final = 9.2  # title and legend need it
-LEGEND_COLUMN_IN: Final = 3.0
+LEGEND_COLUMN_IN: Final = 3.0  # inches for one entry
 THRUST_LABEL: Final = "thrust [N]"
 
 

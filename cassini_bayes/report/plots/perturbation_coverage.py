@@ -16,7 +16,7 @@ from cassini_bayes.report.plots.style import INK, STYLE, new_figure
 
 _COLOURS: Final = ("#CC6677", "#882255", "#999933", "#BB8800", "#4477AA", "#332288")
 _MARKERS: Final = ("s", "D", "^", "v", "o", "P")
-_CLAIMS: Final = (0.68, 0.9)
+_CLAIMS: Final = (0.68, 0.9)  # coverages that bars are read as: one standard deviation, 90 %
 
 
 def coverage_length_figure(table: pd.DataFrame, certain: str) -> Figure:

@@ -24,7 +24,7 @@ COLUMN_STYLES: Final[Mapping[str, tuple[str, str, str]]] = {
     "fsds": ("FSDS", "^", "#117733"),
 }
 _SOURCE_COLOURS: Final = ("#4477AA", "#EECC66", "#994455", "#88CCEE", "#777777")
-_SHOWN_S: Final = 3.0
+_SHOWN_S: Final = 3.0  # either side of no error; what lies beyond is drawn at the edge
 
 
 def prediction_figure(prediction: Prediction) -> Figure:

@@ -18,8 +18,8 @@ NORMAL_INTERVAL: Final = "90 % interval (mean ± 1.645 standard deviations)"
 _SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PREFIXES: Final = {1: "m", 2: "µ", 3: "n"}
 _TAKES_PREFIX: Final = ("m", "s", "N", "rad", "rad/s", "m/s")
-_SMALLEST_UNSCALED: Final = 0.1
-_MOST_DECIMALS: Final = 5
+_SMALLEST_UNSCALED: Final = 0.1  # a value below it gets a prefix: 0.0123 N m is 12.3 mN m
+_MOST_DECIMALS: Final = 5  # beyond which a number is written with a power of ten
 
 
 @dataclass(frozen=True)

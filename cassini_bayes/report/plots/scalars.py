@@ -24,8 +24,8 @@ HEADLINES: Final = (
     "cm_x_m",
 )
 """Scalars that say most of a fit at a glance: shown where none are named, if a fit has them."""
-MOST_TRACED: Final = 1_000
-ROW_IN: Final = 1.25
+MOST_TRACED: Final = 1_000  # steps of a walker drawn: about as many as a panel has pixels
+ROW_IN: Final = 1.25  # inches: an axis with three tick labels
 
 
 def columns_of(fit: Fit, names: Sequence[str]) -> list[Column]:

@@ -17,12 +17,12 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_events, short_name
 from cassini_bayes.report.plots.style import INK, STYLE, new_figure
 
-KNOBS_SHOWN: Final = 16
-PANELS_ACROSS: Final = 4
-_GRID: Final = 300
+KNOBS_SHOWN: Final = 16  # rows of a tornado on one page
+PANELS_ACROSS: Final = 4  # a page
+_GRID: Final = 300  # points of a curve
 _TALLEST: Final = 4.0  # peaks above this many times the baseline's are cut
 _FARTHEST: Final = 1.5  # and tails this many of the baseline's ranges beyond it
-_SIZES: Final = (3.5, 4.8, 6.2, 7.6)
+_SIZES: Final = (3.5, 4.8, 6.2, 7.6)  # of markers, in points: wider priors are larger
 _LINES: Final = ("#4477AA", "#66CCEE", "#CCBB44", "#EE6677", "#AA3377", "#228833", "#BBBBBB")
 _FAMILY_MARKERS: Final = {"normal": "o", "student-t": "D", "uniform": "s"}
 _KIND_COLOURS: Final = {"width": "#4477AA", "shift": "#CC6677", "family": "#228833"}

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report.plots.quantities import NORMAL_90
 from cassini_bayes.report.plots.style import (
     INK,
@@ -59,16 +60,7 @@ def _momentum(axes: Axes, series: EventSeries, axis: int) -> None:
     mean = series.predicted[:, axis]
     reach = NORMAL_90 * np.hypot(series.predicted_sd[:, axis], series.noise_sd[:, axis])
     axes.fill_between(time, mean - reach, mean + reach, color=POSTERIOR, alpha=0.2, lw=0)
-    axes.plot(
-        time,
-        series.measured[:, axis],
-        ls="",
-        marker=".",
-        ms=2.6,
-        color=MEASURED,
-        rasterized=True,
-        zorder=2,
-    )
+    _dots(axes, time, series.measured[:, axis], 2.6, MEASURED)
     axes.plot(time, mean, color=POSTERIOR, lw=1.0, zorder=3)
     axes.grid(axis="y")
 
@@ -76,19 +68,16 @@ def _momentum(axes: Axes, series: EventSeries, axis: int) -> None:
 def _residual(axes: Axes, series: EventSeries, axis: int) -> None:
     time, noise = series.time_s, NORMAL_90 * series.noise_sd[:, axis]
     axes.fill_between(time, -noise, noise, color=BAND, lw=0)
-    axes.plot(
-        time,
-        series.residual[:, axis],
-        ls="",
-        marker=".",
-        ms=2.2,
-        color=POSTERIOR,
-        rasterized=True,
-    )
+    _dots(axes, time, series.residual[:, axis], 2.2, POSTERIOR)
     axes.axhline(0.0, color=INK, lw=0.8)
     reach = max(2.2 * float(noise.max()), 1.05 * float(np.abs(series.residual[:, axis]).max()))
     axes.set_ylim(-reach, reach)
     axes.grid(axis="y")
+
+
+def _dots(axes: Axes, time: Array, values: Array, size: float, colour: str) -> None:
+    """Rows as dots: a picture within the SVG, which thousands of marks would make heavy."""
+    axes.plot(time, values, ls="", marker=".", ms=size, color=colour, rasterized=True, zorder=2)
 
 
 def _legend() -> list[Line2D | Patch]:

@@ -121,7 +121,9 @@ def _prior_levels(fit: MissionFit, z: Array, rng: np.random.Generator) -> Branch
         shared = rng.standard_normal((n, branch.levels.shape[1] + branch.ageing.shape[1]))
         lost = prior_losses(fit.prior, shape, rng).lost(*shape[1:])
         level = branch.common_n * (1.0 - lost) + branch.levels_at(shared)
-        departures = rng.standard_normal((*shape[:2], branch.own.shape[1])) @ branch.own.T
+        departures = (
+            rng.standard_normal((*shape[:2], branch.departures.shape[1])) @ branch.departures.T
+        )
         scale = branch.scale_at(parameters, relative)
         result[branch.branch] = (scale[..., None] * level + departures, level)
     return result
@@ -133,7 +135,9 @@ def _density(part: Part, draws: Draws) -> xr.Dataset:
     points = model.points_at(draws.parameters, draws.size)
     values = [
         term.at(points).log_density(draws.thrusts.thrust_n[:, fired], integrated)
-        for term, fired, integrated in zip(model.terms, model.fired_of_term, draws.own, strict=True)
+        for term, fired, integrated in zip(
+            model.terms, model.fired_of_term, draws.integrated, strict=True
+        )
     ]
     variable: Variable = (("event",), np.concatenate(values, axis=1), "1", DENSITY_MEANING)
     return dataset_of({DENSITY: variable}, {"event": list(model.event_ids)}, (1, draws.size))

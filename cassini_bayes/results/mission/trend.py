@@ -298,7 +298,10 @@ def forecast(
     reference = asked.pressure_kpa if mission.pressure is None else mission.pressure.reference_kpa
     relative = asked.pressure_kpa / reference
     scale = own.intercept + (1.0 - own.intercept) * relative
-    departures = rng.standard_normal((len(scale), own.thrusts.own.shape[1])) @ own.thrusts.own.T
+    departures = (
+        rng.standard_normal((len(scale), own.thrusts.departures.shape[1]))
+        @ own.thrusts.departures.T
+    )
     level = own.level_at(years_between(first, asked.epoch))
     return np.asarray(scale[:, None] * level + departures)
 

@@ -104,7 +104,9 @@ def _known(none: Hypothesis, events: Events, truth: Truth, width: int) -> Array:
     shared += model.thrust_prior.shared.shape[1] if model.thrust_prior.shared.size else 0
     known, place = np.zeros(width), shared
     for event, term in zip(events.telemetry, model.telemetry, strict=True):
-        individual = model.thrust_prior.own if term.balance.pattern.thrusters else np.zeros((0, 0))
+        individual = (
+            model.thrust_prior.departures if term.balance.pattern.thrusters else np.zeros((0, 0))
+        )
         if individual.size:
             thrusts = truth.thrust_n(event.id, event.thrusters)
             departure = np.array([thrusts[k] for k in event.thrusters])

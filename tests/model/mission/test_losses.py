@@ -45,7 +45,7 @@ def branch() -> BranchAt:
 def prior_of(branch: BranchAt) -> ThrustPrior:
     """The thrusts' prior as an ordinary fit has it, with a design row for every event."""
     rows = branch.scale[..., None, None] * branch.thrusts.rows(branch.thrusts.years)
-    return ThrustPrior(branch.thrusts.common_n, 0.0, False, 0.0, rows, branch.thrusts.own)
+    return ThrustPrior(branch.thrusts.common_n, 0.0, False, 0.0, rows, branch.thrusts.departures)
 
 
 def shifted_log_likelihood(branch: BranchAt, losses: list[Loss], sizes: list[float]) -> np.ndarray:

@@ -10,14 +10,14 @@ from scipy.special import logsumexp
 from cassini_bayes.model.mission.losses import Loss
 from cassini_bayes.results.mission.fitting import fit_mission, loss_prior, target
 from cassini_bayes.sampling.warmstart import Proposal
-from cassini_bayes.studies import mission_looks
+from cassini_bayes.studies import interim_analyses
+from cassini_bayes.studies.interim_analyses import Pool, analyses
 from cassini_bayes.studies.mission_flights import study_priors
-from cassini_bayes.studies.mission_looks import Pool, analyses
 
 
 def test_a_pool_has_the_density_of_a_shorter_mission(monkeypatch: pytest.MonkeyPatch) -> None:
     """First three of four events, with a loss on each branch, as a mission of their own."""
-    monkeypatch.setattr(mission_looks, "POINTS", 6)
+    monkeypatch.setattr(interim_analyses, "POINTS", 6)
     priors, events = study_priors(str(PRIORS)), mixed_events()
     whole, short = (mission_of(some, mission_table(), priors) for some in (events, events[:3]))
     assert whole.space.names == short.space.names
@@ -34,16 +34,16 @@ def test_a_pool_has_the_density_of_a_shorter_mission(monkeypatch: pytest.MonkeyP
     assert np.abs(every - found).min() > 1e-3
 
 
-def test_looks_agree_with_a_fit_of_each_mission() -> None:
+def test_interim_analyses_agree_with_a_fit_of_each_mission() -> None:
     """Probabilities of losses after three events, from the pool and from a fit of these alone."""
     priors, events = study_priors(str(PRIORS)), mixed_events()
     prior, size = loss_prior(priors), {"draws": 400, "proposals": 800}
     whole, short, first = (mission_of(events[:n], mission_table(), priors) for n in (4, 3, 2))
     begun = fit_mission(first, prior, np.random.default_rng(1), **size)
-    (look,) = analyses(whole, prior, begun.draws, range(3, 4), 400, np.random.default_rng(2))
-    assert look.trusted
+    (interim,) = analyses(whole, prior, begun.draws, range(3, 4), 400, np.random.default_rng(2))
+    assert interim.trusted
     fit = fit_mission(short, prior, np.random.default_rng(3), **size)
-    for one, other in zip(look.losses, fit.losses, strict=True):
+    for one, other in zip(interim.losses, fit.losses, strict=True):
         assert one.branch == other.branch
         np.testing.assert_allclose(one.failing(8), other.failing(8), atol=0.02)
-    np.testing.assert_allclose(look.draws.z.mean(0), fit.z.mean(0), atol=0.4)
+    np.testing.assert_allclose(interim.draws.z.mean(0), fit.z.mean(0), atol=0.4)

@@ -1,9 +1,9 @@
-"""Odds of losses at every look of a mission that grows, from one pool of points.
+"""Odds of losses at every interim analysis of a mission that grows, from one pool of points.
 
 What an event says of its thrusts at given walked parameters does not change when events are added,
-so a shorter mission is the first events of the longer one at the same points. Every look weighs
-all points that any look has drawn, as draws of the mixture of their proposals (Cornuet et al.
-2012), and adds points only where these do not serve. A fit by itself at every look has the same
+so a shorter mission is the first events of the longer one at the same points. Each weighs all
+points that any of them has drawn, as draws of the mixture of their proposals (Cornuet et al.
+2012), and adds points only where these do not serve. A fit by itself each time has the same
 posterior (:func:`cassini_bayes.results.mission.fitting.fit_mission`), at many times the cost.
 """
 
@@ -33,7 +33,7 @@ from cassini_bayes.results.mission.fitting import (
 from cassini_bayes.sampling.warmstart import ImportanceDraws, Proposal, refined, weighted
 
 POINTS: Final = 400  # added to a pool at a time
-WEIGHED: Final = 100  # draws of a look at which losses are weighed
+WEIGHED: Final = 100  # draws of an analysis at which losses are weighed
 _TRIES: Final = 6
 
 
@@ -125,13 +125,13 @@ def analyses(
     begun
         Draws of a fit of its first events: where the pool begins.
     draws
-        Equally weighted draws that a look hands on.
+        Equally weighted draws that an analysis hands on.
     """
     references = {branch.branch: () for branch in model.branches} | dict(begun.references)
     z, _ = embedded(begun, model, rng)
     pool = Pool.begun(model, moments(weighted(z, np.zeros(len(z)))), rng)
     for count in counts:
-        for look in range(PASSES):
+        for analysis in range(PASSES):
             pool, result, log_density = _weighed(pool, count, references, prior, rng)
             branches = pool.first(count)
             places = result.places(rng, WEIGHED)
@@ -140,7 +140,7 @@ def analyses(
             losses = weighed_at([lot], prior, references, back)
             best = {one.branch: one.best for one in losses}
             settled = all(set(best[b]) == set(references[b]) for b in best)
-            if settled or look == PASSES - 1:
+            if settled or analysis == PASSES - 1:
                 break
             references = references | best
         places = result.places(rng, draws)
