@@ -167,10 +167,10 @@ def together(
 def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
     """Warnings of body axes about which none of the slews turns, in words.
 
-    Where wheels have a flat distribution, as in slews, their noise draws the inertia about an axis
-    at rest upwards: by n I_w² σ_ρ² / V nats per unit of log I, with n rows and V the variance of
-    the balance. Beside a slew about the axis that is nothing (docs/topics/telemetry-likelihood.md
-    §11).
+    Of the inertia about an axis at rest the data tell nothing, but the measure of flat motion does
+    where the noise is not that of its reference: n (f − f₀) nats per unit of log I, with n rows, f
+    the share of the rates' noise in the balance and f₀ that at the reference. Beside a slew about
+    the axis that is nothing (docs/topics/telemetry-likelihood.md §11).
     """
     slews = [e for e in events if isinstance(e, ReducedEvent) and e.statistics.kind == "slew"]
     if not slews:
@@ -184,7 +184,7 @@ def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
     largest = float(turned.max())
     return tuple(
         f"slews: none turns about {axis.upper()} ({rate:.2g} rad/s, rms; {largest:.2g} about "
-        f"another axis): the noise of wheels draws {name} upwards, by many standard deviations; "
+        f"another axis): noise alone can draw {name} by many standard deviations; "
         "add a slew about that axis, or fix it in the priors"
         for axis, rate in zip("xyz", turned, strict=True)
         if rate < AT_REST * largest
