@@ -139,7 +139,7 @@ def test_counters_gained_are_those_of_the_file() -> None:
 def test_priors_of_totals_are_refused() -> None:
     """They lack what telemetry needs: the parameter is named, and what to add."""
     totals = read_priors(B_BRANCH)
-    with pytest.raises(InputError, match=r"attitude_noise_rad: .*needed by telemetry"):
+    with pytest.raises(InputError, match=r"rate_noise_rad_s: .*needed by telemetry"):
         reduce_event(simulated() / "bias", totals, "first_order")
 
 
