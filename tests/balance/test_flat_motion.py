@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 from telemetry_cases import RPM, event_of, nominal_values, telemetry_priors
 
 import cassini_bayes.balance.telemetry_system
-from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.flat_motion import log_measure
+from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.telemetry_terms import TelemetryBalance, TurnNoise
+from cassini_bayes.balance.telemetry_terms import TelemetryBalance, TurnNoise, turn_noise
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import Model, build_model
 from cassini_bayes.model.posterior import log_likelihood
@@ -73,6 +74,29 @@ def slopes(models: list[Model], parameter: str) -> Array:
 def z_of_mean(found: Array) -> float:
     """Mean in units of its standard error."""
     return float(found.mean() / found.std(ddof=1) * np.sqrt(len(found)))
+
+
+def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
+    """Where rates and turns alone are noisy, the measure is |det I| per rate, but one, and turn."""
+    priors = telemetry_priors().with_fixed("torque_noise_n_m_s05", 0.0)
+    for name, value in {**NOISE, "wheel_noise_rpm": 1e-9, "attitude_noise_rad": 1e-9}.items():
+        priors = priors.with_fixed(name, value)
+    slew = event_of(resting_slew(np.random.default_rng(3)), priors)
+    model = build_model([slew], priors)
+    balance = model.telemetry[0].balance
+    logs = []
+    for factor in (1.0, 1.3):
+        values = {name: np.array([value]) for name, value in nominal_values().items()}
+        values["inertia_zz_kg_m2"] *= factor
+        values |= {name: np.array([value]) for name, value in slew.sampling.reference_noise}
+        physics = physics_of(model.spacecraft, "B", values, fires=False)
+        by_turn = turn_noise(balance, physics, values, 1.0)
+        measured = log_measure(balance, physics, values, 1.0, by_turn)
+        logs.append((measured[0], np.linalg.slogdet(physics.inertia_kg_m2)[1][0]))
+    (before, inertia), (after, larger) = logs
+    count = slew.statistics.rows - 1 + sum(band.contrasts for band in balance.turns)
+    assert after - before == pytest.approx(count * (larger - inertia), rel=1e-6)
+    assert before == pytest.approx(count * inertia, rel=1e-9)  # the unit
 
 
 MOMENTS = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
