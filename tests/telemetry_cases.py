@@ -386,14 +386,15 @@ def _flat_measure(
 ) -> float:
     """In bands whose motion is flat: the noise covariance on the band's rows.
 
-    Noise levels are the priors' medians; the initial momentum takes up a constant.
+    Noise levels are the priors' medians, what counters leave open is that of the prior means; the
+    initial momentum takes up a constant.
     """
     samples = Samples.joined(list(term.event.rows))
     fires, n = samples.on_time_s.shape[1] > 0, len(rows.times)
     fixed = dict(values) | reference_noise(term)
-    tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
-    close, one = values["close_pulse_share"], np.eye(3)
-    arms = lever_arms(model.spacecraft, model.branch, values)
+    means, one = nominal_of(model), np.eye(3)
+    tau = (means["tau_delay_s"], means["tau_rise_s"], means["tau_fall_s"])
+    close, arms = means["close_pulse_share"], lever_arms(model.spacecraft, model.branch, means)
     inertia = inertia_tensor(values)
     weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
         :, [0, 1, 3]

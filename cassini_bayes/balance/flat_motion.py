@@ -36,8 +36,8 @@ def log_measure(
     """Log determinants (n,) that take the density of the balance to that of the channels.
 
     With V the covariance of the balance of a row and Σ̃_θ that of the turns, both at the event's
-    reference noise; I the momentum per measured rate; Q the gain of the turns and Q₀ that at the
-    reference noise,
+    reference noise, and with what counters leave open at the nominal physics; I the momentum per
+    measured rate; Q the gain of the turns and Q₀ that at the reference noise,
 
         (N − R) log |det I| + ½ Σ_R log det V + Σ_θ [log |det (1 + Q)(1 + Q₀)⁻¹| + ½ log det Σ̃_θ],
 
@@ -54,6 +54,7 @@ def log_measure(
         The turns' noise at the noise levels of the points.
     """
     reference = _at_reference(event, parameters, len(physics.inertia_kg_m2))
+    physics = _with_open_counters_fixed(event, physics)
     result = _of_rows(event, physics, reference, thrust_n) - event.log_unit
     if event.turns:
         noise = turn_noise(event, physics, reference, thrust_n)
@@ -68,15 +69,25 @@ def in_channel_units(
 ) -> TelemetryBalance:
     """The same event with a measure that is |det I| per rate and turn at one point (n = 1).
 
-    So log densities are those of the channels, in their units.
+    So log densities are those of the channels, in their units. What counters leave open is taken
+    at that point, too.
     """
     reference = _at_reference(event, parameters, 1)
-    plain = replace(event, log_unit=0.0)
+    plain = replace(event, log_unit=0.0, nominal=physics)
     by_turn = turn_noise(plain, physics, reference, thrust_n)
     unmixed = replace(by_turn, gain=np.zeros_like(by_turn.gain))  # turns alone, per turn
     flat = log_measure(plain, physics, reference, thrust_n, unmixed)
     count = event.statistics.rows - 1 + sum(band.contrasts for band in event.turns)
-    return replace(event, log_unit=float((flat - count * _log_det(physics.momentum_per_rate))[0]))
+    unit = float((flat - count * _log_det(physics.momentum_per_rate))[0])
+    return replace(plain, log_unit=unit)
+
+
+def _with_open_counters_fixed(event: TelemetryBalance, physics: Physics) -> Physics:
+    """Physics by which what counters leave open has its nominal size: it is noise, not motion."""
+    if not event.fires or event.nominal is None:
+        return physics
+    fixed = event.nominal
+    return replace(physics, arms_m=fixed.arms_m, tau_s=fixed.tau_s, close_share=fixed.close_share)
 
 
 def _at_reference(

@@ -133,8 +133,8 @@ class TelemetryBalance:
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
-    is a constant of unit length on the slow modes, ``log_unit`` the unit of the measure of flat
-    motion (:mod:`cassini_bayes.balance.flat_motion`).
+    is a constant of unit length on the slow modes; ``log_unit`` and ``nominal`` physics belong to
+    the measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
     """
 
     statistics: EventStatistics
@@ -150,6 +150,7 @@ class TelemetryBalance:
     reduced: Reduced
     constant: Array
     log_unit: float = 0.0
+    nominal: Physics | None = None
 
     @property
     def id(self) -> str:
