@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from telemetry_cases import RPM, event_of, nominal_values, telemetry_priors
+from telemetry_cases import RPM, event_of, made_up_samples, nominal_values, telemetry_priors
 
 import cassini_bayes.balance.telemetry_system
 from cassini_bayes.balance.flat_motion import log_measure
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.telemetry_terms import TelemetryBalance, TurnNoise, turn_noise
+from cassini_bayes.balance.telemetry_terms import (
+    TelemetryBalance,
+    TurnNoise,
+    band_covariances,
+    turn_noise,
+)
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import Model, build_model
 from cassini_bayes.model.posterior import log_likelihood
@@ -97,6 +103,25 @@ def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
     count = slew.statistics.rows - 1 + sum(band.contrasts for band in balance.turns)
     assert after - before == pytest.approx(count * (larger - inertia), rel=1e-6)
     assert before == pytest.approx(count * inertia, rel=1e-9)  # the unit
+
+
+def test_pulses_are_no_part_of_the_measure() -> None:
+    """Tail-off and share of close pulses change the noise of cut tails, not the measure."""
+    priors = telemetry_priors()
+    bias = event_of(made_up_samples(np.random.default_rng(4), 300), priors)
+    model = build_model([bias], priors)
+    balance, found, noises = model.telemetry[0].balance, [], []
+    for fall, share in ((0.04, 0.1), (0.08, 0.5)):
+        values = nominal_values() | {"tau_fall_s": fall, "close_pulse_share": share}
+        values |= dict(bias.sampling.reference_noise)
+        point = {name: np.array([value]) for name, value in values.items()}
+        physics = physics_of(model.spacecraft, "B", point)
+        noise = turn_noise(balance, physics, point, 0.76)
+        unmixed = replace(noise, gain=np.zeros_like(noise.gain))
+        found.append(float(log_measure(balance, physics, point, 0.76, unmixed)[0]))
+        noises.append(np.linalg.slogdet(band_covariances(balance, physics, point, 0.76)[0, 0])[1])
+    assert noises[1] - noises[0] > 0.1  # cut tails are seen in these rows
+    assert found[0] == found[1]
 
 
 MOMENTS = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
