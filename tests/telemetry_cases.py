@@ -26,7 +26,13 @@ from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.model.telemetry import TelemetryTerm
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.spacecraft import inertia_tensor, lever_arms, wheel_axes, wheel_inertias
+from cassini_bayes.spacecraft import (
+    Spacecraft,
+    inertia_tensor,
+    lever_arms,
+    wheel_axes,
+    wheel_inertias,
+)
 
 PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 RPM = 2.0 * np.pi / 60.0
@@ -75,8 +81,7 @@ def made_up_samples(
         pulses[:, k] = np.cumsum(number)
         on_time[:, k] = np.cumsum(number * width)
     values = dict.fromkeys(("rwa3_inertia_kg_m2",), 0.16) | nominal_values()
-    axes = wheel_axes(telemetry_priors().spacecraft, values)
-    weights = (axes * wheel_inertias(telemetry_priors().spacecraft, values))[:, [0, 1, 3]]
+    weights = wheel_weights(telemetry_priors().spacecraft, values)
     arms = lever_arms(telemetry_priors().spacecraft, "B", values)[:, :counters]
     inertial = rotation(attitude[0]).T @ np.array([5.0, -3.0, 8.0])
     wheels = np.zeros((rows, 3))
@@ -127,6 +132,13 @@ def model_of(events: list[Samples]) -> Model:
     """A model of made-up events."""
     priors = telemetry_priors()
     return build_model([event_of(own, priors, f"e{i}") for i, own in enumerate(events)], priors)
+
+
+def wheel_weights(spacecraft: Spacecraft, values: Mapping[str, float]) -> Array:
+    """Momentum (3, 3) per rate of wheels 1, 2 and 4, which the made-up events have."""
+    return np.asarray(wheel_axes(spacecraft, values) * wheel_inertias(spacecraft, values))[
+        :, [0, 1, 3]
+    ]
 
 
 def rotation(q: Array) -> Array:
@@ -258,9 +270,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
     means, blocks, shared, constant = [], [], [], 0.0
     values = dict(model.idle) | dict(parameters)
     inertia = inertia_tensor(values)
-    weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
-        :, [0, 1, 3]
-    ]
+    weights = wheel_weights(model.spacecraft, values)
     arms = lever_arms(model.spacecraft, model.branch, values)
     close = values["close_pulse_share"]
     tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
@@ -396,9 +406,7 @@ def _flat_measure(
     tau = (means["tau_delay_s"], means["tau_rise_s"], means["tau_fall_s"])
     close, arms = means["close_pulse_share"], lever_arms(model.spacecraft, model.branch, means)
     inertia = inertia_tensor(values)
-    weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
-        :, [0, 1, 3]
-    ]
+    weights = wheel_weights(model.spacecraft, values)
     by_wheels = (fixed["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
     drift_square = fixed["torque_noise_n_m_s05"] ** 2
     spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
@@ -456,11 +464,10 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
     def noise_at(at: Mapping[str, float]) -> Array:
         """Covariance of rows and turns, with the physics and noise levels of some values."""
         inertia = inertia_tensor(at)
-        weights = wheel_axes(model.spacecraft, at) * wheel_inertias(model.spacecraft, at)
+        weights = wheel_weights(model.spacecraft, at)
         by_rate = at["rate_noise_rad_s"] ** 2 * inertia @ inertia
         by_attitude = at["attitude_noise_rad"] ** 2 * inertia @ inertia
-        by_wheels = (at["wheel_noise_rpm"] * RPM) ** 2
-        by_wheels = by_wheels * weights[:, [0, 1, 3]] @ weights[:, [0, 1, 3]].T
+        by_wheels = (at["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
         of_row = by_rate + by_wheels + at["attitude_noise_rad"] ** 2 * spin
         between = np.kron(summed, by_wheels) * float(shared)
         of_turns = np.kron(summed @ summed.T, by_wheels) + np.kron(np.eye(contrasts), by_attitude)
@@ -474,8 +481,7 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
         return 0.5 * float(np.linalg.slogdet(noise)[1] + np.linalg.slogdet(left)[1])
 
     inertia, noise, means = inertia_tensor(values), noise_at(values), nominal_of(model)
-    weights = wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values)
-    weights = weights[:, [0, 1, 3]]
+    weights = wheel_weights(model.spacecraft, values)
     own, _, mean = _unknowns(model, term, samples, rows, np.zeros((3, 0)), (0.0,) * 3, 0.0)
     unknown = np.array(own).T
     unknown = np.concatenate([unknown, np.kron(summed, np.eye(3)) @ unknown])
@@ -814,7 +820,5 @@ def nominal_of(model: Model) -> dict[str, float]:
 def _nominal_momenta(model: Model, rows: PlainRows) -> list[Array]:
     values = nominal_of(model)
     inertia = inertia_tensor(values)
-    weights = (wheel_axes(model.spacecraft, values) * wheel_inertias(model.spacecraft, values))[
-        :, [0, 1, 3]
-    ]
+    weights = wheel_weights(model.spacecraft, values)
     return [inertia @ w + weights @ r for w, r in zip(rows.rates, rows.wheels, strict=True)]

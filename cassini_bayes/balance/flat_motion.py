@@ -21,6 +21,7 @@ from cassini_bayes.balance.telemetry_terms import (
     TurnNoise,
     band_covariances,
     band_wheel_variances,
+    open_counters,
     turn_noise,
 )
 from cassini_bayes.computing.arrays import Array
@@ -30,7 +31,6 @@ def log_measure(
     event: TelemetryBalance,
     physics: Physics,
     parameters: Mapping[str, Array],
-    thrust_n: float,
     by_turn: TurnNoise,
 ) -> Array:
     """Log determinants (n,) that take the density of the balance to that of the channels.
@@ -54,10 +54,9 @@ def log_measure(
         The turns' noise at the noise levels of the points.
     """
     reference = _at_reference(event, parameters, len(physics.inertia_kg_m2))
-    physics = _with_open_counters_fixed(event, physics)
-    result = _of_rows(event, physics, reference, thrust_n) - event.log_unit
+    result = _of_rows(event, physics, reference) - event.log_unit
     if event.turns:
-        noise = turn_noise(event, physics, reference, thrust_n)
+        noise = turn_noise(event, physics, reference, event.nominally_open.turns)
         more = _log_det(np.eye(3) + by_turn.gain) - _log_det(np.eye(3) + noise.gain)
         contrasts = np.array([band.contrasts for band in event.turns], dtype=np.float64)
         result = result + (more + 0.5 * _log_det(noise.covariance)) @ contrasts
@@ -70,24 +69,13 @@ def in_channel_units(
     """The same event with a measure that is |det I| per rate and turn at one point (n = 1).
 
     So log densities are those of the channels, in their units. What counters leave open is taken
-    at that point, too.
+    at that point, too: it is noise, not motion.
     """
-    reference = _at_reference(event, parameters, 1)
-    plain = replace(event, log_unit=0.0, nominal=physics)
-    by_turn = turn_noise(plain, physics, reference, thrust_n)
-    unmixed = replace(by_turn, gain=np.zeros_like(by_turn.gain))  # turns alone, per turn
-    flat = log_measure(plain, physics, reference, thrust_n, unmixed)
+    event = replace(event, log_unit=0.0, nominally_open=open_counters(event, physics, thrust_n))
+    nothing = np.zeros((1, len(event.turns), 3, 3))
+    flat = log_measure(event, physics, parameters, TurnNoise(nothing, nothing))
     count = event.statistics.rows - 1 + sum(band.contrasts for band in event.turns)
-    unit = float((flat - count * _log_det(physics.momentum_per_rate))[0])
-    return replace(plain, log_unit=unit)
-
-
-def _with_open_counters_fixed(event: TelemetryBalance, physics: Physics) -> Physics:
-    """Physics by which what counters leave open has its nominal size: it is noise, not motion."""
-    if not event.fires or event.nominal is None:
-        return physics
-    fixed = event.nominal
-    return replace(physics, arms_m=fixed.arms_m, tau_s=fixed.tau_s, close_share=fixed.close_share)
+    return replace(event, log_unit=float((flat - count * _log_det(physics.momentum_per_rate))[0]))
 
 
 def _at_reference(
@@ -98,14 +86,12 @@ def _at_reference(
     return {**parameters, **fixed}
 
 
-def _of_rows(
-    event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array], thrust_n: float
-) -> Array:
+def _of_rows(event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array]) -> Array:
     """The part of the rows."""
     by_torque = reference["torque_noise_n_m_s05"][:, None, None] ** 2
     wheels = event.wheel_weights(physics)[:, None]
     variance = band_wheel_variances(event, reference)[:, :, None]
-    white = band_covariances(event, physics, reference, thrust_n)
+    white = band_covariances(event, physics, reference, event.nominally_open.rows)
     noise = white + (wheels * variance) @ np.swapaxes(wheels, -1, -2)
     slow = np.linalg.eigvalsh(noise[:, 0])[..., None] + by_torque * event.slow.walk
     result = np.log(slow).sum((1, 2)) + np.log((event.constant**2 / slow).sum(-1)).sum(-1)

@@ -20,6 +20,7 @@ from cassini_bayes.balance.telemetry_terms import (
     band_covariances,
     covariance_beside_wheels,
     noise_covariance,
+    open_counters,
     turn_noise,
     turn_weights,
     wheel_variance,
@@ -61,7 +62,8 @@ def row_information(
     nominal = {name: values[:1] for name, values in parameters.items()}
     total: Array | float = 0.0
     beside = covariance_beside_wheels(event, physics, parameters)[0]
-    with_open = band_covariances(event, physics, parameters, _scale(event, mean))[0]
+    left_open = open_counters(event, physics, _scale(event, mean))
+    with_open = band_covariances(event, physics, parameters, left_open.rows)[0]
     bands = zip(
         (event.slow, *event.fast), (None, *event.reduced.grams), kept, with_open, strict=True
     )
@@ -71,7 +73,7 @@ def row_information(
         noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
         total = total + _whitened(event, band, gram, columns, noise, nominal)
     weights = balance_weights(event, physics, _scale(event, mean))
-    by_turn = turn_noise(event, physics, parameters, _scale(event, mean))
+    by_turn = turn_noise(event, physics, parameters, left_open.turns)
     # how much of both is weighed against each other is no effect of a parameter
     gain = np.repeat(by_turn.gain[:1], len(weights), axis=0)
     turned = turn_weights(event, physics, weights, gain)

@@ -21,6 +21,7 @@ from cassini_bayes.balance.telemetry_terms import (
     balance_weights,
     band_covariances,
     band_wheel_variances,
+    open_counters,
     own_prior,
     turn_noise,
     turn_weights,
@@ -71,10 +72,11 @@ def event_system(
     weights = balance_weights(event, physics, thrust_n)
     own_mean, sd = own_prior(event, torque_mean, torque_sd)
     own_sd = np.tile(sd, (n, 1))
-    by_turn = turn_noise(event, physics, parameters, thrust_n)
+    left_open = open_counters(event, physics, thrust_n)
+    by_turn = turn_noise(event, physics, parameters, left_open.turns)
     noise = Noise(
         np.ascontiguousarray(event.wheel_weights(physics)),
-        band_covariances(event, physics, parameters, thrust_n),
+        band_covariances(event, physics, parameters, left_open.rows),
         band_wheel_variances(event, parameters),
         parameters["torque_noise_n_m_s05"] ** 2,
         by_turn.covariance,
@@ -85,7 +87,7 @@ def event_system(
     normal, log_scale, kept = normal_equations(
         used, np.ascontiguousarray(turned), noise, reduced.places, *event.bands, placed
     )
-    log_scale += log_measure(event, physics, parameters, thrust_n, by_turn)
+    log_scale += log_measure(event, physics, parameters, by_turn)
     # of the channels' densities: rates and wheels of every row, turns of every contrast
     contrasts = sum(band.contrasts for band in event.turns)
     channels = event.statistics.rows * (3 + len(event.wheel_places)) + 3 * contrasts

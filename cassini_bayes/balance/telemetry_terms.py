@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -125,6 +125,16 @@ class Reduced:
         return Entries(self.row, self.start, last + 1, self.wheels, self.wheel_entries)
 
 
+class OpenCounters(NamedTuple):
+    """Covariance of tails and on-times that counters leave open, in each band."""
+
+    rows: Array  # (n, 1 + F, 3, 3), (N m s)²
+    turns: Array  # (n, T, 3, 3), (N m s²)²
+
+
+NOTHING_OPEN: Final = OpenCounters(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3, 3)))
+
+
 @dataclass(frozen=True)
 class TelemetryBalance:
     """One telemetry event, ready for likelihood calls.
@@ -133,8 +143,9 @@ class TelemetryBalance:
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
-    is a constant of unit length on the slow modes; ``log_unit`` and ``nominal`` physics belong to
-    the measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
+    is a constant of unit length on the slow modes; ``log_unit`` and ``nominally_open``, what
+    counters leave open at nominal physics, belong to the measure of flat motion
+    (:mod:`cassini_bayes.balance.flat_motion`).
     """
 
     statistics: EventStatistics
@@ -150,7 +161,7 @@ class TelemetryBalance:
     reduced: Reduced
     constant: Array
     log_unit: float = 0.0
-    nominal: Physics | None = None
+    nominally_open: OpenCounters = NOTHING_OPEN
 
     @property
     def id(self) -> str:
@@ -295,11 +306,12 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     if event.statistics.steps.wheel_rad_s > 0.0:  # rounding, too, differs by band
         return event
     first, rows = event.fast[0], sum(band.rows for band in event.fast)
-    reduced = event.reduced
+    reduced, nominally_open = event.reduced, event.nominally_open
     return replace(
         event,
         fast=(replace(first, rows=rows, walk=np.zeros(1)),),
         reduced=replace(reduced, grams=reduced.grams.sum(axis=0, keepdims=True)),
+        nominally_open=nominally_open._replace(rows=nominally_open.rows[:, :2]),
     )
 
 
@@ -445,15 +457,15 @@ def covariance_beside_wheels(
 
 
 def band_covariances(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], left_open: Array
 ) -> Array:
     """Covariance (n, 1 + F, 3, 3) in every band but for wheels and torque noise, (N m s)².
 
-    What counters leave open is slower than the rows: it differs by band.
+    What counters leave open is slower than the rows: ``left_open`` (:class:`OpenCounters`) differs
+    by band.
     """
     white = covariance_beside_wheels(event, physics, parameters)
-    left_open = _open_covariances(event, physics, thrust_n, (event.slow, *event.fast))
-    return np.ascontiguousarray(white[:, None] + np.stack(left_open, axis=1))
+    return np.ascontiguousarray(white[:, None] + left_open)
 
 
 @dataclass(frozen=True)
@@ -470,7 +482,7 @@ class TurnNoise:
 
 
 def turn_noise(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], left_open: Array
 ) -> TurnNoise:
     """Noise of the turns of quiet pieces, given the rows.
 
@@ -480,9 +492,9 @@ def turn_noise(
 
         (1 + Q) I Σ_θ Iᵀ (1 + Q)ᵀ + D + Q D,      Q = D A⁻¹
 
-    (docs/topics/telemetry-likelihood.md §5).
+    (docs/topics/telemetry-likelihood.md §5). ``left_open`` is that of :class:`OpenCounters`.
     """
-    shared = _shared_turn_covariances(event, physics, parameters, thrust_n)
+    shared = _shared_turn_covariances(event, physics, parameters) + left_open
     inertia, by_rate = physics.inertia_kg_m2, physics.momentum_per_rate
     rate = np.maximum(rate_variance(event, parameters), LEAST_RATE_RAD_S**2)[:, None, None]
     of_gyro = rate * by_rate @ np.swapaxes(by_rate, -1, -2)
@@ -496,36 +508,40 @@ def turn_noise(
 
 
 def _shared_turn_covariances(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
 ) -> Array:
-    """Covariance (n, T, 3, 3) of what is in integrated rows and in turns alike, (N m s²)²."""
+    """Covariance (n, T, 3, 3) of what is in integrated rows and in turns alike, (N m s²)².
+
+    But for what counters leave open.
+    """
     wheels = event.wheel_weights(physics)
     white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
     noise = _wheel_variances(event, parameters, white)
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     lasting = rounding * _lasting_share(event, parameters)[:, None]
     by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
-    left_open = _open_covariances(event, physics, thrust_n, event.turns)
     each = [
         (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])
         @ np.swapaxes(wheels, -1, -2)
         + band.walked_s3 * by_torque
-        + own
-        for band, own in zip(event.turns, left_open, strict=True)
+        for band in event.turns
     ]
     return np.array(each).reshape(-1, *by_torque.shape).swapaxes(0, 1)
 
 
-def _open_covariances(
-    event: TelemetryBalance, physics: Physics, thrust_n: float, bands: Sequence[Band | TurnBand]
-) -> list[Array]:
-    """Covariance (n, 3, 3) in each band of tails and on-times that counters leave open."""
-    if not event.fires or not any(band.cut.any() or band.level.any() for band in bands):
-        return [np.zeros((len(physics.inertia_kg_m2), 3, 3))] * len(bands)
-    torque, tail = open_scales(event, physics, thrust_n)
-    across = np.swapaxes(torque, -1, -2)
-    squares = (tail[:, None] ** 2 * band.cut + band.level for band in bands)
-    return [(torque * square[:, None]) @ across for square in squares]
+def open_counters(event: TelemetryBalance, physics: Physics, thrust_n: float) -> OpenCounters:
+    """Covariances of tails and on-times that counters leave open, at n points."""
+    n = len(physics.inertia_kg_m2)
+    bands: Sequence[Band | TurnBand] = (event.slow, *event.fast, *event.turns)
+    result = np.zeros((n, len(bands), 3, 3))
+    if event.fires and any(band.cut.any() or band.level.any() for band in bands):
+        torque, tail = open_scales(event, physics, thrust_n)
+        across = np.swapaxes(torque, -1, -2)
+        for place, band in enumerate(bands):
+            square = tail[:, None] ** 2 * band.cut + band.level
+            result[:, place] = (torque * square[:, None]) @ across
+    of_rows = 1 + len(event.fast)
+    return OpenCounters(result[:, :of_rows], result[:, of_rows:])
 
 
 def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> tuple[Array, Array]:

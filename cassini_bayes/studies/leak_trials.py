@@ -18,6 +18,7 @@ from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import make_plan, scenario_of
+from cassini_bayes.spacecraft.parameters import NOISE_LEVELS
 from cassini_bayes.studies.leak_monitors import (
     ROWS_EVERY_S,
     SIZES_N,
@@ -39,12 +40,6 @@ LEAKS_OF_TEN: Final = 7  # the other three of ten trials have none
 MOST_ROWS: Final = 400  # ten seconds apart: an hour and more
 WINDOWS_S: Final = (60.0, 200.0, 600.0)
 EVENT: Final = "bias-1"
-NOISE: Final = (
-    "rate_noise_rad_s",
-    "wheel_noise_rpm",
-    "attitude_noise_rad",
-    "torque_noise_n_m_s05",
-)
 CALIBRATED: Final = (
     "thrust_common_n",
     "thrust_individual_n",
@@ -78,7 +73,8 @@ def fly_trial(
     content["event"] = [event for event in content["event"] if event["id"] == EVENT]
     draw_wheel_rates(content["event"], rng)
     content["torque_noise"] = True
-    content["truth"] = {"mass_kg": 2380.0, **{n: priors.parameters[n].mean for n in NOISE}}
+    noise = {name: priors.parameters[name].mean for name in NOISE_LEVELS}
+    content["truth"] = {"mass_kg": 2380.0, **noise}
     names = priors.spacecraft.thruster_names(priors.branch)
     size = float(np.exp(rng.uniform(np.log(SIZES_N[0]), np.log(SIZES_N[-1]))))
     thruster, share = int(rng.integers(len(names))), float(rng.uniform(0.0, 0.8))
