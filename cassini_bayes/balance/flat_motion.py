@@ -54,7 +54,9 @@ def log_measure(
         The turns' noise at the noise levels of the points.
     """
     reference = _at_reference(event, parameters, len(physics.inertia_kg_m2))
-    result = _of_rows(event, physics, reference) - event.log_unit
+    growth = _log_det(physics.inertia_kg_m2) - event.log_inertia
+    physics = _of_size(physics, np.exp(-growth / 3.0))
+    result = _of_rows(event, physics, reference) + _count(event) * growth - event.log_unit
     if event.turns:
         noise = turn_noise(event, physics, reference, event.nominally_open.turns)
         more = _log_det(np.eye(3) + by_turn.gain) - _log_det(np.eye(3) + noise.gain)
@@ -71,11 +73,30 @@ def in_channel_units(
     So log densities are those of the channels, in their units. What counters leave open is taken
     at that point, too: it is noise, not motion.
     """
-    event = replace(event, log_unit=0.0, nominally_open=open_counters(event, physics, thrust_n))
+    event = replace(
+        event,
+        log_unit=0.0,
+        log_inertia=float(_log_det(physics.inertia_kg_m2)[0]),
+        nominally_open=open_counters(event, physics, thrust_n),
+    )
     nothing = np.zeros((1, len(event.turns), 3, 3))
     flat = log_measure(event, physics, parameters, TurnNoise(nothing, nothing))
-    count = event.statistics.rows - 1 + sum(band.contrasts for band in event.turns)
-    return replace(event, log_unit=float((flat - count * _log_det(physics.momentum_per_rate))[0]))
+    unit = flat - _count(event) * _log_det(physics.momentum_per_rate)
+    return replace(event, log_unit=float(unit[0]))
+
+
+def _count(event: TelemetryBalance) -> int:
+    """Rates and turns whose motion has a density: all rows but one, and contrasts of turns."""
+    return event.statistics.rows - 1 + sum(band.contrasts for band in event.turns)
+
+
+def _of_size(physics: Physics, factor: Array) -> Physics:
+    """The physics with the inertia of body and wheels times a factor (n,)."""
+    return replace(
+        physics,
+        inertia_kg_m2=factor[:, None, None] * physics.inertia_kg_m2,
+        wheel_inertia_kg_m2=factor[:, None] * physics.wheel_inertia_kg_m2,
+    )
 
 
 def _at_reference(

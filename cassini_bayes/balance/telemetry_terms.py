@@ -161,6 +161,7 @@ class TelemetryBalance:
     reduced: Reduced
     constant: Array
     log_unit: float = 0.0
+    log_inertia: float = 0.0
     nominally_open: OpenCounters = NOTHING_OPEN
 
     @property
