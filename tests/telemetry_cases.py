@@ -21,6 +21,7 @@ from cassini_bayes.balance.statistics import (
     Sampling,
     reduce_chunks,
 )
+from cassini_bayes.balance.statistics.pulse_columns import WIDTHS_S
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
@@ -233,16 +234,26 @@ def is_quiet(samples: Samples, row: int, guard_s: float) -> bool:
 
 
 def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]) -> Array:
-    """Effective on-time gained in the interval that ends at each row, linear in τ_r and τ_f."""
+    """Effective on-time gained in the interval that ends at each row.
+
+    What a pulse gains over one at the reference is a sum of what pulses of three widths gain: that
+    which fits best over a range of τ_r and τ_f.
+    """
     _, rise, fall = sampling.pulse_reference_s
+    some = [(a * rise, b * fall) for a in np.linspace(0.6, 1.4, 9) for b in np.linspace(0.2, 2, 7)]
     result = np.zeros(samples.on_time_s.shape)
 
-    def linearised(width: float) -> float:
-        # first_order: s = width + (τ_f − τ_r)(1 − e), e = exp(−width/τ_r)
-        e = np.exp(-width / rise)
-        by_rise = -(1.0 - e) - (fall - rise) * e * width / rise**2
-        value = width + (fall - rise) * (1.0 - e)
-        return float(value + by_rise * (tau[1] - rise) + (1.0 - e) * (tau[2] - fall))
+    def tail(width: float, rise_s: float, fall_s: float) -> float:
+        return float((fall_s - rise_s) * (1.0 - np.exp(-width / rise_s)))  # of first_order
+
+    def gains(width: float) -> list[float]:
+        return [tail(width, a, b) - tail(width, rise, fall) for a, b in some]
+
+    def fitted(width: float) -> float:
+        at = np.array([gains(node) for node in WIDTHS_S]).T
+        shares = np.linalg.lstsq(at, np.array(gains(width)), rcond=None)[0]
+        gained = [tail(node, tau[1], tau[2]) - tail(node, rise, fall) for node in WIDTHS_S]
+        return float(width + tail(width, rise, fall) + shares @ gained)
 
     for k in range(samples.on_time_s.shape[1]):
         burst: list[int] = []
@@ -255,7 +266,7 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
                 count = samples.pulses[burst[-1], k] - samples.pulses[burst[0] - 1, k]
                 for j in burst:
                     own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
-                    result[j, k] = own / seconds * count * linearised(seconds / count)
+                    result[j, k] = own / seconds * count * fitted(seconds / count)
                 burst = []
     return result
 

@@ -41,8 +41,8 @@ _ALONG: Final = 2  # the body axis that is sensed
 class AccelerometerStatistics:
     """Inner products of the columns of one event's accelerometer readings.
 
-    Columns: per thruster its three pulse columns and its pulse count (4 K), the constant, the time
-    since the first reading in s. ``gram`` (4K + 2, 4K + 2), ``cross`` (4K + 2,) with the counts,
+    Columns: per thruster its C pulse columns and its pulse count, the constant, the time
+    since the first reading in s. ``gram`` (B + 2, B + 2), ``cross`` (B + 2,) with the counts,
     ``square`` their sum of squares; ``readings`` is how many stretches of one count there are.
     """
 
@@ -54,7 +54,7 @@ class AccelerometerStatistics:
 
     @property
     def centred_gram(self) -> Array:
-        """Inner products (4K + 1, 4K + 1) of on-times and time, the constant eliminated."""
+        """Inner products (B + 1, B + 1) of on-times and time, the constant eliminated."""
         others = np.delete(np.arange(len(self.gram)), len(self.gram) - 2)
         one = self.gram[others, -2]
         return np.asarray(self.gram[others[:, None], others] - np.outer(one, one) / self.readings)
@@ -133,7 +133,7 @@ def count_columns(
 ) -> tuple[Array, Array]:
     """Counts on the columns of :attr:`AccelerometerStatistics.centred_gram`.
 
-    Per newton of every thruster (n, K, 4K + 1), and without thrust (n, 4K + 1): the bias.
+    Per newton of every thruster (n, K, B + 1), and without thrust (n, B + 1): the bias.
     """
     n, k = len(parameters["mass_kg"]), directions.shape[1]
     scale = np.broadcast_to(parameters["accelerometer_scale_m_s"], (n,))

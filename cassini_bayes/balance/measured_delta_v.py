@@ -19,7 +19,6 @@ from cassini_bayes.balance.physics import DELTA_V_NOISE, Physics, delta_v_varian
 from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.rows import quiet_rows
-from cassini_bayes.balance.telemetry_terms import pulse_weights
 from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.errors import InputError
 
@@ -32,7 +31,7 @@ DELTA_V_PARAMETERS: Final = ("mass_kg", *DELTA_V_NOISE)
 class DeltaVStatistics:
     """Inner products of the columns of one event's measured velocity change.
 
-    Columns: per thruster its three pulse columns and its pulse count (4 K), then the constant.
+    Columns: per thruster its C pulse columns and its pulse count, then the constant.
     ``gram`` (4K + 1, 4K + 1), ``cross`` (4K + 1, 3) with the measured ΔV, ``square`` its sum of
     squares over rows and axes; ``last_m_s`` (3,) the last reading less the first.
     """
@@ -101,11 +100,13 @@ def rows_at_rest(samples: Samples, measured: Flags, guard_s: float) -> Places:
 
 
 def on_time_columns(samples: Samples, rows: Places, sampling: Sampling) -> Array:
-    """Pulse columns and pulse counts of every thruster up to some rows, (R, 4 K)."""
+    """Pulse columns and pulse counts of every thruster up to some rows, (R, B)."""
     counted = np.flatnonzero(samples.has_counters)
     time = samples.time_s[counted]
     on_time, pulses = samples.on_time_s[counted], samples.pulses[counted]
-    gained = effective_increments(np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling)
+    gained = effective_increments(
+        np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling.pulses.columns
+    )
     columns = np.concatenate([gained, np.diff(pulses, axis=0)[..., None]], axis=2)
     flat = columns.reshape(len(columns), -1)
     total = np.concatenate([np.zeros((1, flat.shape[1])), np.cumsum(flat, axis=0)])
@@ -150,16 +151,16 @@ def velocity_information(
 ) -> tuple[Array, Array, Array]:
     """Information on the thrusts of velocities along A axes, their constants eliminated.
 
-    As :func:`delta_v_information`, for any velocities: ``weights`` (n, K, 4K) of
-    :func:`on_time_weights`, ``gram`` (4K + 1, 4K + 1) of the columns and the constant, ``cross``
-    (n, 4K + 1, A) with the velocities, ``square`` (n,) their sum of squares, ``variance`` (n,) of
+    As :func:`delta_v_information`, for any velocities: ``weights`` (n, K, B) of
+    :func:`on_time_weights`, ``gram`` (B + 1, B + 1) of the columns and the constant, ``cross``
+    (n, B + 1, A) with the velocities, ``square`` (n,) their sum of squares, ``variance`` (n,) of
     each, (m/s)², ``directions`` (A, K) of the forces along the axes.
     """
-    k, axes = directions.shape[1], len(directions)
+    axes = len(directions)
     rows = gram[-1, -1]
-    fired = weights @ gram[: 4 * k, : 4 * k] @ np.swapaxes(weights, 1, 2)
-    to_one = weights @ gram[: 4 * k, -1]
-    with_data = weights @ cross[:, : 4 * k]
+    fired = weights @ gram[:-1, :-1] @ np.swapaxes(weights, 1, 2)
+    to_one = weights @ gram[:-1, -1]
+    with_data = weights @ cross[:, :-1]
     of_one = cross[:, -1]
     scale = 1.0 / (mass_kg**2 * variance)
     # the offset of each axis, eliminated: its precision is rows/σ² + 1/sd²
@@ -192,7 +193,7 @@ def delta_v_columns(
     directions: Array,
     parameters: Mapping[str, Array],
 ) -> Array:
-    """Velocity change per newton of every thruster on the columns, (n, K, 3, 4 K)."""
+    """Velocity change per newton of every thruster on the columns, (n, K, 3, B)."""
     n, k = len(parameters["mass_kg"]), directions.shape[1]
     weights = on_time_weights(statistics.sampling, physics, n, k)
     per_newton = weights / parameters["mass_kg"][:, None, None]
@@ -200,12 +201,10 @@ def delta_v_columns(
 
 
 def on_time_weights(sampling: Sampling, physics: Physics, n: int, k: int) -> Array:
-    """Weights (n, K, 4 K) that make each thruster's effective on-time out of the columns."""
-    pulse = np.broadcast_to(pulse_weights(sampling, physics), (n, 3))
+    """Weights (n, K, B) that make each thruster's effective on-time out of the columns."""
+    pulse = sampling.pulses.weights(physics.tau_s)
     offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
-    weights = np.zeros((n, k, 4 * k))
-    for thruster in range(k):
-        first = 4 * thruster
-        weights[:, thruster, first : first + 3] = pulse
-        weights[:, thruster, first + 3] = offset[:, thruster]
-    return weights
+    own = np.concatenate(
+        [np.broadcast_to(pulse[:, None], (n, k, pulse.shape[-1])), offset[..., None]], axis=-1
+    )
+    return np.asarray(own[:, :, None] * np.eye(k)[:, :, None]).reshape(n, k, -1)

@@ -23,6 +23,7 @@ from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
+from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
@@ -90,7 +91,7 @@ class Pattern:
     start: Places
     thrusters: int
     cuts: tuple[int, ...]  # places among the columns of cut tails that are not all zero
-    fired: Places  # (9 K,)
+    fired: Places  # (3 C K,) of C pulse columns
     pulses: Places  # (K,)
     lost: Places  # (L,) tails that are cut on average
     lost_by: Places  # (L,) the thruster
@@ -332,16 +333,17 @@ def _pattern(statistics: EventStatistics) -> Pattern:
     entries: list[list[int]] = []
     lost: list[tuple[int, int]] = []
     brought: list[tuple[int, int, str]] = []
+    per_thruster = 3 * len(PULSE_COLUMNS)
     for k, name in enumerate(layout.thrusters):
-        first = layout.fired.start + 9 * k
+        first = layout.fired.start + per_thruster * k
         couple = next(g for g, members in enumerate(layout.couples) if k in members)
         own = [layout.cut.start + p for p in cuts if divmod(p, CUT_COLUMNS) == (couple, 0)]
         count = layout.pulse_count.start + k
-        after = sum(map(len, entries)) + 10
+        after = sum(map(len, entries)) + per_thruster + 1
         lost += [(after + i, k) for i in range(len(own))]
         added = _owned(layout, name)
         brought += [(after + len(own) + i, k, column) for i, column in enumerate(added)]
-        entries.append([*range(first, first + 9), count, *own, *added.values()])
+        entries.append([*range(first, first + per_thruster), count, *own, *added.values()])
     entries += [[column] for column in range(layout.torque.stop)]
     entries += [[layout.cut.start + place] for place in cuts]
     measured = [*range(layout.rate.start, layout.turn.stop)]
@@ -358,8 +360,8 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         start=start,
         thrusters=thrusters,
         cuts=cuts,
-        fired=(start[:thrusters, None] + np.arange(9)).ravel(),
-        pulses=start[:thrusters] + 9,
+        fired=(start[:thrusters, None] + np.arange(per_thruster)).ravel(),
+        pulses=start[:thrusters] + per_thruster,
         lost=places[:, 0],
         lost_by=places[:, 1],
         members=members,
@@ -611,12 +613,12 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
     weights[:, pattern.start[places.initial.start] : tails] = 1.0
     if k > 0:
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
-        pulse = pulse_weights(event.sampling, physics)
+        pulse = event.sampling.pulses.weights(physics.tau_s)
         lost = lost_tails(event.statistics, physics, n)
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
         fired = arm[..., :, None] * pulse[:, None, None, :]
-        weights[:, pattern.fired] = fired.reshape(n, 9 * k, 1)
+        weights[:, pattern.fired] = fired.reshape(n, -1, 1)
         weights[:, pattern.pulses] = offset[:, :, None] * arm
         weights[:, pattern.lost] = -lost.mean_s[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
@@ -674,11 +676,3 @@ def cut_unit_s(statistics: EventStatistics, cuts: Sequence[int], lost: LostTails
     of_all = SHARE_SPREAD * lost.mean_s[:, None]
     of_part = lost.scatter_s[:, None] / np.sqrt(statistics.cuts[places])
     return np.where(places % CUT_COLUMNS == 0, of_all, of_part)
-
-
-def pulse_weights(sampling: Sampling, physics: Physics) -> Array:
-    """Weights (n, 3) of a thruster's pulse columns: 1 and the departures of τ_r and τ_f."""
-    _, rise, fall = sampling.pulse_reference_s
-    by_rise = np.asarray(physics.tau_s[1]) - rise
-    by_fall = np.asarray(physics.tau_s[2]) - fall
-    return np.stack([np.ones_like(by_rise), by_rise, by_fall], axis=-1)

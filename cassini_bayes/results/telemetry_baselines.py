@@ -14,13 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.statistics import Samples, Sampling
+from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines, effective_increments
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.event_reduction import ReducedEvent
@@ -111,7 +112,7 @@ def thrust_methods(model: Model) -> pd.DataFrame:
         factors = {
             "": correction_factor(on_time, pulses, batch),
             UNCORRECTED: np.ones((len(gained), len(on_time))),
-            BY_R: ratio(term.event.sampling, data, batch),
+            BY_R: ratio(data, batch),
         }
         rows += _thrust_rows(names, term.id, estimates, factors, on_time, couples)
     if len(gathered) > 1:
@@ -233,7 +234,7 @@ def _paired(couples: Sequence[Sequence[int]]) -> list[int]:
     return sorted(k for couple in couples if len(couple) > 1 for k in couple)
 
 
-def ratio(sampling: Sampling, data: PlainRows, parameters: Mapping[str, Array]) -> Array:
+def ratio(data: PlainRows, parameters: Mapping[str, Array]) -> Array:
     """R of paper 000: impulse over rectangular impulse of the pulses as they were, (n, K).
 
     Widths come from the counters' increments; 1 where a thruster did not fire.
@@ -242,14 +243,16 @@ def ratio(sampling: Sampling, data: PlainRows, parameters: Mapping[str, Array]) 
     total = data.on_time_s[-1]
     result = np.ones((len(parameters["tau_fall_s"]), len(total)))
     for i in range(len(result)):
-        reference = tuple(float(parameters[f"tau_{p}_s"][i]) for p in ("delay", "rise", "fall"))
-        shape = PULSE_SHAPES["published_2005"]
-        own = Sampling(
-            shape, (reference[0], reference[1], reference[2]), 0.0, sampling.couples, 1.0
-        )
-        effective = effective_increments(on_time, pulses, own)[..., 0].sum(0)
+        tau = [float(parameters[f"tau_{part}_s"][i]) for part in ("delay", "rise", "fall")]
+        effective = effective_increments(on_time, pulses, partial(_effective, tau_s=tau))[..., 0]
+        effective = effective.sum(0)
         result[i] = np.where(total > 0, effective / np.where(total > 0, total, 1.0), 1.0)
     return result
+
+
+def _effective(width_s: Array, tau_s: Sequence[float]) -> Array:
+    """Effective time (…, 1) of pulses by paper 000."""
+    return PULSE_SHAPES["published_2005"].effective_time(width_s, *tau_s)[..., None]
 
 
 def _thrust_rows(

@@ -23,7 +23,6 @@ from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
-from cassini_bayes.balance.telemetry_terms import pulse_weights
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
@@ -137,9 +136,8 @@ def residual_of(
     sampling = sampling_of(priors, thrusters, float(samples.time_s[-1]), "first_order")
     still = stretches(samples, sampling.guard_s)
     rows = still.rows
-    columns = on_time_columns(samples, rows, sampling).reshape(len(rows), len(thrusters), 4)[
-        ..., :3
-    ]
+    columns = on_time_columns(samples, rows, sampling).reshape(len(rows), len(thrusters), -1)
+    columns = columns[..., :-1]  # without pulse counts
     to_body = direction_cosines(samples.attitude[rows])
     back = np.einsum("ab,ncb->nac", to_body[0], to_body)  # to the first row's axes
     craft = priors.spacecraft
@@ -156,7 +154,7 @@ def residual_of(
         body_physics = physics(values)
         body = still.rate_rad_s @ body_physics.inertia_kg_m2.T
         body = body + still.wheel_rad_s @ body_physics.wheel_weights[:, places].T
-        seconds = columns @ pulse_weights(sampling, body_physics)
+        seconds = columns @ sampling.pulses.weights(body_physics.tau_s)
         total = np.einsum("nac,nc->na", back, body) - seconds @ (body_physics.arms_m * thrust_n).T
         return np.asarray(total - total[0])
 

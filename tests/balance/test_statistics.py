@@ -111,7 +111,7 @@ def test_a_merged_firing_is_one_pulse() -> None:
     on_time = np.zeros((4, 8))
     pulses = np.zeros((4, 8))
     on_time[1, 0], on_time[2, 0], pulses[1, 0] = 0.2, 0.05, 1.0
-    effective = effective_increments(on_time, pulses, sampling)[:, 0, 0].sum()
+    effective = effective_increments(on_time, pulses, sampling.pulses.columns)[:, 0, 0].sum()
     curve = PULSE_SHAPES["first_order"].thrust_fraction
     impulse = quad(
         lambda t: float(curve(t, 0.25, *sampling.pulse_reference_s)),
@@ -123,19 +123,19 @@ def test_a_merged_firing_is_one_pulse() -> None:
     assert effective == pytest.approx(impulse, rel=1e-6)
 
 
-def test_slopes_of_the_effective_on_time() -> None:
-    """The columns of τ_r and τ_f are derivatives of the effective on-time."""
+def test_pulses_of_a_run_share_their_mean_width() -> None:
+    """Three pulses in 90 ms gain three times what one of 30 ms does, at the reference exactly."""
     priors = telemetry_priors()
     names = priors.spacecraft.thruster_names("B")
     sampling = sampling_of(priors, names, 10.0, "first_order")
     on_time, pulses = np.zeros((3, 8)), np.zeros((3, 8))
     on_time[1, 2], pulses[1, 2] = 0.09, 3.0
-    value, by_rise, by_fall = effective_increments(on_time, pulses, sampling)[1, 2]
+    found = effective_increments(on_time, pulses, sampling.pulses.columns)[1, 2]
     _, rise, fall = sampling.pulse_reference_s
-    e = np.exp(-0.03 / rise)
-    assert value == pytest.approx(0.09 + 3 * (fall - rise) * (1 - e), rel=1e-12)
-    assert by_fall == pytest.approx(3 * (1 - e), rel=1e-7)
-    assert by_rise == pytest.approx(3 * (-(1 - e) - (fall - rise) * e * 0.03 / rise**2), rel=1e-7)
+    assert found[0] == pytest.approx(
+        0.09 + 3 * (fall - rise) * (1 - np.exp(-0.03 / rise)), rel=1e-12
+    )
+    assert found == pytest.approx(3.0 * sampling.pulses.columns(np.array(0.03)), rel=1e-12)
 
 
 def test_sign_of_the_quaternion_does_not_matter() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from event_cases import model, simulated
 
-from cassini_bayes.balance.statistics import Sampling
 from cassini_bayes.results.baselines import MEAN, PER_EVENT, assumed_points
 from cassini_bayes.results.inertia_baselines import all_axes, axis_by_axis, inertia_methods
 from cassini_bayes.results.telemetry_baselines import (
@@ -20,7 +19,6 @@ from cassini_bayes.results.telemetry_baselines import (
     ratio,
     thrust_methods,
 )
-from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 COUPLES = ((0,), (1,), (2,), (3,), (4, 6), (5, 7))
 
@@ -62,9 +60,8 @@ def test_impulse_ratio_of_the_fsds_case() -> None:
     pulses = np.cumsum(gaps > 0)[:, None].astype(float)
     rows = len(on_time)
     data = PlainRows(np.arange(float(rows)), np.empty(0), np.empty(0), np.empty(0), on_time, pulses)
-    sampling = Sampling(PULSE_SHAPES["published_2005"], (0.005, 0.02, 0.065), 0.5, ((0,),), 1.0)
     taus = {"tau_delay_s": 0.005, "tau_rise_s": 0.020, "tau_fall_s": 0.065}
-    found = ratio(sampling, data, {name: np.array([value]) for name, value in taus.items()})
+    found = ratio(data, {name: np.array([value]) for name, value in taus.items()})
     assert on_time[-1, 0] == pytest.approx(21.875)
     assert found[0, 0] == pytest.approx(1.3406, abs=5e-4)
     assert 0.98 / found[0, 0] == pytest.approx(0.731, abs=5e-4)

@@ -8,8 +8,7 @@ In body axes at time t, with R(t, t') the rotation from body axes at t' to those
 ω_x, ω_y, ω_z, 1, ρ_1 … ρ_W, and the turns of the attitude, which only the balance integrated over
 quiet pieces has (:mod:`.turns`; zero in rows). Vector columns have three components at each time:
 R e_j for the initial momentum, ∫R e_j dt for a steady torque, ∫R e_j ds_k for thruster k. The
-effective on-time s depends on the pulse parameters: three columns hold its value at the reference
-parameters and its derivatives with respect to τ_r and τ_f there (exact in τ_f for ``first_order``).
+effective on-time s depends on the pulse parameters, by the columns of :mod:`.pulse_columns`.
 """
 
 from __future__ import annotations
@@ -21,13 +20,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS, PulseBasis
 from cassini_bayes.balance.statistics.rows import Samples, quiet_rows
 from cassini_bayes.balance.statistics.turning import turned_into_body
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.spacecraft.pulses import PulseShape
 
 AXES = "xyz"
-PULSE_COLUMNS = ("reference", "rise", "fall")
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
 CUT_COLUMNS = 1 + CUT_PARTS  # per couple: pairs that may be close, of all and of every part
 # How often pulses are a control cycle apart is the controller's business (0.45 to 0 of the pairs
@@ -37,7 +36,6 @@ ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
 _SAME_S = 1e-6  # times closer than this are the same
-_STEP_S = 1e-6  # of the derivatives of the effective on-time
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class ExtraColumn:
 class Sampling:
     """How telemetry is turned into columns.
 
-    ``pulse_reference_s`` are the τ_delay, τ_rise, τ_fall at which pulses are linearised;
+    ``pulse_reference_s`` are the τ_delay, τ_rise, τ_fall at which pulses are exact;
     ``guard_s`` is how long after its end a pulse may still deliver momentum, ``duration_s`` the
     time of the last row. ``corner_rad`` is what a trapezoid of wheel rates may miss of a turn, in
     rad of the wheel, ``corner_rad_s`` the second difference of wheel rates that is no noise.
@@ -99,6 +97,11 @@ class Sampling:
     corner_rad: float = np.inf
     corner_rad_s: float = np.inf
     reference_noise: tuple[tuple[str, float], ...] = ()
+
+    @cached_property
+    def pulses(self) -> PulseBasis:
+        """Columns and weights of pulses."""
+        return PulseBasis(self.pulse_shape, self.pulse_reference_s)
 
 
 @dataclass(frozen=True)
@@ -435,7 +438,8 @@ def _impulses(
     active = counted.active
     if len(active) == 0:
         return carry.fired[None]
-    increments = effective_increments(counted.on_time, counted.pulses, sampling)[active]
+    columns = sampling.pulses.columns
+    increments = effective_increments(counted.on_time, counted.pulses, columns)[active]
     nearest = np.searchsorted(0.5 * (time[1:] + time[:-1]), counted.time_s)
     mean = 0.5 * (attitude[nearest[active]] + attitude[nearest[active + 1]])
     steps = increments[..., None, None] * np.swapaxes(mean, 1, 2)[:, None, None]
@@ -503,15 +507,18 @@ def quarter_of(time_s: Array, duration_s: float) -> NDArray[np.intp]:
     return np.minimum((CUT_PARTS * time_s / duration_s).astype(np.intp), CUT_PARTS - 1)
 
 
-def effective_increments(on_time: Array, pulses: Array, sampling: Sampling) -> Array:
-    """Effective on-time of every counter interval and its derivatives, (m, K, 3).
+def effective_increments(
+    on_time: Array, pulses: Array, of_width: Callable[[Array], Array]
+) -> Array:
+    """What pulses of every counter interval add to the pulse columns, (m, K, C).
 
     Intervals in a row with firing belong together: a pulse may run from one into the next. They
     share the mean width of their pulses, and their effective on-time in proportion to on-time.
-    on_time, pulses (m, K) are the increments of the counters.
+    on_time, pulses (m, K) are the increments of the counters; ``of_width`` gives the columns
+    (…, C) of one pulse of a width (…), s.
     """
     firing = (on_time > 0) | (pulses > 0)
-    result = np.zeros((*on_time.shape, len(PULSE_COLUMNS)))
+    result = np.zeros((*on_time.shape, of_width(np.zeros(1)).shape[-1]))
     for k in range(on_time.shape[1]):
         rows = np.flatnonzero(firing[:, k])
         if len(rows) == 0:
@@ -520,18 +527,7 @@ def effective_increments(on_time: Array, pulses: Array, sampling: Sampling) -> A
         seconds = np.bincount(run, on_time[rows, k])
         # a run without a start goes on from before the first reading
         count = np.maximum(np.bincount(run, pulses[rows, k]), 1.0)
-        effective = count[:, None] * _effective_and_slopes(seconds / count, sampling)
+        effective = count[:, None] * of_width(seconds / count)
         share = on_time[rows, k] / np.where(seconds > 0, seconds, 1.0)[run]
         result[rows, k] = share[:, None] * effective[run]
     return result
-
-
-def _effective_and_slopes(width: Array, sampling: Sampling) -> Array:
-    """Effective time of pulses at the reference and its slopes in τ_r and τ_f, (…, 3)."""
-    shape = sampling.pulse_shape.effective_time
-    delay, rise, fall = sampling.pulse_reference_s
-    value = shape(width, delay, rise, fall)
-    by_rise = shape(width, delay, rise + _STEP_S, fall) - shape(width, delay, rise - _STEP_S, fall)
-    by_fall = shape(width, delay, rise, fall + _STEP_S) - shape(width, delay, rise, fall - _STEP_S)
-    scale = 2.0 * _STEP_S
-    return np.stack([np.broadcast_to(value, width.shape), by_rise / scale, by_fall / scale], -1)

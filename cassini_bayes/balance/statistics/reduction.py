@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics.columns import (
-    PULSE_COLUMNS,
     Carry,
     Layout,
     Pairs,
@@ -25,6 +24,7 @@ from cassini_bayes.balance.statistics.columns import (
     settle,
 )
 from cassini_bayes.balance.statistics.counters import KNOWN, Rounding
+from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.balance.statistics.turns import (
     SLOPE_WAVES,
