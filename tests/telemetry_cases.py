@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import trapezoid
 from scipy.linalg import block_diag, null_space, solve_triangular, sqrtm
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from cassini_bayes.balance.open_counters import LEAST_RATIO
@@ -255,6 +256,28 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
         gained = [tail(node, tau[1], tau[2]) - tail(node, rise, fall) for node in WIDTHS_S]
         return float(width + tail(width, rise, fall) + shares @ gained)
 
+    def expected(width: float, count: float) -> float:
+        # of pulses with this mean: widths as the event's, by exp(slope width), less one's share
+        usual = np.array(sampling.widths_s)
+        if (
+            count == 1.0
+            or not min(usual, default=width) + 1e-9 < width < max(usual, default=width) - 1e-9
+        ):
+            return fitted(width)
+
+        def tilted(slope: float) -> Array:
+            raised = np.exp(slope * (usual - width) - max(slope * (usual - width)))
+            return np.asarray(raised / raised.sum())
+
+        def missed(slope: float) -> float:
+            return float(tilted(slope) @ usual) - width
+
+        reach = 700.0 / float(np.ptp(usual))
+        ends = [end for end in (-reach, reach) if missed(end) * end <= 0.0]
+        slope = ends[0] if ends else brentq(missed, -reach, reach, xtol=1e-9)
+        mixed = float(tilted(slope) @ [fitted(one) for one in usual])
+        return mixed + (fitted(width) - mixed) / count
+
     for k in range(samples.on_time_s.shape[1]):
         burst: list[int] = []
         for i in range(1, len(samples) + 1):
@@ -266,7 +289,7 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
                 count = samples.pulses[burst[-1], k] - samples.pulses[burst[0] - 1, k]
                 for j in burst:
                     own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
-                    result[j, k] = own / seconds * count * fitted(seconds / count)
+                    result[j, k] = own / seconds * count * expected(seconds / count, count)
                 burst = []
     return result
 
@@ -390,12 +413,15 @@ def plain_measure(
 ) -> float:
     """Log of what takes densities of the balance to those of the channels, by dense matrices.
 
-    At the prior means it is |det I| per rate, but for a constant, and per contrast of turns.
+    At the prior means it is |det I| per rate, but for a constant, and per contrast of turns. A body
+    and wheels that are larger by one factor have a measure that is larger by its power.
     """
     means = nominal_of(model)
-    flat, at_means = (_flat_measure(model, term, rows, turns, at) for at in (values, means))
+    size = np.cbrt(np.linalg.det(inertia_tensor(values)) / np.linalg.det(inertia_tensor(means)))
+    shrunk = {n: v / size if "inertia_" in n else v for n, v in values.items()}
+    flat, at_means = (_flat_measure(model, term, rows, turns, at) for at in (shrunk, means))
     count = len(rows.times) - 1 + len(turns.of_rates)
-    return flat - at_means + count * float(np.linalg.slogdet(inertia_tensor(means))[1])
+    return flat - at_means + count * float(np.linalg.slogdet(inertia_tensor(values))[1])
 
 
 def _flat_measure(

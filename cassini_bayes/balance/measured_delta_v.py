@@ -105,7 +105,7 @@ def on_time_columns(samples: Samples, rows: Places, sampling: Sampling) -> Array
     time = samples.time_s[counted]
     on_time, pulses = samples.on_time_s[counted], samples.pulses[counted]
     gained = effective_increments(
-        np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling.pulses.columns
+        np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling.pulses.expected_columns
     )
     columns = np.concatenate([gained, np.diff(pulses, axis=0)[..., None]], axis=2)
     flat = columns.reshape(len(columns), -1)

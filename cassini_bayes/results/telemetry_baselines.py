@@ -250,8 +250,8 @@ def ratio(data: PlainRows, parameters: Mapping[str, Array]) -> Array:
     return result
 
 
-def _effective(width_s: Array, tau_s: Sequence[float]) -> Array:
-    """Effective time (…, 1) of pulses by paper 000."""
+def _effective(width_s: Array, _: Array, tau_s: Sequence[float]) -> Array:
+    """Effective time (…, 1) of a pulse by paper 000, whatever their number."""
     return PULSE_SHAPES["published_2005"].effective_time(width_s, *tau_s)[..., None]
 
 

@@ -217,7 +217,12 @@ def reduced_simulation(
     if not exact_counters:
         return reduced
     known = reduced.statistics
-    prepared = Preparation(known.steps, gaps_s=tuple(known.counters.gaps_s.tolist()))
+    counters = known.counters
+    prepared = Preparation(
+        known.steps,
+        gaps_s=tuple(counters.gaps_s.tolist()),
+        widths_s=tuple(counters.widths_s.tolist()),
+    )
     given = (known.event_id, known.kind, (samples,), known.layout, sampling)
     return replace(reduced, statistics=reduce_chunks(*given, prepared=prepared))
 

@@ -133,7 +133,10 @@ def test_a_step_is_told_from_the_readings() -> None:
 
 
 def test_other_widths_are_not_taken_for_multiples() -> None:
-    """Negative control: widths of any size are no multiples, nor is a step that tells nothing."""
+    """Negative control: widths of any size are no multiples, nor is a step that tells nothing.
+
+    Long pulses do not make up for short ones.
+    """
     rng = np.random.default_rng(5)
 
     def quantised(widths: Array, step: float) -> bool:
@@ -143,6 +146,7 @@ def test_other_widths_are_not_taken_for_multiples() -> None:
     widths = rng.uniform(0.02, 0.125, 30)
     assert not quantised(widths, 0.01)
     assert not quantised(widths, CYCLE_S)
+    assert not quantised(np.where(np.arange(30) % 3 == 0, 8 * CYCLE_S, 0.06), CYCLE_S)
     assert not quantised(np.full(30, CYCLE_S), 0.1)
     assert quantised(np.full(30, CYCLE_S), 0.01)
     assert quantised(np.full(30, CYCLE_S), CYCLE_S)

@@ -22,7 +22,9 @@ def counters(pairs: list[float]) -> CounterStatistics:
     weight = np.array(pairs)[:, None]
     fired = np.ones((4, 1), dtype=bool)
     open_s2, ratio, coarse = np.array([4e-6]), np.array([np.inf]), np.array([False])
-    return CounterStatistics(TIME, 1, ENDS, fired, weight, open_s2, ratio, coarse, GAPS_S)
+    return CounterStatistics(
+        TIME, 1, ENDS, fired, weight, open_s2, ratio, coarse, GAPS_S, np.zeros(0)
+    )
 
 
 def test_pairs_of_a_quarter_add_up_to_what_the_likelihood_has() -> None:

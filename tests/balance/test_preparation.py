@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cassini_bayes.balance.statistics.preparation import GAPS, LEAST_ALONE, close_gaps
+from cassini_bayes.balance.statistics.preparation import (
+    LEAST_ALONE,
+    QUANTILES,
+    close_gaps,
+    single_widths,
+)
 from cassini_bayes.computing.arrays import Array
 
 CYCLE_S = 0.125
@@ -25,7 +30,9 @@ def test_pulses_of_whole_cycles_leave_a_cycle(cycles: int, step: float) -> None:
     """Their successors come a cycle later, also where rounding moves a width by a step."""
     on_time, pulses = counted(np.full(40, cycles * CYCLE_S))
     shown = step * np.round(on_time / step) if step else on_time
-    assert close_gaps(shown, pulses, step, CYCLE_S) == pytest.approx([CYCLE_S] * GAPS)
+    assert close_gaps(single_widths(shown, shown, pulses), step, CYCLE_S) == pytest.approx(
+        [CYCLE_S] * QUANTILES
+    )
 
 
 def test_short_pulses_leave_what_remains_of_their_cycle() -> None:
@@ -35,16 +42,16 @@ def test_short_pulses_leave_what_remains_of_their_cycle() -> None:
     """
     widths = np.linspace(0.02, 0.1, 200)
     on_time, pulses = counted(widths)
-    found = close_gaps(on_time, pulses, 0.001, CYCLE_S)
-    expected = np.quantile(CYCLE_S - widths, (np.arange(GAPS) + 0.5) / GAPS)
+    found = close_gaps(single_widths(on_time, on_time, pulses), 0.001, CYCLE_S)
+    expected = np.quantile(CYCLE_S - widths, (np.arange(QUANTILES) + 0.5) / QUANTILES)
     assert found == pytest.approx(expected, abs=1e-3)
     company = on_time + 0.01 * np.arange(len(on_time))[:, None]
-    assert close_gaps(company, pulses, 0.001, CYCLE_S) == ()
+    assert close_gaps(single_widths(company, company, pulses), 0.001, CYCLE_S) == ()
 
 
 def test_few_pulses_and_unknown_cycles_say_nothing() -> None:
     """Then the likelihood takes a control cycle."""
     on_time, pulses = counted(np.full(LEAST_ALONE - 1, 0.05))
-    assert close_gaps(on_time, pulses, 0.001, CYCLE_S) == ()
+    assert close_gaps(single_widths(on_time, on_time, pulses), 0.001, CYCLE_S) == ()
     on_time, pulses = counted(np.full(40, 0.05))
-    assert close_gaps(on_time, pulses, 0.001, 0.0) == ()
+    assert close_gaps(single_widths(on_time, on_time, pulses), 0.001, 0.0) == ()

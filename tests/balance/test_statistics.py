@@ -111,7 +111,9 @@ def test_a_merged_firing_is_one_pulse() -> None:
     on_time = np.zeros((4, 8))
     pulses = np.zeros((4, 8))
     on_time[1, 0], on_time[2, 0], pulses[1, 0] = 0.2, 0.05, 1.0
-    effective = effective_increments(on_time, pulses, sampling.pulses.columns)[:, 0, 0].sum()
+    effective = effective_increments(on_time, pulses, sampling.pulses.expected_columns)[
+        :, 0, 0
+    ].sum()
     curve = PULSE_SHAPES["first_order"].thrust_fraction
     impulse = quad(
         lambda t: float(curve(t, 0.25, *sampling.pulse_reference_s)),
@@ -130,7 +132,7 @@ def test_pulses_of_a_run_share_their_mean_width() -> None:
     sampling = sampling_of(priors, names, 10.0, "first_order")
     on_time, pulses = np.zeros((3, 8)), np.zeros((3, 8))
     on_time[1, 2], pulses[1, 2] = 0.09, 3.0
-    found = effective_increments(on_time, pulses, sampling.pulses.columns)[1, 2]
+    found = effective_increments(on_time, pulses, sampling.pulses.expected_columns)[1, 2]
     _, rise, fall = sampling.pulse_reference_s
     assert found[0] == pytest.approx(
         0.09 + 3 * (fall - rise) * (1 - np.exp(-0.03 / rise)), rel=1e-12

@@ -85,6 +85,7 @@ class Sampling:
     rad of the wheel, ``corner_rad_s`` the second difference of wheel rates that is no noise.
     ``reference_noise`` are noise levels, by name, of about the right size: all hypotheses of an
     event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
+    ``widths_s`` are what pulses of the event are like, all as likely (:class:`.PulseBasis`).
     """
 
     pulse_shape: PulseShape
@@ -97,11 +98,12 @@ class Sampling:
     corner_rad: float = np.inf
     corner_rad_s: float = np.inf
     reference_noise: tuple[tuple[str, float], ...] = ()
+    widths_s: tuple[float, ...] = ()
 
     @cached_property
     def pulses(self) -> PulseBasis:
         """Columns and weights of pulses."""
-        return PulseBasis(self.pulse_shape, self.pulse_reference_s)
+        return PulseBasis(self.pulse_shape, self.pulse_reference_s, self.widths_s)
 
 
 @dataclass(frozen=True)
@@ -438,8 +440,8 @@ def _impulses(
     active = counted.active
     if len(active) == 0:
         return carry.fired[None]
-    columns = sampling.pulses.columns
-    increments = effective_increments(counted.on_time, counted.pulses, columns)[active]
+    of_pulse = sampling.pulses.expected_columns
+    increments = effective_increments(counted.on_time, counted.pulses, of_pulse)[active]
     nearest = np.searchsorted(0.5 * (time[1:] + time[:-1]), counted.time_s)
     mean = 0.5 * (attitude[nearest[active]] + attitude[nearest[active + 1]])
     steps = increments[..., None, None] * np.swapaxes(mean, 1, 2)[:, None, None]
@@ -508,17 +510,17 @@ def quarter_of(time_s: Array, duration_s: float) -> NDArray[np.intp]:
 
 
 def effective_increments(
-    on_time: Array, pulses: Array, of_width: Callable[[Array], Array]
+    on_time: Array, pulses: Array, of_pulse: Callable[[Array, Array], Array]
 ) -> Array:
     """What pulses of every counter interval add to the pulse columns, (m, K, C).
 
     Intervals in a row with firing belong together: a pulse may run from one into the next. They
     share the mean width of their pulses, and their effective on-time in proportion to on-time.
-    on_time, pulses (m, K) are the increments of the counters; ``of_width`` gives the columns
-    (…, C) of one pulse of a width (…), s.
+    on_time, pulses (m, K) are the increments of the counters; ``of_pulse`` gives the columns
+    (…, C) of a pulse from the mean width (…) of so many (…), s.
     """
     firing = (on_time > 0) | (pulses > 0)
-    result = np.zeros((*on_time.shape, of_width(np.zeros(1)).shape[-1]))
+    result = np.zeros((*on_time.shape, of_pulse(np.zeros(1), np.ones(1)).shape[-1]))
     for k in range(on_time.shape[1]):
         rows = np.flatnonzero(firing[:, k])
         if len(rows) == 0:
@@ -527,7 +529,7 @@ def effective_increments(
         seconds = np.bincount(run, on_time[rows, k])
         # a run without a start goes on from before the first reading
         count = np.maximum(np.bincount(run, pulses[rows, k]), 1.0)
-        effective = count[:, None] * of_width(seconds / count)
+        effective = count[:, None] * of_pulse(seconds / count, count)
         share = on_time[rows, k] / np.where(seconds > 0, seconds, 1.0)[run]
         result[rows, k] = share[:, None] * effective[run]
     return result

@@ -28,7 +28,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 
 # Least step that counts as rounding, s: what is finer leaves a hundredth of a rate sample's noise.
 LEAST_STEP_S: Final = 5e-4
@@ -124,8 +124,9 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
 
     By chance a reading is so with probability 2 step/quantum; with five different ones, of a step
     of a quarter of the quantum or less, that is not chance. With a step that is the quantum
-    itself all readings are multiples; shorter pulses are seen by a gain of less than one each (but
-    for the last, which may have been counted and not yet fired).
+    itself all readings are multiples; shorter pulses are seen by firings that gain less than one
+    for each (but for the last, which may have been counted and not yet fired). Firings with long
+    pulses must not make up for them.
     """
     gained = on_time_s - on_time_s[0]
     if quantum_s <= 0.0:
@@ -133,7 +134,8 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     if len(np.unique(gained)) < LEAST_RUNS:
         return None
     if abs(step_s - quantum_s) < _SLACK:
-        return bool(np.all(gained >= quantum_s * (pulses - pulses[0] - 1.0) - _SLACK))
+        seconds, count = _of_runs(on_time_s, pulses)
+        return bool(np.all(seconds[:-1] >= quantum_s * count[:-1] - _SLACK))
     off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
     # the first reading is rounded, too
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
@@ -142,14 +144,10 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
 def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Rounding]:
     """Expected cumulative on-time (m,), and what stays open."""
     change = np.diff(on_time_s)
-    firing = (change > 0.0) | (np.diff(pulses) > 0.0)
-    active = np.flatnonzero(firing)
+    active, run = _runs(on_time_s, pulses)
     if len(active) == 0:
         return on_time_s, KNOWN
-    # a pulse may run over a reading: what follows without a pause belongs together
-    run = np.concatenate([[0], np.cumsum(np.diff(active) > 1)])
-    seconds = np.asarray(np.bincount(run, change[active]), dtype=np.float64)
-    count = np.maximum(np.bincount(run, np.diff(pulses)[active]), 1.0)
+    seconds, count = _of_runs(on_time_s, pulses)
     rounding = step_s**2 / 12.0
     if len(seconds) < LEAST_RUNS:
         return on_time_s, Rounding(rounding)
@@ -168,6 +166,22 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Ro
     gained[active] = expected[run] * share
     on_time = on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)])
     return on_time, Rounding(rounding, ratio, coarse, float(seconds.sum() / count.sum()))
+
+
+def _runs(on_time_s: Array, pulses: Array) -> tuple[Places, Places]:
+    """Intervals in which a thruster fired, and the number of the firing that each belongs to.
+
+    A pulse may run over a reading: what follows without a pause belongs together.
+    """
+    active = np.flatnonzero((np.diff(on_time_s) > 0.0) | (np.diff(pulses) > 0.0))
+    return active, np.cumsum(np.diff(active, prepend=active[:1]) > 1)
+
+
+def _of_runs(on_time_s: Array, pulses: Array) -> tuple[Array, Array]:
+    """Seconds and pulses (R,) of every firing."""
+    active, run = _runs(on_time_s, pulses)
+    seconds = np.asarray(np.bincount(run, np.diff(on_time_s)[active]), dtype=np.float64)
+    return seconds, np.maximum(np.bincount(run, np.diff(pulses)[active]), 1.0)
 
 
 def _banded(count: Array, spread: float, rounding: float) -> Array:

@@ -21,7 +21,7 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
-GAPS: Final = 12  # quantiles that stand for all gaps
+QUANTILES: Final = 12  # that stand for all gaps, and for all widths
 _SAME: Final = 1e-3  # of a step, that a printed multiple may be off
 _SAME_S: Final = 1e-6
 
@@ -78,37 +78,56 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float) -> Prepared:
         return Prepared(Preparation(steps), time, on_time, end_s)
     step_s = counter_step(on_time)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
-    gaps = close_gaps(on_time, pulses, step_s, control_cycle_s)
-    found = Preparation(steps, expected.rounding, gaps)
+    gaps = close_gaps(single_widths(on_time, on_time, pulses), step_s, control_cycle_s)
+    widths = _quantiles(single_widths(expected.on_time_s, on_time, pulses))
+    found = Preparation(steps, expected.rounding, gaps, widths)
     return Prepared(found, time, expected.on_time_s, end_s)
 
 
-def close_gaps(
-    on_time: Array, pulses: Array, step_s: float, control_cycle_s: float
-) -> tuple[float, ...]:
-    """Times (:data:`GAPS`), all as likely, from the end of a pulse to that of its control cycle.
-
-    By then the next pulse may begin: after a pulse of 40 ms in a cycle of 125 ms within 85 ms.
-    Pulses that fill their cycles are followed by a whole one, or are no pair. Widths are those of
-    single pulses with none in the intervals before and after; of too few nothing is said.
+def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
+    """Widths of single pulses with none in the intervals before and after, of all thrusters, s.
 
     Parameters
     ----------
-    on_time, pulses
-        (m, K) readings of the counters around every change.
+    expected_s
+        (m, K) on-times that the widths are taken from.
+    on_time_s, pulses
+        (m, K) readings of the counters around every change, by which a pulse is single.
+    """
+    begun = np.diff(pulses, axis=0)
+    fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
+    alone = fired[1:-1] & ~fired[:-2] & ~fired[2:] & (begun[1:-1] == 1.0)
+    return np.asarray(np.diff(expected_s, axis=0)[1:-1][alone])
+
+
+def close_gaps(widths_s: Array, step_s: float, control_cycle_s: float) -> tuple[float, ...]:
+    """Times, all as likely, from the end of a pulse to that of its control cycle.
+
+    By then the next pulse may begin: after a pulse of 40 ms in a cycle of 125 ms within 85 ms.
+    Pulses that fill their cycles are followed by a whole one, or are no pair. Of too few pulses
+    nothing is said.
+
+    Parameters
+    ----------
+    widths_s
+        Of single pulses.
     step_s
         Of the on-times, which may hide that a pulse fills its cycle.
     """
-    gained, begun = np.diff(on_time, axis=0), np.diff(pulses, axis=0)
-    fired = (gained > 0.0) | (begun > 0.0)
-    alone = fired[1:-1] & ~fired[:-2] & ~fired[2:] & (begun[1:-1] == 1.0)
-    if control_cycle_s == 0.0 or np.count_nonzero(alone) < LEAST_ALONE:
+    if control_cycle_s == 0.0:
         return ()
-    into = np.mod(gained[1:-1][alone], control_cycle_s)
+    into = np.mod(widths_s, control_cycle_s)
     slack = max(step_s, _SAME * control_cycle_s)
     fills = (into < slack) | (into > control_cycle_s - slack)
     gaps = np.where(fills, control_cycle_s, control_cycle_s - into)
-    return tuple(np.quantile(gaps, (np.arange(GAPS) + 0.5) / GAPS).tolist())
+    return _quantiles(gaps)
+
+
+def _quantiles(values: Array) -> tuple[float, ...]:
+    """:data:`QUANTILES` values that stand for all; none for fewer than :data:`LEAST_ALONE`."""
+    if len(values) < LEAST_ALONE:
+        return ()
+    return tuple(np.quantile(values, (np.arange(QUANTILES) + 0.5) / QUANTILES).tolist())
 
 
 def channel_step(values: Array) -> float:

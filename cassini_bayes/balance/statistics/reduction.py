@@ -8,7 +8,7 @@ not depend on the number of samples (``docs/topics/telemetry-likelihood.md`` §6
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -108,7 +108,8 @@ class CounterStatistics:
     (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2``, ``open_ratio``
     and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
     (:class:`cassini_bayes.balance.statistics.counters.Rounding`). ``gaps_s`` (m,) are the times,
-    all as likely, from the end of a pulse to the next one of a pair that is close.
+    all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
+    (m,) are widths of pulses, all as likely, none if they are not known.
     """
 
     row_time_s: Array
@@ -120,6 +121,7 @@ class CounterStatistics:
     open_ratio: Array
     coarse: NDArray[np.bool_]
     gaps_s: Array
+    widths_s: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +149,7 @@ class Preparation:
     steps: ChannelSteps = ChannelSteps()
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
+    widths_s: tuple[float, ...] = ()  # of pulses; without, those of a firing are alike
 
 
 @dataclass(frozen=True)
@@ -265,6 +268,8 @@ def reduce_chunks(
     InputError
         Fewer than ten rows can be used, or a counter's steps are longer than the pulses.
     """
+    prepared = prepared or Preparation()
+    sampling = replace(sampling, widths_s=prepared.widths_s)
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
@@ -288,7 +293,6 @@ def reduce_chunks(
             "give more telemetry, or the counters at a faster rate",
         )
     gram, places = _by_axes(inner.columns, layout)
-    prepared = prepared or Preparation()
     _require_readable(event_id, layout, prepared.rounding)
     return EventStatistics(
         event_id=event_id,
@@ -306,7 +310,7 @@ def reduce_chunks(
             carry.pairs,
             times,
             layout,
-            prepared.rounding,
+            prepared,
             np.array(prepared.gaps_s or (sampling.control_cycle_s,)),
         ),
         steps=prepared.steps,
@@ -356,7 +360,7 @@ def _counter_statistics(
     pairs: Pairs,
     times: Thinned,
     layout: Layout,
-    rounding: Sequence[Rounding],
+    prepared: Preparation,
     gaps_s: Array,
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
@@ -366,7 +370,7 @@ def _counter_statistics(
     if every > 1:
         weight = np.add.reduceat(weight, first, axis=0)
         fired = np.logical_or.reduceat(fired, first, axis=0)
-    by_thruster = rounding or (KNOWN,) * len(layout.thrusters)
+    by_thruster = prepared.rounding or (KNOWN,) * len(layout.thrusters)
     by_couple = [
         max((by_thruster[k] for k in own), key=lambda one: one.variance_s2)
         for own in layout.couples
@@ -381,6 +385,7 @@ def _counter_statistics(
         np.array([one.ratio for one in by_couple]),
         np.array([one.coarse for one in by_couple], dtype=np.bool_),
         gaps_s,
+        np.array(prepared.widths_s),
     )
 
 
