@@ -5,7 +5,9 @@ has a flat distribution. Flat in which coordinates is a choice. Flat wheel rates
 the channels a factor |det I| per row, flat body rates give it |det T I_w|. At the true parameters,
 the slope of the log likelihood in log I is zero on average for neither: the first draws the inertia
 upwards, the second downwards. The factor for which it is zero is the root of the determinant of the
-balance's own noise, at noise levels that stay fixed (docs/topics/telemetry-likelihood.md §3).
+balance's own noise, at noise levels that stay fixed. It is taken at a body of nominal size and
+grows with |det I|, so that the common scale of inertia, wheels and thrusts is not drawn either
+(docs/topics/telemetry-likelihood.md §3).
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ def log_measure(
         (N − R) log |det I| + ½ Σ_R log det V + Σ_θ [log |det (1 + Q)(1 + Q₀)⁻¹| + ½ log det Σ̃_θ],
 
     R the rows of bands in which wheels move by any amount. The initial momentum takes up a constant
-    of the slow band: its body rate is flat, too. The unit is that of :func:`in_channel_units`.
+    of the slow band: its body rate is flat, too. All this is at body and wheels of nominal size,
+    with the determinant of the prior means; log |det I| grows by its difference, for each rate but
+    one and each turn. The unit is that of :func:`in_channel_units`.
 
     Parameters
     ----------

@@ -144,9 +144,9 @@ class TelemetryBalance:
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
-    is a constant of unit length on the slow modes; ``log_unit`` and ``nominally_open``, what
-    counters leave open at nominal physics, belong to the measure of flat motion
-    (:mod:`cassini_bayes.balance.flat_motion`).
+    is a constant of unit length on the slow modes; ``log_unit``, ``log_inertia`` (log |det I| at
+    the prior means) and ``nominally_open``, what counters leave open there, belong to the measure
+    of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
     """
 
     statistics: EventStatistics

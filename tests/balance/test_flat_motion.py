@@ -134,6 +134,31 @@ def test_pulses_are_no_part_of_the_measure() -> None:
     assert found[0] == found[1]
 
 
+def test_the_measure_has_the_degree_of_the_rows_in_the_common_scale() -> None:
+    """Inertia and wheels 30 % larger: |det I| for each rate but one and each turn, torque noise too.
+    """Inertia and wheels 30 % larger: |det I| per rate but one and per turn, torque noise or not.
+    The noise of the balance itself, with torque noise of fixed size, grows less: the control.
+    """
+    priors = telemetry_priors()
+    slew = event_of(resting_slew(np.random.default_rng(5)), priors)
+    model = build_model([slew], priors)
+    balance, measures, noises = model.telemetry[0].balance, [], []
+    for size in (1.0, 1.3):
+        values = {
+            name: np.array([value * size if "inertia_" in name else value])
+            for name, value in nominal_values().items()
+        }
+        values |= {name: np.array([value]) for name, value in slew.sampling.reference_noise}
+        physics = physics_of(model.spacecraft, "B", values, fires=False)
+        noise = turn_noise(balance, physics, values, open_counters(balance, physics, 1.0).turns)
+        unmixed = replace(noise, gain=np.zeros_like(noise.gain))
+        measures.append(float(log_measure(balance, physics, values, unmixed)[0]))
+        noises.append(0.5 * np.linalg.slogdet(noise.covariance[0, 0])[1])
+    count = slew.statistics.rows - 1 + sum(band.contrasts for band in balance.turns)
+    assert measures[1] - measures[0] == pytest.approx(3.0 * count * np.log(1.3), rel=1e-9)
+    assert noises[1] - noises[0] < 0.9 * 3.0 * np.log(1.3)
+
+
 MOMENTS = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
 
 
