@@ -135,8 +135,8 @@ def test_pulses_are_no_part_of_the_measure() -> None:
 
 
 def test_the_measure_has_the_degree_of_the_rows_in_the_common_scale() -> None:
-    """Inertia and wheels 30 % larger: |det I| for each rate but one and each turn, torque noise too.
     """Inertia and wheels 30 % larger: |det I| per rate but one and per turn, torque noise or not.
+
     The noise of the balance itself, with torque noise of fixed size, grows less: the control.
     """
     priors = telemetry_priors()
