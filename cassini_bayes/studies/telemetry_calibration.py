@@ -9,7 +9,7 @@ sampled and how noisy the wheels are; controls are likelihoods that must fail.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -33,6 +33,7 @@ from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
+from cassini_bayes.studies.conditions import CONTROLLERS
 from cassini_bayes.studies.scenario import (
     Simulation,
     draw_wheel_rates,
@@ -41,7 +42,7 @@ from cassini_bayes.studies.scenario import (
 )
 
 LogDensity = Any
-Control = Literal["none", "balance-residual", "pulse-blind", "rounding-ignored"]
+Control = Literal["none", "balance-residual", "pulse-blind", "rounding-ignored", "cuts-ignored"]
 
 TRUSTED_K: Final = 0.5
 RANK_DRAWS: Final = 999
@@ -59,8 +60,8 @@ class Variant:
     """One way of looking at the calibration scenario.
 
     ``events`` are the ids that are fitted; ``telemetry`` replaces keys of the scenario's telemetry
-    table; ``wheel_noise_rpm`` is the median of a narrow prior of the wheel noise in place of the
-    priors file's wide one.
+    table, ``rcs`` of its controller; ``wheel_noise_rpm`` is the median of a narrow prior of the
+    wheel noise in place of the priors file's wide one.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Variant:
     telemetry: Mapping[str, float]
     wheel_noise_rpm: float | None = None
     control: Control = "none"
+    rcs: Mapping[str, float | str] = field(default_factory=dict)
 
 
 _ALL: Final = ("bias-1", "bias-2", "slews")
@@ -81,6 +83,10 @@ VARIANTS: Final = (
     Variant("slow", "all channels 4 s", _ALL, {**_SLOW, "counter_every_s": 4.0}),
     Variant("quiet-wheels", "wheel noise 0.2 rpm", _ALL, {}, 0.2),
     Variant("noisy-wheels", "wheel noise 1 rpm", _ALL, {}, 1.0),
+    # its pulses are short and follow each other closely: many tails are cut
+    Variant(
+        "adapted", "one bias, widths adapted", _ALL[:1], {}, rcs=dict(CONTROLLERS["widths adapted"])
+    ),
 )
 CONTROLS: Final = (
     replace(
@@ -101,6 +107,12 @@ CONTROLS: Final = (
         label="control: counters of 10 ms taken as exact",
         telemetry={"on_time_resolution_s": 0.01},
         control="rounding-ignored",
+    ),
+    replace(
+        VARIANTS[7],
+        name="cuts-ignored",
+        label="control: cut tails ignored",
+        control="cuts-ignored",
     ),
 )
 
@@ -166,6 +178,7 @@ class TelemetryCampaign:
         path = Path(self.scenario_path)
         document = read_toml(path, "a scenario file")
         document["telemetry"] |= self.variant.telemetry
+        document["rcs"] |= self.variant.rcs
         document["torque_noise"] = True
         document["event"] = [e for e in document["event"] if e["id"] in self.variant.events]
         draw_wheel_rates(document["event"], rng)
@@ -184,7 +197,12 @@ def _walked(priors: Priors, fires: bool) -> tuple[str, ...]:
 
 
 def model_of(simulation: Simulation, variant: Variant, priors: Priors) -> Model:
-    """The model of a simulation's telemetry; a pulse-blind one keeps every row."""
+    """The model of a simulation's telemetry, or that of a control.
+
+    One that is blind to pulses keeps every row; one that ignores cut tails has no close pulses.
+    """
+    if variant.control == "cuts-ignored":
+        priors = priors.with_fixed(CLOSE_SHARE, 0.0)
     guard_s = 0.0 if variant.control == "pulse-blind" else None
     exact = variant.control == "rounding-ignored"
     events = [

@@ -82,6 +82,18 @@ def test_the_pulse_blind_control_keeps_more_rows() -> None:
     assert rows[1] > rows[0] + 50
 
 
+def test_the_control_without_cut_tails_flies_short_pulses() -> None:
+    """Widths are adapted, many pulses are shorter than a control cycle, and none may be close."""
+    ignored = campaign("cuts-ignored")
+    priors = ignored.priors()
+    simulation = ignored.simulate(priors, np.random.default_rng(3))
+    widths = np.concatenate([log.width_s for log in simulation.events[0].motion.pulses.values()])
+    assert np.mean(widths < 0.1) > 0.2
+    assert "close_pulse_share" not in model_of(simulation, ignored.variant, priors).space.names
+    adapted = campaign("adapted")
+    assert "close_pulse_share" in model_of(simulation, adapted.variant, priors).space.names
+
+
 def test_the_judgement_is_over_all_variants_together() -> None:
     """Uniform ranks pass; one skewed parameter in one variant fails everything."""
     rng = np.random.default_rng(4)
