@@ -30,7 +30,7 @@ from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 
-LEAST_READINGS: Final = 2
+LEAST_READINGS: Final = 2  # the constant takes one
 ACCELEROMETER_PARAMETERS: Final = ("mass_kg", "accelerometer_scale_m_s", "accelerometer_bias_m_s2")
 ROUNDING_COUNTS_2: Final = 1.0 / 12.0
 """Variance of a reading, counts²: what a uniform rounding of one step has."""

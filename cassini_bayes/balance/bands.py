@@ -27,7 +27,7 @@ EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, th
 # The same of slopes of quiet pieces. The first mode is a constant, which the initial momentum takes
 # up: the next ones hold most of what is known of torque noise.
 SLOPE_EDGES: Final = (1, 2, 4, 8, 32)
-ROWS_PER_MODE: Final = 2
+ROWS_PER_MODE: Final = 2  # with as many modes as rows nothing is left that is faster than all
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
 STILL: Final = 0.5  # probability that wheels do not move in a band
@@ -35,7 +35,7 @@ SPARSE_STILL: Final = 0.2  # the same in the fast bands of sparse rows
 _INDEPENDENT: Final = 1e-9  # least share of the largest square that a mode of its own has
 LOG_MOTION: Final = (-9.0, 34.0)  # range of the log of the wheels' motion over their noise
 _LOG_NOISE: Final = (-32.0, 12.0)  # range of the log of the noise over the measured mean square
-_NODES: Final = 800
+_NODES: Final = 800  # of the table and of the integral over s: the density is right to 1e-6
 
 
 @dataclass(frozen=True)

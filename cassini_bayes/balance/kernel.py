@@ -19,8 +19,8 @@ from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled_sums
 
 LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured to move at all
-_LEAST_SPREAD: Final = 1e-14
-_SWEEPS: Final = 30
+_LEAST_SPREAD: Final = 1e-14  # of the noise in a mean square: all the rest is motion
+_SWEEPS: Final = 30  # Jacobi converges quadratically: more than any small matrix needs
 _TURNED: Final = 1e-15  # of the geometric mean of two diagonal elements
 
 

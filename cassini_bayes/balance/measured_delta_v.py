@@ -23,7 +23,7 @@ from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.errors import InputError
 
 OFFSET_SD_M_S: Final = 0.1  # of the counter's zero: flat against noise of mm/s
-LEAST_ROWS: Final = 2
+LEAST_ROWS: Final = 2  # the first is where counting begins
 DELTA_V_PARAMETERS: Final = ("mass_kg", *DELTA_V_NOISE)
 
 

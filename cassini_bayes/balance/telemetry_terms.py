@@ -28,7 +28,7 @@ from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-INITIAL_SD_N_M_S: Final = 10.0
+INITIAL_SD_N_M_S: Final = 10.0  # flat: wheels known to 1 % have 0.3
 LEAST_RATE_RAD_S: Final = 1e-9  # noise that no gyro goes below: without any, turns have no say
 SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses about that of all
 

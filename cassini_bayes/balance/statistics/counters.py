@@ -34,7 +34,7 @@ from cassini_bayes.computing.arrays import Array, Places
 LEAST_STEP_S: Final = 5e-4
 # Widths' variances tried, in units of the rounding's: from none to no rounding at all.
 SPREADS: Final = np.concatenate([[0.0], np.logspace(-3.0, 5.0, 33)])
-LEAST_RUNS: Final = 3
+LEAST_RUNS: Final = 3  # firings: two have one difference, which tells no spread
 # Of q: with less, a width's variance that is 20 % off moves what neighbours tell of thrust by 3 %.
 LEAST_RATIO: Final = 20.0
 _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step

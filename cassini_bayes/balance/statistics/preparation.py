@@ -23,7 +23,7 @@ LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
 QUANTILES: Final = 12  # that stand for all gaps, and for all widths
 _SAME: Final = 1e-3  # of a step, that a printed multiple may be off
-_SAME_S: Final = 1e-6
+_SAME_S: Final = 1e-6  # times closer than this are the same
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ PULSE_COLUMNS: Final = ("reference", *(f"{1e3 * width:g}_ms" for width in WIDTHS
 _RISES: Final = np.linspace(0.6, 1.4, 9)
 _FALLS: Final = np.linspace(0.2, 2.0, 7)
 _STEEPEST: Final = 700.0  # exponent at which one value has all the weight, in their range
-_HALVINGS: Final = 50
+_HALVINGS: Final = 50  # of that range, to rounding
 
 
 @dataclass(frozen=True)
