@@ -148,6 +148,9 @@ def test_other_widths_are_not_taken_for_multiples() -> None:
     assert not quantised(widths, CYCLE_S)
     assert not quantised(np.where(np.arange(30) % 3 == 0, 8 * CYCLE_S, 0.06), CYCLE_S)
     assert not quantised(np.full(30, CYCLE_S), 0.1)
+    endless = np.cumsum(np.full(30, 0.06))[:, None]
+    counted = 1.0 + np.arange(30.0)
+    assert not is_quantised(CYCLE_S * np.round(endless[:, 0] / CYCLE_S), counted, CYCLE_S, CYCLE_S)
     assert quantised(np.full(30, CYCLE_S), 0.01)
     assert quantised(np.full(30, CYCLE_S), CYCLE_S)
 

@@ -126,7 +126,7 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     of a quarter of the quantum or less, that is not chance. With a step that is the quantum
     itself all readings are multiples; shorter pulses are seen by firings that gain less than one
     for each (but for the last, which may have been counted and not yet fired). Firings with long
-    pulses must not make up for them.
+    pulses must not make up for them, nor is one endless firing enough.
     """
     gained = on_time_s - on_time_s[0]
     if quantum_s <= 0.0:
@@ -135,7 +135,8 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
         return None
     if abs(step_s - quantum_s) < _SLACK:
         seconds, count = _of_runs(on_time_s, pulses)
-        return bool(np.all(seconds[:-1] >= quantum_s * count[:-1] - _SLACK))
+        full = np.all(gained >= quantum_s * (pulses - pulses[0] - 1.0) - _SLACK)
+        return bool(full and np.all(seconds[:-1] >= quantum_s * count[:-1] - _SLACK))
     off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
     # the first reading is rounded, too
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))

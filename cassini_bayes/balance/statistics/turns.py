@@ -27,9 +27,7 @@ import numpy as np
 from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.computing.arrays import Array, Flags
 
-LONGEST_S: Final = (
-    32.0  # of a piece: attitudes tell its rate well enough, and motion stays smooth
-)
+LONGEST_S: Final = 32.0  # of a piece: by then attitudes tell its rate to 4e-7 rad/s
 LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate
 SLOPE_WAVES: Final = 128  # cosines of the momentum that slopes of pieces are seen on
 GAP: Final = 2.5  # times the usual time between rows
