@@ -26,16 +26,18 @@ settings = {
 }
 gain = False""",
 }
-# Run before a notebook that stores no findings: a warm start of fewer draws, and a few of the
+# Run before a notebook that stores no findings: fewer draws, made and kept, and a few of the
 # causes. That all of them are weighed on the same recording, and the right one is named, is what
 # the tutorial shows.
 LESS = """
 from dataclasses import replace
 
 from cassini_bayes.diagnosis import read
+from cassini_bayes.pipeline.fits import fit
 from cassini_bayes.sampling.warmstart import warm_start
 
 warm_start.__kwdefaults__["draws"] = 1_000
+fit.__kwdefaults__ |= {"draws_per_ensemble": 500, "prior_draws": 500}
 
 def few(*arguments, prepare=read.prepare):
     events = prepare(*arguments)
