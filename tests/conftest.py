@@ -11,6 +11,7 @@ import os
 import shutil
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before numpy or matplotlib is imported by any test module.
@@ -39,6 +40,20 @@ def slow_tests() -> dict[str, float]:
     text = Path(__file__).with_name("slow.txt").read_text()
     lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
     return {name: float(seconds) for seconds, name in lines}
+
+
+@pytest.fixture(scope="module")
+def short_warm_start() -> Iterator[None]:
+    """Fits whose proposal and evidence come from a quarter of the draws.
+
+    For tests of what is done with a fit: the warm start's draws are a third of its time. Children
+    have it too where they are forked.
+    """
+    from cassini_bayes.sampling.warmstart import warm_start
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(warm_start.__kwdefaults__, "draws", 1_000)
+        yield
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import xarray as xr
@@ -104,9 +104,13 @@ def toy_baseline(n: int = 8_000, seed: int = 1) -> Baseline:
     )
 
 
-def small_fit(events: int = 2, draws: int = 1_000) -> tuple[Factory, Fit]:
-    """Importance draws, four "chains" of them, of the first flight events without ΔV."""
-    rows, priors = flight(events)
+@cache
+def small_fit(draws: int = 1_000) -> tuple[Factory, Fit]:
+    """Importance draws, four "chains" of them, of the first two flight events without ΔV.
+
+    Nobody may change it: all tests of a process have the same.
+    """
+    rows, priors = flight(2)
     factory = Factory(rows, priors, delta_v="ignore")
     model = factory.build(priors).model
     rng = np.random.default_rng(7)

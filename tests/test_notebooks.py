@@ -26,12 +26,18 @@ settings = {
 }
 gain = False""",
 }
-# Run before a notebook that weighs causes and stores no findings: a few of its causes. That all of
-# them are weighed on the same recording, and the right one is named, is what the tutorial shows.
-FEW_CAUSES = """
+# Run before a notebook that stores no findings: fewer draws, made and kept, and a few of the
+# causes. That all of them are weighed on the same recording, and the right one is named, is what
+# the tutorial shows.
+LESS = """
 from dataclasses import replace
 
 from cassini_bayes.diagnosis import read
+from cassini_bayes.pipeline.fits import fit
+from cassini_bayes.sampling.warmstart import warm_start
+
+warm_start.__kwdefaults__["draws"] = 1_000
+fit.__kwdefaults__ |= {"draws_per_ensemble": 500, "prior_draws": 500}
 
 def few(*arguments, prepare=read.prepare):
     events = prepare(*arguments)
@@ -103,7 +109,7 @@ def test_notebook_runs(path: Path) -> None:
     stored = texts(notebook)
     if path.stem in SHORT:
         shortened(notebook, SHORT[path.stem])
-        notebook.cells.insert(0, nbformat.v4.new_code_cell(FEW_CAUSES))
+        notebook.cells.insert(0, nbformat.v4.new_code_cell(LESS))
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(ROOT)}}).execute()
     assert all(cell.execution_count for cell in notebook.cells if cell.cell_type == "code")
     if path.stem in EXECUTED:

@@ -14,6 +14,7 @@ from totals_cases import ROOT
 
 import cassini_bayes as cb
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 PAGE = ROOT / "docs" / "reference" / "api.md"
 VERBS = (
     *("read_priors", "read_totals", "read_fit", "build_model", "check", "fit", "report"),

@@ -18,6 +18,7 @@ from cassini_bayes.cli import app
 from cassini_bayes.errors import InputError
 from cassini_bayes.report import diagnosis_pictures
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 PAGE = ROOT / "docs" / "tutorial" / "from-your-csv.md"
 EXAMPLE = ROOT / "docs" / "examples" / "own_csv"
 TRUTH = 0.75

@@ -36,6 +36,7 @@ DRAWS: Final = 100_000
 LEFT_OUT_DRAWS: Final = 300_000  # the error of log Z(all) is in every event's score
 DOF: Final = 5.0  # of the Student-t about the mode: judgement, wide tails where half the draws are
 WIDER: Final = 2.0  # than the posterior itself: ridges bend, and k̂ then stays below 0.2
+BATCH: Final = 4_000  # draws (n, d) and predictions (n, E) that stay in a processor's cache
 PILOTS: Final = 2  # refinements of the proposal by its own draws
 PILOT_DRAWS: Final = 4_000  # of each: some hundred for every dimension
 FEWEST_DRAWS: Final = 400.0  # effective, for means good to a twentieth of a standard deviation
@@ -115,8 +116,11 @@ class EstimateCase(Case[EstimateHypothesis]):
         """Mode by the estimates kept, draws (n, d) and their log posterior over proposal (n,)."""
         estimate, sd = self.estimate_n[kept], self.sd_n[kept]
 
-        def density(z: Array) -> Array:
+        def posterior(z: Array) -> Array:
             return _log_prior(z) + _log_likelihood(estimate, sd, hypothesis.predict(z), kept)
+
+        def density(z: Array) -> Array:
+            return np.concatenate([posterior(z[at : at + BATCH]) for at in range(0, len(z), BATCH)])
 
         mode = find_mode(density, hypothesis.dimension)
         about = Proposal(mode.point, mode.factor, DOF)

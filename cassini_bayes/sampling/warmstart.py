@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 from scipy.special import gammaln, logsumexp
 
@@ -57,10 +59,17 @@ class Proposal:
     def log_density(self, z: Array) -> Array:
         """Log density at z (n, d), shape (n,)."""
         d, nu = len(self.location), self.dof
-        white = np.linalg.solve(self.factor, (z - self.location).T)
+        # once for all draws: solving for some 100,000 of them takes ten times as long
+        white = (z - self.location) @ self._whitening
         log_det = np.log(np.diagonal(self.factor)).sum()
         constant = gammaln((nu + d) / 2) - gammaln(nu / 2) - 0.5 * d * np.log(nu * np.pi) - log_det
-        return np.asarray(constant - 0.5 * (nu + d) * np.log1p((white**2).sum(0) / nu))
+        return np.asarray(constant - 0.5 * (nu + d) * np.log1p((white**2).sum(1) / nu))
+
+    @cached_property
+    def _whitening(self) -> Array:
+        """Transposed inverse of the factor (d, d)."""
+        inverse = solve_triangular(self.factor, np.eye(len(self.factor)), lower=True)
+        return np.asarray(inverse.T)
 
 
 @dataclass(frozen=True)

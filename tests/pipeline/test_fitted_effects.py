@@ -28,6 +28,7 @@ from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
 from cassini_bayes.sweep.specification import SweepFile
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "plume.py"
 LEAK_N, BIAS_RAD_S = 1.0e-4, 6.0e-6
 LEAK, BIAS = "thruster_leak_z3_leak_n", "rate_bias_y_rate_bias_y_rad_s"

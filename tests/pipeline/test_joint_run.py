@@ -29,6 +29,7 @@ from cassini_bayes.results.record import GROUPS, read_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings
 from cassini_bayes.sampling.warmstart import WarmStart
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 64, "max_steps": 100}
 OUTPUT = {"report": False, "draws_per_ensemble": 500, "prior_draws": 500}
 

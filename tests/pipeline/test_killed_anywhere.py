@@ -24,6 +24,7 @@ from cassini_bayes.files.storage import digest
 from cassini_bayes.report import sections
 from cassini_bayes.results.record import GROUPS, read_fit
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 64, "max_steps": 100}
 
 

@@ -23,6 +23,7 @@ from cassini_bayes.prediction.sources import read_sources, sources_of
 from cassini_bayes.report import sections_of
 from cassini_bayes.results.review import Review
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 64, "max_steps": 100}
 FEW = {"draws_per_ensemble": 500, "prior_draws": 500}
 BIAS = "rwa1: -200 -> 150, rwa2: 300 -> -100, rwa4: 250 -> -50"

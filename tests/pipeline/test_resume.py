@@ -17,6 +17,8 @@ import run_cases
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.results.record import read_fit, save_fit
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
+
 
 def killing() -> ModuleType:
     """The script that kills the full flight run; here it kills a small one."""

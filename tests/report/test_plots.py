@@ -85,14 +85,14 @@ def test_every_axis_with_figures_has_a_label_with_its_unit(figures) -> None:
     assert {name: unlabelled(f) for name, f in figures.items() if unlabelled(f)} == {}
     bad = Figure()
     bad.subplots().set(xlabel="time", ylabel="thrust [N]")
-    bad.canvas.draw()
+    bad.draw_without_rendering()
     assert unlabelled(bad) == ["axes 0 x: 'time'"]
 
 
 def outside(figure: Figure) -> list[str]:
     """Texts and axes that reach beyond the figure by more than two pixels."""
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    figure.draw_without_rendering()  # places every text and axes, paints none
     renderer, page = canvas.get_renderer(), figure.bbox
     found = []
     for artist in (*figure.axes, *figure.texts, *figure.legends):

@@ -26,6 +26,7 @@ from cassini_bayes.sampling.warmstart import LogDensity, Proposal
 
 MEAN = np.array([1.0, -2.0, 0.5, 0.0, 3.0])
 COVARIANCE = np.diag([1.0, 0.25, 4.0, 0.01, 1.0]) + 0.05 * np.ones((5, 5))
+NORMAL = multivariate_normal(MEAN, COVARIANCE)
 LEVELS = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
 SIGMAS = 4.5  # of Monte Carlo error; some tens of numbers are compared
 QUICK = SamplerSettings(ensembles=2, target_ess=400, first_check=60, max_steps=400)
@@ -33,7 +34,7 @@ QUICK = SamplerSettings(ensembles=2, target_ess=400, first_check=60, max_steps=4
 
 def gaussian(z: Array) -> Array:
     """Log density of the five-dimensional normal target."""
-    return np.asarray(multivariate_normal(MEAN, COVARIANCE).logpdf(z))
+    return np.asarray(NORMAL.logpdf(z))
 
 
 def good_proposal(d: int = 5) -> Proposal:
