@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import h5py
-import numpy as np
 import xarray as xr
 
 from cassini_bayes.errors import InputError
@@ -26,8 +25,6 @@ _DAMAGE: Final = (
     OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError,
     OverflowError,
 )  # fmt: skip
-_HOUSE: Final = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "_nc3_strict"}
-_BARE: Final = b"This is a netCDF dimension but not a netCDF variable"
 _LENGTH: Final = len(_SEAL) + hashlib.sha256().digest_size
 
 
@@ -56,9 +53,12 @@ def read_groups(
     """
     _check_seal(path, what)
     try:
+        # what xarray's engine reads before it can be thrown away without a complaint on stderr
         with h5py.File(path) as file:
-            loaded = {name: _loaded(file, name, needed) for name, needed in groups.items()}
-            return loaded, _attributes(file)
+            file.attrs.get("_nc3_strict")
+        with xr.open_dataset(path, engine="h5netcdf") as root:
+            attributes = dict(root.attrs)
+        return {name: _loaded(path, name, needed) for name, needed in groups.items()}, attributes
     except _DAMAGE as error:
         text = str(error)
         reason = f"{type(error).__name__}: {text.splitlines()[0] if text else 'unreadable'}"
@@ -85,39 +85,10 @@ def _check_seal(path: Path, what: str) -> None:
         raise InputError(str(path), what, "one that was damaged after it was written", fix)
 
 
-def _loaded(file: h5py.File, group: str, needed: Sequence[str]) -> xr.Dataset:
-    """A group as xarray decodes it. Read by itself, which takes a tenth of its engine's time."""
-    stored = {
-        name: data
-        for name, data in file[group].items()
-        if isinstance(data, h5py.Dataset) and not data.attrs.get("NAME", b"").startswith(_BARE)
-    }
-    size = sum(data.size * data.dtype.itemsize for data in stored.values())
-    if size > MOST_BYTES:
-        raise ValueError(f"group {group} declares {size:,} bytes")
-    if missing := [name for name in needed if name not in stored]:
-        raise KeyError(f"no {missing[0]} in group {group}")
-    variables = {name: _variable(file, name, data) for name, data in stored.items()}
-    return xr.decode_cf(xr.Dataset(variables, attrs=_attributes(file[group])))
-
-
-def _variable(file: h5py.File, name: str, data: h5py.Dataset) -> xr.Variable:
-    if data.attrs.get("CLASS") == b"DIMENSION_SCALE":
-        dims = [name]
-    else:
-        places = data.attrs.get("DIMENSION_LIST", ())
-        dims = [str(file[place].name).rsplit("/", 1)[-1] for (place,) in places]
-    if h5py.check_string_dtype(data.dtype) is None:
-        return xr.Variable(dims, data[()], _attributes(data))
-    return xr.Variable(dims, data.asstr()[()], _attributes(data), {"dtype": str})
-
-
-def _attributes(place: h5py.Group | h5py.Dataset) -> dict[str, Any]:
-    """Attributes of a group or variable, without those by which HDF5 and NetCDF keep house."""
-    found = {}
-    for name in place.attrs:
-        if name in _HOUSE or name.startswith("_Net") or name == "_NCProperties":
-            continue
-        value = place.attrs[name]
-        found[name] = value[0] if np.shape(value) == (1,) else value
-    return found
+def _loaded(path: Path, group: str, needed: Sequence[str]) -> xr.Dataset:
+    with xr.open_dataset(path, group=group, engine="h5netcdf") as dataset:
+        if dataset.nbytes > MOST_BYTES:
+            raise ValueError(f"group {group} declares {dataset.nbytes:,} bytes")
+        if missing := [name for name in needed if name not in dataset]:
+            raise KeyError(f"no {missing[0]} in group {group}")
+        return dataset.load()

@@ -16,8 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array, Places
-from cassini_bayes.computing.compilation import compiled
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.prediction.demand import PairLayout, pair_layout
 from cassini_bayes.prediction.requests import BiasRequest, request_of
@@ -36,8 +35,6 @@ GRAVITY_M_S2: Final = 9.8065  # as printed in paper 001
 TORQUE_LIMIT_N_M: Final = 0.03  # of the wheel manager (paper 001, section IV)
 LOOP_S: Final = 16.5
 SAMPLE_S: Final = 1.0
-ROUNDING_S: Final = 1e-12  # how far below zero an on-time may be that is none
-TWO_OF_RING: Final = np.array(list(combinations(range(4), 2)))  # (6, 2), of its four thrusters
 SPECIFIC_IMPULSE: Final = (160.0, 0.0, 0.0, 0.0, 0.0)
 """P0 … P4 of eq. 19, printed nowhere; 160 s is what both ground-software columns come near to."""
 
@@ -129,40 +126,24 @@ def ideal_on_times(steps: Array, torque: Array, layout: PairLayout) -> Array:
     for unit, sign in zip(layout.units[:2], (-1.0, 1.0), strict=True):
         pair = torque[..., list(unit)].sum(-1)
         seconds = np.maximum(sign * steps[..., c], 0.0) / (sign * pair[..., c, None])
-        result[..., list(unit)] = seconds[..., None]
+        result[..., list(unit)] += seconds[..., None]
         left = left - seconds[..., None] * pair[..., None, :]
-    axes, ring = np.array(layout.ring_axes), layout.ring.ravel()
-    columns = ring[TWO_OF_RING]
-    inverse = np.asarray(np.linalg.inv(torque[..., axes[:, None], columns[:, None, :]]))
-    demand = np.ascontiguousarray(left[..., axes])
-    fired = _two_that_need_least(
-        demand.reshape(-1, *demand.shape[-2:]),
-        inverse.reshape(-1, *inverse.shape[-3:]),
-        TWO_OF_RING,
-    )
-    result[..., ring] = fired.reshape(*demand.shape[:-1], len(ring))
-    return result
-
-
-@compiled
-def _two_that_need_least(demand: Array, inverse: Array, choices: Places) -> Array:
-    """On-times (B, N, 4) ≥ 0 of the ring for demands (B, N, 2) about its axes.
-
-    ``inverse`` (B, C, 2, 2) is that of the torques of each choice (C, 2) of two thrusters.
-    """
-    batches, samples = demand.shape[:2]
-    result = np.zeros((batches, samples, 4))
-    for i in range(batches):
-        for j in range(samples):
-            least, best, first, second = np.inf, -1, 0.0, 0.0
-            for c in range(len(choices)):
-                one = inverse[i, c, 0, 0] * demand[i, j, 0] + inverse[i, c, 0, 1] * demand[i, j, 1]
-                two = inverse[i, c, 1, 0] * demand[i, j, 0] + inverse[i, c, 1, 1] * demand[i, j, 1]
-                if one >= -ROUNDING_S and two >= -ROUNDING_S and one + two < least:
-                    least, best, first, second = one + two, c, one, two
-            if best >= 0:
-                result[i, j, choices[best, 0]] = max(first, 0.0)
-                result[i, j, choices[best, 1]] = max(second, 0.0)
+    ring = layout.ring.ravel()
+    axes = np.array(layout.ring_axes)
+    least = np.full(steps.shape[:-1], np.inf)
+    best = [np.zeros(steps.shape[:-1]) for _ in ring]
+    for pair_of_ring in combinations(range(len(ring)), 2):
+        columns = ring[list(pair_of_ring)]
+        inverse = np.linalg.inv(torque[..., axes[:, None], columns])
+        seconds = left[..., axes] @ np.swapaxes(inverse, -1, -2)
+        # two columns by name: reductions over so short an axis are slow
+        one, other = seconds[..., 0], seconds[..., 1]
+        better = (one >= -1e-12) & (other >= -1e-12) & (one + other < least)
+        least = np.where(better, one + other, least)
+        fired = dict(zip(pair_of_ring, (one, other), strict=True))
+        for place, before in enumerate(best):
+            best[place] = np.where(better, np.maximum(fired.get(place, 0.0), 0.0), before)
+    result[..., ring] += np.stack(best, axis=-1)
     return result
 
 

@@ -35,31 +35,6 @@ def test_groups_come_back(tmp_path: Path) -> None:
     assert attributes["title"] == "x"
 
 
-def test_a_group_is_what_xarray_s_engine_reads(tmp_path: Path) -> None:
-    """Texts, flags, gaps, single values, dimensions without places, coordinates off the axes."""
-    data = xr.Dataset(
-        {
-            "gaps": (("draw", "row"), np.array([[1.0, np.nan], [3.0, 4.0]]), {"units": "N"}),
-            "flags": ("draw", np.array([True, False])),
-            "single": ((), 3.5, {"places": np.arange(3), "one": 7}),
-            "name": ("row", np.array(["z1", "µ"])),
-            "count": ("row", np.arange(2, dtype=np.int32)),
-        },
-        coords={"draw": [3, 4], "branch": ("draw", ["A", "B"]), "run": "first"},
-        attrs={"seed": 1, "said": "so"},
-    )
-    path = tmp_path / "both.nc"
-    xr.DataTree.from_dict({"/": xr.Dataset(attrs={"of": 2.0}), "/one": data}).to_netcdf(
-        path, engine="h5netcdf"
-    )
-    groups, attributes = read_groups(path, {"one": ("gaps",)}, WHAT)
-    with xr.open_dataset(path, group="one", engine="h5netcdf") as theirs:
-        xr.testing.assert_identical(groups["one"], theirs.load())
-        for name, ours in groups["one"].variables.items():
-            assert ours.dtype == theirs[name].dtype
-    assert attributes == {"of": 2.0}
-
-
 @pytest.mark.parametrize(
     ("needed", "said"),
     [({"prior": ()}, "prior"), ({"posterior": ("a", "b")}, "no b in group posterior")],
