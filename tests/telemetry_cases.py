@@ -237,8 +237,8 @@ def is_quiet(samples: Samples, row: int, guard_s: float) -> bool:
 def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]) -> Array:
     """Effective on-time gained in the interval that ends at each row.
 
-    What a pulse gains over one at the reference is a sum of what pulses of three widths gain: that
-    which fits best over a range of τ_r and τ_f.
+    What a pulse gains over one at the reference is a sum of what pulses of three widths gain (of
+    one, if all are long): that which fits best over a range of τ_r and τ_f.
     """
     _, rise, fall = sampling.pulse_reference_s
     some = [(a * rise, b * fall) for a in np.linspace(0.6, 1.4, 9) for b in np.linspace(0.2, 2, 7)]
@@ -250,10 +250,13 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
     def gains(width: float) -> list[float]:
         return [tail(width, a, b) - tail(width, rise, fall) for a, b in some]
 
+    long = min(sampling.widths_s, default=0.0) >= 0.12
+    nodes = [float(np.median(sampling.widths_s))] if long else list(WIDTHS_S)
+
     def fitted(width: float) -> float:
-        at = np.array([gains(node) for node in WIDTHS_S]).T
+        at = np.array([gains(node) for node in nodes]).T
         shares = np.linalg.lstsq(at, np.array(gains(width)), rcond=None)[0]
-        gained = [tail(node, tau[1], tau[2]) - tail(node, rise, fall) for node in WIDTHS_S]
+        gained = [tail(node, tau[1], tau[2]) - tail(node, rise, fall) for node in nodes]
         return float(width + tail(width, rise, fall) + shares @ gained)
 
     def expected(width: float, count: float) -> float:

@@ -89,3 +89,23 @@ def test_single_and_equal_pulses_stay_as_they_are() -> None:
     mean = np.array([0.03, 0.02, 0.125, 0.3])
     count = np.array([1.0, 4.0, 4.0, 4.0])
     np.testing.assert_array_equal(basis.expected_columns(mean, count), basis.columns(mean))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_one_width_is_enough_for_long_pulses(shape: str) -> None:
+    """Where single pulses have 125 ms, these are exact, merged ones right to 0.1 ms rms.
+
+    Two columns are zero, and so are their weights. A few short pulses bring all columns back.
+    """
+    tau = drawn_tau()
+    long = PulseBasis(PULSE_SHAPES[shape], REFERENCE, (0.125,) * 8 + (0.25,) * 4)
+    widths = np.array([0.125, 0.25, 0.5, 2.0])
+    columns, weights = long.columns(widths), long.weights(tau)
+    assert not columns[:, 2:].any()
+    assert not weights[:, 2:].any()
+    exact = PULSE_SHAPES[shape].effective_time(widths[:, None], *tau)
+    rms = np.sqrt(((columns @ weights.T - exact) ** 2).mean(axis=1))
+    assert rms[0] < 1e-12
+    assert rms.max() < 1e-4
+    mixed = PulseBasis(PULSE_SHAPES[shape], REFERENCE, (0.03,) + (0.125,) * 11)
+    assert mixed.columns(widths)[:, 2:].any()

@@ -28,6 +28,9 @@ from cassini_bayes.spacecraft.pulses import PulseShape
 # thrust. (Two widths leave 1.5e-4 s and make likelihood calls a fifth faster; in three biases with
 # pulses of 7 to 125 ms the slopes at the truth then have 1.4 times their scatter.)
 WIDTHS_S: Final = (0.012, 0.04, 0.5)
+# Pulses from here on have reached their thrust: one width is enough, to 6e-5 s (rms), and columns
+# that have nothing to tell cost nothing.
+LONG_S: Final = 0.12
 PULSE_COLUMNS: Final = ("reference", *(f"{1e3 * width:g}_ms" for width in WIDTHS_S))
 # Multiples of the reference time constants at which the functions of the width are fitted: what
 # priors allow (two standard deviations are 0.25 of τ_rise and 0.8 of τ_fall), and beyond.
@@ -49,11 +52,18 @@ class PulseBasis:
     reference_s: tuple[float, float, float]
     widths_s: tuple[float, ...] = ()
 
+    @cached_property
+    def nodes_s(self) -> Array:
+        """The widths w_j; of an event without short pulses its median width alone, s."""
+        if self.widths_s and min(self.widths_s) >= LONG_S:
+            return np.median(self.widths_s, keepdims=True)
+        return np.array(WIDTHS_S)
+
     def columns(self, width_s: Array) -> Array:
-        """g₀ and b_j (…, 1 + J) at widths (…), s."""
+        """g₀ and b_j (…, 1 + J) at widths (…), s; zero for widths that are not needed."""
         gained = self._gained(np.asarray(width_s)[..., None], *self._range)
         value = self.shape.effective_time(width_s, *self.reference_s)
-        return np.concatenate([value[..., None], gained @ self._fit], axis=-1)
+        return _filled(np.concatenate([value[..., None], gained @ self._fit], axis=-1))
 
     def expected_columns(self, mean_s: Array, count: Array) -> Array:
         """Mean of the columns (R, 1 + J) of ``count`` (R,) pulses whose mean width is known, s.
@@ -76,8 +86,8 @@ class PulseBasis:
 
     def weights(self, tau_s: Sequence[Array]) -> Array:
         """1, and what pulses of the widths w_j gain, (…, 1 + J) at pulse parameters (…), s."""
-        gained = self._gained(np.array(WIDTHS_S), *(np.asarray(tau)[..., None] for tau in tau_s))
-        return np.concatenate([np.ones_like(gained[..., :1]), gained], axis=-1)
+        gained = self._gained(self.nodes_s, *(np.asarray(tau)[..., None] for tau in tau_s))
+        return _filled(np.concatenate([np.ones_like(gained[..., :1]), gained], axis=-1))
 
     def _gained(self, width_s: Array, delay_s: Array, rise_s: Array, fall_s: Array) -> Array:
         """Effective time beyond that at the reference; the arguments broadcast."""
@@ -93,8 +103,14 @@ class PulseBasis:
     @cached_property
     def _fit(self) -> Array:
         """The b_j of a width (T, J) per gain at every point of the range."""
-        by_width = self._gained(np.array(WIDTHS_S)[:, None], *self._range)
+        by_width = self._gained(self.nodes_s[:, None], *self._range)
         return np.asarray(np.linalg.pinv(by_width, rcond=1e-9))
+
+
+def _filled(columns: Array) -> Array:
+    """All of :data:`PULSE_COLUMNS` (…, C), zero where there are fewer."""
+    missing = len(PULSE_COLUMNS) - columns.shape[-1]
+    return np.concatenate([columns, np.zeros((*columns.shape[:-1], missing))], axis=-1)
 
 
 def _tilted(values: Array, mean: Array) -> Array:
