@@ -28,7 +28,7 @@ from cassini_bayes.spacecraft.pulses import PulseShape
 # thrust. (Two widths leave 1.5e-4 s and make likelihood calls a fifth faster; in three biases with
 # pulses of 7 to 125 ms the slopes at the truth then have 1.4 times their scatter.)
 WIDTHS_S: Final = (0.012, 0.04, 0.5)
-# Pulses from here on have reached their thrust: one width is enough, to 6e-5 s (rms), and columns
+# Pulses from here on have reached their thrust: one width is enough, to 8e-5 s (rms), and columns
 # that have nothing to tell cost nothing.
 LONG_S: Final = 0.12
 PULSE_COLUMNS: Final = ("reference", *(f"{1e3 * width:g}_ms" for width in WIDTHS_S))
