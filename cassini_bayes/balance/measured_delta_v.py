@@ -31,8 +31,8 @@ DELTA_V_PARAMETERS: Final = ("mass_kg", *DELTA_V_NOISE)
 class DeltaVStatistics:
     """Inner products of the columns of one event's measured velocity change.
 
-    Columns: per thruster its C pulse columns and its pulse count, then the constant.
-    ``gram`` (4K + 1, 4K + 1), ``cross`` (4K + 1, 3) with the measured ΔV, ``square`` its sum of
+    Columns: per thruster its pulse columns and its pulse count (B of all), then the constant.
+    ``gram`` (B + 1, B + 1), ``cross`` (B + 1, 3) with the measured ΔV, ``square`` its sum of
     squares over rows and axes; ``last_m_s`` (3,) the last reading less the first.
     """
 

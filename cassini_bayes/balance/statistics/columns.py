@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.balance.statistics.counters import firings
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS, PulseBasis
 from cassini_bayes.balance.statistics.rows import Samples, quiet_rows
 from cassini_bayes.balance.statistics.turning import turned_into_body
@@ -514,21 +515,14 @@ def effective_increments(
 ) -> Array:
     """What pulses of every counter interval add to the pulse columns, (m, K, C).
 
-    Intervals in a row with firing belong together: a pulse may run from one into the next. They
-    share the mean width of their pulses, and their effective on-time in proportion to on-time.
+    Intervals of one firing share the mean width of their pulses, and their effective on-time in
+    proportion to on-time.
     on_time, pulses (m, K) are the increments of the counters; ``of_pulse`` gives the columns
     (…, C) of a pulse from the mean width (…) of so many (…), s.
     """
-    firing = (on_time > 0) | (pulses > 0)
     result = np.zeros((*on_time.shape, of_pulse(np.zeros(1), np.ones(1)).shape[-1]))
     for k in range(on_time.shape[1]):
-        rows = np.flatnonzero(firing[:, k])
-        if len(rows) == 0:
-            continue
-        run = np.concatenate([[0], np.cumsum(np.diff(rows) > 1)])
-        seconds = np.bincount(run, on_time[rows, k])
-        # a run without a start goes on from before the first reading
-        count = np.maximum(np.bincount(run, pulses[rows, k]), 1.0)
+        rows, run, seconds, count = firings(on_time[:, k], pulses[:, k])
         effective = count[:, None] * of_pulse(seconds / count, count)
         share = on_time[rows, k] / np.where(seconds > 0, seconds, 1.0)[run]
         result[rows, k] = share[:, None] * effective[run]

@@ -23,7 +23,7 @@ Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
@@ -73,6 +73,29 @@ class Rounding:
 
 
 KNOWN: Final = Rounding()
+
+
+class Firings(NamedTuple):
+    """Firings of a thruster: which of its counter intervals are one, and what they sum up to."""
+
+    active: Places  # (a,) intervals in which it fired
+    number: Places  # (a,) the firing that each belongs to
+    seconds: Array  # (R,) on-time of each firing
+    pulses: Array  # (R,) how many began, one at least: the first may go on from before
+
+
+def firings(gained_s: Array, begun: Array) -> Firings:
+    """Intervals in a row with firing belong together: a pulse may run from one into the next.
+
+    Parameters
+    ----------
+    gained_s, begun
+        (m,) increments of a thruster's on-time, s, and of its pulses.
+    """
+    active = np.flatnonzero((gained_s > 0.0) | (begun > 0.0))
+    number = np.cumsum(np.diff(active, prepend=active[:1]) > 1, dtype=np.int64)
+    seconds = np.bincount(number, gained_s[active]).astype(np.float64)
+    return Firings(active, number, seconds, np.maximum(np.bincount(number, begun[active]), 1.0))
 
 
 def counter_step(on_time_s: Array) -> float:
@@ -134,9 +157,9 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     if len(np.unique(gained)) < LEAST_RUNS:
         return None
     if abs(step_s - quantum_s) < _SLACK:
-        seconds, count = _of_runs(on_time_s, pulses)
+        fired = firings(np.diff(on_time_s), np.diff(pulses))
         full = np.all(gained >= quantum_s * (pulses - pulses[0] - 1.0) - _SLACK)
-        return bool(full and np.all(seconds[:-1] >= quantum_s * count[:-1] - _SLACK))
+        return bool(full and np.all(fired.seconds[:-1] >= quantum_s * fired.pulses[:-1] - _SLACK))
     off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
     # the first reading is rounded, too
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
@@ -145,10 +168,9 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
 def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Rounding]:
     """Expected cumulative on-time (m,), and what stays open."""
     change = np.diff(on_time_s)
-    active, run = _runs(on_time_s, pulses)
+    active, run, seconds, count = firings(change, np.diff(pulses))
     if len(active) == 0:
         return on_time_s, KNOWN
-    seconds, count = _of_runs(on_time_s, pulses)
     rounding = step_s**2 / 12.0
     if len(seconds) < LEAST_RUNS:
         return on_time_s, Rounding(rounding)
@@ -167,22 +189,6 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Ro
     gained[active] = expected[run] * share
     on_time = on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)])
     return on_time, Rounding(rounding, ratio, coarse, float(seconds.sum() / count.sum()))
-
-
-def _runs(on_time_s: Array, pulses: Array) -> tuple[Places, Places]:
-    """Intervals in which a thruster fired, and the number of the firing that each belongs to.
-
-    A pulse may run over a reading: what follows without a pause belongs together.
-    """
-    active = np.flatnonzero((np.diff(on_time_s) > 0.0) | (np.diff(pulses) > 0.0))
-    return active, np.cumsum(np.diff(active, prepend=active[:1]) > 1)
-
-
-def _of_runs(on_time_s: Array, pulses: Array) -> tuple[Array, Array]:
-    """Seconds and pulses (R,) of every firing."""
-    active, run = _runs(on_time_s, pulses)
-    seconds = np.asarray(np.bincount(run, np.diff(on_time_s)[active]), dtype=np.float64)
-    return seconds, np.maximum(np.bincount(run, np.diff(pulses)[active]), 1.0)
 
 
 def _banded(count: Array, spread: float, rounding: float) -> Array:
