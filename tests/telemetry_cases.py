@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -169,21 +169,58 @@ class PlainRows:
     fired: list[Array]  # (K,) pulses so far
     pairs: list[tuple[float, int, float]]  # time, couple, how many may be close
     shots: list[tuple[float, int]]  # time and couple of every interval with firing
+    firings: list[tuple[float, int, PlainFiring]]  # end, couple and firing
 
-    def pairs_of(self, couple: int) -> list[tuple[float, int, float]]:
-        """Those of one couple of thrusters."""
-        return [pair for pair in self.pairs if pair[1] == couple]
+    def steps_of(self, couple: int, part: int, sampling: Sampling) -> list[PlainStep]:
+        """What may step in the momentum of a couple, in one part of the event."""
+        found: dict[float, PlainStep] = {}
+        pulses = plain_pulses(sampling, sampling.pulse_reference_s)
+        for time, own, number in self.pairs:
+            if own == couple:
+                found[time] = PlainStep(time, number, number, None)
+        for time, own, firing in self.firings:
+            mean = firing.seconds / firing.count
+            scatter = pulses.scatter(mean, firing.count, sampling.error_s2[couple])
+            if own == couple and scatter >= 4e-10:
+                pairs = found[time].pairs if time in found else 0.0
+                size = pairs + scatter / plain_pair(sampling)
+                found[time] = PlainStep(time, pairs, size, firing)
+        parts = PARTS / sampling.duration_s
+        return [step for t, step in sorted(found.items()) if min(int(parts * t), PARTS - 1) == part]
 
-    def part(self, pair: tuple[float, int, float], sampling: Sampling) -> int:
-        """The part of the event that a pair is in."""
-        return min(int(PARTS * pair[0] / sampling.duration_s), PARTS - 1)
+
+@dataclass(frozen=True)
+class PlainStep:
+    """A step at a time: how many pairs may be close, its nominal variance over that of a pair."""
+
+    time: float
+    pairs: float
+    size: float
+    unlike: PlainFiring | None
+
+    def variance(self, pair_s2: float, pulses: PlainPulses, error_s2: float) -> float:
+        """Variance, s²."""
+        result = self.pairs * pair_s2
+        if self.unlike is not None:
+            mean = self.unlike.seconds / self.unlike.count
+            result += pulses.scatter(mean, self.unlike.count, error_s2)
+        return result
+
+
+def plain_pair(sampling: Sampling) -> float:
+    """Variance of what a pair loses, at the reference and a share of 0.3, s²."""
+    _, rise, fall = sampling.pulse_reference_s
+    losses = [(fall - rise) * np.exp(-gap / fall) for gap in sampling.gaps_s]
+    mean = 0.3 * sum(losses) / len(losses)
+    square = 0.3 * sum(loss**2 for loss in losses) / len(losses)
+    return float(max(square - mean**2, 1e-12))
 
 
 def plain_rows(
     samples: Samples, sampling: Sampling, arms: Array, tau: tuple[float, ...]
 ) -> PlainRows:
     """Every usable row by loops over readings, thrusters and firings, at given lever arms."""
-    rows = PlainRows([], [], [], [], [], [], [], [], [], [])
+    rows = PlainRows([], [], [], [], [], [], [], [], [], [], [])
     thrusters = samples.on_time_s.shape[1]
     bodies = [rotation(q) for q in samples.attitude]
     impulse = np.zeros((3, thrusters))
@@ -191,6 +228,9 @@ def plain_rows(
     cuts = np.zeros(len(sampling.couples))
     before = np.zeros(len(sampling.couples), dtype=bool)
     effective = effective_steps(samples, sampling, tau)
+    for g, (first, *_) in enumerate(sampling.couples):
+        for firing in plain_firings(samples, first):
+            rows.firings.append((float(samples.time_s[firing.rows[-1]]), g, firing))
     for i, time in enumerate(samples.time_s):
         if i > 0:
             mean = 0.5 * (bodies[i] + bodies[i - 1])
@@ -234,66 +274,129 @@ def is_quiet(samples: Samples, row: int, guard_s: float) -> bool:
     )
 
 
-def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]) -> Array:
-    """Effective on-time gained in the interval that ends at each row.
+class PlainPulses:
+    """Effective on-time of pulses (first_order) at given time constants, one at a time.
 
     What a pulse gains over one at the reference is a sum of what pulses of three widths gain (of
     one, if all are long): that which fits best over a range of τ_r and τ_f.
     """
-    _, rise, fall = sampling.pulse_reference_s
-    some = [(a * rise, b * fall) for a in np.linspace(0.6, 1.4, 9) for b in np.linspace(0.2, 2, 7)]
-    result = np.zeros(samples.on_time_s.shape)
 
-    def tail(width: float, rise_s: float, fall_s: float) -> float:
-        return float((fall_s - rise_s) * (1.0 - np.exp(-width / rise_s)))  # of first_order
+    def __init__(self, sampling: Sampling, tau: tuple[float, ...]) -> None:
+        self.usual, self.tau = np.array(sampling.widths_s), tau
+        _, self.rise, self.fall = sampling.pulse_reference_s
+        long = min(sampling.widths_s, default=0.0) >= 0.12
+        self.nodes = [float(np.median(sampling.widths_s))] if long else list(WIDTHS_S)
+        self.known: dict[float, float] = {}
 
-    def gains(width: float) -> list[float]:
-        return [tail(width, a, b) - tail(width, rise, fall) for a, b in some]
+    @cached_property
+    def at_nodes(self) -> Array:
+        """What pulses of the few widths gain."""
+        return np.array([self.gains(node) for node in self.nodes]).T
 
-    long = min(sampling.widths_s, default=0.0) >= 0.12
-    nodes = [float(np.median(sampling.widths_s))] if long else list(WIDTHS_S)
+    def gains(self, width: float) -> list[float]:
+        """What a pulse gains over the reference, over a range of time constants."""
+        some = [
+            (a * self.rise, b * self.fall)
+            for a in np.linspace(0.6, 1.4, 9)
+            for b in np.linspace(0.2, 2, 7)
+        ]
+        return [plain_tail(width, a, b) - plain_tail(width, self.rise, self.fall) for a, b in some]
 
-    def fitted(width: float) -> float:
-        at = np.array([gains(node) for node in nodes]).T
-        shares = np.linalg.lstsq(at, np.array(gains(width)), rcond=None)[0]
-        gained = [tail(node, tau[1], tau[2]) - tail(node, rise, fall) for node in nodes]
-        return float(width + tail(width, rise, fall) + shares @ gained)
+    def fitted(self, width: float) -> float:
+        """Effective on-time of one pulse."""
+        if width in self.known:
+            return self.known[width]
+        shares = np.linalg.lstsq(self.at_nodes, np.array(self.gains(width)), rcond=None)[0]
+        gained = [
+            plain_tail(node, self.tau[1], self.tau[2]) - plain_tail(node, self.rise, self.fall)
+            for node in self.nodes
+        ]
+        found = float(width + plain_tail(width, self.rise, self.fall) + shares @ gained)
+        self.known[width] = found
+        return found
 
-    def expected(width: float, count: float) -> float:
-        # of pulses with this mean: widths as the event's, by exp(slope width), less one's share
-        usual = np.array(sampling.widths_s)
-        if (
-            count == 1.0
-            or not min(usual, default=width) + 1e-9 < width < max(usual, default=width) - 1e-9
-        ):
-            return fitted(width)
+    def alike(self, width: float, count: float) -> bool:
+        """Whether pulses with this mean have no widths but this."""
+        least, most = min(self.usual, default=width), max(self.usual, default=width)
+        return count == 1.0 or not least + 1e-9 < width < most - 1e-9
+
+    def chances(self, width: float) -> Array:
+        """Probabilities of the event's widths, by exp(slope width), with this mean."""
 
         def tilted(slope: float) -> Array:
-            raised = np.exp(slope * (usual - width) - max(slope * (usual - width)))
+            raised = np.exp(slope * (self.usual - width) - max(slope * (self.usual - width)))
             return np.asarray(raised / raised.sum())
 
         def missed(slope: float) -> float:
-            return float(tilted(slope) @ usual) - width
+            return float(tilted(slope) @ self.usual) - width
 
-        reach = 700.0 / float(np.ptp(usual))
+        reach = 700.0 / float(np.ptp(self.usual))
         ends = [end for end in (-reach, reach) if missed(end) * end <= 0.0]
-        slope = ends[0] if ends else brentq(missed, -reach, reach, xtol=1e-9)
-        mixed = float(tilted(slope) @ [fitted(one) for one in usual])
-        return mixed + (fitted(width) - mixed) / count
+        return tilted(ends[0] if ends else brentq(missed, -reach, reach, xtol=1e-9))
 
+    def expected(self, width: float, count: float) -> float:
+        """Effective on-time of one of so many pulses, less one's share of the scatter."""
+        if self.alike(width, count):
+            return self.fitted(width)
+        mixed = float(self.chances(width) @ [self.fitted(one) for one in self.usual])
+        return mixed + (self.fitted(width) - mixed) / count
+
+    def scatter(self, width: float, count: float, error_s2: float) -> float:
+        """Variance of the sum about that: not linear in the widths, or read with an error."""
+        both = [count * self.expected(width + h / count, count) for h in (-1e-3, 1e-3)]
+        result = error_s2 * ((both[1] - both[0]) / 2e-3 - 1.0) ** 2
+        if not self.alike(width, count):
+            chance = np.sqrt(self.chances(width))
+            linear = np.stack([np.ones_like(self.usual), self.usual], axis=1)
+            each = np.array([self.fitted(one) for one in self.usual])
+            fit = np.linalg.lstsq(chance[:, None] * linear, chance * each, rcond=None)[0]
+            result += count * float(np.sum((chance * (each - linear @ fit)) ** 2))
+        return result
+
+
+@lru_cache(maxsize=64)
+def plain_pulses(sampling: Sampling, tau: tuple[float, ...]) -> PlainPulses:
+    """Those of a sampling, whose least squares are done once."""
+    return PlainPulses(sampling, tau)
+
+
+def plain_tail(width: float, rise_s: float, fall_s: float) -> float:
+    """Effective on-time beyond the width, of first_order."""
+    return float((fall_s - rise_s) * (1.0 - np.exp(-width / rise_s)))
+
+
+@dataclass(frozen=True)
+class PlainFiring:
+    """Rows of one firing of a thruster, their on-time and pulses."""
+
+    rows: list[int]
+    seconds: float
+    count: float
+
+
+def plain_firings(samples: Samples, k: int) -> list[PlainFiring]:
+    """Rows in a row in which a thruster's on-time grew."""
+    found, burst = [], list[int]()
+    for i in range(1, len(samples) + 1):
+        if i < len(samples) and samples.on_time_s[i, k] > samples.on_time_s[i - 1, k]:
+            burst.append(i)
+        elif burst:
+            seconds = samples.on_time_s[burst[-1], k] - samples.on_time_s[burst[0] - 1, k]
+            count = samples.pulses[burst[-1], k] - samples.pulses[burst[0] - 1, k]
+            found.append(PlainFiring(burst, float(seconds), float(count)))
+            burst = []
+    return found
+
+
+def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]) -> Array:
+    """Effective on-time gained in the interval that ends at each row."""
+    result, pulses = np.zeros(samples.on_time_s.shape), PlainPulses(sampling, tau)
     for k in range(samples.on_time_s.shape[1]):
-        burst: list[int] = []
-        for i in range(1, len(samples) + 1):
-            gained = i < len(samples) and samples.on_time_s[i, k] > samples.on_time_s[i - 1, k]
-            if gained:
-                burst.append(i)
-            elif burst:
-                seconds = samples.on_time_s[burst[-1], k] - samples.on_time_s[burst[0] - 1, k]
-                count = samples.pulses[burst[-1], k] - samples.pulses[burst[0] - 1, k]
-                for j in burst:
-                    own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
-                    result[j, k] = own / seconds * count * expected(seconds / count, count)
-                burst = []
+        for firing in plain_firings(samples, k):
+            each = pulses.expected(firing.seconds / firing.count, firing.count)
+            for j in firing.rows:
+                own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
+                result[j, k] = own / firing.seconds * firing.count * each
     return result
 
 
@@ -568,14 +671,16 @@ def _unknowns(
         columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
     for g, members in enumerate(couples):
         step = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
-        if rows.pairs_of(g):
+        if counts[-1, g] > 0.0:
             own.append((0.5 * lost * counts[:, g][:, None] * step).reshape(-1))
+        sampling = term.event.sampling
         for part in range(PARTS):
-            pairs = [p for p in rows.pairs_of(g) if rows.part(p, term.event.sampling) == part]
-            if pairs:
-                number = sum(m for _, _, m in pairs)
-                cut = sum(m * (np.array(rows.times) >= t) for t, _, m in pairs) / number
-                scatter = scattered * np.sqrt(number)
+            steps = rows.steps_of(g, part, sampling)
+            if steps:
+                whole = sum(one.size for one in steps)
+                cut = sum(one.size * (np.array(rows.times) >= one.time) for one in steps) / whole
+                each = (scattered**2, plain_pulses(sampling, tau), sampling.error_s2[g])
+                scatter = np.sqrt(sum(one.variance(*each) for one in steps))
                 own.append((scatter * cut[:, None] * step).reshape(-1))
     return own, columns, mean
 
@@ -613,14 +718,14 @@ def plain_open(
     for g, members in enumerate(sampling.couples):
         arm = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
         square = 0.0
+        each = (scattered**2, plain_pulses(sampling, tau), sampling.error_s2[g])
         for part in range(PARTS):
-            pairs = [p for p in rows.pairs_of(g) if rows.part(p, sampling) == part]
-            whole = sum(v for _, _, v in pairs)
-            steps = [ramps * (times >= t) for t, _, _ in pairs]
-            mean = sum(v * step for (_, _, v), step in zip(pairs, steps, strict=True))
-            for (_, _, v), step in zip(pairs, steps, strict=True):
-                apart = step - mean / whole
-                square += scattered**2 * v * apart @ share @ apart
+            steps = rows.steps_of(g, part, sampling)
+            whole = sum(one.size for one in steps)
+            mean = sum(one.size * ramps * (times >= one.time) for one in steps)
+            for one in steps:
+                apart = ramps * (times >= one.time) - mean / whole
+                square += one.variance(*each) * apart @ share @ apart
         ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
         levels = np.column_stack(
             [ramps * ((times >= start) & (times < stop)) for start, stop in pairwise(ends)]

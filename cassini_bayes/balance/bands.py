@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
+from cassini_bayes.balance.open_counters import level_patterns, step_patterns
 from cassini_bayes.balance.rounded_wheels import WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics, Layout
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
@@ -44,17 +44,15 @@ class Band:
 
     ``square`` (W, W) are the measured wheel rates' mean products, rad²/s²; ``walk`` (R,) or (1,)
     are the variances of a unit random walk's modes, s.
-    ``motion`` is None where wheels move by any amount at all frequencies. ``cut`` and ``level``
-    (G,) are mean squares, per couple, of what counters leave open (:class:`OpenSquares`), and
-    ``wheels`` those of the noise of wheel rates.
+    ``motion`` is None where wheels move by any amount at all frequencies. ``left_open`` are mean
+    squares of what counters leave open, and ``wheels`` those of the noise of wheel rates.
     """
 
     rows: int
     square: Array
     walk: Array
     motion: CubicSpline | None  # of :func:`motion_table`
-    cut: Array
-    level: Array  # s²
+    left_open: OpenSquares
     wheels: WheelSquares
 
     @property
@@ -90,7 +88,7 @@ def _bands(statistics: EventStatistics) -> Bands:
     time = counters.row_time_s
     waves = np.cos(np.pi / statistics.duration_s * time[:, None] * np.arange(len(turned)))
     places, on_modes = Places(time, waves, counters.stride), waves @ turned
-    left_open = open_squares(statistics, places, on_modes)
+    left_open = open_modes(statistics, places, on_modes)
     step = statistics.steps.wheel_rad_s
     of_wheels, everywhere = wheel_squares(
         statistics.shown.rate_rad_s, step, on_modes, counters.stride
@@ -103,7 +101,7 @@ def _bands(statistics: EventStatistics) -> Bands:
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         motion = None if turning else motion_table(stop - start, still)
         own_wheels = of_wheels.of_modes(start, stop).over(stop - start)
-        noise = (*left_open.of_modes(start, stop), own_wheels)
+        noise = (left_open.of_modes(start, stop), own_wheels)
         bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion, *noise))
         grams.append(gram)
         rest = rest - gram
@@ -115,7 +113,7 @@ def _bands(statistics: EventStatistics) -> Bands:
         left = np.array([beyond * statistics.rows / rows])
         motion = None if turning else motion_table(rows, still)
         slower = of_wheels.of_modes(0, len(walk))
-        noise = (*left_open.of_rest(rows), (everywhere - slower).over(rows))
+        noise = (left_open.of_rest(rows), (everywhere - slower).over(rows))
         bands.append(_band(statistics.layout, rest, left, rows, motion, *noise))
         grams.append(rest)
     slow = np.ascontiguousarray(modes[..., : bands[0].rows])
@@ -148,36 +146,52 @@ def _band(
     walk: Array,
     rows: int,
     motion: CubicSpline | None,
-    cut: Array,
-    level: Array,
+    left_open: OpenSquares,
     wheels: WheelSquares,
 ) -> Band:
     square = np.ascontiguousarray(gram[0, 0, layout.wheel, layout.wheel] / rows)
-    return Band(rows, square, walk, motion, cut, level, wheels)
+    return Band(rows, square, walk, motion, left_open, wheels)
 
 
 @dataclass(frozen=True)
 class OpenSquares:
-    """Squares, summed over rows, of what counters leave open in the number of tails and in on-time.
+    """Mean squares per couple, in a band, of what counters leave open.
 
-    Of the patterns of :mod:`cassini_bayes.balance.open_counters`, cut tails with s (1 − s) = 1.
-    Modes (M, G) and all rows (G,), of cut tails and of levels (s²).
+    Of the patterns of :mod:`cassini_bayes.balance.open_counters`: ``cut`` (G,) of pairs of variance
+    1, ``unlike`` (G, C, C) of unlike pulses by pulse columns (s²), ``level`` (G,) of levels (s²).
     """
 
-    cut_modes: Array
-    level_modes: Array
-    cut_rows: Array
-    level_rows: Array
+    cut: Array
+    unlike: Array
+    level: Array
 
-    def of_modes(self, start: int, stop: int) -> tuple[Array, Array]:
-        """Mean squares (G,) over some modes."""
-        return self.cut_modes[start:stop].mean(axis=0), self.level_modes[start:stop].mean(axis=0)
+    def __bool__(self) -> bool:
+        return bool(self.cut.any() or self.unlike.any() or self.level.any())
 
-    def of_rest(self, rows: int) -> tuple[Array, Array]:
-        """Mean squares (G,) over the R rows that no mode explains."""
-        cut = self.cut_rows - self.cut_modes.sum(axis=0)
-        level = self.level_rows - self.level_modes.sum(axis=0)
-        return np.maximum(cut, 0.0) / rows, np.maximum(level, 0.0) / rows
+
+@dataclass(frozen=True)
+class OpenModes:
+    """The same on every mode (M, G, …), and summed over all rows (G, …)."""
+
+    modes: OpenSquares
+    rows: OpenSquares
+
+    def of_modes(self, start: int, stop: int) -> OpenSquares:
+        """Mean squares over some modes."""
+        of_each = (self.modes.cut, self.modes.unlike, self.modes.level)
+        return OpenSquares(*(square[start:stop].mean(axis=0) for square in of_each))
+
+    def of_rest(self, rows: int) -> OpenSquares:
+        """Mean squares over the R rows that no mode explains."""
+        cut, level = (
+            np.maximum(everywhere - modes.sum(axis=0), 0.0) / rows
+            for everywhere, modes in (
+                (self.rows.cut, self.modes.cut),
+                (self.rows.level, self.modes.level),
+            )
+        )
+        unlike = (self.rows.unlike - self.modes.unlike.sum(axis=0)) / rows
+        return OpenSquares(cut, unlike, level)
 
 
 @dataclass(frozen=True)
@@ -192,21 +206,32 @@ class Places:
     stride: int
 
 
-def open_squares(statistics: EventStatistics, places: Places, on_modes: Array) -> OpenSquares:
+def open_modes(statistics: EventStatistics, places: Places, on_modes: Array) -> OpenModes:
     """What counters leave open, on modes that are ``on_modes`` (r, M) at the places."""
     counters = statistics.counters
-    couples = counters.weight.shape[1]
-    modes, rows = np.zeros((2, on_modes.shape[1], couples)), np.zeros((2, couples))
-    if couples == 0 or len(counters.end_s) == 0:
-        return OpenSquares(*modes, *rows)
     weight = places.waves[:, :1]
     step = weight * (places.time_s[:, None] >= counters.end_s)
-    for g in range(couples):
-        cuts = cut_patterns(counters, g, statistics.duration_s, step)
-        for which, pattern in enumerate((cuts, level_patterns(counters, g, step, weight))):
-            modes[which, :, g] = ((places.stride * on_modes.T @ pattern) ** 2).sum(axis=1)
-            rows[which, g] = places.stride * (pattern**2).sum()
-    return OpenSquares(*modes, *rows)
+    couples, number = counters.weight.shape[1], on_modes.shape[1]
+    size = counters.unlike.shape[2:]
+    # squares (M + 1, G, …) on every mode, and at last over all rows
+    cut, level = np.zeros((2, number + 1, couples))
+    unlike = np.zeros((number + 1, couples, *size))
+    for g in range(couples if len(counters.end_s) > 0 else 0):
+        steps, intervals = step_patterns(counters, g, statistics.duration_s, step)
+        square = _squares(steps, places.stride, on_modes)
+        cut[:, g] = square @ counters.weight[intervals, g]
+        unlike[:, g] = np.tensordot(square, counters.unlike[intervals, g], (1, 0))
+        levels = level_patterns(counters, g, step, weight)
+        level[:, g] = _squares(levels, places.stride, on_modes).sum(axis=1)
+    return OpenModes(
+        OpenSquares(cut[:-1], unlike[:-1], level[:-1]), OpenSquares(cut[-1], unlike[-1], level[-1])
+    )
+
+
+def _squares(patterns: Array, stride: int, on_modes: Array) -> Array:
+    """Squares (M + 1, s) of patterns (r, s) on every mode, and at last summed over all rows."""
+    of_modes = (stride * on_modes.T @ patterns) ** 2
+    return np.concatenate([of_modes, stride * (patterns**2).sum(axis=0)[None]])
 
 
 @dataclass(frozen=True)
@@ -221,8 +246,7 @@ class TurnBand:
     summed_s2: float
     rounded_s2: Array
     walked_s3: float
-    cut: Array  # (G,) s²
-    level: Array  # (G,) s⁴
+    left_open: OpenSquares  # each times s²
 
 
 def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array]:
@@ -237,10 +261,10 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
     if turns.pieces > 0:
         bands, grams = _slope_bands(statistics)
     if turns.contrasts > 0:
-        nothing = np.zeros(statistics.counters.weight.shape[1])
+        nothing = open_modes(statistics, Places(np.zeros(0), np.zeros((0, 1)), 1), np.zeros((0, 0)))
         # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
         noise = (turns.summed_s2, np.zeros(len(statistics.layout.wheels)), turns.walked_s3)
-        bands.append(TurnBand(turns.contrasts, *noise, nothing, nothing))
+        bands.append(TurnBand(turns.contrasts, *noise, nothing.rows))
         grams.append(turns.gram)
     return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
 
@@ -251,7 +275,7 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     modes = np.tensordot(turns.slope_projection, turned, (0, 0))
     places = Places(turns.slope_time_s, turns.slope_waves, turns.slope_stride)
     on_modes = turns.slope_waves @ turned
-    left_open = open_squares(statistics, places, on_modes)
+    left_open = open_modes(statistics, places, on_modes)
     rounded, all_rounded = rounded_slopes(turns, on_modes)
     # of each piece its own: noise summed over a long one is far more than over a short one
     summed = turns.slope_stride * turns.slope_summed_s2 @ on_modes**2
@@ -262,8 +286,7 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         walked = float(walk[start:stop].mean())
         squares = (float(summed[start:stop].mean()), rounded[start:stop].mean(axis=0), walked)
-        noise = left_open.of_modes(start, stop)
-        bands.append(TurnBand(stop - start, *squares, *noise))
+        bands.append(TurnBand(stop - start, *squares, left_open.of_modes(start, stop)))
         grams.append(gram)
         rest = rest - gram
     if (rows := turns.pieces - len(walk)) > 0:
@@ -273,7 +296,7 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
         beyond_summed = turns.slope_stride * turns.slope_summed_s2.sum() - summed.sum()
         least = turns.slope_summed_s2.min()  # thinned pieces may leave too little for the rest
         squares = (float(max(beyond_summed / rows, least)), left, walked)
-        bands.append(TurnBand(rows, *squares, *left_open.of_rest(rows)))
+        bands.append(TurnBand(rows, *squares, left_open.of_rest(rows)))
         grams.append(rest)
     return bands, grams
 

@@ -1,39 +1,65 @@
 """What counters leave open, as steps and levels in time: which tails were cut, what was rounded.
 
 Pairs of pulses that may be close are steps s_i H_i(t) of variance s (1 − s) m_i, s the share of
-close pairs and m_i how many an interval has. The columns of cut tails take up the mean of a part of
-the event, c_j = Σ m_i H_i / Σ m_i; s_i (H_i − c_j) stays. The rounding of a counter is one
+close pairs and m_i how many an interval has; pulses of unlike widths are steps as well. The columns
+of cut tails take up the mean of a part of the event, c_j = Σ a_i H_i / Σ a_i with a_i the nominal
+variances; steps times H_i − c_j stay. The rounding of a counter is one
 independent level between two firings (docs/topics/telemetry-likelihood.md §7).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
 
 from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 
 LEAST_RATIO: Final = 1e-6  # of widths all alike: what stays open is one constant
 
 
-def cut_patterns(counters: CounterStatistics, couple: int, duration_s: float, step: Array) -> Array:
-    """Patterns (n, s) of single cut tails, each of variance s (1 − s).
+def step_patterns(
+    counters: CounterStatistics, couple: int, duration_s: float, step: Array
+) -> tuple[Array, Places]:
+    """Patterns (n, s) of single steps of a couple, each less its quarter's mean; intervals (s,).
 
     ``step`` (n, R) is what a unit step at the end of every interval with firings leaves in n rows.
     """
-    part, pairs = quarter_of(counters.end_s, duration_s), counters.weight[:, couple]
-    found = [step[:, :0]]
+    part, size = quarter_of(counters.end_s, duration_s), counters.steps[:, couple]
+    patterns, intervals = [step[:, :0]], [np.zeros(0, dtype=np.int64)]
     for j in range(CUT_PARTS):
-        own = np.flatnonzero((part == j) & (pairs > 0.0))
+        own = np.flatnonzero((part == j) & (size > 0.0))
         if len(own) > 0:
-            mean = step[:, own] @ pairs[own] / pairs[own].sum()
-            found.append((step[:, own] - mean[:, None]) * np.sqrt(pairs[own]))
-    return np.concatenate(found, axis=1)
+            mean = step[:, own] @ size[own] / size[own].sum()
+            patterns.append(step[:, own] - mean[:, None])
+            intervals.append(own)
+    return np.concatenate(patterns, axis=1), np.concatenate(intervals)
+
+
+class OpenScales(NamedTuple):
+    """What makes momentum of these patterns, at n points."""
+
+    torque_n_m: Array  # (n, 3, G) of every couple
+    pair_s2: Array  # (n,) variance of what a pair that may be close loses
+    pulse_weights: Array  # (n, C) of the pulse columns
+
+    def variance_s2(self, pairs: Array, unlike: Array) -> Array:
+        """Variances (n, …) of steps: so many ``pairs`` (…), pulses ``unlike`` (…, C, C)."""
+        of_pairs = np.multiply.outer(self.pair_s2, pairs)
+        if not unlike.any():
+            return np.asarray(of_pairs)
+        by_column = np.tensordot(self.pulse_weights, unlike, (1, unlike.ndim - 2))
+        weights = self.pulse_weights.reshape(len(of_pairs), *[1] * pairs.ndim, -1)
+        return np.asarray(of_pairs + (by_column * weights).sum(axis=-1))
+
+
+def step_variances(counters: CounterStatistics, couple: int, scales: OpenScales) -> Array:
+    """Variances (n, R), s², of a couple's steps at the ends of all intervals, at n points."""
+    return scales.variance_s2(counters.weight[:, couple], counters.unlike[:, couple])
 
 
 def level_patterns(counters: CounterStatistics, couple: int, step: Array, always: Array) -> Array:
@@ -59,12 +85,10 @@ def level_patterns(counters: CounterStatistics, couple: int, step: Array, always
 
 def patterns_at(
     counters: CounterStatistics, duration_s: float, time_s: Array
-) -> Iterator[tuple[Array, Array]]:
-    """Cut tails and levels of every couple in rows at times (n,), each (n, s)."""
+) -> Iterator[tuple[Array, Places, Array]]:
+    """Steps (n, s) of every couple with their intervals (s,), and levels (n, l), at times (n,)."""
     step = (time_s[:, None] >= counters.end_s).astype(np.float64)
     for couple in range(counters.weight.shape[1]):
         levels = level_patterns(counters, couple, step, np.ones((len(time_s), 1)))
-        yield (
-            cut_patterns(counters, couple, duration_s, step),
-            levels[:, levels.any(axis=0)],
-        )
+        patterns, intervals = step_patterns(counters, couple, duration_s, step)
+        yield patterns, intervals, levels[:, levels.any(axis=0)]

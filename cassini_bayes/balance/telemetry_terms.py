@@ -19,10 +19,11 @@ import numpy as np
 
 from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
+from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
-from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
+from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, LEAST_FALL_S, quarter_of
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
@@ -91,6 +92,8 @@ class Pattern:
     start: Places
     thrusters: int
     cuts: tuple[int, ...]  # places among the columns of cut tails that are not all zero
+    cut_pairs: Array  # (S,) pairs that may be close in what they stand for
+    cut_unlike: Array  # (S, C, C) and what unlike pulses scatter in it, s²
     fired: Places  # (3 C K,) of C pulse columns
     pulses: Places  # (K,)
     lost: Places  # (L,) tails that are cut on average
@@ -355,11 +358,14 @@ def _pattern(statistics: EventStatistics) -> Pattern:
     for i, place in enumerate(cuts):
         members[i, list(layout.couples[place // CUT_COLUMNS])] = 1.0
     places = np.array(lost, dtype=np.int64).reshape(-1, 2)
+    pairs, unlike = _of_cut_columns(statistics, cuts)
     return Pattern(
         row=np.array([column for own in entries for column in own]),
         start=start,
         thrusters=thrusters,
         cuts=cuts,
+        cut_pairs=pairs,
+        cut_unlike=unlike,
         fired=(start[:thrusters, None] + np.arange(per_thruster)).ravel(),
         pulses=start[:thrusters] + per_thruster,
         lost=places[:, 0],
@@ -369,6 +375,18 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         wheels=start[-2] + 4 + np.arange(len(layout.wheels)),
         turns=start[-2] + 4 + len(layout.wheels) + np.arange(3),
     )
+
+
+def _of_cut_columns(statistics: EventStatistics, cuts: Sequence[int]) -> tuple[Array, Array]:
+    """Pairs (S,) and scatter of unlike pulses (S, C, C) that columns of cut tails stand for."""
+    counters, size = statistics.counters, len(PULSE_COLUMNS)
+    part = quarter_of(counters.end_s, statistics.duration_s)
+    pairs, unlike = np.zeros(len(cuts)), np.zeros((len(cuts), size, size))
+    for i, (couple, column) in enumerate(divmod(place, CUT_COLUMNS) for place in cuts):
+        own = part == column - 1 if column > 0 else np.ones(len(part), dtype=bool)
+        pairs[i] = counters.weight[own, couple].sum()
+        unlike[i] = counters.unlike[own, couple].sum(axis=0)
+    return pairs, unlike
 
 
 def _owned(layout: Layout, thruster: str) -> dict[str, int]:
@@ -537,25 +555,31 @@ def open_counters(event: TelemetryBalance, physics: Physics, thrust_n: float) ->
     n = len(physics.inertia_kg_m2)
     bands: Sequence[Band | TurnBand] = (event.slow, *event.fast, *event.turns)
     result = np.zeros((n, len(bands), 3, 3))
-    if event.fires and any(band.cut.any() or band.level.any() for band in bands):
-        torque, tail = open_scales(event, physics, thrust_n)
-        across = np.swapaxes(torque, -1, -2)
+    if event.fires and any(band.left_open for band in bands):
+        scales = open_scales(event, physics, thrust_n)
+        across = np.swapaxes(scales.torque_n_m, -1, -2)
         for place, band in enumerate(bands):
-            square = tail[:, None] ** 2 * band.cut + band.level
-            result[:, place] = (torque * square[:, None]) @ across
+            own = band.left_open
+            square = scales.variance_s2(own.cut, own.unlike) + own.level
+            result[:, place] = (scales.torque_n_m * square[:, None]) @ across
     of_rows = 1 + len(event.fast)
     return OpenCounters(result[:, :of_rows], result[:, of_rows:])
 
 
-def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> tuple[Array, Array]:
-    """Torque of every couple (n, 3, G), N m, and the deviation of one pair's tail (n,), s."""
+def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> OpenScales:
+    """Torques of couples, what pairs scatter, and weights of pulse columns."""
     n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
     if not event.fires:
-        return np.zeros((n, 3, 0)), np.zeros(n)
+        return OpenScales(np.zeros((n, 3, 0)), np.zeros(n), np.zeros((n, len(PULSE_COLUMNS))))
     arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
     together = [arms[..., list(own)].sum(-1) for own in couples]
     lost = lost_tails(event.statistics, physics, n)
-    return thrust_n * np.stack(together, axis=-1), lost.scatter_s
+    pulse = event.sampling.pulses.weights(physics.tau_s)
+    return OpenScales(
+        thrust_n * np.stack(together, axis=-1),
+        lost.variance_s2,
+        np.broadcast_to(pulse, (n, pulse.shape[-1])),
+    )
 
 
 def close_share(physics: Physics, n: int) -> Array:
@@ -625,9 +649,9 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
             if name in physics.extra:
                 on_time = np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
-        per_unit = thrust_n * cut_unit_s(event.statistics, pattern.cuts, lost)
-        weights[:, tails : tails + len(pattern.cuts)] = per_unit[..., None] * (
-            pattern.members @ arm
+        couples = thrust_n * pattern.members @ arm
+        weights[:, tails : tails + len(pattern.cuts)] = (
+            cut_unit_s(event, lost, open_scales(event, physics, thrust_n))[..., None] * couples
         )
     return weights
 
@@ -645,10 +669,10 @@ def own_prior(
 
 @dataclass(frozen=True)
 class LostTails:
-    """On-time that a pair of pulses loses by a cut tail: mean and scatter (n,), s."""
+    """On-time that a pair of pulses loses by a cut tail: mean (n,), s, and variance (n,), s²."""
 
     mean_s: Array
-    scatter_s: Array
+    variance_s2: Array
 
 
 def lost_tails(statistics: EventStatistics, physics: Physics, n: int) -> LostTails:
@@ -658,21 +682,23 @@ def lost_tails(statistics: EventStatistics, physics: Physics, n: int) -> LostTai
     x = exp(−gap/τ_f). With ⟨⟩ the mean over the gaps, a pair loses s (τ_f − τ_r) ⟨x⟩ on average,
     with the variance (τ_f − τ_r)² (s ⟨x²⟩ − s² ⟨x⟩²).
     """
-    fall = np.broadcast_to(np.maximum(physics.tau_s[2], 1e-4), (n,))
+    fall = np.broadcast_to(np.maximum(physics.tau_s[2], LEAST_FALL_S), (n,))
     share, tail = close_share(physics, n), fall - physics.tau_s[1]
     opens_at = np.exp(-statistics.counters.gaps_s / fall[:, None])
     mean = share * opens_at.mean(axis=1)
     square = share * (opens_at**2).mean(axis=1)
-    return LostTails(tail * mean, np.abs(tail) * np.sqrt(np.maximum(square - mean**2, 0.0)))
+    return LostTails(tail * mean, tail**2 * np.maximum(square - mean**2, 0.0))
 
 
-def cut_unit_s(statistics: EventStatistics, cuts: Sequence[int], lost: LostTails) -> Array:
+def cut_unit_s(event: TelemetryBalance, lost: LostTails, scales: OpenScales) -> Array:
     """Cut tails per standard deviation of every unknown (n, S), over their columns.
 
     Of a couple's departure from the share of close pairs: half of what is lost on average. Of a
-    part of the event: the scatter of one pair over the square root of how many there are.
+    part of the event: the scatter of its pairs and unlike pulses, over how many there are.
     """
-    places = np.array(cuts, dtype=np.int64)
+    pattern = event.pattern
+    places = np.array(pattern.cuts, dtype=np.int64)
     of_all = SHARE_SPREAD * lost.mean_s[:, None]
-    of_part = lost.scatter_s[:, None] / np.sqrt(statistics.cuts[places])
+    variance = scales.variance_s2(pattern.cut_pairs, pattern.cut_unlike)
+    of_part = np.sqrt(variance) / event.statistics.cuts[places]
     return np.where(places % CUT_COLUMNS == 0, of_all, of_part)

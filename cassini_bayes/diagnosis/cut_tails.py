@@ -1,4 +1,4 @@
-"""Single cut tails and single roundings, as columns of the innovations' linear model.
+"""Single cut tails, unlike pulses and roundings, as columns of the innovations' linear model.
 
 Counters show neither which pulses were a control cycle apart, nor what rounding took off. The
 likelihood has the share of close pulses, the mean of every quarter of an event, and the rest as
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.open_counters import patterns_at
+from cassini_bayes.balance.open_counters import patterns_at, step_variances
 from cassini_bayes.balance.telemetry_terms import open_scales
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
@@ -42,12 +42,12 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
     time_s = term.event.usable_rows.time_s
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = term.physics(model.points(z[None]))
-    torque, tail = open_scales(term.balance, physics, model.thrust_prior.common_mean_n)
-    couples = patterns_at(counters, sampling.duration_s, time_s)
-    for given, (cuts, levels) in zip(torque[0].T, couples, strict=True):
-        columns += [cuts[:, None] * given[:, None], levels[:, None] * given[:, None]]
-        variances += [
-            np.full(cuts.shape[1], max(float(tail[0]) ** 2, _LEAST)),
-            np.ones(levels.shape[1]),
-        ]
+    scales = open_scales(term.balance, physics, model.thrust_prior.common_mean_n)
+    for g, (steps, intervals, levels) in enumerate(
+        patterns_at(counters, sampling.duration_s, time_s)
+    ):
+        torque = scales.torque_n_m[0, :, g, None]
+        columns += [steps[:, None] * torque, levels[:, None] * torque]
+        variance = step_variances(counters, g, scales)[0, intervals]
+        variances += [np.maximum(variance, _LEAST), np.ones(levels.shape[1])]
     return np.concatenate(columns, axis=2), np.concatenate(variances)

@@ -303,7 +303,7 @@ def reduce_samples(
         pulses=tuple(gained[1].tolist()),
         mends=(),
     )
-    sampling = _of_pulses_as_they_were(sampling, statistics)
+    sampling = statistics.counters.seen_by(sampling)
     return ReducedEvent(statistics, sampling, reading, rows, "memory", epoch=epoch)
 
 
@@ -362,7 +362,7 @@ def reduce_event(
     else:
         statistics, reading = cached
         sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
-    sampling = _of_pulses_as_they_were(sampling, statistics)
+    sampling = statistics.counters.seen_by(sampling)
     source = "from the cache" if cached is not None else "reduced"
     log(
         f"{event.id} ({event.kind}): {reading.rows:,} rows of telemetry, {statistics.rows:,} in "
@@ -386,11 +386,6 @@ def reduce_event(
         event.epoch,
         event,
     )
-
-
-def _of_pulses_as_they_were(sampling: Sampling, statistics: EventStatistics) -> Sampling:
-    """The sampling with the widths of the event's pulses."""
-    return replace(sampling, widths_s=tuple(statistics.counters.widths_s.tolist()))
 
 
 def _delta_v(event: TelemetryEvent, rows: EventRows, sampling: Sampling) -> DeltaVStatistics | None:

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.balance.open_counters import patterns_at
+from cassini_bayes.balance.open_counters import OpenScales, patterns_at, step_variances
 from cassini_bayes.balance.statistics import Carry, Samples, settle
 from cassini_bayes.balance.statistics.columns import Rows
 from cassini_bayes.balance.telemetry_terms import (
@@ -52,36 +52,33 @@ class BalanceRows:
     walk: Array
     by_rate: Array
     by_wheel: Array
-    torque: Array  # (n, 3, G) of every couple, N m
-    tail: Array  # (n,) deviation of one pair's tail, s
-
-    @property
-    def patterns(self) -> Iterator[tuple[Array, Array]]:
-        """What counters leave open, by couple: :mod:`cassini_bayes.balance.open_counters`."""
-        statistics = self.term.event.statistics
-        return patterns_at(statistics.counters, statistics.duration_s, self.rows.time_s)
+    scales: OpenScales  # of what counters leave open
 
     def open_momentum(self, rng: np.random.Generator) -> Array:
         """Momentum (n, r, 3), N m s, drawn of what counters leave open."""
         total = np.zeros_like(self.measured)
-        for torque, (cuts, levels) in zip(
-            np.moveaxis(self.torque, -1, 0), self.patterns, strict=True
-        ):
-            n = len(torque)
-            tails = self.tail[:, None] * (rng.standard_normal((n, cuts.shape[1])) @ cuts.T)
-            late = tails + rng.standard_normal((n, levels.shape[1])) @ levels.T
+        for torque, steps, variance, levels in self._patterns():
+            gained = np.sqrt(variance) * rng.standard_normal(variance.shape)
+            late = gained @ steps.T
+            late += rng.standard_normal((len(total), levels.shape[1])) @ levels.T
             total += late[:, :, None] * torque[:, None]
         return total
 
     def open_variance(self) -> Array:
         """Variance (r, 3) of it, mean over draws."""
         total = np.zeros(self.measured.shape[1:])
-        for torque, (cuts, levels) in zip(
-            np.moveaxis(self.torque, -1, 0), self.patterns, strict=True
-        ):
-            late = np.outer(self.tail**2, (cuts**2).sum(1)) + (levels**2).sum(1)
+        for torque, steps, variance, levels in self._patterns():
+            late = variance @ (steps.T**2) + (levels**2).sum(1)
             total += (late[:, :, None] * torque[:, None] ** 2).mean(0)
         return total
+
+    def _patterns(self) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Each couple: torque (n, 3), steps (r, s), their variances (n, s), levels (r, l)."""
+        statistics = self.term.event.statistics
+        patterns = patterns_at(statistics.counters, statistics.duration_s, self.rows.time_s)
+        for g, (steps, intervals, levels) in enumerate(patterns):
+            variance = step_variances(statistics.counters, g, self.scales)
+            yield self.scales.torque_n_m[..., g], steps, variance[:, intervals], levels
 
     @property
     def residual(self) -> Array:
@@ -160,7 +157,6 @@ def balances(
         weights = balance_weights(balance, physics, model.thrust_prior.common_mean_n)
         unknowns = unknowns_of(draws.thrusts.thrust_n[:, fired], drawn)
         measured, predicted = _both_sides(balance, rows, weights, unknowns)
-        torque, tail = open_scales(balance, physics, model.thrust_prior.common_mean_n)
         yield BalanceRows(
             term=term,
             rows=rows,
@@ -171,8 +167,7 @@ def balances(
             walk=points.parameters[TORQUE_NOISE] ** 2,
             by_rate=physics.momentum_per_rate,
             by_wheel=balance.wheel_weights(physics),
-            torque=torque,
-            tail=tail,
+            scales=open_scales(balance, physics, model.thrust_prior.common_mean_n),
         )
 
 

@@ -7,12 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cassini_bayes.balance.open_counters import cut_patterns, level_patterns
+from cassini_bayes.balance.open_counters import (
+    OpenScales,
+    level_patterns,
+    step_patterns,
+    step_variances,
+)
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
 
 DURATION_S = 80.0
 TIME = np.arange(DURATION_S)
 GAPS_S = np.array([0.125])
+UNLIKE = np.zeros((4, 1, 4, 4))
 ENDS = np.array([3.0, 7.0, 13.0, 31.0])
 STEP = (TIME[:, None] >= ENDS).astype(float)
 
@@ -23,25 +29,42 @@ def counters(pairs: list[float]) -> CounterStatistics:
     fired = np.ones((4, 1), dtype=bool)
     open_s2, ratio, coarse = np.array([4e-6]), np.array([np.inf]), np.array([False])
     return CounterStatistics(
-        TIME, 1, ENDS, fired, weight, open_s2, ratio, coarse, GAPS_S, np.zeros(0)
+        TIME, 1, ENDS, fired, weight, UNLIKE, weight, open_s2, ratio, coarse, GAPS_S, np.zeros(0)
     )
 
 
 def test_pairs_of_a_quarter_add_up_to_what_the_likelihood_has() -> None:
     """A step is its quarter's mean, which the likelihood has, and what is added; one: nothing."""
-    found = cut_patterns(counters([1.0, 1.0, 1.0, 0.0]), 0, DURATION_S, STEP)
+    found, intervals = step_patterns(counters([1.0, 1.0, 1.0, 0.0]), 0, DURATION_S, STEP)
+    assert intervals.tolist() == [0, 1, 2]
     for i in range(3):
         assert STEP[:, :3].mean(axis=1) + found[:, i] == pytest.approx(STEP[:, i])
-    alone = cut_patterns(counters([1.0, 0.0, 0.0, 1.0]), 0, DURATION_S, STEP)
+    alone, _ = step_patterns(counters([1.0, 0.0, 0.0, 1.0]), 0, DURATION_S, STEP)
     assert not alone.any()
 
 
 def test_several_pairs_of_an_interval_scatter_together() -> None:
-    """Four pairs have twice the deviation of one, about a mean that leans to them."""
-    found = cut_patterns(counters([4.0, 1.0, 0.0, 0.0]), 0, DURATION_S, STEP)
+    """Four pairs have four times the variance of one, about a mean that leans to them."""
+    four = counters([4.0, 1.0, 0.0, 0.0])
+    found, _ = step_patterns(four, 0, DURATION_S, STEP)
     mean = 0.8 * STEP[:, 0] + 0.2 * STEP[:, 1]
-    assert found[:, 0] == pytest.approx(2.0 * (STEP[:, 0] - mean))
-    assert found[:, 1] == pytest.approx(STEP[:, 1] - mean)
+    assert found == pytest.approx(STEP[:, :2] - mean[:, None])
+    scales = OpenScales(np.zeros((2, 3, 1)), np.array([1e-6, 3e-6]), np.ones((2, 4)))
+    variances = step_variances(four, 0, scales)
+    assert variances == pytest.approx(np.outer([1e-6, 3e-6], [4.0, 1.0, 0.0, 0.0]))
+
+
+def test_unlike_pulses_scatter_by_their_columns() -> None:
+    """The variance of a step is the quadratic form of its columns' weights, beside its pairs."""
+    rng = np.random.default_rng(20261123)
+    factor = 1e-3 * rng.standard_normal((4, 1, 4, 4))
+    unlike = factor @ np.swapaxes(factor, -1, -2)
+    weights = rng.standard_normal((2, 4))
+    scales = OpenScales(np.zeros((2, 3, 1)), np.array([1e-6, 0.0]), weights)
+    found = step_variances(replace(counters([1.0, 0.0, 0.0, 0.0]), unlike=unlike), 0, scales)
+    own = [[w @ unlike[i, 0] @ w for i in range(4)] for w in weights]
+    pairs = np.array([[1e-6, 0.0, 0.0, 0.0], [0.0] * 4])
+    assert found == pytest.approx(np.array(own) + pairs)
 
 
 def test_a_rounding_lasts_until_the_next_firing() -> None:

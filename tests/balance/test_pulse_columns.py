@@ -82,6 +82,36 @@ def test_unlike_pulses_deliver_what_is_expected_of_them() -> None:
     assert np.mean(alike - true) > 1.5e-3
 
 
+def test_what_unlike_pulses_scatter_is_known() -> None:
+    """Sums of pulses of 15 to 125 ms: they miss their expectation by as much as is stated.
+
+    Their sum is read with an error, of which the part is left out that adds up to nothing.
+    """
+    rng = np.random.default_rng(20261126)
+    usual = 0.015 * (0.125 / 0.015) ** ((np.arange(12) + 0.5) / 12)
+    basis = PulseBasis(PULSE_SHAPES["first_order"], REFERENCE, tuple(usual.tolist()))
+    error = 0.002
+    for n in (1, 2, 4):
+        widths = usual[rng.integers(0, 12, (8000, n))]
+        read = widths.sum(axis=1) + error * rng.standard_normal(8000)
+        count = np.full(8000, float(n))
+        true = PULSE_SHAPES["first_order"].effective_time(widths, *REFERENCE).sum(axis=1)
+        missed = true - n * basis.expected_columns(read / n, count)[:, 0]
+        missed -= widths.sum(axis=1) - read
+        stated = basis.scatter(read / n, count, error**2)[:, 0, 0].mean()
+        assert (missed**2).mean() == pytest.approx(stated, rel=0.2)
+        if n == 1:  # of one pulse that is read exactly nothing is open
+            assert not basis.scatter(read, count, 0.0).any()
+
+
+def test_long_and_equal_pulses_scatter_nothing() -> None:
+    """Pulses of 125 ms that are all alike, and single ones of any width that is known."""
+    alike = PulseBasis(PULSE_SHAPES["first_order"], REFERENCE, (0.125,) * 12)
+    assert not alike.scatter(np.full(3, 0.125), np.array([1.0, 2.0, 5.0]), 1e-6).any()
+    unlike = PulseBasis(PULSE_SHAPES["first_order"], REFERENCE, (0.02, 0.05, 0.125))
+    assert not unlike.scatter(np.array([0.02, 0.06]), np.ones(2), 0.0).any()
+
+
 def test_single_and_equal_pulses_stay_as_they_are() -> None:
     """One pulse has its own width; pulses that are all alike, that of all."""
     usual = (0.02, 0.05, 0.125)

@@ -90,7 +90,12 @@ def test_measured_rows_lie_among_their_replicates(place: int) -> None:
 def test_replicates_without_noise_do_not_hold_the_measured_rows() -> None:
     """Negative control: the spread of the posterior alone is too narrow over all channels."""
     quiet = [
-        replace(b, covariance=1e-4 * b.covariance, walk=0.0 * b.walk, torque=0.0 * b.torque)
+        replace(
+            b,
+            covariance=1e-4 * b.covariance,
+            walk=0.0 * b.walk,
+            scales=b.scales._replace(torque_n_m=0.0 * b.scales.torque_n_m),
+        )
         for b in rows()
     ]
     for balance in quiet:

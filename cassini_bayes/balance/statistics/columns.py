@@ -35,6 +35,9 @@ CUT_COLUMNS = 1 + CUT_PARTS  # per couple: pairs that may be close, of all and o
 # readings (docs/topics/telemetry-likelihood.md §7).
 ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
+USUAL_SHARE = 0.3  # of close pairs: the mean of the shipped priors
+LEAST_PAIR_S2 = 1e-12  # (1 µs)²: where no tail is cut, unlike widths are all that scatters
+LEAST_FALL_S = 1e-4  # a valve that closes at once: nothing of its thrust is left a cycle later
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
 _SAME_S = 1e-6  # times closer than this are the same
 
@@ -86,7 +89,9 @@ class Sampling:
     rad of the wheel, ``corner_rad_s`` the second difference of wheel rates that is no noise.
     ``reference_noise`` are noise levels, by name, of about the right size: all hypotheses of an
     event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
-    ``widths_s`` are what pulses of the event are like, all as likely (:class:`.PulseBasis`).
+    ``widths_s`` are what pulses of the event are like, all as likely (:class:`.PulseBasis`),
+    ``gaps_s`` the times after which close ones follow (without, a control cycle), and ``error_s2``
+    (G,) the variances with which the on-times of a couple's firings are read.
     """
 
     pulse_shape: PulseShape
@@ -100,6 +105,18 @@ class Sampling:
     corner_rad_s: float = np.inf
     reference_noise: tuple[tuple[str, float], ...] = ()
     widths_s: tuple[float, ...] = ()
+    gaps_s: tuple[float, ...] = ()
+    error_s2: tuple[float, ...] = ()
+
+    @cached_property
+    def pair_s2(self) -> float:
+        """Variance of what a pair of pulses loses, at the reference and the usual share, s²."""
+        _, rise, fall = self.pulse_reference_s
+        opens_at = np.exp(
+            -np.array(self.gaps_s or (self.control_cycle_s,)) / max(fall, LEAST_FALL_S)
+        )
+        mean, square = USUAL_SHARE * opens_at.mean(), USUAL_SHARE * (opens_at**2).mean()
+        return float(max((fall - rise) ** 2 * (square - mean**2), LEAST_PAIR_S2))
 
     @cached_property
     def pulses(self) -> PulseBasis:
@@ -207,12 +224,18 @@ class Pairs:
 
     Of every pair the tail of the first pulse may have been cut: ``weight`` (m, G) counts pairs,
     each by how often it is close against one of two pulses within a second. ``fired`` (m, G) tells
-    which couples fired at all.
+    which couples fired at all. ``unlike`` (m, G, C, C) are the covariances of what the pulse
+    columns gain beyond what is expected (:meth:`.PulseBasis.scatter`), s².
     """
 
     end_s: Array
     fired: NDArray[np.bool_]
     weight: Array
+    unlike: Array
+
+    def steps(self, pair_s2: float) -> Array:
+        """Variance (m, G) of what intervals gain beyond what is expected, over that of a pair."""
+        return np.asarray(self.weight + self.unlike[..., 0, 0] / pair_s2)
 
     @staticmethod
     def joined(parts: Sequence[Pairs]) -> Pairs:
@@ -251,7 +274,8 @@ class Carry:
         fired = np.zeros((len(layout.thrusters), len(PULSE_COLUMNS), 3, 3))
         cuts = np.zeros(CUT_COLUMNS * len(layout.couples))
         none = np.zeros((0, len(layout.couples)))
-        pairs = Pairs(np.zeros(0), none > 0.0, none)
+        unlike = np.zeros((*none.shape, len(PULSE_COLUMNS), len(PULSE_COLUMNS)))
+        pairs = Pairs(np.zeros(0), none > 0.0, none, unlike)
         return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, pairs, None)
 
 
@@ -328,8 +352,8 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
     time, attitude = now.time_s[state], direction_cosines(now.attitude[state])
     counted = _Counted(now, carry.done_until_s)
     fired = _impulses(counted, time, attitude, carry, sampling)
-    pairs = _pairs(counted, layout)
-    added = _cut_columns(pairs, layout, sampling.duration_s)
+    pairs = _pairs(counted, layout, sampling)
+    added = _cut_columns(pairs, layout, sampling)
     cuts = carry.cuts + np.concatenate([np.zeros((1, len(carry.cuts))), np.cumsum(added, axis=0)])
     gathered = replace(
         carry, fired=fired[-1], cuts=cuts[-1], pairs=Pairs.joined([carry.pairs, pairs])
@@ -450,20 +474,19 @@ def _impulses(
 
 
 def close_pairs(
-    end_s: Array,
     length_s: Array,
     pulses: Array,
     fired: NDArray[np.bool_],
     before: NDArray[np.bool_],
-) -> Pairs:
-    """Pairs within each of some counter intervals, and across the reading before it.
+) -> Array:
+    """Pairs (m, G) within each of some counter intervals, and across the reading before it.
 
     Counters show neither which pairs were a control cycle apart nor what share. The share depends
     on the controller and is inferred (docs/topics/telemetry-likelihood.md §7).
 
     Parameters
     ----------
-    end_s, length_s
+    length_s
         (m,) of the intervals.
     pulses
         (m, G) pulses of every couple in them.
@@ -473,10 +496,10 @@ def close_pairs(
     within = np.maximum(pulses - 1.0, 0.0)
     across = (fired & before & (pulses > 0)).astype(np.float64)
     alike = np.minimum(1.0, ALIKE_S / length_s)[:, None]
-    return Pairs(end_s, fired, alike * (within + ACROSS * across))
+    return np.asarray(alike * (within + ACROSS * across))
 
 
-def _pairs(counted: _Counted, layout: Layout) -> Pairs:
+def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Pairs:
     """Pairs of the active intervals of a stretch of telemetry, which begins with an idle one."""
     active = counted.active
     groups = [list(couple) for couple in layout.couples]
@@ -487,21 +510,32 @@ def _pairs(counted: _Counted, layout: Layout) -> Pairs:
         on_time = counted.on_time[:, members].max(axis=1, initial=0.0)
         fired[:, g] = (pulses[:, g] > 0.0) | (on_time > 0.0)
     before = np.concatenate([np.zeros_like(fired[:1]), fired[:-1]])
-    return close_pairs(
+    return Pairs(
         counted.time_s[active + 1],
-        np.diff(counted.time_s)[active],
-        pulses[active],
         fired[active],
-        before[active],
+        close_pairs(np.diff(counted.time_s)[active], pulses[active], fired[active], before[active]),
+        _unlike(counted, layout, sampling)[active],
     )
 
 
-def _cut_columns(pairs: Pairs, layout: Layout, duration_s: float) -> Array:
+def _unlike(counted: _Counted, layout: Layout, sampling: Sampling) -> Array:
+    """Covariances (m, G, C, C) of what firings gain beyond what is expected, where they end."""
+    size = len(PULSE_COLUMNS)
+    result = np.zeros((len(counted.pulses), len(layout.couples), size, size))
+    for g, (first, *_) in enumerate(layout.couples):
+        own = firings(counted.on_time[:, first], counted.pulses[:, first])
+        ends = own.active[np.diff(own.number, append=len(own.pulses)) > 0]
+        error = sampling.error_s2[g] if sampling.error_s2 else 0.0
+        result[ends, g] = sampling.pulses.scatter(own.seconds / own.pulses, own.pulses, error)
+    return result
+
+
+def _cut_columns(pairs: Pairs, layout: Layout, sampling: Sampling) -> Array:
     """What every active interval adds to the columns of cut tails, (m, S)."""
-    m, part = len(pairs.end_s), quarter_of(pairs.end_s, duration_s)
+    m, part = len(pairs.end_s), quarter_of(pairs.end_s, sampling.duration_s)
     table = np.zeros((m, len(layout.couples), CUT_COLUMNS))
     table[:, :, 0] = pairs.weight
-    table[np.arange(m), :, 1 + part] = pairs.weight
+    table[np.arange(m), :, 1 + part] = pairs.steps(sampling.pair_s2)
     return table.reshape(m, CUT_COLUMNS * len(layout.couples))
 
 

@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.spacecraft.pulses import PulseShape
 
 # Below and above the rise time, where the effective time bends, and a pulse that has reached its
@@ -31,11 +31,14 @@ WIDTHS_S: Final = (0.012, 0.04, 0.5)
 # Pulses from here on have reached their thrust: one width is enough, to 8e-5 s (rms), and columns
 # that have nothing to tell cost nothing.
 LONG_S: Final = 0.12
+# (20 µs)² of a firing, 0.3 ms after some hundred: less than what torque noise does in a minute
+LEAST_SCATTER_S2: Final = 4e-10
 PULSE_COLUMNS: Final = ("reference", *(f"{1e3 * width:g}_ms" for width in WIDTHS_S))
 # Multiples of the reference time constants at which the functions of the width are fitted: what
 # priors allow (two standard deviations are 0.25 of τ_rise and 0.8 of τ_fall), and beyond.
 _RISES: Final = np.linspace(0.6, 1.4, 9)
 _FALLS: Final = np.linspace(0.2, 2.0, 7)
+_SLOPE_S: Final = 1e-3  # of a firing's on-time, by which columns are compared
 _STEEPEST: Final = 700.0  # exponent at which one value has all the weight, in their range
 _HALVINGS: Final = 50  # of that range, to rounding
 
@@ -75,14 +78,48 @@ class PulseBasis:
         """
         alike = self.columns(mean_s)
         widths = np.array(self.widths_s)
-        if len(widths) == 0:
-            return alike
-        inside = (count > 1.0) & (mean_s > widths.min()) & (mean_s < widths.max())
+        inside = self._unlike(mean_s, count)
         if inside.any():
             share = 1.0 - 1.0 / count[inside, None]
             mixed = _tilted(widths, mean_s[inside]) @ self.columns(widths)
             alike[inside] += share * (mixed - alike[inside])
         return alike
+
+    def scatter(self, mean_s: Array, count: Array, error_s2: float) -> Array:
+        """Covariance (R, C, C), s², of what the columns of firings gain beyond what is expected.
+
+        Pulses of unlike widths w with a known sum: each scatters as the part of the columns does
+        that is not linear in w (right for many; 0.6 to 1 of the variance for two to four). And
+        where the sum itself is read with errors of variance ``error_s2``, columns gain by their
+        slope in it. An error of the on-time alone adds up to nothing over the firings, and is left
+        out.
+        """
+        step = _SLOPE_S / count
+        each = [self.expected_columns(mean_s + sign * step, count) for sign in (-1.0, 1.0)]
+        slope = count[:, None] * (each[1] - each[0]) / (2.0 * _SLOPE_S)
+        slope[:, 0] -= 1.0
+        result = error_s2 * slope[:, :, None] * slope[:, None]
+        widths = np.array(self.widths_s)
+        inside = self._unlike(mean_s, count)
+        if inside.any():
+            chance, columns = _tilted(widths, mean_s[inside]), self.columns(widths)
+            away = widths - (chance @ widths)[:, None]  # near an end of the range not the mean
+            off = columns - (chance @ columns)[:, None]
+            by_width = np.einsum("rq,rq,rqc->rc", chance, away, off)
+            square = np.maximum((chance * away**2).sum(axis=1, keepdims=True), np.finfo(float).tiny)
+            linear = by_width / square
+            off = off - away[:, :, None] * linear[:, None]
+            square = np.einsum("rq,rqc,rqd->rcd", chance, off, off)
+            result[inside] += count[inside, None, None] * square
+        result[result[:, 0, 0] < LEAST_SCATTER_S2] = 0.0
+        return result
+
+    def _unlike(self, mean_s: Array, count: Array) -> Flags:
+        """Which firings (R,) have pulses that may be of unlike widths."""
+        if not self.widths_s:
+            return np.zeros(len(count), dtype=bool)
+        within = (mean_s > min(self.widths_s)) & (mean_s < max(self.widths_s))
+        return np.asarray((count > 1.0) & within)
 
     def weights(self, tau_s: Sequence[Array]) -> Array:
         """1, and what pulses of the widths w_j gain, (…, 1 + J) at pulse parameters (…), s."""

@@ -38,7 +38,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512  # at 1 Hz the remainder is faster than 6 s in a bias of 1,500 s
-_FORMAT: Final = 9  # raised with every change of what is stored
+_FORMAT: Final = 10  # raised with every change of what is stored
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -62,7 +62,7 @@ class EventStatistics:
     gram: Array
     projection: Array
     mode_gram: Array
-    cuts: Array  # (S,) pairs that may be close, of every cut column
+    cuts: Array  # (S,) of every cut column at the end: pairs, or their like in variance
     counter_interval_s: float  # usual time between two readings of the counters, 0 without
     turns: TurnStatistics
     counters: CounterStatistics
@@ -105,7 +105,8 @@ class CounterStatistics:
 
     ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
     ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
-    (R, G) the pairs in them that may be close (:class:`Pairs`); ``open_s2``, ``open_ratio``
+    (R, G) the pairs in them that may be close, ``unlike`` (R, G, C, C) what unlike pulses scatter
+    and ``steps`` (R, G) the nominal variances of both (:class:`Pairs`); ``open_s2``, ``open_ratio``
     and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
     (:class:`cassini_bayes.balance.statistics.counters.Rounding`). ``gaps_s`` (m,) are the times,
     all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
@@ -117,11 +118,26 @@ class CounterStatistics:
     end_s: Array
     fired: NDArray[np.bool_]
     weight: Array
+    unlike: Array
+    steps: Array
     open_s2: Array
     open_ratio: Array
     coarse: NDArray[np.bool_]
     gaps_s: Array
     widths_s: Array
+
+    def seen_by(self, sampling: Sampling) -> Sampling:
+        """A sampling with what the event's counters say of its pulses."""
+        rounding = zip(self.open_s2, self.open_ratio, self.coarse, strict=True)
+        return replace(
+            sampling,
+            widths_s=tuple(self.widths_s.tolist()),
+            gaps_s=tuple(self.gaps_s.tolist()),
+            error_s2=tuple(
+                Rounding(float(variance), float(ratio), bool(coarse)).error_s2
+                for variance, ratio, coarse in rounding
+            ),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +285,13 @@ def reduce_chunks(
         Fewer than ten rows can be used, or a counter's steps are longer than the pulses.
     """
     prepared = prepared or Preparation()
-    sampling = replace(sampling, widths_s=prepared.widths_s)
+    by_couple = _by_couple(prepared.rounding, layout)
+    sampling = replace(
+        sampling,
+        widths_s=prepared.widths_s,
+        gaps_s=prepared.gaps_s or (sampling.control_cycle_s,),
+        error_s2=tuple(one.error_s2 for one in by_couple),
+    )
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
@@ -306,13 +328,7 @@ def reduce_chunks(
         cuts=carry.cuts,
         counter_interval_s=interval,
         turns=turns.statistics(),
-        counters=_counter_statistics(
-            carry.pairs,
-            times,
-            layout,
-            prepared,
-            np.array(prepared.gaps_s or (sampling.control_cycle_s,)),
-        ),
+        counters=_counter_statistics(carry.pairs, times, sampling, by_couple),
         steps=prepared.steps,
         shown=ShownWheels(np.concatenate(wheels.kept)),
     )
@@ -359,34 +375,42 @@ class Thinned:
 def _counter_statistics(
     pairs: Pairs,
     times: Thinned,
-    layout: Layout,
-    prepared: Preparation,
-    gaps_s: Array,
+    sampling: Sampling,
+    by_couple: Sequence[Rounding],
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
     every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
     first = np.arange(0, len(pairs.end_s), every)
-    weight, fired = pairs.weight, pairs.fired
+    weight, unlike, fired = pairs.weight, pairs.unlike, pairs.fired
+    steps = pairs.steps(sampling.pair_s2)
     if every > 1:
-        weight = np.add.reduceat(weight, first, axis=0)
+        weight, unlike, steps = (
+            np.add.reduceat(of_all, first, axis=0) for of_all in (weight, unlike, steps)
+        )
         fired = np.logical_or.reduceat(fired, first, axis=0)
-    by_thruster = prepared.rounding or (KNOWN,) * len(layout.thrusters)
-    by_couple = [
-        max((by_thruster[k] for k in own), key=lambda one: one.variance_s2)
-        for own in layout.couples
-    ]
     return CounterStatistics(
         np.concatenate(times.kept),
         times.stride,
         pairs.end_s[first],
         fired,
         weight,
+        unlike,
+        steps,
         np.array([one.variance_s2 for one in by_couple]),
         np.array([one.ratio for one in by_couple]),
         np.array([one.coarse for one in by_couple], dtype=np.bool_),
-        gaps_s,
-        np.array(prepared.widths_s),
+        np.array(sampling.gaps_s),
+        np.array(sampling.widths_s),
     )
+
+
+def _by_couple(rounding: Sequence[Rounding], layout: Layout) -> list[Rounding]:
+    """What stays open of every couple's counters, from those of its thrusters."""
+    by_thruster = rounding or (KNOWN,) * len(layout.thrusters)
+    return [
+        max((by_thruster[k] for k in own), key=lambda one: one.variance_s2)
+        for own in layout.couples
+    ]
 
 
 class _Turns:
