@@ -54,7 +54,8 @@ class OpenScales(NamedTuple):
             return np.asarray(of_pairs)
         by_column = np.tensordot(self.pulse_weights, unlike, (1, unlike.ndim - 2))
         weights = self.pulse_weights.reshape(len(of_pairs), *[1] * pairs.ndim, -1)
-        return np.asarray(of_pairs + (by_column * weights).sum(axis=-1))
+        # thinned rows, and rounding where all widths deliver alike, leave some below nothing
+        return np.asarray(of_pairs + np.maximum((by_column * weights).sum(axis=-1), 0.0))
 
 
 def step_variances(counters: CounterStatistics, couple: int, scales: OpenScales) -> Array:

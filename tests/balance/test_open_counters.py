@@ -67,6 +67,22 @@ def test_unlike_pulses_scatter_by_their_columns() -> None:
     assert found == pytest.approx(np.array(own) + pairs)
 
 
+def test_rounding_leaves_no_variance_below_zero() -> None:
+    """Columns along which the weights have nothing: zero, also where sums come out below it."""
+    rng = np.random.default_rng(20261124)
+    weights = rng.standard_normal((200, 4))
+    across = rng.standard_normal((200, 4))
+    across -= (
+        (across * weights).sum(1, keepdims=True) / (weights**2).sum(1, keepdims=True) * weights
+    )
+    unlike = across[:, :, None] * across[:, None]
+    scales = OpenScales(np.zeros((200, 3, 1)), np.zeros(200), weights)
+    found = scales.variance_s2(np.zeros(200), unlike)
+    assert (np.einsum("nc,ncd,nd->n", weights, unlike, weights) < 0.0).any()
+    assert np.diagonal(found).min() >= 0.0
+    assert np.diagonal(found).max() < 1e-12
+
+
 def test_a_rounding_lasts_until_the_next_firing() -> None:
     """Five levels of 2 ms, which add up to a constant."""
     found = level_patterns(counters([0.0] * 4), 0, STEP, np.ones((len(TIME), 1)))
