@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
@@ -171,17 +171,33 @@ class PlainRows:
     shots: list[tuple[float, int]]  # time and couple of every interval with firing
     firings: list[tuple[float, int, PlainFiring]]  # end, couple and firing
 
+    def slopes_of(self, couple: int, pulses: PlainPulses) -> dict[float, float]:
+        """What a couple's firings gain per on-time, by the ends of their intervals."""
+        return {
+            time: pulses.slope(firing.seconds / firing.count, firing.count)
+            for _, own, firing in self.firings
+            if own == couple
+            for time in firing.times
+        }
+
     def steps_of(self, couple: int, part: int, sampling: Sampling) -> list[PlainStep]:
         """What may step in the momentum of a couple, in one part of the event."""
         found: dict[float, PlainStep] = {}
         pulses = plain_pulses(sampling, sampling.pulse_reference_s)
+        delay, rise, fall = sampling.pulse_reference_s
+        some = [
+            plain_pulses(sampling, (delay, a * rise, b * fall))
+            for a in np.linspace(0.6, 1.4, 9)
+            for b in np.linspace(0.2, 2, 7)
+        ]
         for time, own, number in self.pairs:
             if own == couple:
                 found[time] = PlainStep(time, number, number, None)
         for time, own, firing in self.firings:
             mean = firing.seconds / firing.count
-            scatter = pulses.scatter(mean, firing.count, sampling.error_s2[couple])
-            if own == couple and scatter >= 4e-10:
+            scatter = pulses.scatter(mean, firing.count)
+            most = max(one.scatter(mean, firing.count) for one in some) if own == couple else 0.0
+            if max(most, scatter) >= 4e-10 and own == couple:
                 pairs = found[time].pairs if time in found else 0.0
                 size = pairs + scatter / plain_pair(sampling)
                 found[time] = PlainStep(time, pairs, size, firing)
@@ -198,12 +214,12 @@ class PlainStep:
     size: float
     unlike: PlainFiring | None
 
-    def variance(self, pair_s2: float, pulses: PlainPulses, error_s2: float) -> float:
+    def variance(self, pair_s2: float, pulses: PlainPulses) -> float:
         """Variance, s²."""
         result = self.pairs * pair_s2
         if self.unlike is not None:
             mean = self.unlike.seconds / self.unlike.count
-            result += pulses.scatter(mean, self.unlike.count, error_s2)
+            result += pulses.scatter(mean, self.unlike.count)
         return result
 
 
@@ -228,8 +244,8 @@ def plain_rows(
     cuts = np.zeros(len(sampling.couples))
     before = np.zeros(len(sampling.couples), dtype=bool)
     effective = effective_steps(samples, sampling, tau)
-    for g, (first, *_) in enumerate(sampling.couples):
-        for firing in plain_firings(samples, first):
+    for g, couple in enumerate(sampling.couples):
+        for firing in plain_firings(samples, couple):
             rows.firings.append((float(samples.time_s[firing.rows[-1]]), g, firing))
     for i, time in enumerate(samples.time_s):
         if i > 0:
@@ -341,10 +357,15 @@ class PlainPulses:
         mixed = float(self.chances(width) @ [self.fitted(one) for one in self.usual])
         return mixed + (self.fitted(width) - mixed) / count
 
-    def scatter(self, width: float, count: float, error_s2: float) -> float:
-        """Variance of the sum about that: not linear in the widths, or read with an error."""
-        both = [count * self.expected(width + h / count, count) for h in (-1e-3, 1e-3)]
-        result = error_s2 * ((both[1] - both[0]) / 2e-3 - 1.0) ** 2
+    def slope(self, width: float, count: float) -> float:
+        """What the sum gains per on-time."""
+        ends = (max(width - 1e-3 / count, 0.0), width + 1e-3 / count)
+        gained = self.expected(ends[1], count) - self.expected(ends[0], count)
+        return gained / (ends[1] - ends[0])
+
+    def scatter(self, width: float, count: float) -> float:
+        """Variance of the sum about that: of what is not linear in the widths."""
+        result = 0.0
         if not self.alike(width, count):
             chance = np.sqrt(self.chances(width))
             linear = np.stack([np.ones_like(self.usual), self.usual], axis=1)
@@ -354,7 +375,7 @@ class PlainPulses:
         return result
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)
 def plain_pulses(sampling: Sampling, tau: tuple[float, ...]) -> PlainPulses:
     """Those of a sampling, whose least squares are done once."""
     return PlainPulses(sampling, tau)
@@ -367,24 +388,30 @@ def plain_tail(width: float, rise_s: float, fall_s: float) -> float:
 
 @dataclass(frozen=True)
 class PlainFiring:
-    """Rows of one firing of a thruster, their on-time and pulses."""
+    """Rows of one firing of a thruster, their times, on-time and pulses."""
 
     rows: list[int]
+    times: list[float]
     seconds: float
     count: float
 
 
-def plain_firings(samples: Samples, k: int) -> list[PlainFiring]:
-    """Rows in a row in which a thruster's on-time grew."""
+def plain_firings(samples: Samples, members: Sequence[int]) -> list[PlainFiring]:
+    """Rows in a row in which thrusters that fire together gained on-time or began a pulse."""
     found, burst = [], list[int]()
+    seconds = count = 0.0
     for i in range(1, len(samples) + 1):
-        if i < len(samples) and samples.on_time_s[i, k] > samples.on_time_s[i - 1, k]:
+        gained = begun = 0.0
+        if i < len(samples):
+            gained = max(samples.on_time_s[i, k] - samples.on_time_s[i - 1, k] for k in members)
+            begun = max(samples.pulses[i, k] - samples.pulses[i - 1, k] for k in members)
+        if gained > 0.0 or begun > 0.0:
             burst.append(i)
+            seconds, count = seconds + gained, count + begun
         elif burst:
-            seconds = samples.on_time_s[burst[-1], k] - samples.on_time_s[burst[0] - 1, k]
-            count = samples.pulses[burst[-1], k] - samples.pulses[burst[0] - 1, k]
-            found.append(PlainFiring(burst, float(seconds), float(count)))
-            burst = []
+            times = samples.time_s[burst].tolist()
+            found.append(PlainFiring(burst, times, float(seconds), max(float(count), 1.0)))
+            burst, seconds, count = [], 0.0, 0.0
     return found
 
 
@@ -392,7 +419,7 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
     """Effective on-time gained in the interval that ends at each row."""
     result, pulses = np.zeros(samples.on_time_s.shape), PlainPulses(sampling, tau)
     for k in range(samples.on_time_s.shape[1]):
-        for firing in plain_firings(samples, k):
+        for firing in plain_firings(samples, (k,)):
             each = pulses.expected(firing.seconds / firing.count, firing.count)
             for j in firing.rows:
                 own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
@@ -679,7 +706,7 @@ def _unknowns(
             if steps:
                 whole = sum(one.size for one in steps)
                 cut = sum(one.size * (np.array(rows.times) >= one.time) for one in steps) / whole
-                each = (scattered**2, plain_pulses(sampling, tau), sampling.error_s2[g])
+                each = (scattered**2, plain_pulses(sampling, tau))
                 scatter = np.sqrt(sum(one.variance(*each) for one in steps))
                 own.append((scatter * cut[:, None] * step).reshape(-1))
     return own, columns, mean
@@ -718,7 +745,7 @@ def plain_open(
     for g, members in enumerate(sampling.couples):
         arm = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
         square = 0.0
-        each = (scattered**2, plain_pulses(sampling, tau), sampling.error_s2[g])
+        each = (scattered**2, plain_pulses(sampling, tau))
         for part in range(PARTS):
             steps = rows.steps_of(g, part, sampling)
             whole = sum(one.size for one in steps)
@@ -726,10 +753,10 @@ def plain_open(
             for one in steps:
                 apart = ramps * (times >= one.time) - mean / whole
                 square += one.variance(*each) * apart @ share @ apart
-        ends = [-np.inf, *(t for t, own in rows.shots if own == g), np.inf]
-        levels = np.column_stack(
-            [ramps * ((times >= start) & (times < stop)) for start, stop in pairwise(ends)]
-        )
+        slopes = rows.slopes_of(g, plain_pulses(sampling, tau))
+        ends = [ramps * np.ones(len(times))]
+        ends += [slopes[t] * ramps * (times >= t) for t, own in rows.shots if own == g]
+        levels = np.column_stack([a - b for a, b in pairwise([*ends, 0.0 * times])])
         apart = np.diff(np.eye(levels.shape[1]), axis=0)
         seen = np.ones(levels.shape[1])
         if counters.coarse[g]:

@@ -155,18 +155,17 @@ def _band(
 
 @dataclass(frozen=True)
 class OpenSquares:
-    """Mean squares per couple, in a band, of what counters leave open.
+    """Squares per couple of what counters leave open (:mod:`cassini_bayes.balance.open_counters`).
 
-    Of the patterns of :mod:`cassini_bayes.balance.open_counters`: ``cut`` (G,) of pairs of variance
-    1, ``unlike`` (G, C, C) of unlike pulses by pulse columns (s²), ``level`` (G,) of levels (s²).
+    ``pairs`` (…, G) of pairs of variance 1, ``columns`` (…, G, C, C), s², of what pulse columns
+    gain beyond what is expected: unlike pulses and roundings.
     """
 
-    cut: Array
-    unlike: Array
-    level: Array
+    pairs: Array
+    columns: Array
 
     def __bool__(self) -> bool:
-        return bool(self.cut.any() or self.unlike.any() or self.level.any())
+        return bool(self.pairs.any() or self.columns.any())
 
 
 @dataclass(frozen=True)
@@ -178,20 +177,14 @@ class OpenModes:
 
     def of_modes(self, start: int, stop: int) -> OpenSquares:
         """Mean squares over some modes."""
-        of_each = (self.modes.cut, self.modes.unlike, self.modes.level)
-        return OpenSquares(*(square[start:stop].mean(axis=0) for square in of_each))
+        pairs, columns = self.modes.pairs[start:stop], self.modes.columns[start:stop]
+        return OpenSquares(pairs.mean(axis=0), columns.mean(axis=0))
 
     def of_rest(self, rows: int) -> OpenSquares:
         """Mean squares over the R rows that no mode explains."""
-        cut, level = (
-            np.maximum(everywhere - modes.sum(axis=0), 0.0) / rows
-            for everywhere, modes in (
-                (self.rows.cut, self.modes.cut),
-                (self.rows.level, self.modes.level),
-            )
-        )
-        unlike = (self.rows.unlike - self.modes.unlike.sum(axis=0)) / rows
-        return OpenSquares(cut, unlike, level)
+        pairs = np.maximum(self.rows.pairs - self.modes.pairs.sum(axis=0), 0.0)
+        columns = self.rows.columns - self.modes.columns.sum(axis=0)
+        return OpenSquares(pairs / rows, columns / rows)
 
 
 @dataclass(frozen=True)
@@ -208,30 +201,33 @@ class Places:
 
 def open_modes(statistics: EventStatistics, places: Places, on_modes: Array) -> OpenModes:
     """What counters leave open, on modes that are ``on_modes`` (r, M) at the places."""
-    counters = statistics.counters
+    counters, stride = statistics.counters, places.stride
     weight = places.waves[:, :1]
     step = weight * (places.time_s[:, None] >= counters.end_s)
     couples, number = counters.weight.shape[1], on_modes.shape[1]
-    size = counters.unlike.shape[2:]
+    size = counters.slopes.shape[2]
     # squares (M + 1, G, …) on every mode, and at last over all rows
-    cut, level = np.zeros((2, number + 1, couples))
-    unlike = np.zeros((number + 1, couples, *size))
+    pairs = np.zeros((number + 1, couples))
+    columns = np.zeros((number + 1, couples, size, size))
     for g in range(couples if len(counters.end_s) > 0 else 0):
         steps, intervals = step_patterns(counters, g, statistics.duration_s, step)
-        square = _squares(steps, places.stride, on_modes)
-        cut[:, g] = square @ counters.weight[intervals, g]
-        unlike[:, g] = np.tensordot(square, counters.unlike[intervals, g], (1, 0))
+        square = (stride * on_modes.T @ steps) ** 2
+        square = np.concatenate([square, stride * (steps**2).sum(axis=0)[None]])
+        pairs[:, g] = square @ counters.weight[intervals, g]
+        columns[:, g] = np.tensordot(square, counters.unlike[intervals, g], (1, 0))
         levels = level_patterns(counters, g, step, weight)
-        level[:, g] = _squares(levels, places.stride, on_modes).sum(axis=1)
-    return OpenModes(
-        OpenSquares(cut[:-1], unlike[:-1], level[:-1]), OpenSquares(cut[-1], unlike[-1], level[-1])
-    )
-
-
-def _squares(patterns: Array, stride: int, on_modes: Array) -> Array:
-    """Squares (M + 1, s) of patterns (r, s) on every mode, and at last summed over all rows."""
-    of_modes = (stride * on_modes.T @ patterns) ** 2
-    return np.concatenate([of_modes, stride * (patterns**2).sum(axis=0)[None]])
+        if levels.any():
+            used = levels.any(axis=(0, 2))
+            levels = levels[:, used]
+            on_mode = stride * np.tensordot(on_modes, levels, (0, 0))
+            square = np.concatenate(
+                [
+                    on_mode @ on_mode.swapaxes(1, 2),
+                    stride * np.tensordot(levels, levels, ((0, 2), (0, 2)))[None],
+                ]
+            )
+            columns[:, g, np.flatnonzero(used)[:, None], np.flatnonzero(used)] += square
+    return OpenModes(OpenSquares(pairs[:-1], columns[:-1]), OpenSquares(pairs[-1], columns[-1]))
 
 
 @dataclass(frozen=True)
@@ -261,10 +257,11 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
     if turns.pieces > 0:
         bands, grams = _slope_bands(statistics)
     if turns.contrasts > 0:
-        nothing = open_modes(statistics, Places(np.zeros(0), np.zeros((0, 1)), 1), np.zeros((0, 0)))
+        couples, size = statistics.counters.slopes.shape[1:]
+        nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
         # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
         noise = (turns.summed_s2, np.zeros(len(statistics.layout.wheels)), turns.walked_s3)
-        bands.append(TurnBand(turns.contrasts, *noise, nothing.rows))
+        bands.append(TurnBand(turns.contrasts, *noise, nothing))
         grams.append(turns.gram)
     return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
 

@@ -1,9 +1,9 @@
 """What counters leave open, as steps and levels in time: which tails were cut, what was rounded.
 
-Pairs of pulses that may be close are steps s_i H_i(t) of variance s (1 − s) m_i, s the share of
-close pairs and m_i how many an interval has; pulses of unlike widths are steps as well. The columns
-of cut tails take up the mean of a part of the event, c_j = Σ a_i H_i / Σ a_i with a_i the nominal
-variances; steps times H_i − c_j stay. The rounding of a counter is one
+Pairs of pulses that may be close are steps of a variance each at the end of a counter interval, and
+so are firings of pulses of unlike widths. The columns of cut tails take up the mean of a part of
+the event, c_j = Σ a_i H_i / Σ a_i, with H_i unit steps and a_i nominal variances; what stays are
+steps times H_i − c_j. The rounding of a counter is one
 independent level between two firings (docs/topics/telemetry-likelihood.md §7).
 """
 
@@ -48,7 +48,7 @@ class OpenScales(NamedTuple):
     pulse_weights: Array  # (n, C) of the pulse columns
 
     def variance_s2(self, pairs: Array, unlike: Array) -> Array:
-        """Variances (n, …) of steps: so many ``pairs`` (…), pulses ``unlike`` (…, C, C)."""
+        """Variances (n, …) of so many ``pairs`` (…), and of columns that scatter (…, C, C)."""
         of_pairs = np.multiply.outer(self.pair_s2, pairs)
         if not unlike.any():
             return np.asarray(of_pairs)
@@ -64,32 +64,38 @@ def step_variances(counters: CounterStatistics, couple: int, scales: OpenScales)
 
 
 def level_patterns(counters: CounterStatistics, couple: int, step: Array, always: Array) -> Array:
-    """Patterns (n, s), in s of on-time and of variance 1, of a couple's rounded counters.
+    """Patterns (n, C, s), in s of pulse columns and of variance 1, of a couple's rounded counters.
 
     Levels between two firings have the precision (1 + D'D/q)/σ² = U'U/σ² of
     :class:`~cassini_bayes.balance.statistics.counters.Rounding`, and the patterns are B U⁻¹, B what
-    a level leaves in the rows. ``always`` (n, 1) is what a constant leaves in them.
+    a level leaves in the rows: its error is in the firing before it and, less, in the one after it,
+    by what columns gain per on-time. ``always`` (n, 1) is what a constant leaves in them.
     """
-    ends = np.concatenate([always, step[:, counters.fired[:, couple]]], axis=1)
-    levels = -np.diff(ends, axis=1, append=0.0) * np.sqrt(counters.open_s2[couple])
+    own = counters.fired[:, couple]
+    slopes = counters.slopes[own, couple]
+    size = slopes.shape[1]
+    first = always[:, None] * np.eye(size, 1)
+    ends = np.concatenate([first, step[:, None, own] * slopes.T], axis=2)
+    levels = -np.diff(ends, axis=2, append=0.0) * np.sqrt(counters.open_s2[couple])
     bound = 1.0 / max(counters.open_ratio[couple], LEAST_RATIO)
     if bound == 0.0 or not levels.any():
         return np.asarray(levels)
-    place = np.arange(levels.shape[1])
-    first, last = place == 0, place == len(place) - 1
-    neighbours = 2.0 - first - last
-    seen = (first | last) if counters.coarse[couple] else np.ones(len(place))
+    place = np.arange(levels.shape[2])
+    first_one, last = place == 0, place == len(place) - 1
+    neighbours = 2.0 - first_one - last
+    seen = (first_one | last) if counters.coarse[couple] else np.ones(len(place))
     factor = cholesky_banded(np.stack([np.full(len(place), -bound), seen + bound * neighbours]))
     lower = np.stack([factor[1], np.roll(factor[0], -1)])  # of U', by columns
-    return np.asarray(solve_banded((1, 0), lower, levels.T).T)
+    flat = levels.reshape(-1, len(place))
+    return np.asarray(solve_banded((1, 0), lower, flat.T).T).reshape(levels.shape)
 
 
 def patterns_at(
     counters: CounterStatistics, duration_s: float, time_s: Array
 ) -> Iterator[tuple[Array, Places, Array]]:
-    """Steps (n, s) of every couple with their intervals (s,), and levels (n, l), at times (n,)."""
+    """Steps (n, s) of every couple with their intervals (s,), and levels (n, C, l), at n times."""
     step = (time_s[:, None] >= counters.end_s).astype(np.float64)
     for couple in range(counters.weight.shape[1]):
         levels = level_patterns(counters, couple, step, np.ones((len(time_s), 1)))
         patterns, intervals = step_patterns(counters, couple, duration_s, step)
-        yield patterns, intervals, levels[:, levels.any(axis=0)]
+        yield patterns, intervals, levels[..., levels.any(axis=(0, 1))]

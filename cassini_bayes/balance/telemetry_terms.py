@@ -308,6 +308,8 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     """
     if len(event.fast) < 2 or any(band.motion is not None for band in event.fast):
         return event
+    if any(band.left_open for band in event.fast):  # slower than the rows: unlike in every band
+        return event
     if event.statistics.steps.wheel_rad_s > 0.0:  # rounding, too, differs by band
         return event
     first, rows = event.fast[0], sum(band.rows for band in event.fast)
@@ -560,7 +562,7 @@ def open_counters(event: TelemetryBalance, physics: Physics, thrust_n: float) ->
         across = np.swapaxes(scales.torque_n_m, -1, -2)
         for place, band in enumerate(bands):
             own = band.left_open
-            square = scales.variance_s2(own.cut, own.unlike) + own.level
+            square = scales.variance_s2(own.pairs, own.columns)
             result[:, place] = (scales.torque_n_m * square[:, None]) @ across
     of_rows = 1 + len(event.fast)
     return OpenCounters(result[:, :of_rows], result[:, of_rows:])

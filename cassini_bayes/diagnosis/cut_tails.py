@@ -21,10 +21,11 @@ _LEAST: Final = 1e-12  # s², of a tail's variance: an unknown of no width has n
 
 
 def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Array]:
-    """What cut tails and roundings change in the momentum of an event's rows, by the model at z.
+    """What cut tails, unlike pulses and roundings change in an event's rows, by the model at z.
 
-    A cut tail takes F d (τ_f − τ_r) exp(−g/τ_f) off the momentum, g the control cycle and d the
-    couple's lever arm; a rounding gives F d times itself until the next firing.
+    A cut tail takes F d (τ_f − τ_r) exp(−g/τ_f) off the momentum, g the time to the next pulse and
+    d the couple's lever arm, and unlike pulses deliver more or less than is expected of their sum;
+    a rounding gives about F d times itself until the next firing.
 
     Parameters
     ----------
@@ -47,7 +48,8 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
         patterns_at(counters, sampling.duration_s, time_s)
     ):
         torque = scales.torque_n_m[0, :, g, None]
-        columns += [steps[:, None] * torque, levels[:, None] * torque]
+        rounded = np.einsum("rcl,c->rl", levels, scales.pulse_weights[0])
+        columns += [steps[:, None] * torque, rounded[:, None] * torque]
         variance = step_variances(counters, g, scales)[0, intervals]
-        variances += [np.maximum(variance, _LEAST), np.ones(levels.shape[1])]
+        variances += [np.maximum(variance, _LEAST), np.ones(levels.shape[2])]
     return np.concatenate(columns, axis=2), np.concatenate(variances)

@@ -60,7 +60,8 @@ class BalanceRows:
         for torque, steps, variance, levels in self._patterns():
             gained = np.sqrt(variance) * rng.standard_normal(variance.shape)
             late = gained @ steps.T
-            late += rng.standard_normal((len(total), levels.shape[1])) @ levels.T
+            rounded = rng.standard_normal((len(total), levels.shape[2]))
+            late += np.einsum("nl,rcl,nc->nr", rounded, levels, self.scales.pulse_weights)
             total += late[:, :, None] * torque[:, None]
         return total
 
@@ -68,12 +69,13 @@ class BalanceRows:
         """Variance (r, 3) of it, mean over draws."""
         total = np.zeros(self.measured.shape[1:])
         for torque, steps, variance, levels in self._patterns():
-            late = variance @ (steps.T**2) + (levels**2).sum(1)
+            of_levels = np.einsum("rcl,nc->nrl", levels, self.scales.pulse_weights)
+            late = variance @ (steps.T**2) + (of_levels**2).sum(axis=2)
             total += (late[:, :, None] * torque[:, None] ** 2).mean(0)
         return total
 
     def _patterns(self) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Each couple: torque (n, 3), steps (r, s), their variances (n, s), levels (r, l)."""
+        """Each couple: torque (n, 3), steps (r, s), variances of these (n, s), levels (r, C, l)."""
         statistics = self.term.event.statistics
         patterns = patterns_at(statistics.counters, statistics.duration_s, self.rows.time_s)
         for g, (steps, intervals, levels) in enumerate(patterns):

@@ -45,7 +45,7 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
     sparse = [is_sparse(term.event.statistics) for term in model.telemetry]
     assert sparse == [False] * 3 + [True, False]
     assert model.telemetry[4].event.statistics.turns.pieces > 8
-    assert model.telemetry[4].balance.turns[0].left_open.cut.max() > 0.1
+    assert model.telemetry[4].balance.turns[0].left_open.pairs.max() > 0.1
     (z,) = 0.5 * model.space.sample(rng, 1)
     parameters = {name: float(v) for name, v in model.space.to_parameters(z).items()}
     plain = plain_log_likelihood(model, parameters)

@@ -89,9 +89,8 @@ class Sampling:
     rad of the wheel, ``corner_rad_s`` the second difference of wheel rates that is no noise.
     ``reference_noise`` are noise levels, by name, of about the right size: all hypotheses of an
     event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
-    ``widths_s`` are what pulses of the event are like, all as likely (:class:`.PulseBasis`),
-    ``gaps_s`` the times after which close ones follow (without, a control cycle), and ``error_s2``
-    (G,) the variances with which the on-times of a couple's firings are read.
+    ``widths_s`` are what pulses of the event are like, all as likely (:class:`.PulseBasis`), and
+    ``gaps_s`` the times after which close ones follow (without, a control cycle).
     """
 
     pulse_shape: PulseShape
@@ -106,7 +105,6 @@ class Sampling:
     reference_noise: tuple[tuple[str, float], ...] = ()
     widths_s: tuple[float, ...] = ()
     gaps_s: tuple[float, ...] = ()
-    error_s2: tuple[float, ...] = ()
 
     @cached_property
     def pair_s2(self) -> float:
@@ -225,13 +223,15 @@ class Pairs:
     Of every pair the tail of the first pulse may have been cut: ``weight`` (m, G) counts pairs,
     each by how often it is close against one of two pulses within a second. ``fired`` (m, G) tells
     which couples fired at all. ``unlike`` (m, G, C, C) are the covariances of what the pulse
-    columns gain beyond what is expected (:meth:`.PulseBasis.scatter`), s².
+    columns gain beyond what is expected (:meth:`.PulseBasis.scatter`), s², and ``slopes``
+    (m, G, C) what they gain per on-time (:meth:`.PulseBasis.slopes`).
     """
 
     end_s: Array
     fired: NDArray[np.bool_]
     weight: Array
     unlike: Array
+    slopes: Array
 
     def steps(self, pair_s2: float) -> Array:
         """Variance (m, G) of what intervals gain beyond what is expected, over that of a pair."""
@@ -274,8 +274,9 @@ class Carry:
         fired = np.zeros((len(layout.thrusters), len(PULSE_COLUMNS), 3, 3))
         cuts = np.zeros(CUT_COLUMNS * len(layout.couples))
         none = np.zeros((0, len(layout.couples)))
-        unlike = np.zeros((*none.shape, len(PULSE_COLUMNS), len(PULSE_COLUMNS)))
-        pairs = Pairs(np.zeros(0), none > 0.0, none, unlike)
+        slopes = np.zeros((*none.shape, len(PULSE_COLUMNS)))
+        unlike = np.zeros((*slopes.shape, len(PULSE_COLUMNS)))
+        pairs = Pairs(np.zeros(0), none > 0.0, none, unlike, slopes)
         return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, pairs, None)
 
 
@@ -514,20 +515,24 @@ def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Pairs:
         counted.time_s[active + 1],
         fired[active],
         close_pairs(np.diff(counted.time_s)[active], pulses[active], fired[active], before[active]),
-        _unlike(counted, layout, sampling)[active],
+        *(of_all[active] for of_all in _unlike(counted, layout, sampling)),
     )
 
 
-def _unlike(counted: _Counted, layout: Layout, sampling: Sampling) -> Array:
-    """Covariances (m, G, C, C) of what firings gain beyond what is expected, where they end."""
-    size = len(PULSE_COLUMNS)
-    result = np.zeros((len(counted.pulses), len(layout.couples), size, size))
-    for g, (first, *_) in enumerate(layout.couples):
-        own = firings(counted.on_time[:, first], counted.pulses[:, first])
+def _unlike(counted: _Counted, layout: Layout, sampling: Sampling) -> tuple[Array, Array]:
+    """What unlike pulses of a firing scatter (m, G, C, C), where it ends, and slopes (m, G, C)."""
+    slopes = np.zeros((len(counted.pulses), len(layout.couples), len(PULSE_COLUMNS)))
+    scatter = np.zeros((*slopes.shape, len(PULSE_COLUMNS)))
+    for g, members in enumerate(map(list, layout.couples)):
+        gained, begun = (
+            of_all[:, members].max(axis=1) for of_all in (counted.on_time, counted.pulses)
+        )
+        own = firings(gained, begun)
         ends = own.active[np.diff(own.number, append=len(own.pulses)) > 0]
-        error = sampling.error_s2[g] if sampling.error_s2 else 0.0
-        result[ends, g] = sampling.pulses.scatter(own.seconds / own.pulses, own.pulses, error)
-    return result
+        mean = own.seconds / own.pulses
+        scatter[ends, g] = sampling.pulses.scatter(mean, own.pulses)
+        slopes[own.active, g] = sampling.pulses.slopes(mean, own.pulses)[own.number]
+    return scatter, slopes
 
 
 def _cut_columns(pairs: Pairs, layout: Layout, sampling: Sampling) -> Array:

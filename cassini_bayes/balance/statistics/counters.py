@@ -71,17 +71,6 @@ class Rounding:
         """Step of the counter, 0 where it is known."""
         return float(np.sqrt(12.0 * self.variance_s2))
 
-    @property
-    def error_s2(self) -> float:
-        """Variance of the error of a firing's on-time: of the difference of two levels.
-
-        The mean of x/(1 + x/q) over x = 4 sin²: 2 σ² for q = ∞, and v n̄ = q σ² for small q.
-        """
-        q = self.ratio
-        if not np.isfinite(q):
-            return 2.0 * self.variance_s2
-        return self.variance_s2 * q * (1.0 if self.coarse else 1.0 - (1.0 + 4.0 / q) ** -0.5)
-
 
 KNOWN: Final = Rounding()
 

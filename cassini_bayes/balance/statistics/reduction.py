@@ -21,6 +21,7 @@ from cassini_bayes.balance.statistics.columns import (
     Pairs,
     Rows,
     Sampling,
+    quarter_of,
     settle,
 )
 from cassini_bayes.balance.statistics.counters import KNOWN, Rounding
@@ -106,7 +107,8 @@ class CounterStatistics:
     ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
     ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
     (R, G) the pairs in them that may be close, ``unlike`` (R, G, C, C) what unlike pulses scatter
-    and ``steps`` (R, G) the nominal variances of both (:class:`Pairs`); ``open_s2``, ``open_ratio``
+    ``steps`` (R, G) the nominal variances of both and ``slopes`` (R, G, C) what columns gain per
+    on-time (:class:`Pairs`); ``open_s2``, ``open_ratio``
     and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
     (:class:`cassini_bayes.balance.statistics.counters.Rounding`). ``gaps_s`` (m,) are the times,
     all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
@@ -120,6 +122,7 @@ class CounterStatistics:
     weight: Array
     unlike: Array
     steps: Array
+    slopes: Array
     open_s2: Array
     open_ratio: Array
     coarse: NDArray[np.bool_]
@@ -128,15 +131,10 @@ class CounterStatistics:
 
     def seen_by(self, sampling: Sampling) -> Sampling:
         """A sampling with what the event's counters say of its pulses."""
-        rounding = zip(self.open_s2, self.open_ratio, self.coarse, strict=True)
         return replace(
             sampling,
             widths_s=tuple(self.widths_s.tolist()),
             gaps_s=tuple(self.gaps_s.tolist()),
-            error_s2=tuple(
-                Rounding(float(variance), float(ratio), bool(coarse)).error_s2
-                for variance, ratio, coarse in rounding
-            ),
         )
 
 
@@ -290,7 +288,6 @@ def reduce_chunks(
         sampling,
         widths_s=prepared.widths_s,
         gaps_s=prepared.gaps_s or (sampling.control_cycle_s,),
-        error_s2=tuple(one.error_s2 for one in by_couple),
     )
     carry, used, interval = Carry.start(layout), 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
@@ -380,10 +377,15 @@ def _counter_statistics(
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
     every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
-    first = np.arange(0, len(pairs.end_s), every)
-    weight, unlike, fired = pairs.weight, pairs.unlike, pairs.fired
+    # never over a quarter's end: what a column of cut tails stands for is in its own quarter
+    quarter = quarter_of(pairs.end_s, sampling.duration_s)
+    number = np.arange(len(quarter)) - np.searchsorted(quarter, quarter)
+    first = np.flatnonzero(number % every == 0)
+    weight, unlike, slopes, fired = pairs.weight, pairs.unlike, pairs.slopes, pairs.fired
     steps = pairs.steps(sampling.pair_s2)
     if every > 1:
+        together = np.maximum(np.add.reduceat(fired.astype(np.float64), first, axis=0), 1.0)
+        slopes = np.add.reduceat(slopes, first, axis=0) / together[..., None]
         weight, unlike, steps = (
             np.add.reduceat(of_all, first, axis=0) for of_all in (weight, unlike, steps)
         )
@@ -396,6 +398,7 @@ def _counter_statistics(
         weight,
         unlike,
         steps,
+        slopes,
         np.array([one.variance_s2 for one in by_couple]),
         np.array([one.ratio for one in by_couple]),
         np.array([one.coarse for one in by_couple], dtype=np.bool_),
