@@ -38,8 +38,9 @@ SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses abo
 class EventUnknowns:
     """Places of one telemetry event's unknowns: K thrusts, then the event's own.
 
-    Its own are the initial momentum (3), the steady torque (3) and the S cut tails; after all of
-    them the normal equations have the measured momentum. ``first`` is the place of the first one.
+    Its own are the initial momentum (3), the steady torque (3) and the S cut tails (of a part of
+    the event, unlike pulses as well); after all of them the normal equations have the measured
+    momentum. ``first`` is the place of the first one.
     """
 
     thrusters: int

@@ -110,7 +110,7 @@ def workers_at(jobs: int | None, dask: str | None, log: Log = silent) -> Iterato
         ) from error
     try:
         # not the default client: xarray would ask a failed one for the lock of every file it writes
-        client: Any = Client(  # type: ignore[no-untyped-call]
+        client: Any = Client(  # type: ignore[no-untyped-call]  # Dask has no types
             dask, timeout="10s", set_as_default=False
         )
     except (OSError, ValueError) as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +16,12 @@ from cassini_bayes.balance.statistics import (
     Samples,
     load_statistics,
     reduce_chunks,
+    reduction,
     save_statistics,
     settle,
 )
-from cassini_bayes.balance.statistics.columns import effective_increments
-from cassini_bayes.balance.statistics.reduction import MODES, local_waves
+from cassini_bayes.balance.statistics.columns import effective_increments, quarter_of
+from cassini_bayes.balance.statistics.reduction import MODES, CounterStatistics, local_waves
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
@@ -42,6 +43,9 @@ def test_chunks_do_not_matter(chunks: int, fires: bool) -> None:
         np.testing.assert_allclose(
             getattr(cut, name), getattr(whole, name), rtol=1e-11, atol=1e-9, err_msg=name
         )
+    for field in fields(CounterStatistics):
+        one, other = (getattr(each.counters, field.name) for each in (cut, whole))
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-10, err_msg=field.name)
 
 
 @pytest.mark.parametrize("part", [0.3, 0.04, 1e-3])
@@ -160,9 +164,34 @@ def test_statistics_survive_their_file(tmp_path: Path) -> None:
     assert back.layout == whole.layout
     for name in ARRAYS:
         assert np.array_equal(getattr(back, name), getattr(whole, name))
+    for field in fields(CounterStatistics):
+        one, other = (getattr(each.counters, field.name) for each in (back, whole))
+        assert np.array_equal(one, other), field.name
     path.write_bytes(path.read_bytes()[:500])
     assert load_statistics(path) is None
     assert load_statistics(tmp_path / "none.npz") is None
+
+
+def test_joined_intervals_stay_in_their_quarter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where many intervals are told apart as few, sums over a quarter stay what they were."""
+    samples = made_up_samples(np.random.default_rng(6), 400)
+    every, sampling = reduced(samples, telemetry_priors())
+    monkeypatch.setattr(reduction, "MOST_STEPS", 9)
+    few, _ = reduced(samples, telemetry_priors())
+    assert len(few.counters.end_s) < len(every.counters.end_s) / 4
+    assert few.counters.steps.any()
+    for name in ("weight", "unlike", "steps"):
+        sums = [
+            np.array(
+                [
+                    getattr(own, name)[quarter_of(own.end_s, sampling.duration_s) == part].sum(0)
+                    for part in range(4)
+                ]
+            )
+            for own in (few.counters, every.counters)
+        ]
+        np.testing.assert_allclose(sums[0], sums[1], rtol=1e-12, atol=1e-18, err_msg=name)
+    assert few.counters.slopes.max() == pytest.approx(every.counters.slopes.max(), rel=0.3)
 
 
 def test_too_few_rows_are_refused() -> None:

@@ -29,7 +29,9 @@ from cassini_bayes.spacecraft.pulses import PulseShape
 
 AXES = "xyz"
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
-CUT_COLUMNS = 1 + CUT_PARTS  # per couple: pairs that may be close, of all and of every part
+# Per couple: pairs that may be close, and of every part the nominal variance of its steps, over
+# that of a pair: of cut tails and of unlike pulses.
+CUT_COLUMNS = 1 + CUT_PARTS
 # How often pulses are a control cycle apart is the controller's business (0.45 to 0 of the pairs
 # within a second): a share that is inferred, and how it falls with the time between two counter
 # readings (docs/topics/telemetry-likelihood.md §7).
@@ -177,7 +179,7 @@ class Layout:
 
     @property
     def fired(self) -> slice:
-        """Columns of the thrusters, (K, 3 axes, 3 pulse columns) in this order."""
+        """Columns of the thrusters, (K, 3 axes, C pulse columns) in this order."""
         return slice(6, len(self.vector))
 
     @property
@@ -202,7 +204,7 @@ class Layout:
 
     @property
     def cut(self) -> slice:
-        """Pairs of pulses that may be close together, :data:`CUT_COLUMNS` per couple."""
+        """Cut tails and unlike pulses, :data:`CUT_COLUMNS` per couple."""
         return slice(self.turn.stop, self.turn.stop + CUT_COLUMNS * len(self.couples))
 
     @property
@@ -252,7 +254,7 @@ class Pairs:
 class Carry:
     """What integrals have gathered up to a time; the state between two chunks.
 
-    Integrals are in inertial axes: ``torque`` (3, 3) = ∫ Pᵀ dt, ``fired`` (K, 3, 3, 3) = Σ Pᵀ Δs
+    Integrals are in inertial axes: ``torque`` (3, 3) = ∫ Pᵀ dt, ``fired`` (K, C, 3, 3) = Σ Pᵀ Δs
     per thruster and pulse column, last two axes (inertial, j), ``cuts`` the tails that may have
     been cut and ``pairs`` the intervals in which. ``waiting`` are rows read already: those after
     ``done_until_s``, and before it as many as are needed to tell which of them are quiet.
@@ -462,7 +464,7 @@ def _torque_integral(time: Array, attitude: Array, carry: Carry) -> Array:
 def _impulses(
     counted: _Counted, time: Array, attitude: Array, carry: Carry, sampling: Sampling
 ) -> Array:
-    """Σ Pᵀ Δs per thruster and pulse column after each active interval, (1 + m, K, 3, 3, 3)."""
+    """Σ Pᵀ Δs per thruster and pulse column after each active interval, (1 + m, K, C, 3, 3)."""
     active = counted.active
     if len(active) == 0:
         return carry.fired[None]
