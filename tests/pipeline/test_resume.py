@@ -93,6 +93,8 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     def interrupted(*arguments: Any) -> None:
         save(*arguments)
+        # a shell that started the tests in the background has made its children deaf to it
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         os.kill(os.getpid(), signal.SIGINT)
 
     with monkeypatch.context() as patch:
