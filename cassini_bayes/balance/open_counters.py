@@ -47,12 +47,12 @@ class OpenScales(NamedTuple):
     pair_s2: Array  # (n,) variance of what a pair that may be close loses
     pulse_weights: Array  # (n, C) of the pulse columns
 
-    def variance_s2(self, pairs: Array, unlike: Array) -> Array:
+    def variance_s2(self, pairs: Array, columns: Array) -> Array:
         """Variances (n, …) of so many ``pairs`` (…), and of columns that scatter (…, C, C)."""
         of_pairs = np.multiply.outer(self.pair_s2, pairs)
-        if not unlike.any():
+        if not columns.any():
             return np.asarray(of_pairs)
-        by_column = np.tensordot(self.pulse_weights, unlike, (1, unlike.ndim - 2))
+        by_column = np.tensordot(self.pulse_weights, columns, (1, columns.ndim - 2))
         weights = self.pulse_weights.reshape(len(of_pairs), *[1] * pairs.ndim, -1)
         # thinned rows, and rounding where all widths deliver alike, leave some below nothing
         return np.asarray(of_pairs + np.maximum((by_column * weights).sum(axis=-1), 0.0))

@@ -106,7 +106,7 @@ class CounterStatistics:
 
     ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
     ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
-    (R, G) the pairs in them that may be close, ``unlike`` (R, G, C, C) what unlike pulses scatter
+    (R, G) the pairs in them that may be close, ``unlike`` (R, G, C, C) what unlike pulses scatter,
     ``steps`` (R, G) the nominal variances of both and ``slopes`` (R, G, C) what columns gain per
     on-time (:class:`Pairs`); ``open_s2``, ``open_ratio``
     and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
