@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
 
-from cassini_bayes.balance.statistics.columns import CUT_PARTS, quarter_of
+from cassini_bayes.balance.statistics.columns import CUT_PARTS, LostTails, quarter_of
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
 from cassini_bayes.computing.arrays import Array, Places
 
@@ -44,12 +44,12 @@ class OpenScales(NamedTuple):
     """What makes momentum of these patterns, at n points."""
 
     torque_n_m: Array  # (n, 3, G) of every couple
-    pair_s2: Array  # (n,) variance of what a pair that may be close loses
+    lost: LostTails  # by a pair that may be close
     pulse_weights: Array  # (n, C) of the pulse columns
 
     def variance_s2(self, pairs: Array, columns: Array) -> Array:
         """Variances (n, …) of so many ``pairs`` (…), and of columns that scatter (…, C, C)."""
-        of_pairs = np.multiply.outer(self.pair_s2, pairs)
+        of_pairs = np.multiply.outer(self.lost.variance_s2, pairs)
         if not columns.any():
             return np.asarray(of_pairs)
         by_column = np.tensordot(self.pulse_weights, columns, (1, columns.ndim - 2))

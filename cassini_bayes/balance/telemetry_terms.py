@@ -23,7 +23,7 @@ from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
-from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, LEAST_FALL_S, quarter_of
+from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, LostTails, lost_tails, quarter_of
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
@@ -573,14 +573,16 @@ def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> O
     """Torques of couples, what pairs scatter, and weights of pulse columns."""
     n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
     if not event.fires:
-        return OpenScales(np.zeros((n, 3, 0)), np.zeros(n), np.zeros((n, len(PULSE_COLUMNS))))
+        nothing = LostTails(np.zeros(n), np.zeros(n))
+        return OpenScales(np.zeros((n, 3, 0)), nothing, np.zeros((n, len(PULSE_COLUMNS))))
     arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
     together = [arms[..., list(own)].sum(-1) for own in couples]
-    lost = lost_tails(event.statistics, physics, n)
+    rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
+    gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
     pulse = event.sampling.pulses.weights(physics.tau_s)
     return OpenScales(
         thrust_n * np.stack(together, axis=-1),
-        lost.variance_s2,
+        lost_tails(gaps, rise, fall, share),
         np.broadcast_to(pulse, (n, pulse.shape[-1])),
     )
 
@@ -640,22 +642,20 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
     weights[:, pattern.start[places.initial.start] : tails] = 1.0
     if k > 0:
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
-        pulse = event.sampling.pulses.weights(physics.tau_s)
-        lost = lost_tails(event.statistics, physics, n)
+        scales = open_scales(event, physics, thrust_n)
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
-        fired = arm[..., :, None] * pulse[:, None, None, :]
+        fired = arm[..., :, None] * scales.pulse_weights[:, None, None, :]
         weights[:, pattern.fired] = fired.reshape(n, -1, 1)
         weights[:, pattern.pulses] = offset[:, :, None] * arm
-        weights[:, pattern.lost] = -lost.mean_s[:, None, None] * arm[:, pattern.lost_by]
+        weights[:, pattern.lost] = -scales.lost.mean_s[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
             if name in physics.extra:
                 on_time = np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
         couples = thrust_n * pattern.members @ arm
-        weights[:, tails : tails + len(pattern.cuts)] = (
-            cut_unit_s(event, lost, open_scales(event, physics, thrust_n))[..., None] * couples
-        )
+        unit = cut_unit_s(event, scales)
+        weights[:, tails : tails + len(pattern.cuts)] = unit[..., None] * couples
     return weights
 
 
@@ -670,30 +670,7 @@ def own_prior(
     )
 
 
-@dataclass(frozen=True)
-class LostTails:
-    """On-time that a pair of pulses loses by a cut tail: mean (n,), s, and variance (n,), s²."""
-
-    mean_s: Array
-    variance_s2: Array
-
-
-def lost_tails(statistics: EventStatistics, physics: Physics, n: int) -> LostTails:
-    """What a pair loses that is close with the probability s, after one of the gaps seen.
-
-    A first-order valve that opens at thrust x F loses (τ_f − τ_r) x of impulse over F, with
-    x = exp(−gap/τ_f). With ⟨⟩ the mean over the gaps, a pair loses s (τ_f − τ_r) ⟨x⟩ on average,
-    with the variance (τ_f − τ_r)² (s ⟨x²⟩ − s² ⟨x⟩²).
-    """
-    fall = np.broadcast_to(np.maximum(physics.tau_s[2], LEAST_FALL_S), (n,))
-    share, tail = close_share(physics, n), fall - physics.tau_s[1]
-    opens_at = np.exp(-statistics.counters.gaps_s / fall[:, None])
-    mean = share * opens_at.mean(axis=1)
-    square = share * (opens_at**2).mean(axis=1)
-    return LostTails(tail * mean, tail**2 * np.maximum(square - mean**2, 0.0))
-
-
-def cut_unit_s(event: TelemetryBalance, lost: LostTails, scales: OpenScales) -> Array:
+def cut_unit_s(event: TelemetryBalance, scales: OpenScales) -> Array:
     """Cut tails per standard deviation of every unknown (n, S), over their columns.
 
     Of a couple's departure from the share of close pairs: half of what is lost on average. Of a
@@ -701,7 +678,7 @@ def cut_unit_s(event: TelemetryBalance, lost: LostTails, scales: OpenScales) -> 
     """
     pattern = event.pattern
     places = np.array(pattern.cuts, dtype=np.int64)
-    of_all = SHARE_SPREAD * lost.mean_s[:, None]
+    of_all = SHARE_SPREAD * scales.lost.mean_s[:, None]
     variance = scales.variance_s2(pattern.cut_pairs, pattern.cut_unlike)
     of_part = np.sqrt(variance) / event.statistics.cuts[places]
     return np.where(places % CUT_COLUMNS == 0, of_all, of_part)

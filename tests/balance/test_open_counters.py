@@ -13,8 +13,10 @@ from cassini_bayes.balance.open_counters import (
     step_patterns,
     step_variances,
 )
+from cassini_bayes.balance.statistics.columns import LostTails
 from cassini_bayes.balance.statistics.pulse_columns import PulseBasis
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 DURATION_S = 80.0
@@ -48,6 +50,12 @@ def counters(pairs: list[float]) -> CounterStatistics:
     )
 
 
+def scales_of(pair_s2: Array, weights: Array) -> OpenScales:
+    """Scales of a couple without torque, by the variance of what a pair loses."""
+    n = len(pair_s2)
+    return OpenScales(np.zeros((n, 3, 1)), LostTails(np.zeros(n), pair_s2), weights)
+
+
 def test_pairs_of_a_quarter_add_up_to_what_the_likelihood_has() -> None:
     """A step is its quarter's mean, which the likelihood has, and what is added; one: nothing."""
     found, intervals = step_patterns(counters([1.0, 1.0, 1.0, 0.0]), 0, DURATION_S, STEP)
@@ -64,7 +72,7 @@ def test_several_pairs_of_an_interval_scatter_together() -> None:
     found, _ = step_patterns(four, 0, DURATION_S, STEP)
     mean = 0.8 * STEP[:, 0] + 0.2 * STEP[:, 1]
     assert found == pytest.approx(STEP[:, :2] - mean[:, None])
-    scales = OpenScales(np.zeros((2, 3, 1)), np.array([1e-6, 3e-6]), np.ones((2, 4)))
+    scales = scales_of(np.array([1e-6, 3e-6]), np.ones((2, 4)))
     variances = step_variances(four, 0, scales)
     assert variances == pytest.approx(np.outer([1e-6, 3e-6], [4.0, 1.0, 0.0, 0.0]))
 
@@ -75,7 +83,7 @@ def test_unlike_pulses_scatter_by_their_columns() -> None:
     factor = 1e-3 * rng.standard_normal((4, 1, 4, 4))
     unlike = factor @ np.swapaxes(factor, -1, -2)
     weights = rng.standard_normal((2, 4))
-    scales = OpenScales(np.zeros((2, 3, 1)), np.array([1e-6, 0.0]), weights)
+    scales = scales_of(np.array([1e-6, 0.0]), weights)
     found = step_variances(replace(counters([1.0, 0.0, 0.0, 0.0]), unlike=unlike), 0, scales)
     own = [[w @ unlike[i, 0] @ w for i in range(4)] for w in weights]
     pairs = np.array([[1e-6, 0.0, 0.0, 0.0], [0.0] * 4])
@@ -91,7 +99,7 @@ def test_rounding_leaves_no_variance_below_zero() -> None:
         (across * weights).sum(1, keepdims=True) / (weights**2).sum(1, keepdims=True) * weights
     )
     unlike = across[:, :, None] * across[:, None]
-    scales = OpenScales(np.zeros((200, 3, 1)), np.zeros(200), weights)
+    scales = scales_of(np.zeros(200), weights)
     found = scales.variance_s2(np.zeros(200), unlike)
     assert (np.einsum("nc,ncd,nd->n", weights, unlike, weights) < 0.0).any()
     assert np.diagonal(found).min() >= 0.0

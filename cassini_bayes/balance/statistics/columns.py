@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,17 +112,36 @@ class Sampling:
     @cached_property
     def pair_s2(self) -> float:
         """Variance of what a pair of pulses loses, at the reference and the usual share, s²."""
-        _, rise, fall = self.pulse_reference_s
-        opens_at = np.exp(
-            -np.array(self.gaps_s or (self.control_cycle_s,)) / max(fall, LEAST_FALL_S)
-        )
-        mean, square = USUAL_SHARE * opens_at.mean(), USUAL_SHARE * (opens_at**2).mean()
-        return float(max((fall - rise) ** 2 * (square - mean**2), LEAST_PAIR_S2))
+        rise, fall = (np.array([tau]) for tau in self.pulse_reference_s[1:])
+        gaps = np.array(self.gaps_s or (self.control_cycle_s,))
+        lost = lost_tails(gaps, rise, fall, np.array([USUAL_SHARE]))
+        return max(float(lost.variance_s2[0]), LEAST_PAIR_S2)
 
     @cached_property
     def pulses(self) -> PulseBasis:
         """Columns and weights of pulses."""
         return PulseBasis(self.pulse_shape, self.pulse_reference_s, self.widths_s)
+
+
+class LostTails(NamedTuple):
+    """On-time that a pair of pulses loses by a cut tail: mean (n,), s, and variance (n,), s²."""
+
+    mean_s: Array
+    variance_s2: Array
+
+
+def lost_tails(gaps_s: Array, rise_s: Array, fall_s: Array, share: Array) -> LostTails:
+    """What a pair loses that is close with the probability s, after one of the gaps (m,) seen.
+
+    A first-order valve that opens at thrust x F loses (τ_f − τ_r) x of impulse over F, with
+    x = exp(−gap/τ_f). With ⟨⟩ the mean over the gaps, a pair loses s (τ_f − τ_r) ⟨x⟩ on average,
+    with the variance (τ_f − τ_r)² (s ⟨x²⟩ − s² ⟨x⟩²); τ_r, τ_f and s are (n,).
+    """
+    fall = np.maximum(fall_s, LEAST_FALL_S)
+    opens_at = np.exp(-gaps_s / fall[:, None])
+    mean, square = share * opens_at.mean(axis=1), share * (opens_at**2).mean(axis=1)
+    tail = fall - rise_s
+    return LostTails(tail * mean, tail**2 * np.maximum(square - mean**2, 0.0))
 
 
 @dataclass(frozen=True)

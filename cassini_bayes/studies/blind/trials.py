@@ -290,5 +290,5 @@ def run_trial(campaign: Blind, index: int) -> dict[str, Any]:
     try:
         return trial(campaign, index)
     # one trial must not end a campaign, whatever went wrong in it: the page counts failures
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:  # noqa: BLE001 - a campaign goes on
         return failed_trial(campaign, index, error)
