@@ -459,7 +459,10 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         still = 0.2 if plain_sparse(n, samples) else 0.5
         turns = plain_turns(rows, term.event.sampling)
         row_white = white
-        for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
+        walk = plain_walk(np.array(rows.times), term) * values["torque_noise_n_m_s05"]
+        bands = plain_bands(np.array(rows.times), samples)
+        of_rows = np.kron(bands[0][0] @ walk, np.eye(3))
+        for band, (share, _, drift) in enumerate(bands):
             size = round(np.trace(share))
             white = (
                 row_white
@@ -478,7 +481,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             own_noise = np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
             own_noise += drift_square * np.kron(drift, np.eye(3))
             if band == 0:
-                known = (share @ y + added, share, own_noise)
+                known = (share @ y + added, share, own_noise + of_rows @ of_rows.T)
                 lacking = _lacking(known, own, columns, mean, linear.common_mean_n) - y
             y = y + added
             total += own_noise
@@ -487,7 +490,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         constant += plain_measure(model, term, rows, turns, values)
         if fires:
             mean = mean + (linear.common_mean_n * columns.sum(1)).reshape(n, 3)
-        unknown = np.array(own).T
+        unknown = np.concatenate([np.array(own).T, of_rows], axis=1)
         if len(turns.of_rates):
             # of turn less gyro what the rows' own residual makes one expect of the gyro's noise
             by_turn = turns.of_rates @ inertia
@@ -497,7 +500,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             by_wheels = wheel_noise * weights @ weights.T
             noise = np.zeros((len(by_turn), 3, len(by_turn), 3))
             expects = np.zeros_like(noise)
-            for share, summed, walked in turns.bands:
+            for share, summed, _, walked in turns.bands:
                 gyro = summed * values["rate_noise_rad_s"] ** 2 * inertia @ inertia
                 shared_noise = summed * by_wheels + walked * drift_square * np.eye(3)
                 on_slopes = share[: len(turns.times), : len(turns.times)]
@@ -515,7 +518,8 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             mean = np.concatenate([mean, (on_turns @ mean.reshape(-1)).reshape(-1, 3)])
             y = np.concatenate([y, gained])
             columns = np.concatenate([columns, on_turns @ columns])
-            unknown = np.concatenate([unknown, on_turns @ unknown])
+            everywhere = np.concatenate([np.array(own).T, np.kron(walk, np.eye(3))], axis=1)
+            unknown = np.concatenate([unknown, on_turns @ everywhere])
             total = block_diag(total, noise.reshape(3 * len(gained), -1))
         if fires:
             total = total + columns @ linear.departures @ linear.departures.T @ columns.T
@@ -583,7 +587,7 @@ def _flat_measure(
     white = fixed["rate_noise_rad_s"] ** 2 * inertia @ inertia + by_wheels
     white = white + fixed["attitude_noise_rad"] ** 2 * spin
     result = 0.0
-    for band, (share, drift) in enumerate(plain_bands(np.array(rows.times), samples)):
+    for band, (share, drift, _) in enumerate(plain_bands(np.array(rows.times), samples)):
         size = round(np.trace(share))
         if fires and band > 0:
             result += size * np.linalg.slogdet(inertia)[1]
@@ -602,7 +606,7 @@ def _flat_measure(
             result += 0.5 * np.linalg.slogdet(left)[1]
     attitude = fixed["attitude_noise_rad"] ** 2 * inertia @ inertia
     gyro = fixed["rate_noise_rad_s"] ** 2 * inertia @ inertia
-    for share, summed, walked in turns.bands:
+    for share, summed, walked, _ in turns.bands:
         slopes = share[: len(turns.times), : len(turns.times)]
         left = plain_open(model, term, rows, arms, tau, close, slopes, turns.times, turns.ramps)
         shared = summed * by_wheels + walked * drift_square * one + left / np.trace(share)
@@ -618,10 +622,10 @@ def reference_noise(term: TelemetryTerm) -> dict[str, float]:
 
 
 def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: bool = True) -> float:
-    """Log density of rates, wheels and turns of slews without torque noise, as one normal.
+    """Log density of rates, wheels and turns of slews as one normal.
 
-    The noise of measured wheels is in the balance of rows and, summed up, in that of turns; unless
-    it is ``shared`` both have one of their own.
+    The noise of measured wheels and the torque noise are in the balance of rows and, summed up, in
+    that of turns; unless they are ``shared`` both have some of their own.
     """
     (term,) = model.telemetry
     values = dict(model.idle) | dict(parameters)
@@ -639,9 +643,14 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
         by_attitude = at["attitude_noise_rad"] ** 2 * inertia @ inertia
         by_wheels = (at["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
         of_row = by_rate + by_wheels + at["attitude_noise_rad"] ** 2 * spin
-        between = np.kron(summed, by_wheels) * float(shared)
+        walk = at["torque_noise_n_m_s05"] * plain_walk(np.array(rows.times), term, MODES)
+        of_rows = np.kron(np.eye(n), of_row) + np.kron(walk @ walk.T, np.eye(3))
+        integrated = summed @ walk
+        between = np.kron(summed, by_wheels) + np.kron(integrated @ walk.T, np.eye(3))
         of_turns = np.kron(summed @ summed.T, by_wheels) + np.kron(np.eye(contrasts), by_attitude)
-        return np.block([[np.kron(np.eye(n), of_row), between.T], [between, of_turns]])
+        of_turns += np.kron(integrated @ integrated.T, np.eye(3))
+        between *= float(shared)
+        return np.block([[of_rows, between.T], [between, of_turns]])
 
     def measure_at(at: Mapping[str, float]) -> float:
         """Log of the measure in which the motion is flat, but for its unit."""
@@ -773,14 +782,15 @@ class PlainTurns:
     """Contrasts of quiet pieces: of the turns since a piece began, and as integrals of rows.
 
     First the slopes of P pieces at ``times``, by ``ramps`` of what is constant in them, then all
-    others. ``bands`` are projectors (N, N) and squares of wheel noise and of a random walk.
+    others. ``bands`` are projectors (N, N) and squares of wheel noise, of a random walk and of what
+    is faster in it than its slowest cosines.
     """
 
     of_rates: Array  # (N, 3)
     of_rows: Array  # (N, n)
     times: Array
     ramps: Array
-    bands: list[tuple[Array, float, float]]
+    bands: list[tuple[Array, float, float, float]]
 
 
 def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
@@ -853,15 +863,17 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
     order = np.arange(1, 129)
     scale = np.r_[np.sqrt(duration / 3.0), np.sqrt(2 * duration) / (order * np.pi)]
     modes, size, _ = np.linalg.svd(np.array(waves) * scale, full_matrices=False)
+    faster = plain_faster(modes, size, np.array(waves) * scale)
     bands = []
     for start, stop in pairwise([0, *(edge for edge in SLOPE_EDGES if edge < count), count]):
         share = np.zeros((total, total))
         share[:count, :count] = modes[:, start:stop] @ modes[:, start:stop].T
         summed = np.diagonal(share)[:count] @ np.array(slope_sums) / (stop - start)
-        bands.append((share, float(summed), float(np.mean(size[start:stop] ** 2))))
+        walked = (float(np.mean(each[start:stop])) for each in (size**2, faster))
+        bands.append((share, float(summed), *walked))
     if total > count:
         rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
-        bands.append((rest, sums[0] / (total - count), sums[1] / (total - count)))
+        bands.append((rest, *(float(sums[i]) / (total - count) for i in (0, 1, 1))))
     return PlainTurns(
         of_rates,
         np.concatenate([np.array(slope_rows), *other_rows]),
@@ -889,8 +901,27 @@ def _lacking(
     return np.asarray((before + design @ at).reshape(n, 3))
 
 
-def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array]]:
-    """Projector of every band of rows and the covariance of a unit random walk in it, (n, n)."""
+def plain_walk(times: Array, term: TelemetryTerm, cosines: int = 6) -> Array:
+    """The slowest cosines of a unit random walk at times (n, cosines), for standard normals."""
+    duration, order = term.event.sampling.duration_s, np.arange(1, 1 + cosines)
+    scale = np.sqrt(2 * duration) / (order * np.pi)
+    return np.asarray(np.cos(np.pi * np.outer(times, order) / duration) * scale)
+
+
+def plain_faster(modes: Array, size: Array, waves: Array) -> Array:
+    """Variances of a unit random walk's modes (n, M) without its mean and six slowest cosines.
+
+    ``waves`` (n, 1 + cosines) have their standard deviations in them.
+    """
+    slowest = modes.T @ waves[:, :7]
+    return np.asarray(size**2 - np.sum(slowest**2, axis=1))
+
+
+def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array, Array]]:
+    """Of every band of rows the projector, and covariances of a unit random walk, (n, n) each.
+
+    First that of all of it, then, in the slow band, of what is faster than its slowest cosines.
+    """
     duration = float(samples.time_s[-1])
     waves = [np.ones(len(times)) * np.sqrt(duration / 3.0)]
     waves += [
@@ -898,6 +929,7 @@ def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array]]:
         for m in range(1, MODES + 1)
     ]
     modes, size, _ = np.linalg.svd(np.array(waves).T, full_matrices=False)
+    faster = plain_faster(modes, size, np.array(waves).T)
     n = len(times)
     count, inner = n // ROWS_PER_MODE, list(EDGES)
     if plain_sparse(n, samples):
@@ -906,14 +938,15 @@ def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array]]:
     bands = []
     for start, stop in pairwise(edges):
         own, variance = modes[:, start:stop], size[start:stop] ** 2
+        left = faster[start:stop]
         if start > 0:
-            variance = np.full_like(variance, variance.mean())
-        bands.append((own @ own.T, own * variance @ own.T))
+            left = variance = np.full_like(variance, variance.mean())
+        bands.append((own @ own.T, own * variance @ own.T, own * left @ own.T))
     if count == n:
         return bands
     rest = np.eye(n) - modes[:, :count] @ modes[:, :count].T
     beyond = 2 * duration / np.pi**2 / (count - 0.5) * n / (n - count)
-    return [*bands, (rest, beyond * rest)]
+    return [*bands, (rest, beyond * rest, beyond * rest)]
 
 
 def plain_sparse(rows: int, samples: Samples) -> bool:

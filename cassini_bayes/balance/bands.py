@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
 from cassini_bayes.balance.rounded_wheels import WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics, Layout
+from cassini_bayes.balance.statistics.columns import WALK_ORDERS
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.computing.arrays import Array
 
@@ -43,7 +44,8 @@ class Band:
     """Part of the row space: modes of similar frequency, or all that is faster than the modes.
 
     ``square`` (W, W) are the measured wheel rates' mean products, rad²/s²; ``walk`` (R,) or (1,)
-    are the variances of a unit random walk's modes, s.
+    are the variances of a unit random walk's modes, s, and ``faster`` those without its mean and
+    its slowest cosines, which are unknowns of the slow band.
     ``motion`` is None where wheels move by any amount at all frequencies. ``left_open`` are mean
     squares of what counters leave open, and ``wheels`` those of the noise of wheel rates.
     """
@@ -51,6 +53,7 @@ class Band:
     rows: int
     square: Array
     walk: Array
+    faster: Array
     motion: CubicSpline | None  # of :func:`motion_table`
     left_open: OpenSquares
     wheels: WheelSquares
@@ -83,7 +86,7 @@ def make_bands(statistics: EventStatistics) -> Bands:
 
 
 def _bands(statistics: EventStatistics) -> Bands:
-    walk, modes, turned = turned_modes(statistics)
+    walk, faster, modes, turned = turned_modes(statistics)
     counters = statistics.counters
     time = counters.row_time_s
     waves = np.cos(np.pi / statistics.duration_s * time[:, None] * np.arange(len(turned)))
@@ -101,8 +104,9 @@ def _bands(statistics: EventStatistics) -> Bands:
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         motion = None if turning else motion_table(stop - start, still)
         own_wheels = of_wheels.of_modes(start, stop).over(stop - start)
+        walks = (walk[start:stop], faster[start:stop] if start == 0 else walk[start:stop])
         noise = (left_open.of_modes(start, stop), own_wheels)
-        bands.append(_band(statistics.layout, gram, walk[start:stop], stop - start, motion, *noise))
+        bands.append(_band(statistics.layout, gram, walks, stop - start, motion, *noise))
         grams.append(gram)
         rest = rest - gram
         still = SPARSE_STILL if is_sparse(statistics) else STILL
@@ -114,7 +118,7 @@ def _bands(statistics: EventStatistics) -> Bands:
         motion = None if turning else motion_table(rows, still)
         slower = of_wheels.of_modes(0, len(walk))
         noise = (left_open.of_rest(rows), (everywhere - slower).over(rows))
-        bands.append(_band(statistics.layout, rest, left, rows, motion, *noise))
+        bands.append(_band(statistics.layout, rest, (left, left), rows, motion, *noise))
         grams.append(rest)
     slow = np.ascontiguousarray(modes[..., : bands[0].rows])
     return (
@@ -143,14 +147,14 @@ def _edges(statistics: EventStatistics, modes: int) -> list[int]:
 def _band(
     layout: Layout,
     gram: Array,
-    walk: Array,
+    walks: tuple[Array, Array],
     rows: int,
     motion: CubicSpline | None,
     left_open: OpenSquares,
     wheels: WheelSquares,
 ) -> Band:
     square = np.ascontiguousarray(gram[0, 0, layout.wheel, layout.wheel] / rows)
-    return Band(rows, square, walk, motion, left_open, wheels)
+    return Band(rows, square, *walks, motion, left_open, wheels)
 
 
 @dataclass(frozen=True)
@@ -235,13 +239,15 @@ class TurnBand:
     """Contrasts of turns over quiet pieces, and what beside the attitude is in their noise.
 
     Mean squares per contrast: of summed white noise, of every wheel's rounding while it rests (W,),
-    of a unit random walk, and per couple of what counters leave open.
+    of a unit random walk and of what is faster in it (:class:`Band`), and per couple of what
+    counters leave open.
     """
 
     contrasts: int
     summed_s2: float
     rounded_s2: Array
     walked_s3: float
+    faster_s3: float
     left_open: OpenSquares  # each times s²
 
 
@@ -260,15 +266,16 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
         couples, size = statistics.counters.slopes.shape[1:]
         nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
         # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
-        noise = (turns.summed_s2, np.zeros(len(statistics.layout.wheels)), turns.walked_s3)
-        bands.append(TurnBand(turns.contrasts, *noise, nothing))
+        resting = np.zeros(len(statistics.layout.wheels))
+        squares = (turns.summed_s2, resting, turns.walked_s3, turns.walked_s3)
+        bands.append(TurnBand(turns.contrasts, *squares, nothing))
         grams.append(turns.gram)
     return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
 
 
 def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array]]:
     turns = statistics.turns
-    walk, turned = diagonal_walk(turns.slope_mode_gram, statistics.duration_s, turns.pieces)
+    walk, faster, turned = diagonal_walk(turns.slope_mode_gram, statistics.duration_s, turns.pieces)
     modes = np.tensordot(turns.slope_projection, turned, (0, 0))
     places = Places(turns.slope_time_s, turns.slope_waves, turns.slope_stride)
     on_modes = turns.slope_waves @ turned
@@ -281,8 +288,8 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     for start, stop in pairwise([0, *inner, len(walk)]):
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
-        walked = float(walk[start:stop].mean())
-        squares = (float(summed[start:stop].mean()), rounded[start:stop].mean(axis=0), walked)
+        walks = (float(each[start:stop].mean()) for each in (walk, faster))
+        squares = (float(summed[start:stop].mean()), rounded[start:stop].mean(axis=0), *walks)
         bands.append(TurnBand(stop - start, *squares, left_open.of_modes(start, stop)))
         grams.append(gram)
         rest = rest - gram
@@ -292,7 +299,7 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
         left = np.maximum(all_rounded - rounded.sum(axis=0), 0.0) / rows
         beyond_summed = turns.slope_stride * turns.slope_summed_s2.sum() - summed.sum()
         least = turns.slope_summed_s2.min()  # thinned pieces may leave too little for the rest
-        squares = (float(max(beyond_summed / rows, least)), left, walked)
+        squares = (float(max(beyond_summed / rows, least)), left, walked, walked)
         bands.append(TurnBand(rows, *squares, left_open.of_rest(rows)))
         grams.append(rest)
     return bands, grams
@@ -317,11 +324,12 @@ def rounded_slopes(turns: TurnStatistics, on_modes: Array) -> tuple[Array, Array
     return total, everywhere
 
 
-def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array]:
+def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array, Array]:
     """Constant and cosines, turned to be orthonormal over the rows with a diagonal random walk.
 
-    Returns the variances (M,) of a unit random walk, all columns' coordinates (3, A, M), and the
-    matrix (1 + cosines, M) that makes the modes of a constant and cosines.
+    Returns the variances (M,) of a unit random walk and of what is faster in it
+    (:class:`Band`), all columns' coordinates (3, A, M), and the matrix (1 + cosines, M) that makes
+    the modes of a constant and cosines.
     """
     layout, gram = statistics.layout, statistics.gram
     one = layout.one
@@ -330,26 +338,38 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array]:
         [[gram[0, 0, one, one][None, None], mixed[None]], [mixed[:, None], statistics.mode_gram]]
     )
     most = statistics.rows // (1 if is_sparse(statistics) else ROWS_PER_MODE)
-    values, turned = diagonal_walk(square, statistics.duration_s, most)
+    values, faster, turned = diagonal_walk(square, statistics.duration_s, most)
     constant = np.stack([gram[0, c, one] for c in range(3)])
     seen = np.concatenate([constant[None], statistics.projection])
-    return values, np.tensordot(seen, turned, (0, 0)), turned
+    return values, faster, np.tensordot(seen, turned, (0, 0)), turned
 
 
-def diagonal_walk(square: Array, duration_s: float, most: int) -> tuple[Array, Array]:
-    """Combinations of a constant and cosines that are orthonormal, with a diagonal random walk.
+def walk_scales(duration_s: float, cosines: int) -> Array:
+    """Standard deviations (1 + cosines,) of the mean and the cosines of a unit random walk, s^½.
 
     Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
     coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
-    mean). ``square`` (1 + cosines, 1 + cosines) are inner products over rows. Returns the variances
-    (M,) over a², largest first and at most ``most`` of them, and the matrix (1 + cosines, M).
+    mean).
     """
-    order = np.arange(1, len(square))
-    scale = np.sqrt(duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi]
+    order = np.arange(1, 1 + cosines)
+    return np.asarray(np.sqrt(duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi])
+
+
+def diagonal_walk(square: Array, duration_s: float, most: int) -> tuple[Array, Array, Array]:
+    """Combinations of a constant and cosines that are orthonormal, with a diagonal random walk.
+
+    ``square`` (1 + cosines, 1 + cosines) are inner products over rows. Returns the variances
+    (M,) over a², largest first and at most ``most`` of them, those (M,) of what is faster than the
+    slowest cosines, and the matrix (1 + cosines, M).
+    """
+    scale = walk_scales(duration_s, len(square) - 1)
     values, turn = np.linalg.eigh(scale[:, None] * square * scale)
     kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][: max(most, 1)]
     values, turn = values[kept], turn[:, kept]
-    return values, turn / np.sqrt(values) * scale[:, None]
+    turned = turn / np.sqrt(values) * scale[:, None]
+    slowest = np.r_[0, WALK_ORDERS]
+    seen = scale[slowest, None] * (square[slowest] @ turned)
+    return values, np.maximum(values - (seen**2).sum(axis=0), 0.0), turned
 
 
 @lru_cache(maxsize=64)

@@ -62,7 +62,8 @@ def log_measure(
     physics = _of_size(physics, np.exp(-growth / 3.0))
     result = _of_rows(event, physics, reference) + _count(event) * growth - event.log_unit
     if event.turns:
-        noise = turn_noise(event, physics, reference, event.nominally_open.turns)
+        walked = [band.walked_s3 for band in event.turns]
+        noise = turn_noise(event, physics, reference, event.nominally_open.turns, walked)
         more = _log_det(np.eye(3) + by_turn.gain) - _log_det(np.eye(3) + noise.gain)
         contrasts = np.array([band.contrasts for band in event.turns], dtype=np.float64)
         result = result + (more + 0.5 * _log_det(noise.covariance)) @ contrasts

@@ -82,9 +82,11 @@ class Noise(NamedTuple):
 class Placed(NamedTuple):
     """Priors of the unknowns, by which the slow band places them.
 
-    Means (P − 1,), standard deviations of thrusts (one number, as array ()) and of the others.
+    First come unknowns that are standard normals, of momentum too slow for the fast bands. Means
+    (P − 1,), standard deviations of thrusts (one number) and of the event's own.
     """
 
+    standardised: int
     mean: Array
     thrust_sd: float
     own_sd: Array  # (n, U)
@@ -168,12 +170,12 @@ def normal_equations(
             log_determinant = _invert(covariance, other)
             if not is_told:
                 log_scale[i] -= 0.5 * fast.rows[f] * log_determinant
-            _contract(fast.grams[f], entries, used, other, normal[i])
+            _contract(fast.grams[f], entries, used, other, placed.standardised, normal[i])
     for t in range(turns.contrasts.size):
         for i in range(n):
             log_determinant = _invert(noise.turns[i, t], other)
             log_scale[i] -= 0.5 * turns.contrasts[t] * log_determinant
-            _contract(turns.grams[t], entries, turned[i, t], other, normal[i])
+            _contract(turns.grams[t], entries, turned[i, t], other, 0, normal[i])
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):
@@ -184,6 +186,55 @@ def normal_equations(
             normal[i] = 0.0
             log_scale[i] = -np.inf
     return normal, log_scale, kept
+
+
+@compiled_sums
+def without_first(
+    normal: Array, count: int, log_scale: Array
+) -> tuple[Array, Array]:  # pragma: no cover - compiled
+    """The first unknowns, standard normals beforehand, integrated out of normal equations.
+
+    Parameters
+    ----------
+    normal, log_scale
+        (n, P, P) and (n,), as :func:`normal_equations` returns them.
+    count
+        C of the unknowns, at least one.
+
+    Returns
+    -------
+    Normal equations (n, P − C, P − C) of the others, and log scale (n,).
+    """
+    n, left = len(normal), normal.shape[1] - count
+    result, scale = np.empty((n, left, left)), log_scale.copy()
+    precision, factor = np.empty((count, count)), np.empty((count, count))
+    coupling = np.empty((count, left))
+    for i in range(n):
+        if not np.isfinite(scale[i]):
+            result[i] = 0.0
+            continue
+        for u in range(count):
+            for v in range(count):
+                precision[u, v] = normal[i, u, v]
+            precision[u, u] += 1.0
+        scale[i] -= 0.5 * _factor(precision, factor)
+        for u in range(count):
+            for a in range(left):
+                coupling[u, a] = normal[i, u, count + a]
+            for before in range(u):
+                share = factor[u, before]
+                for a in range(left):
+                    coupling[u, a] -= share * coupling[before, a]
+            for a in range(left):
+                coupling[u, a] /= factor[u, u]
+        for a in range(left):
+            for b in range(left):
+                result[i, a, b] = normal[i, count + a, count + b]
+        for u in range(count):
+            for a in range(left):
+                for b in range(left):
+                    result[i, a, b] -= coupling[u, a] * coupling[u, b]
+    return result, scale
 
 
 @compiled_sums
@@ -506,7 +557,10 @@ def _place(
     thrusters = unknowns - placed.own_sd.shape[1]
     sd, at = np.empty(unknowns), np.empty(unknowns)
     for k in range(unknowns):
-        sd[k] = placed.thrust_sd if k < thrusters else placed.own_sd[point, k - thrusters]
+        if k < placed.standardised:
+            sd[k] = 1.0
+        else:
+            sd[k] = placed.thrust_sd if k < thrusters else placed.own_sd[point, k - thrusters]
     precision, factor = np.empty((unknowns, unknowns)), np.empty((unknowns, unknowns))
     for k in range(unknowns):
         target = normal[unknowns, k]
@@ -520,7 +574,7 @@ def _place(
     _solve(factor, at)
     _solve_transposed(factor, at)
     lacking[:] = 0.0
-    for k in range(unknowns + 1):
+    for k in range(placed.standardised, unknowns + 1):
         sign = -1.0 if k == unknowns else placed.mean[k] + sd[k] * at[k]
         for b in range(entries.start[k], entries.start[k + 1]):
             for c in range(3):
@@ -564,12 +618,15 @@ def _moments(
 
 @compiled_sums
 def _contract(
-    gram: Array, entries: Entries, used: Array, precision: Array, normal: Array
+    gram: Array, entries: Entries, used: Array, precision: Array, first: int, normal: Array
 ) -> None:  # pragma: no cover - compiled
-    """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to the lower triangle (P, P)."""
+    """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to the lower triangle (P, P).
+
+    Only columns from the ``first`` on are in the band.
+    """
     start, row = entries.start, entries.row
     gathered = np.empty((3, gram.shape[0]))
-    for k in range(start.size - 1):
+    for k in range(first, start.size - 1):
         reach = entries.reach[k]
         gathered[:, :reach] = 0.0
         for b in range(start[k], start[k + 1]):
@@ -580,7 +637,7 @@ def _contract(
                 x, y, z = gram[row[b], 0, c], gram[row[b], 1, c], gram[row[b], 2, c]
                 for a in range(reach):
                     gathered[c, a] += by_x * x[a] + by_y * y[a] + by_z * z[a]
-        for other in range(k + 1):
+        for other in range(first, k + 1):
             value = 0.0
             for b in range(start[other], start[other + 1]):
                 for c in range(3):

@@ -23,6 +23,7 @@ from cassini_bayes.balance.telemetry_terms import (
     open_counters,
     turn_noise,
     turn_weights,
+    walk_weights,
     wheel_variance,
 )
 from cassini_bayes.computing.arrays import Array
@@ -64,26 +65,49 @@ def row_information(
     beside = covariance_beside_wheels(event, physics, parameters)[0]
     left_open = open_counters(event, physics, _scale(event, mean))
     with_open = band_covariances(event, physics, parameters, left_open.rows)[0]
+    walk = _walk_columns(event, nominal)
     bands = zip(
         (event.slow, *event.fast), (None, *event.reduced.grams), kept, with_open, strict=True
     )
     for band, gram, estimate, own in bands:
         weights = balance_weights(event, physics, _scale(event, mean), estimate[None])
-        columns = _columns(event, weights, mean, own_sd, levels, step)
+        slow = walk if gram is None else np.zeros_like(walk)
+        columns = np.r_[_columns(event, weights, mean, own_sd, levels, step), slow]
         noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
         total = total + _whitened(event, band, gram, columns, noise, nominal)
     weights = balance_weights(event, physics, _scale(event, mean))
-    by_turn = turn_noise(event, physics, parameters, left_open.turns)
+    faster = [band.faster_s3 for band in event.turns]
+    by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
     # how much of both is weighed against each other is no effect of a parameter
     gain = np.repeat(by_turn.gain[:1], len(weights), axis=0)
     turned = turn_weights(event, physics, weights, gain)
     bands_of_turns = zip(event.turns, event.reduced.turns, by_turn.covariance[0], strict=True)
     for place, (turn, gram, noise) in enumerate(bands_of_turns):
-        columns = _columns(event, turned[:, place], mean, own_sd, levels, step)
+        own = _columns(event, turned[:, place], mean, own_sd, levels, step)
+        columns = np.r_[own, walk]
         total = total + _of_turns(event, turn, gram, columns, noise, nominal)
+    total = _without_last(np.asarray(total), len(walk))
     # noise that happens to be less than it is taken for leaves less than nothing of a regressor
     values, vectors = np.linalg.eigh(total)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _walk_columns(event: TelemetryBalance, nominal: Mapping[str, Array]) -> Array:
+    """Coefficients (3 D, 3, A') of the slowest cosines of torque noise, standard normals."""
+    weights = walk_weights(event, nominal)[0]
+    columns = np.zeros((*weights.shape, event.reduced.slow.shape[1]))
+    columns[np.arange(len(weights)), :, np.repeat(event.reduced.walk, 3)] = weights
+    return columns
+
+
+def _without_last(information: Array, count: int) -> Array:
+    """The information on all but the last unknowns, standard normals beforehand."""
+    if count == 0:
+        return information
+    rest, last = slice(0, -count), slice(-count, None)
+    mixed = information[rest, last]
+    own = information[last, last] + np.eye(count)
+    return np.asarray(information[rest, rest] - mixed @ np.linalg.solve(own, mixed.T))
 
 
 def _noise_seen(event: TelemetryBalance, parameters: Mapping[str, Array]) -> dict[str, Array]:
@@ -167,7 +191,7 @@ def _whitened(
     """Inner products of the derivatives over one band's rows, white and torque noise whitened."""
     values, vectors = np.linalg.eigh(noise)
     count, size = len(columns), event.reduced.slow.shape[1]
-    variance = values[:, None] + nominal["torque_noise_n_m_s05"][0] ** 2 * band.walk  # (3, R)
+    variance = values[:, None] + nominal["torque_noise_n_m_s05"][0] ** 2 * band.faster  # (3, R)
     modes = event.reduced.slow.reshape(3 * size, -1)
     quiet = band.rows * _channel_square(event, nominal, 1.0)
     result = np.zeros((count, count))

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.flat_motion import log_measure
-from cassini_bayes.balance.kernel import Noise, Placed, normal_equations
+from cassini_bayes.balance.kernel import Noise, Placed, normal_equations, without_first
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_terms import (
     TelemetryBalance,
@@ -25,6 +25,7 @@ from cassini_bayes.balance.telemetry_terms import (
     own_prior,
     turn_noise,
     turn_weights,
+    walk_weights,
 )
 from cassini_bayes.computing.arrays import Array
 
@@ -73,7 +74,9 @@ def event_system(
     own_mean, sd = own_prior(event, torque_mean, torque_sd)
     own_sd = np.tile(sd, (n, 1))
     left_open = open_counters(event, physics, thrust_n)
-    by_turn = turn_noise(event, physics, parameters, left_open.turns)
+    faster = [band.faster_s3 for band in event.turns]
+    by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
+    walk = walk_weights(event, parameters)
     noise = Noise(
         np.ascontiguousarray(event.wheel_weights(physics)),
         band_covariances(event, physics, parameters, left_open.rows),
@@ -81,12 +84,17 @@ def event_system(
         parameters["torque_noise_n_m_s05"] ** 2,
         by_turn.covariance,
     )
-    placed = Placed(np.r_[np.full(k, thrust_n), own_mean], _THRUST_SPREAD * thrust_n, own_sd)
-    used = np.ascontiguousarray(weights[:, reduced.entries])
+    standardised = walk.shape[1]
+    mean = np.r_[np.zeros(standardised), np.full(k, thrust_n), own_mean]
+    placed = Placed(standardised, mean, _THRUST_SPREAD * thrust_n, own_sd)
+    used = np.concatenate([walk, weights[:, reduced.entries]], axis=1)
     turned = turn_weights(event, physics, weights, by_turn.gain)[:, :, reduced.entries]
+    by_band = np.broadcast_to(walk[:, None], (n, turned.shape[1], *walk.shape[1:]))
     normal, log_scale, kept = normal_equations(
-        used, np.ascontiguousarray(turned), noise, reduced.places, *event.bands, placed
+        used, np.concatenate([by_band, turned], axis=2), noise, reduced.places, *event.bands, placed
     )
+    if standardised > 0:
+        normal, log_scale = without_first(normal, standardised, log_scale)
     log_scale += log_measure(event, physics, parameters, by_turn)
     # of the channels' densities: rates and wheels of every row, turns of every contrast
     contrasts = sum(band.contrasts for band in event.turns)

@@ -17,13 +17,19 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
+from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands, walk_scales
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
-from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, LostTails, lost_tails, quarter_of
+from cassini_bayes.balance.statistics.columns import (
+    CUT_COLUMNS,
+    WALK_ORDERS,
+    LostTails,
+    lost_tails,
+    quarter_of,
+)
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
@@ -122,12 +128,16 @@ class Reduced:
     grams: Array  # (F, 3, 3, A', A') of the fast bands
     slow: Array  # (3, A', M) coordinates on the slow modes
     turns: Array  # (T, 3, 3, A', A') of the integrated columns of quiet pieces
+    walk: Places  # (D,) columns of the slowest cosines of torque noise; none where there is none
 
     @cached_property
     def places(self) -> Entries:
-        """The same for compiled code."""
-        last = np.maximum.accumulate(self.row)[self.start[1:] - 1]
-        return Entries(self.row, self.start, last + 1, self.wheels, self.wheel_entries)
+        """The same for compiled code, torque noise's slowest cosines first, each for three axes."""
+        walks = 3 * len(self.walk)
+        row = np.r_[np.repeat(self.walk, 3), self.row]
+        start = np.r_[np.arange(walks), walks + self.start]
+        last = np.maximum.accumulate(row)[start[1:] - 1]
+        return Entries(row, start, last + 1, self.wheels, walks + self.wheel_entries)
 
 
 class OpenCounters(NamedTuple):
@@ -184,12 +194,12 @@ class TelemetryBalance:
         """The bands for compiled code."""
         nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
         slow = SlowBand(
-            self.reduced.slow, self.slow.walk, self.slow.square, nodes[0], coefficients[0]
+            self.reduced.slow, self.slow.faster, self.slow.square, nodes[0], coefficients[0]
         )
         fast = FastBands(
             np.ascontiguousarray(self.reduced.grams.transpose(0, 3, 1, 2, 4)),
             np.array([float(band.rows) for band in self.fast]),
-            np.array([band.walk.mean() for band in self.fast]),
+            np.array([band.faster.mean() for band in self.fast]),
             np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
             np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
         )
@@ -262,18 +272,19 @@ def make_balance(
             grams,
             slow_modes,
             turn_grams,
+            np.arange(layout.walk.start, layout.walk.stop),
         ),
         constant=constant / np.linalg.norm(constant),
     )
 
 
 def without_idle_columns(
-    event: TelemetryBalance, physics: Physics, thrust_n: float
+    event: TelemetryBalance, physics: Physics, thrust_n: float, *, walks: bool
 ) -> TelemetryBalance:
     """The same event without the columns whose weights vanish at every one of a few points.
 
-    ``physics`` holds parameter points in general position, (n, …). Likelihood calls cost half as
-    much without them.
+    ``physics`` holds parameter points in general position, (n, …); ``walks`` tells whether there is
+    torque noise. Likelihood calls cost half as much without idle columns.
     """
     pattern = event.pattern
     used = np.any(balance_weights(event, physics, thrust_n) != 0.0, axis=(0, 2))
@@ -282,6 +293,8 @@ def without_idle_columns(
     # in the order in which the unknowns need them: inner products are symmetric
     columns, first = np.unique(pattern.row[entries], return_index=True)
     columns = columns[np.argsort(first)]
+    if walks:
+        columns = np.r_[event.reduced.walk, columns]
     place = np.empty(len(event.reduced.slow[0]), dtype=np.int64)
     place[columns] = np.arange(len(columns))
     owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
@@ -297,6 +310,7 @@ def without_idle_columns(
         grams=np.ascontiguousarray(full.grams[..., columns[:, None], columns]),
         slow=np.ascontiguousarray(full.slow[:, columns]),
         turns=np.ascontiguousarray(full.turns[..., columns[:, None], columns]),
+        walk=place[full.walk] if walks else full.walk[:0],
     )
     return replace(event, reduced=reduced)
 
@@ -317,7 +331,7 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     reduced, nominally_open = event.reduced, event.nominally_open
     return replace(
         event,
-        fast=(replace(first, rows=rows, walk=np.zeros(1)),),
+        fast=(replace(first, rows=rows, walk=np.zeros(1), faster=np.zeros(1)),),
         reduced=replace(reduced, grams=reduced.grams.sum(axis=0, keepdims=True)),
         nominally_open=nominally_open._replace(rows=nominally_open.rows[:, :2]),
     )
@@ -506,7 +520,11 @@ class TurnNoise:
 
 
 def turn_noise(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], left_open: Array
+    event: TelemetryBalance,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    left_open: Array,
+    walked_s3: Sequence[float],
 ) -> TurnNoise:
     """Noise of the turns of quiet pieces, given the rows.
 
@@ -516,9 +534,11 @@ def turn_noise(
 
         (1 + Q) I Σ_θ Iᵀ (1 + Q)ᵀ + D + Q D,      Q = D A⁻¹
 
-    (docs/topics/telemetry-likelihood.md §5). ``left_open`` is that of :class:`OpenCounters`.
+    (docs/topics/telemetry-likelihood.md §5). ``left_open`` is that of :class:`OpenCounters`, and
+    ``walked_s3`` (T,) what of a unit random walk is in the noise of every band
+    (:class:`.TurnBand`).
     """
-    shared = _shared_turn_covariances(event, physics, parameters) + left_open
+    shared = _shared_turn_covariances(event, physics, parameters, walked_s3) + left_open
     inertia, by_rate = physics.inertia_kg_m2, physics.momentum_per_rate
     rate = np.maximum(rate_variance(event, parameters), LEAST_RATE_RAD_S**2)[:, None, None]
     of_gyro = rate * by_rate @ np.swapaxes(by_rate, -1, -2)
@@ -532,7 +552,10 @@ def turn_noise(
 
 
 def _shared_turn_covariances(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
+    event: TelemetryBalance,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    walked_s3: Sequence[float],
 ) -> Array:
     """Covariance (n, T, 3, 3) of what is in integrated rows and in turns alike, (N m s²)².
 
@@ -547,8 +570,8 @@ def _shared_turn_covariances(
     each = [
         (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])
         @ np.swapaxes(wheels, -1, -2)
-        + band.walked_s3 * by_torque
-        for band in event.turns
+        + walked * by_torque
+        for band, walked in zip(event.turns, walked_s3, strict=True)
     ]
     return np.array(each).reshape(-1, *by_torque.shape).swapaxes(0, 1)
 
@@ -608,6 +631,18 @@ def turn_weights(event: TelemetryBalance, physics: Physics, weights: Array, gain
     turned = inertia + gain @ inertia
     result[:, :, event.pattern.turns] = np.swapaxes(turned, -1, -2)
     return result
+
+
+def walk_weights(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Weights (n, 3 D, 3) of the slowest cosines of torque noise, for standard normals.
+
+    Every cosine has one unknown per axis. It is in rows and in turns alike, which as two noises
+    would seem to tell the same thing independently (docs/topics/telemetry-likelihood.md §8).
+    """
+    orders = WALK_ORDERS[: len(event.reduced.walk)]
+    scale = walk_scales(event.statistics.duration_s, len(WALK_ORDERS))[orders]
+    weights = np.multiply.outer(parameters["torque_noise_n_m_s05"], np.kron(scale, np.eye(3)).T)
+    return np.asarray(weights)
 
 
 def _measured_weights(event: TelemetryBalance, physics: Physics, wheels: Array) -> Array:

@@ -151,7 +151,8 @@ class TelemetryTerm:
     def without_idle_columns(self, points: Points) -> TelemetryTerm:
         """The same without columns that no point gives weight."""
         thrust = points.shared.thrust_prior.common_mean_n
-        balance = without_idle_columns(self.balance, self.physics(points), thrust)
+        walks = bool(np.any(points.parameters[TORQUE_NOISE] > 0.0))
+        balance = without_idle_columns(self.balance, self.physics(points), thrust, walks=walks)
         return replace(self, balance=balance)
 
     def with_bands_merged(self) -> TelemetryTerm:

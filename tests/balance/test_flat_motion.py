@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from telemetry_cases import (
     RPM,
     event_of,
+    joint_of_slews,
     made_up_samples,
     nominal_values,
     telemetry_priors,
@@ -39,20 +40,32 @@ EVENTS = 24
 NOISE = {"rate_noise_rad_s": 2e-6, "wheel_noise_rpm": 0.6, "attitude_noise_rad": 1e-5}
 
 
-def resting_slew(rng: np.random.Generator, rows: int = 120) -> Samples:
+def resting_slew(
+    rng: np.random.Generator,
+    rows: int = 120,
+    noise: Mapping[str, float] = NOISE,
+    torque_noise: float = 0.0,
+) -> Samples:
     """A slew in which the body hardly moves: its rates are below their noise.
 
-    All parameters but the noise levels are at their prior means.
+    All parameters but the noise levels are at their prior means. The momentum of white torque noise
+    is in the body's motion.
     """
     values, priors = nominal_values(), telemetry_priors()
-    rate_noise, wheel_noise, attitude_noise = NOISE.values()
-    time = 4.0 * np.arange(rows)
-    rate = 1e-6 * np.sin(np.outer(time, [0.02, 0.013, 0.03]) + 6.28 * rng.random(3))
-    turned = 2.0 * (rate[1:] + rate[:-1])
-    attitude = Rotation.from_rotvec(np.r_[np.zeros((1, 3)), np.cumsum(turned, axis=0)])
+    rate_noise, wheel_noise, attitude_noise = noise.values()
+    inertia, fine, step = inertia_tensor(values), 16, 4.0 / 16
+    every = step * np.arange(fine * (rows - 1) + 1)
+    rate = 1e-6 * np.sin(np.outer(every, [0.02, 0.013, 0.03]) + 6.28 * rng.random(3))
+    kicks = torque_noise * np.sqrt(step) * rng.standard_normal((len(every) - 1, 3))
+    gained = np.r_[np.zeros((1, 3)), np.cumsum(kicks, axis=0)]
+    rate += gained @ np.linalg.inv(inertia)
+    turned = 0.5 * step * (rate[1:] + rate[:-1])
+    turns = np.r_[np.zeros((1, 3)), np.cumsum(turned, axis=0)]
+    attitude, time = Rotation.from_rotvec(turns[::fine]), every[::fine]
+    rate, gained = rate[::fine], gained[::fine]
     weights = wheel_weights(priors.spacecraft, values)
-    total = attitude.inv().apply([5.0, -3.0, 8.0])
-    wheels = (total - rate @ inertia_tensor(values)) @ np.linalg.inv(weights).T
+    total = attitude.inv().apply([5.0, -3.0, 8.0]) + gained
+    wheels = (total - rate @ inertia) @ np.linalg.inv(weights).T
     measured = Rotation.from_rotvec(attitude_noise * rng.standard_normal((rows, 3))) * attitude
     return Samples(
         time,
@@ -90,6 +103,15 @@ def z_of_mean(found: Array) -> float:
     return float(found.mean() / found.std(ddof=1) * np.sqrt(len(found)))
 
 
+def noise_of_turns(
+    balance: TelemetryBalance, physics: Physics, values: Mapping[str, Array], thrust_n: float
+) -> TurnNoise:
+    """As a likelihood call has it."""
+    left_open = open_counters(balance, physics, thrust_n).turns
+    faster = [band.faster_s3 for band in balance.turns]
+    return turn_noise(balance, physics, values, left_open, faster)
+
+
 def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
     """Where rates and turns alone are noisy, the measure is |det I| per rate, but one, and turn."""
     priors = telemetry_priors().with_fixed("torque_noise_n_m_s05", 0.0)
@@ -104,7 +126,7 @@ def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
         values["inertia_zz_kg_m2"] *= factor
         values |= {name: np.array([value]) for name, value in slew.sampling.reference_noise}
         physics = physics_of(model.spacecraft, "B", values, fires=False)
-        by_turn = turn_noise(balance, physics, values, open_counters(balance, physics, 1.0).turns)
+        by_turn = noise_of_turns(balance, physics, values, 1.0)
         measured = log_measure(balance, physics, values, by_turn)
         logs.append((measured[0], np.linalg.slogdet(physics.inertia_kg_m2)[1][0]))
     (before, inertia), (after, larger) = logs
@@ -125,7 +147,7 @@ def test_pulses_are_no_part_of_the_measure() -> None:
         point = {name: np.array([value]) for name, value in values.items()}
         physics = physics_of(model.spacecraft, "B", point)
         left_open = open_counters(balance, physics, 0.76)
-        noise = turn_noise(balance, physics, point, left_open.turns)
+        noise = noise_of_turns(balance, physics, point, 0.76)
         unmixed = replace(noise, gain=np.zeros_like(noise.gain))
         found.append(float(log_measure(balance, physics, point, unmixed)[0]))
         rows = band_covariances(balance, physics, point, left_open.rows)
@@ -150,7 +172,9 @@ def test_the_measure_has_the_degree_of_the_rows_in_the_common_scale() -> None:
         }
         values |= {name: np.array([value]) for name, value in slew.sampling.reference_noise}
         physics = physics_of(model.spacecraft, "B", values, fires=False)
-        noise = turn_noise(balance, physics, values, open_counters(balance, physics, 1.0).turns)
+        left_open = open_counters(balance, physics, 1.0).turns
+        walked = [band.walked_s3 for band in balance.turns]
+        noise = turn_noise(balance, physics, values, left_open, walked)
         unmixed = replace(noise, gain=np.zeros_like(noise.gain))
         measures.append(float(log_measure(balance, physics, values, unmixed)[0]))
         noises.append(0.5 * np.linalg.slogdet(noise.covariance[0, 0])[1])
@@ -189,3 +213,31 @@ def test_flat_wheel_or_body_rates_draw_the_inertia(
 
     monkeypatch.setattr(cassini_bayes.balance.telemetry_system, "log_measure", measure)
     assert min(sign * z_of_mean(slopes(slews, name)) for name in MOMENTS) > 5.0
+
+
+def test_torque_noise_is_not_told_twice() -> None:
+    """Its likelihood is nearly that of rows and turns as one normal, in which they share it.
+
+    Control: the same normal with torque noise of their own in rows and in turns is four times as
+    far from it. (What is left comes of modes of rows and turns that are not quite the same.)
+    """
+    rng = np.random.default_rng(20261124)
+    noise = {"rate_noise_rad_s": 2e-6, "wheel_noise_rpm": 0.02, "attitude_noise_rad": 1e-5}
+    priors = telemetry_priors()
+    for name, value in noise.items():
+        priors = priors.with_fixed(name, value)
+    apart, twice = [], []
+    for _ in range(8):
+        slew = resting_slew(rng, 150, noise, torque_noise=7e-4)
+        model = build_model([event_of(slew, priors)], priors)
+        values = nominal_values() | noise
+        logs = []
+        for size in (2e-4, 7e-4):
+            z = model.space.to_standard(values | {"torque_noise_n_m_s05": size})[None]
+            found = values | {"torque_noise_n_m_s05": size}
+            exact, unlike = (joint_of_slews(model, found, shared=own) for own in (True, False))
+            logs.append([float(log_likelihood(model, z)[0]), exact, unlike])
+        likelihood, exact, unlike = np.diff(logs, axis=0)[0]
+        apart.append(abs(likelihood - exact))
+        twice.append(abs(unlike - exact))
+    assert np.mean(apart) < 0.25 * np.mean(twice)

@@ -70,7 +70,7 @@ def equations(
     noise = Noise(
         np.ones((1, 3, 1)), beside[None, None], np.full((1, 1, 1), 1e-12), np.zeros(1), by_turns
     )
-    placed = Placed(np.zeros(1), 1.0, np.full((1, 1), own_sd))
+    placed = Placed(0, np.zeros(1), 1.0, np.full((1, 1), own_sd))
     weights = np.ones((1, 2, 3))
     turned = np.repeat(2.0 * weights[:, None], len(turns), axis=1)
     return kernel.normal_equations(weights, turned, noise, entries, slow, fast, band, placed)
@@ -104,6 +104,20 @@ def test_noise_that_is_none_has_no_density() -> None:
     normal, log_scale, _ = equations(np.diag([1.0, 1.0, -1.0]))
     assert log_scale[0] == -np.inf
     assert not normal.any()
+
+
+def test_standard_normals_are_integrated_out_as_a_normal_is() -> None:
+    """∫ exp(−½ |y − X θ − Z ξ|²) N(ξ; 0, 1): covariance 1 + Z Zᵀ of y, for one point in density."""
+    rng = np.random.default_rng(6)
+    design = rng.standard_normal((30, 5))  # two standard normals, two others, the measured
+    normal = np.stack([design.T @ design, np.zeros((5, 5))])
+    found, log_scale = kernel.without_first(normal, 2, np.array([0.3, -np.inf]))
+    covariance = np.eye(30) + design[:, :2] @ design[:, :2].T
+    wanted = design[:, 2:].T @ np.linalg.solve(covariance, design[:, 2:])
+    assert found[0] == pytest.approx(wanted, rel=1e-9)
+    assert log_scale[0] == pytest.approx(0.3 - 0.5 * np.linalg.slogdet(covariance)[1])
+    assert log_scale[1] == -np.inf
+    assert not found[1].any()
 
 
 def test_own_unknowns_are_integrated_out_as_a_normal_is() -> None:
