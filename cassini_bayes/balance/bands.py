@@ -288,8 +288,9 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     for start, stop in pairwise([0, *inner, len(walk)]):
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
-        walks = (float(each[start:stop].mean()) for each in (walk, faster))
-        squares = (float(summed[start:stop].mean()), rounded[start:stop].mean(axis=0), *walks)
+        walked, beyond = (float(each[start:stop].mean()) for each in (walk, faster))
+        summed_s2, rounded_s2 = float(summed[start:stop].mean()), rounded[start:stop].mean(axis=0)
+        squares = (summed_s2, rounded_s2, walked, beyond)
         bands.append(TurnBand(stop - start, *squares, left_open.of_modes(start, stop)))
         grams.append(gram)
         rest = rest - gram
