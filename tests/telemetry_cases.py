@@ -818,7 +818,7 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
             piece = []
         piece.append(i + 1)
     slope_rates, slope_rows, waves, other_rates, other_rows = [], [], [], [], []
-    slope_times, ramps, slope_sums, sums = [], [], [], np.zeros(2)
+    slope_times, ramps, slope_sums, other_waves, sums = [], [], [], [], np.zeros(2)
     duration = sampling.duration_s
     pieces.append(piece)
     for piece in [own for own in pieces if len(own) >= 2]:
@@ -851,6 +851,8 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
                 for order in range(129)
             ]
         )
+        slowest = [np.cos(order * np.pi * np.array(times)[piece] / duration) for order in range(7)]
+        other_waves += list(contrast @ integral @ np.array(slowest[1:]).T)
         slope_sums.append(np.sum((slope @ integral) ** 2))
         sums += [
             np.sum((contrast @ integral) ** 2),
@@ -873,7 +875,9 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
         bands.append((share, float(summed), *walked))
     if total > count:
         rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
-        bands.append((rest, *(float(sums[i]) / (total - count) for i in (0, 1, 1))))
+        slowest = np.array(other_waves) * scale[1:7]
+        squares = [*sums, sums[1] - np.sum(slowest**2)]
+        bands.append((rest, *(float(square) / (total - count) for square in squares)))
     return PlainTurns(
         of_rates,
         np.concatenate([np.array(slope_rows), *other_rows]),
@@ -902,10 +906,10 @@ def _lacking(
 
 
 def plain_walk(times: Array, term: TelemetryTerm, cosines: int = 6) -> Array:
-    """The slowest cosines of a unit random walk at times (n, cosines), for standard normals."""
+    """What the slowest cosines of a unit random walk gained at times (n, cosines), per normal."""
     duration, order = term.event.sampling.duration_s, np.arange(1, 1 + cosines)
     scale = np.sqrt(2 * duration) / (order * np.pi)
-    return np.asarray(np.cos(np.pi * np.outer(times, order) / duration) * scale)
+    return np.asarray((np.cos(np.pi * np.outer(times, order) / duration) - 1.0) * scale)
 
 
 def plain_faster(modes: Array, size: Array, waves: Array) -> Array:

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
 from cassini_bayes.balance.rounded_wheels import WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics, Layout
-from cassini_bayes.balance.statistics.columns import WALK_ORDERS
+from cassini_bayes.balance.statistics.columns import WALK_COSINES
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.computing.arrays import Array
 
@@ -44,8 +44,8 @@ class Band:
     """Part of the row space: modes of similar frequency, or all that is faster than the modes.
 
     ``square`` (W, W) are the measured wheel rates' mean products, rad²/s²; ``walk`` (R,) or (1,)
-    are the variances of a unit random walk's modes, s, and ``faster`` those without its mean and
-    its slowest cosines, which are unknowns of the slow band.
+    are the variances of a unit random walk's modes, s, and ``faster`` what the noise has of them:
+    in the slow band all but the walk's mean and its slowest cosines, which are unknowns.
     ``motion`` is None where wheels move by any amount at all frequencies. ``left_open`` are mean
     squares of what counters leave open, and ``wheels`` those of the noise of wheel rates.
     """
@@ -239,8 +239,8 @@ class TurnBand:
     """Contrasts of turns over quiet pieces, and what beside the attitude is in their noise.
 
     Mean squares per contrast: of summed white noise, of every wheel's rounding while it rests (W,),
-    of a unit random walk and of what is faster in it (:class:`Band`), and per couple of what
-    counters leave open.
+    of a unit random walk, of it without its slowest cosines, which are unknowns, and per couple of
+    what counters leave open.
     """
 
     contrasts: int
@@ -267,7 +267,11 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
         nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
         # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
         resting = np.zeros(len(statistics.layout.wheels))
-        squares = (turns.summed_s2, resting, turns.walked_s3, turns.walked_s3)
+        own = range(statistics.layout.walk.start, statistics.layout.walk.stop)
+        scale = walk_scales(statistics.duration_s, WALK_COSINES)[1:]
+        slowest = scale**2 @ turns.gram[0, 0, own, own] / turns.contrasts
+        faster = max(turns.walked_s3 - float(slowest), 0.0)
+        squares = (turns.summed_s2, resting, turns.walked_s3, faster)
         bands.append(TurnBand(turns.contrasts, *squares, nothing))
         grams.append(turns.gram)
     return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
@@ -288,9 +292,9 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     for start, stop in pairwise([0, *inner, len(walk)]):
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
-        walked, beyond = (float(each[start:stop].mean()) for each in (walk, faster))
+        walked_s3, faster_s3 = (float(each[start:stop].mean()) for each in (walk, faster))
         summed_s2, rounded_s2 = float(summed[start:stop].mean()), rounded[start:stop].mean(axis=0)
-        squares = (summed_s2, rounded_s2, walked, beyond)
+        squares = (summed_s2, rounded_s2, walked_s3, faster_s3)
         bands.append(TurnBand(stop - start, *squares, left_open.of_modes(start, stop)))
         grams.append(gram)
         rest = rest - gram
@@ -328,9 +332,9 @@ def rounded_slopes(turns: TurnStatistics, on_modes: Array) -> tuple[Array, Array
 def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array, Array]:
     """Constant and cosines, turned to be orthonormal over the rows with a diagonal random walk.
 
-    Returns the variances (M,) of a unit random walk and of what is faster in it
-    (:class:`Band`), all columns' coordinates (3, A, M), and the matrix (1 + cosines, M) that makes
-    the modes of a constant and cosines.
+    Returns the variances (M,) of a unit random walk and of it without its mean and slowest cosines,
+    all columns' coordinates (3, A, M), and the matrix (1 + cosines, M) that makes the modes of a
+    constant and cosines.
     """
     layout, gram = statistics.layout, statistics.gram
     one = layout.one
@@ -360,15 +364,15 @@ def diagonal_walk(square: Array, duration_s: float, most: int) -> tuple[Array, A
     """Combinations of a constant and cosines that are orthonormal, with a diagonal random walk.
 
     ``square`` (1 + cosines, 1 + cosines) are inner products over rows. Returns the variances
-    (M,) over a², largest first and at most ``most`` of them, those (M,) of what is faster than the
-    slowest cosines, and the matrix (1 + cosines, M).
+    (M,) over a², largest first and at most ``most`` of them, those (M,) without the walk's mean and
+    its :data:`.WALK_COSINES` slowest cosines, and the matrix (1 + cosines, M).
     """
     scale = walk_scales(duration_s, len(square) - 1)
     values, turn = np.linalg.eigh(scale[:, None] * square * scale)
     kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][: max(most, 1)]
     values, turn = values[kept], turn[:, kept]
     turned = turn / np.sqrt(values) * scale[:, None]
-    slowest = np.r_[0, WALK_ORDERS]
+    slowest = slice(0, 1 + WALK_COSINES)
     seen = scale[slowest, None] * (square[slowest] @ turned)
     return values, np.maximum(values - (seen**2).sum(axis=0), 0.0), turned
 

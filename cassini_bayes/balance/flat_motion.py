@@ -55,7 +55,8 @@ def log_measure(
     parameters
         Noise levels, name → (n,) array, of which those of the reference are replaced.
     by_turn
-        The turns' noise at the noise levels of the points.
+        The turns' noise at the noise levels of the points. (Its torque noise lacks the slowest
+        cosines, which the likelihood has as unknowns; that of the measure is whole.)
     """
     reference = _at_reference(event, parameters, len(physics.inertia_kg_m2))
     growth = _log_det(physics.inertia_kg_m2) - event.log_inertia

@@ -46,7 +46,7 @@ class SlowBand(NamedTuple):
     """
 
     projection: Array  # (3, A', R)
-    walk: Array  # (R,) variances of a unit random walk, s
+    walk: Array  # (R,) variances of a unit random walk but for its slowest cosines, s
     square: Array
     nodes: Array
     coefficients: Array
@@ -82,11 +82,11 @@ class Noise(NamedTuple):
 class Placed(NamedTuple):
     """Priors of the unknowns, by which the slow band places them.
 
-    First come unknowns that are standard normals, of momentum too slow for the fast bands. Means
-    (P − 1,), standard deviations of thrusts (one number) and of the event's own.
+    The first ``normals`` unknowns are standard normals, of momentum too slow for the fast bands.
+    Means (P − 1,), standard deviations of thrusts (one number) and of the event's own.
     """
 
-    standardised: int
+    normals: int
     mean: Array
     thrust_sd: float
     own_sd: Array  # (n, U)
@@ -170,7 +170,7 @@ def normal_equations(
             log_determinant = _invert(covariance, other)
             if not is_told:
                 log_scale[i] -= 0.5 * fast.rows[f] * log_determinant
-            _contract(fast.grams[f], entries, used, other, placed.standardised, normal[i])
+            _contract(fast.grams[f], entries, used, other, placed.normals, normal[i])
     for t in range(turns.contrasts.size):
         for i in range(n):
             log_determinant = _invert(noise.turns[i, t], other)
@@ -218,6 +218,9 @@ def without_first(
                 precision[u, v] = normal[i, u, v]
             precision[u, u] += 1.0
         scale[i] -= 0.5 * _factor(precision, factor)
+        if not np.isfinite(scale[i]):
+            result[i], scale[i] = 0.0, -np.inf
+            continue
         for u in range(count):
             for a in range(left):
                 coupling[u, a] = normal[i, u, count + a]
@@ -557,7 +560,7 @@ def _place(
     thrusters = unknowns - placed.own_sd.shape[1]
     sd, at = np.empty(unknowns), np.empty(unknowns)
     for k in range(unknowns):
-        if k < placed.standardised:
+        if k < placed.normals:
             sd[k] = 1.0
         else:
             sd[k] = placed.thrust_sd if k < thrusters else placed.own_sd[point, k - thrusters]
@@ -574,7 +577,7 @@ def _place(
     _solve(factor, at)
     _solve_transposed(factor, at)
     lacking[:] = 0.0
-    for k in range(placed.standardised, unknowns + 1):
+    for k in range(placed.normals, unknowns + 1):
         sign = -1.0 if k == unknowns else placed.mean[k] + sd[k] * at[k]
         for b in range(entries.start[k], entries.start[k + 1]):
             for c in range(3):

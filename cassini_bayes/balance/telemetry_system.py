@@ -37,7 +37,8 @@ class EventSystem:
     """Normal equations of one telemetry event at a batch of points, the noise whitened away.
 
     ``normal`` (n, P, P) are inner products over all rows of the columns of the unknowns, the
-    measured momentum last; ``log_scale`` (n,) gathers every determinant. The priors of the initial
+    measured momentum last, slow torque noise integrated out; ``log_scale`` (n,) gathers every
+    determinant. The priors of the initial
     momentum, torque and cut tails are N(own_mean, own_sd²).
     """
 
@@ -84,17 +85,17 @@ def event_system(
         parameters["torque_noise_n_m_s05"] ** 2,
         by_turn.covariance,
     )
-    standardised = walk.shape[1]
-    mean = np.r_[np.zeros(standardised), np.full(k, thrust_n), own_mean]
-    placed = Placed(standardised, mean, _THRUST_SPREAD * thrust_n, own_sd)
+    normals = walk.shape[1]
+    mean = np.r_[np.zeros(normals), np.full(k, thrust_n), own_mean]
+    placed = Placed(normals, mean, _THRUST_SPREAD * thrust_n, own_sd)
     used = np.concatenate([walk, weights[:, reduced.entries]], axis=1)
     turned = turn_weights(event, physics, weights, by_turn.gain)[:, :, reduced.entries]
     by_band = np.broadcast_to(walk[:, None], (n, turned.shape[1], *walk.shape[1:]))
     normal, log_scale, kept = normal_equations(
         used, np.concatenate([by_band, turned], axis=2), noise, reduced.places, *event.bands, placed
     )
-    if standardised > 0:
-        normal, log_scale = without_first(normal, standardised, log_scale)
+    if normals > 0:
+        normal, log_scale = without_first(normal, normals, log_scale)
     log_scale += log_measure(event, physics, parameters, by_turn)
     # of the channels' densities: rates and wheels of every row, turns of every contrast
     contrasts = sum(band.contrasts for band in event.turns)

@@ -25,7 +25,7 @@ from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import (
     CUT_COLUMNS,
-    WALK_ORDERS,
+    WALK_COSINES,
     LostTails,
     lost_tails,
     quarter_of,
@@ -328,10 +328,12 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     if event.statistics.steps.wheel_rad_s > 0.0:  # rounding, too, differs by band
         return event
     first, rows = event.fast[0], sum(band.rows for band in event.fast)
+    # of the measure, whose reference noise may have torque noise
+    walk = np.array([sum(band.rows * band.walk.mean() for band in event.fast) / rows])
     reduced, nominally_open = event.reduced, event.nominally_open
     return replace(
         event,
-        fast=(replace(first, rows=rows, walk=np.zeros(1), faster=np.zeros(1)),),
+        fast=(replace(first, rows=rows, walk=walk, faster=walk),),
         reduced=replace(reduced, grams=reduced.grams.sum(axis=0, keepdims=True)),
         nominally_open=nominally_open._replace(rows=nominally_open.rows[:, :2]),
     )
@@ -524,7 +526,7 @@ def turn_noise(
     physics: Physics,
     parameters: Mapping[str, Array],
     left_open: Array,
-    walked_s3: Sequence[float],
+    torque_s3: Sequence[float],
 ) -> TurnNoise:
     """Noise of the turns of quiet pieces, given the rows.
 
@@ -535,10 +537,10 @@ def turn_noise(
         (1 + Q) I Σ_θ Iᵀ (1 + Q)ᵀ + D + Q D,      Q = D A⁻¹
 
     (docs/topics/telemetry-likelihood.md §5). ``left_open`` is that of :class:`OpenCounters`, and
-    ``walked_s3`` (T,) what of a unit random walk is in the noise of every band
+    ``torque_s3`` (T,) what of a unit random walk is in the noise of every band
     (:class:`.TurnBand`).
     """
-    shared = _shared_turn_covariances(event, physics, parameters, walked_s3) + left_open
+    shared = _shared_turn_covariances(event, physics, parameters, torque_s3) + left_open
     inertia, by_rate = physics.inertia_kg_m2, physics.momentum_per_rate
     rate = np.maximum(rate_variance(event, parameters), LEAST_RATE_RAD_S**2)[:, None, None]
     of_gyro = rate * by_rate @ np.swapaxes(by_rate, -1, -2)
@@ -555,7 +557,7 @@ def _shared_turn_covariances(
     event: TelemetryBalance,
     physics: Physics,
     parameters: Mapping[str, Array],
-    walked_s3: Sequence[float],
+    torque_s3: Sequence[float],
 ) -> Array:
     """Covariance (n, T, 3, 3) of what is in integrated rows and in turns alike, (N m s²)².
 
@@ -571,7 +573,7 @@ def _shared_turn_covariances(
         (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])
         @ np.swapaxes(wheels, -1, -2)
         + walked * by_torque
-        for band, walked in zip(event.turns, walked_s3, strict=True)
+        for band, walked in zip(event.turns, torque_s3, strict=True)
     ]
     return np.array(each).reshape(-1, *by_torque.shape).swapaxes(0, 1)
 
@@ -639,8 +641,8 @@ def walk_weights(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Ar
     Every cosine has one unknown per axis. It is in rows and in turns alike, which as two noises
     would seem to tell the same thing independently (docs/topics/telemetry-likelihood.md §8).
     """
-    orders = WALK_ORDERS[: len(event.reduced.walk)]
-    scale = walk_scales(event.statistics.duration_s, len(WALK_ORDERS))[orders]
+    cosines = WALK_COSINES if len(event.reduced.walk) > 0 else 0
+    scale = walk_scales(event.statistics.duration_s, cosines)[1:]
     weights = np.multiply.outer(parameters["torque_noise_n_m_s05"], np.kron(scale, np.eye(3)).T)
     return np.asarray(weights)
 

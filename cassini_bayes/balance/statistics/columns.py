@@ -6,10 +6,10 @@ In body axes at time t, with R(t, t') the rotation from body axes at t' to those
 
 (paper 000 eqs. 4-7 and 15-17 in inertial form). Scalar columns stand for one column per axis:
 ω_x, ω_y, ω_z, 1, ρ_1 … ρ_W, and the turns of the attitude, which only the balance integrated over
-quiet pieces has (:mod:`.turns`; zero in rows), and the slowest cosines of a random walk. Vector
-columns have three components at each time: R e_j for the initial momentum, ∫R e_j dt for a steady
-torque, ∫R e_j ds_k for thruster k. The effective on-time s depends on the pulse parameters, by the
-columns of :mod:`.pulse_columns`.
+quiet pieces has (:mod:`.turns`; zero in rows), and the slowest cosines of a random walk, less 1.
+Vector columns have three components at each time: R e_j for the initial momentum, ∫R e_j dt for a
+steady torque, ∫R e_j ds_k for thruster k. The effective on-time s depends on the pulse parameters,
+by the columns of :mod:`.pulse_columns`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
 # The slowest cosines of torque noise are unknowns: rows and turns see them alike. With five times
 # the usual torque noise the seventh has a fiftieth of the noise of real rates, in ten minutes.
-WALK_ORDERS = np.arange(1, 7)
+WALK_COSINES = 6
 USUAL_SHARE = 0.3  # of close pairs: the mean of the shipped priors
 LEAST_PAIR_S2 = 1e-12  # (1 µs)²: where no tail is cut, unlike widths are all that scatters
 LEAST_FALL_S = 1e-4  # a valve that closes at once: nothing of its thrust is left a cycle later
@@ -183,7 +183,7 @@ class Layout:
                 for part in ("mean", *range(CUT_PARTS))
             ),
             *(f"pulses:{name}" for name in self.thrusters),
-            *(f"walk:{order}" for order in WALK_ORDERS),
+            *(f"walk:{order}" for order in range(1, 1 + WALK_COSINES)),
             *self.extra,
         )
 
@@ -239,8 +239,8 @@ class Layout:
 
     @property
     def walk(self) -> slice:
-        """The slowest cosines of a random walk of the momentum."""
-        return slice(self.pulse_count.stop, self.pulse_count.stop + len(WALK_ORDERS))
+        """What the slowest cosines of a random walk have gained since the event began."""
+        return slice(self.pulse_count.stop, self.pulse_count.stop + WALK_COSINES)
 
     @property
     def extra_place(self) -> slice:
@@ -421,7 +421,7 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
             np.zeros((n, 3)),
             cuts[index],
             context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0)),
-            np.cos(np.pi / sampling.duration_s * context.time_s[:, None] * WALK_ORDERS),
+            _walk(context.time_s, sampling.duration_s),
             *(extra.values(context)[:, None] for extra in sampling.extra),
         ],
         axis=1,
@@ -434,6 +434,12 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
         torque=torque[-1],
     )
     return Rows(time[keep], vector, scalar, body), after
+
+
+def _walk(time_s: Array, duration_s: float) -> Array:
+    """The cosines cos(m π t/T) − 1, (n, :data:`WALK_COSINES`)."""
+    order = np.arange(1, 1 + WALK_COSINES)
+    return np.asarray(np.cos(np.pi / duration_s * time_s[:, None] * order) - 1.0)
 
 
 class _Counted:
