@@ -155,7 +155,7 @@ def rotation(q: Array) -> Array:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlainRows:
     """What the balance needs, row by row."""
 
@@ -182,27 +182,9 @@ class PlainRows:
 
     def steps_of(self, couple: int, part: int, sampling: Sampling) -> list[PlainStep]:
         """What may step in the momentum of a couple, in one part of the event."""
-        found: dict[float, PlainStep] = {}
-        pulses = plain_pulses(sampling, sampling.pulse_reference_s)
-        delay, rise, fall = sampling.pulse_reference_s
-        some = [
-            plain_pulses(sampling, (delay, a * rise, b * fall))
-            for a in np.linspace(0.6, 1.4, 9)
-            for b in np.linspace(0.2, 2, 7)
-        ]
-        for time, own, number in self.pairs:
-            if own == couple:
-                found[time] = PlainStep(time, number, number, None)
-        for time, own, firing in self.firings:
-            mean = firing.seconds / firing.count
-            scatter = pulses.scatter(mean, firing.count)
-            most = max(one.scatter(mean, firing.count) for one in some) if own == couple else 0.0
-            if max(most, scatter) >= 4e-10 and own == couple:
-                pairs = found[time].pairs if time in found else 0.0
-                size = pairs + scatter / plain_pair(sampling)
-                found[time] = PlainStep(time, pairs, size, firing)
         parts = PARTS / sampling.duration_s
-        return [step for t, step in sorted(found.items()) if min(int(parts * t), PARTS - 1) == part]
+        steps = plain_steps(self, couple, sampling)
+        return [step for step in steps if min(int(parts * step.time), PARTS - 1) == part]
 
 
 @dataclass(frozen=True)
@@ -221,6 +203,33 @@ class PlainStep:
             mean = self.unlike.seconds / self.unlike.count
             result += pulses.scatter(mean, self.unlike.count)
         return result
+
+
+@lru_cache(maxsize=512)
+def plain_steps(rows: PlainRows, couple: int, sampling: Sampling) -> list[PlainStep]:
+    """What may step in the momentum of a couple, in order of time."""
+    found: dict[float, PlainStep] = {}
+    pulses = plain_pulses(sampling, sampling.pulse_reference_s)
+    delay, rise, fall = sampling.pulse_reference_s
+    some = [
+        plain_pulses(sampling, (delay, a * rise, b * fall))
+        for a in np.linspace(0.6, 1.4, 9)
+        for b in np.linspace(0.2, 2, 7)
+    ]
+    for time, own, number in rows.pairs:
+        if own == couple:
+            found[time] = PlainStep(time, number, number, None)
+    for time, own, firing in rows.firings:
+        if own != couple:
+            continue
+        mean = firing.seconds / firing.count
+        scatter = pulses.scatter(mean, firing.count)
+        most = max(one.scatter(mean, firing.count) for one in some)
+        if max(most, scatter) >= 4e-10:
+            pairs = found[time].pairs if time in found else 0.0
+            size = pairs + scatter / plain_pair(sampling)
+            found[time] = PlainStep(time, pairs, size, firing)
+    return [step for _, step in sorted(found.items())]
 
 
 def plain_pair(sampling: Sampling) -> float:
@@ -303,6 +312,7 @@ class PlainPulses:
         long = min(sampling.widths_s, default=0.0) >= 0.12
         self.nodes = [float(np.median(sampling.widths_s))] if long else list(WIDTHS_S)
         self.known: dict[float, float] = {}
+        self.scattered: dict[tuple[float, float], float] = {}
 
     @cached_property
     def at_nodes(self) -> Array:
@@ -365,6 +375,8 @@ class PlainPulses:
 
     def scatter(self, width: float, count: float) -> float:
         """Variance of the sum about that: of what is not linear in the widths."""
+        if (width, count) in self.scattered:
+            return self.scattered[width, count]
         result = 0.0
         if not self.alike(width, count):
             chance = np.sqrt(self.chances(width))
@@ -372,6 +384,7 @@ class PlainPulses:
             each = np.array([self.fitted(one) for one in self.usual])
             fit = np.linalg.lstsq(chance[:, None] * linear, chance * each, rcond=None)[0]
             result += count * float(np.sum((chance * (each - linear @ fit)) ** 2))
+        self.scattered[width, count] = result
         return result
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
-from cassini_bayes.balance.telemetry_terms import CONTROL_CYCLE_S, cut_probability
+from cassini_bayes.balance.telemetry_balance import CONTROL_CYCLE_S, cut_probability
 from speed import plain
 from speed.wheel_motion import fast_motion, mean_walk, slow_motion
 

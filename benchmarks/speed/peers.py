@@ -20,7 +20,7 @@ import numpy as np
 import scipy.special
 import scipy.stats
 
-from cassini_bayes.balance.telemetry_terms import INITIAL_SD_N_M_S, cut_tail_sd
+from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, cut_tail_sd
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.posterior import log_posterior

@@ -22,7 +22,7 @@ from cassini_bayes.balance.physics import INERTIA_PARAMETERS
 from cassini_bayes.balance.statistics import Carry, Samples, settle
 from cassini_bayes.balance.statistics.columns import CUT_PARTS
 from cassini_bayes.balance.statistics.reduction import MODES
-from cassini_bayes.balance.telemetry_terms import (
+from cassini_bayes.balance.telemetry_balance import (
     CONTROL_CYCLE_S,
     INITIAL_SD_N_M_S,
     TelemetryBalance,

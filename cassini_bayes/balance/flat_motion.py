@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.telemetry_terms import (
-    TelemetryBalance,
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
     band_wheel_variances,

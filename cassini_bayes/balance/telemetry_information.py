@@ -14,18 +14,16 @@ from numpy.typing import NDArray
 
 from cassini_bayes.balance.bands import Band, TurnBand
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.telemetry_terms import (
-    TelemetryBalance,
-    balance_weights,
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
     covariance_beside_wheels,
     noise_covariance,
     open_counters,
     turn_noise,
-    turn_weights,
-    walk_weights,
     wheel_variance,
 )
+from cassini_bayes.balance.telemetry_weights import balance_weights, turn_weights, walk_weights
 from cassini_bayes.computing.arrays import Array
 
 

@@ -2,7 +2,7 @@
 
 The likelihood is that of the measured channels with the true wheel rates as latent variables:
 docs/topics/telemetry-likelihood.md §2 and §3. Columns and weights are those of
-:mod:`cassini_bayes.balance.telemetry_terms`.
+:mod:`cassini_bayes.balance.telemetry_weights`.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ import numpy as np
 from cassini_bayes.balance.flat_motion import log_measure
 from cassini_bayes.balance.kernel import Noise, Placed, normal_equations, without_first
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.telemetry_terms import (
-    TelemetryBalance,
-    balance_weights,
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
     band_wheel_variances,
     open_counters,
-    own_prior,
     turn_noise,
+)
+from cassini_bayes.balance.telemetry_weights import (
+    balance_weights,
+    own_prior,
     turn_weights,
     walk_weights,
 )

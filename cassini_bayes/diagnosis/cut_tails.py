@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.open_counters import patterns_at, step_variances
-from cassini_bayes.balance.telemetry_terms import open_scales
+from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 

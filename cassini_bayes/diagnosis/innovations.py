@@ -16,12 +16,9 @@ import numpy as np
 
 from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away
 from cassini_bayes.balance.statistics.columns import Layout, Rows
-from cassini_bayes.balance.telemetry_terms import (
-    INITIAL_SD_N_M_S,
-    TelemetryBalance,
-    balance_weights,
-    noise_covariance,
-)
+from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, TelemetryBalance
+from cassini_bayes.balance.telemetry_noise import noise_covariance
+from cassini_bayes.balance.telemetry_weights import balance_weights
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.unresolved import unresolved

@@ -38,15 +38,15 @@ from cassini_bayes.balance.physics import (
     delta_v_variance,
     physics_of,
 )
-from cassini_bayes.balance.telemetry_information import row_information
-from cassini_bayes.balance.telemetry_system import EventSystem, event_system
-from cassini_bayes.balance.telemetry_terms import (
+from cassini_bayes.balance.telemetry_balance import (
     INITIAL_SD_N_M_S,
     TelemetryBalance,
     make_balance,
     merged_bands,
-    without_idle_columns,
 )
+from cassini_bayes.balance.telemetry_information import row_information
+from cassini_bayes.balance.telemetry_system import EventSystem, event_system
+from cassini_bayes.balance.telemetry_weights import without_idle_columns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import ReducedEvent

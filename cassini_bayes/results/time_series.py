@@ -1,6 +1,6 @@
 """The momentum balance of telemetry row by row: measured, predicted, noise, and what is left.
 
-The columns and weights are those of the likelihood (:mod:`cassini_bayes.balance.telemetry_terms`),
+The columns and weights are those of the likelihood (:mod:`~cassini_bayes.balance.telemetry_weights`),
 at posterior draws. An event with thrusters shows the momentum gained, ``I ω + H_w − R h0``, against
 what thrusters and torque delivered; one without shows the body's own momentum ``I ω`` against what
 is left of the conserved total, ``R h0 + ∫ torque − H_w``. The residual is the same in both.
@@ -18,12 +18,9 @@ import pandas as pd
 from cassini_bayes.balance.open_counters import OpenScales, patterns_at, step_variances
 from cassini_bayes.balance.statistics import Carry, Samples, settle
 from cassini_bayes.balance.statistics.columns import Rows
-from cassini_bayes.balance.telemetry_terms import (
-    TelemetryBalance,
-    balance_weights,
-    noise_covariance,
-    open_scales,
-)
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_noise import noise_covariance, open_scales
+from cassini_bayes.balance.telemetry_weights import balance_weights
 from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model

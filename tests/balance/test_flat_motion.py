@@ -23,8 +23,8 @@ import cassini_bayes.balance.telemetry_system
 from cassini_bayes.balance.flat_motion import log_measure
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.telemetry_terms import (
-    TelemetryBalance,
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
     open_counters,

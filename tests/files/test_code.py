@@ -12,7 +12,7 @@ from cassini_bayes.files import code
 def test_a_likelihood_is_reached_with_its_compiled_part() -> None:
     """Repetitions of telemetry depend on kernel, terms and parameters; not on pages and figures."""
     reached = code.reached("studies.telemetry_calibration")
-    assert {"balance.kernel", "balance.telemetry_terms", "spacecraft.parameters"} <= reached
+    assert {"balance.kernel", "balance.telemetry_balance", "spacecraft.parameters"} <= reached
     assert {"simulation.kernel", "priors.quantiles", "sampling.warmstart"} <= reached
     assert not any(name.split(".")[0] in ("report", "cli") for name in reached)
 

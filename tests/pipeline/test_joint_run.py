@@ -13,7 +13,7 @@ import pytest
 from event_cases import PRIORS, events, model, priors, simulated
 from test_run import Silent
 
-from cassini_bayes.balance.telemetry_terms import INITIAL_SD_N_M_S
+from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals, write_totals
 from cassini_bayes.model import collapse, draw, event_log_density

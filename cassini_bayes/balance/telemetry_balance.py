@@ -1,0 +1,372 @@
+"""The angular-momentum balance of one telemetry event, ready for likelihood calls.
+
+Per row, in body axes,
+
+    I ω + T I_w ρ − R h0 − Σ_k F_k q_k s_k − τ D = noise.
+
+Here are the pattern of its columns and unknowns, its bands and Gram matrices. Columns are those of
+:mod:`cassini_bayes.balance.statistics.columns`; what makes momentum of them is in
+:mod:`.telemetry_weights`, their noise in :mod:`.telemetry_noise`, the normal equations in
+:mod:`.telemetry_system`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
+from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
+from cassini_bayes.balance.physics import Physics, physics_of
+from cassini_bayes.balance.rounded_wheels import WheelSquares
+from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
+from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, quarter_of
+from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
+from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.spacecraft import Spacecraft
+
+INITIAL_SD_N_M_S: Final = 10.0  # flat: wheels known to 1 % have 0.3
+
+
+@dataclass(frozen=True)
+class EventUnknowns:
+    """Places of one telemetry event's unknowns: K thrusts, then the event's own.
+
+    Its own are the initial momentum (3), the steady torque (3) and the S cut tails (of a part of
+    the event, unlike pulses as well); after all of them the normal equations have the measured
+    momentum. ``first`` is the place of the first one.
+    """
+
+    thrusters: int
+    cuts: int
+    first: int = 0
+
+    @property
+    def thrusts(self) -> slice:
+        """The K thrusts."""
+        return slice(self.first, self.first + self.thrusters)
+
+    @property
+    def initial(self) -> slice:
+        """The initial momentum."""
+        return slice(self.thrusts.stop, self.thrusts.stop + 3)
+
+    @property
+    def torque(self) -> slice:
+        """The steady external torque."""
+        return slice(self.initial.stop, self.initial.stop + 3)
+
+    @property
+    def tails(self) -> slice:
+        """The cut tails."""
+        return slice(self.torque.stop, self.torque.stop + self.cuts)
+
+    @property
+    def own(self) -> slice:
+        """All but the thrusts."""
+        return slice(self.initial.start, self.tails.stop)
+
+    @property
+    def measured(self) -> int:
+        """The measured momentum, in the normal equations."""
+        return int(self.tails.stop)
+
+    def at(self, first: int) -> EventUnknowns:
+        """The event's own unknowns alone, from another place on."""
+        return EventUnknowns(0, self.cuts, first)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Which columns enter which unknown: entries in order of owner (:class:`EventUnknowns`).
+
+    The other fields are places among the entries: by what a thrust acts, wheel rates and turns.
+    """
+
+    row: Places
+    start: Places
+    thrusters: int
+    cuts: tuple[int, ...]  # places among the columns of cut tails that are not all zero
+    cut_pairs: Array  # (S,) pairs that may be close in what they stand for
+    cut_unlike: Array  # (S, C, C) and what unlike pulses scatter in it, s²
+    fired: Places  # (3 C K,) of C pulse columns
+    pulses: Places  # (K,)
+    lost: Places  # (L,) tails that are cut on average
+    lost_by: Places  # (L,) the thruster
+    members: Array  # (S, K) ones where a thruster is of the couple whose tails may have been cut
+    brought: tuple[tuple[int, int, str], ...]  # columns of effects: entry, thruster, name
+    wheels: Places  # (W,)
+    turns: Places  # (3,) turns of the attitude
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The part of the Gram matrices that can have weight: a lever arm may be zero by design.
+
+    ``entries`` are the places of the pattern's entries that are ever used, ``columns`` the columns
+    of the layout that are left; ``row`` and ``start`` are the pattern for these.
+    """
+
+    entries: Places
+    columns: Places  # (A',)
+    row: Places
+    start: Places
+    wheels: Places  # (W,) columns of the wheel rates
+    wheel_entries: Places  # (W,) places among the entries
+    grams: Array  # (F, 3, 3, A', A') of the fast bands
+    slow: Array  # (3, A', M) coordinates on the slow modes
+    turns: Array  # (T, 3, 3, A', A') of the integrated columns of quiet pieces
+    walk: Places  # (D,) columns of the slowest cosines of torque noise; none where there is none
+
+    @cached_property
+    def places(self) -> Entries:
+        """The same for compiled code, torque noise's slowest cosines first, each for three axes."""
+        walks = 3 * len(self.walk)
+        row = np.r_[np.repeat(self.walk, 3), self.row]
+        start = np.r_[np.arange(walks), walks + self.start]
+        last = np.maximum.accumulate(row)[start[1:] - 1]
+        return Entries(row, start, last + 1, self.wheels, walks + self.wheel_entries)
+
+
+class OpenCounters(NamedTuple):
+    """Covariance of tails and on-times that counters leave open, in each band."""
+
+    rows: Array  # (n, 1 + F, 3, 3), (N m s)²
+    turns: Array  # (n, T, 3, 3), (N m s²)²
+
+
+NOTHING_OPEN: Final = OpenCounters(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3, 3)))
+
+
+@dataclass(frozen=True)
+class TelemetryBalance:
+    """One telemetry event, ready for likelihood calls.
+
+    ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`), ``turns``
+    the turns of the attitude over its quiet pieces.
+    ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
+    is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
+    is a constant of unit length on the slow modes; ``log_unit``, ``log_inertia`` (log |det I| at
+    the prior means) and ``nominally_open``, what counters leave open there, belong to the measure
+    of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
+    """
+
+    statistics: EventStatistics
+    sampling: Sampling
+    pattern: Pattern
+    wheel_places: tuple[int, ...]
+    slow: Band
+    fast: tuple[Band, ...]
+    turns: tuple[TurnBand, ...]
+    initial_mean_n_m_s: Array
+    spin: Array
+    wheels: WheelSquares  # over all rows
+    reduced: Reduced
+    constant: Array
+    log_unit: float = 0.0
+    log_inertia: float = 0.0
+    nominally_open: OpenCounters = NOTHING_OPEN
+
+    @property
+    def id(self) -> str:
+        """Name of the event."""
+        return self.statistics.event_id
+
+    @cached_property
+    def extra(self) -> tuple[str, ...]:
+        """Names of the columns that effects brought and that act on their own."""
+        return tuple(name for name in self.statistics.layout.extra if "@" not in name)
+
+    @cached_property
+    def bands(self) -> tuple[SlowBand, FastBands, Turns]:
+        """The bands for compiled code."""
+        nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
+        slow = SlowBand(
+            self.reduced.slow, self.slow.faster, self.slow.square, nodes[0], coefficients[0]
+        )
+        fast = FastBands(
+            np.ascontiguousarray(self.reduced.grams.transpose(0, 3, 1, 2, 4)),
+            np.array([float(band.rows) for band in self.fast]),
+            np.array([band.faster.mean() for band in self.fast]),
+            np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
+            np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
+        )
+        turns = np.ascontiguousarray(self.reduced.turns.transpose(0, 3, 1, 2, 4))
+        return slow, fast, Turns(turns, np.array([float(own.contrasts) for own in self.turns]))
+
+    @property
+    def fires(self) -> bool:
+        """Whether the event has thrusters that fired."""
+        return self.pattern.thrusters > 0
+
+    def wheel_weights(self, physics: Physics) -> Array:
+        """Momentum (..., 3, W) of the event's wheels per rad/s."""
+        return physics.wheel_weights[..., list(self.wheel_places)]
+
+    @property
+    def unknowns(self) -> EventUnknowns:
+        """Places of the event's unknowns."""
+        return EventUnknowns(self.pattern.thrusters, len(self.pattern.cuts))
+
+
+def make_balance(
+    statistics: EventStatistics,
+    sampling: Sampling,
+    spacecraft: Spacecraft,
+    nominal: Mapping[str, float],
+) -> TelemetryBalance:
+    """Prepare one event: everything that does not change during a fit.
+
+    ``nominal`` are parameter values good to some percent (prior means): they centre the wide prior
+    of the initial momentum and scale the attitude noise.
+    """
+    layout = statistics.layout
+    numbers = [wheel.number for wheel in spacecraft.wheels]
+    places = tuple(numbers.index(number) for number in layout.wheels)
+    gram, rows = statistics.gram, statistics.rows
+    physics = physics_of(
+        spacecraft, "", {name: np.asarray(value) for name, value in nominal.items()}, fires=False
+    )
+    inertia, wheels = physics.inertia_kg_m2, physics.wheel_weights[:, list(places)]
+    scalars = np.concatenate([inertia, np.zeros((3, 1)), wheels], axis=1)
+    span = slice(layout.rate.start, layout.wheel.stop)
+    squares = scalars @ (gram[0, 0, span, span] / rows) @ scalars.T
+    start = np.linalg.lstsq(
+        _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
+    )[0]
+    slow, fast, slow_modes, grams, of_wheels = make_bands(statistics)
+    turns, turn_grams = turn_bands(statistics)
+    pattern = _pattern(statistics)
+    everything = np.arange(len(pattern.row))
+    constant = slow_modes[0, layout.one]
+    return TelemetryBalance(
+        statistics=statistics,
+        sampling=sampling,
+        pattern=pattern,
+        wheel_places=places,
+        slow=slow,
+        fast=fast,
+        turns=turns,
+        initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
+        spin=np.trace(squares) * np.eye(3) - squares,
+        wheels=of_wheels,
+        reduced=Reduced(
+            everything,
+            np.arange(slow_modes.shape[1]),
+            pattern.row,
+            pattern.start,
+            np.arange(layout.wheel.start, layout.wheel.stop),
+            pattern.wheels,
+            grams,
+            slow_modes,
+            turn_grams,
+            np.arange(layout.walk.start, layout.walk.stop),
+        ),
+        constant=constant / np.linalg.norm(constant),
+    )
+
+
+def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
+    """The same event with its fast bands as one, if they differ only in torque noise.
+
+    For models without torque noise: where all that the wheels show is motion, as in slews, rows of
+    all frequencies have the same weights and the same covariance.
+    """
+    if len(event.fast) < 2 or any(band.motion is not None for band in event.fast):
+        return event
+    if any(band.left_open for band in event.fast):  # slower than the rows: unlike in every band
+        return event
+    if event.statistics.steps.wheel_rad_s > 0.0:  # rounding, too, differs by band
+        return event
+    first, rows = event.fast[0], sum(band.rows for band in event.fast)
+    # of the measure, whose reference noise may have torque noise
+    walk = np.array([sum(band.rows * band.walk.mean() for band in event.fast) / rows])
+    reduced, nominally_open = event.reduced, event.nominally_open
+    return replace(
+        event,
+        fast=(replace(first, rows=rows, walk=walk, faster=walk),),
+        reduced=replace(reduced, grams=reduced.grams.sum(axis=0, keepdims=True)),
+        nominally_open=nominally_open._replace(rows=nominally_open.rows[:, :2]),
+    )
+
+
+def _initial_gram(statistics: EventStatistics) -> Array:
+    first = statistics.layout.initial
+    return np.asarray(sum(statistics.gram[c, c, first, first] for c in range(3)))
+
+
+def _initial_target(statistics: EventStatistics, scalars: Array, span: slice) -> Array:
+    first = statistics.layout.initial
+    return np.asarray(sum(statistics.gram[c, c, first, span] @ scalars[c] for c in range(3)))
+
+
+def _pattern(statistics: EventStatistics) -> Pattern:
+    layout = statistics.layout
+    cuts = tuple(int(place) for place in np.flatnonzero(statistics.cuts > 0))
+    entries: list[list[int]] = []
+    lost: list[tuple[int, int]] = []
+    brought: list[tuple[int, int, str]] = []
+    per_thruster = 3 * len(PULSE_COLUMNS)
+    for k, name in enumerate(layout.thrusters):
+        first = layout.fired.start + per_thruster * k
+        couple = next(g for g, members in enumerate(layout.couples) if k in members)
+        own = [layout.cut.start + p for p in cuts if divmod(p, CUT_COLUMNS) == (couple, 0)]
+        count = layout.pulse_count.start + k
+        after = sum(map(len, entries)) + per_thruster + 1
+        lost += [(after + i, k) for i in range(len(own))]
+        added = _owned(layout, name)
+        brought += [(after + len(own) + i, k, column) for i, column in enumerate(added)]
+        entries.append([*range(first, first + per_thruster), count, *own, *added.values()])
+    entries += [[column] for column in range(layout.torque.stop)]
+    entries += [[layout.cut.start + place] for place in cuts]
+    measured = [*range(layout.rate.start, layout.turn.stop)]
+    torque = range(layout.torque.start, layout.torque.stop)
+    entries.append([*measured, *torque, *_owned(layout, "").values()])
+    start = np.cumsum([0, *map(len, entries)]).astype(np.int64)
+    thrusters = len(layout.thrusters)
+    members = np.zeros((len(cuts), thrusters))
+    for i, place in enumerate(cuts):
+        members[i, list(layout.couples[place // CUT_COLUMNS])] = 1.0
+    places = np.array(lost, dtype=np.int64).reshape(-1, 2)
+    pairs, unlike = _of_cut_columns(statistics, cuts)
+    return Pattern(
+        row=np.array([column for own in entries for column in own]),
+        start=start,
+        thrusters=thrusters,
+        cuts=cuts,
+        cut_pairs=pairs,
+        cut_unlike=unlike,
+        fired=(start[:thrusters, None] + np.arange(per_thruster)).ravel(),
+        pulses=start[:thrusters] + per_thruster,
+        lost=places[:, 0],
+        lost_by=places[:, 1],
+        members=members,
+        brought=tuple(brought),
+        wheels=start[-2] + 4 + np.arange(len(layout.wheels)),
+        turns=start[-2] + 4 + len(layout.wheels) + np.arange(3),
+    )
+
+
+def _of_cut_columns(statistics: EventStatistics, cuts: Sequence[int]) -> tuple[Array, Array]:
+    """Pairs (S,) and scatter of unlike pulses (S, C, C) that columns of cut tails stand for."""
+    counters, size = statistics.counters, len(PULSE_COLUMNS)
+    part = quarter_of(counters.end_s, statistics.duration_s)
+    pairs, unlike = np.zeros(len(cuts)), np.zeros((len(cuts), size, size))
+    for i, (couple, column) in enumerate(divmod(place, CUT_COLUMNS) for place in cuts):
+        own = part == column - 1 if column > 0 else np.ones(len(part), dtype=bool)
+        pairs[i] = counters.weight[own, couple].sum()
+        unlike[i] = counters.unlike[own, couple].sum(axis=0)
+    return pairs, unlike
+
+
+def _owned(layout: Layout, thruster: str) -> dict[str, int]:
+    """Extra columns that act through a thruster's thrust (named ``what@thruster``), or the rest."""
+    return {
+        name: layout.extra_place.start + i
+        for i, name in enumerate(layout.extra)
+        if name.partition("@")[2] == thruster
+    }

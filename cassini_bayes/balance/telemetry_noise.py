@@ -1,0 +1,207 @@
+"""Noise of a telemetry event's balance: in rows by band, in turns, and what counters leave open.
+
+Derivations: docs/topics/telemetry-likelihood.md §3, §5 and §7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.balance.bands import Band, TurnBand
+from cassini_bayes.balance.open_counters import OpenScales
+from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
+from cassini_bayes.balance.statistics.columns import LostTails, lost_tails
+from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
+from cassini_bayes.balance.telemetry_balance import OpenCounters, TelemetryBalance
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
+
+LEAST_RATE_RAD_S: Final = 1e-9  # noise that no gyro goes below: without any, turns have no say
+
+
+def noise_covariance(
+    event: TelemetryBalance,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    kept: Array | None = None,
+) -> Array:
+    """Covariance (n, 3, 3) of the white noise of a row's balance, (N m s)².
+
+    ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
+    estimated.
+    """
+    wheels = event.wheel_weights(physics)
+    left = wheels if kept is None else wheels @ kept
+    noise = wheel_variance(event, parameters)[:, None, :]
+    other = covariance_beside_wheels(event, physics, parameters)
+    return np.asarray(other + (left * noise) @ np.swapaxes(wheels, -1, -2))
+
+
+def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Variance (n, W) of a measured wheel rate, its rounding included, rad²/s²."""
+    return _wheel_variances(event, parameters, event.wheels)
+
+
+def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Variance (n,) of a measured body rate, its rounding included, rad²/s²."""
+    rounding = event.statistics.steps.rate_rad_s**2 / 12.0
+    return np.asarray(parameters["rate_noise_rad_s"] ** 2 + rounding)
+
+
+def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Variance (n, 1 + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
+    each = [_wheel_variances(event, parameters, b.wheels) for b in (event.slow, *event.fast)]
+    return np.ascontiguousarray(np.stack(each, axis=1))
+
+
+def _wheel_variances(
+    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
+) -> Array:
+    """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
+    noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
+    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
+    share = _lasting_share(event, parameters)
+    white = (noise**2 + rounding) * squares.moving + squares.seen
+    return np.asarray(white + rounding * share[:, None] * squares.lasting)
+
+
+def _lasting_share(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Share (n,) of the rounding of wheel rates that lasts; without steps there is none."""
+    step, noise = event.statistics.steps.wheel_rad_s, parameters["wheel_noise_rpm"]
+    return lasting_share(noise * RAD_S_PER_RPM / step) if step > 0.0 else np.zeros_like(noise)
+
+
+def covariance_beside_wheels(
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
+) -> Array:
+    """Covariance (n, 3, 3) of what rates and attitudes put into a row, (N m s)²."""
+    by_rate = physics.momentum_per_rate
+    rate = rate_variance(event, parameters)[:, None, None]
+    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
+    return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * event.spin)
+
+
+def band_covariances(
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], left_open: Array
+) -> Array:
+    """Covariance (n, 1 + F, 3, 3) in every band but for wheels and torque noise, (N m s)².
+
+    What counters leave open is slower than the rows: ``left_open`` (:class:`OpenCounters`) differs
+    by band.
+    """
+    white = covariance_beside_wheels(event, physics, parameters)
+    return np.ascontiguousarray(white[:, None] + left_open)
+
+
+@dataclass(frozen=True)
+class TurnNoise:
+    """What turns of quiet pieces say once the rows are known, by band (n, T, 3, 3).
+
+    ``gain`` is Q = D A⁻¹, of the covariance D of what rates and turns see alike and that A of the
+    gyro's own noise; ``covariance``, (N m s²)², is that of the balance of the turns with Q times
+    the momentum by which turns and gyro differ (:func:`turn_weights`).
+    """
+
+    gain: Array
+    covariance: Array
+
+
+def turn_noise(
+    event: TelemetryBalance,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    left_open: Array,
+    torque_s3: Sequence[float],
+) -> TurnNoise:
+    """Noise of the turns of quiet pieces, given the rows.
+
+    A contrast of the integrated rows has the noise a + d, of the gyro and of all that is shared;
+    that of the turns θ + d. Given the former, the latter is θ + d − A-weighted guess of d: its
+    balance plus Q times turn less gyro has the covariance
+
+        (1 + Q) I Σ_θ Iᵀ (1 + Q)ᵀ + D + Q D,      Q = D A⁻¹
+
+    (docs/topics/telemetry-likelihood.md §5). ``left_open`` is that of :class:`OpenCounters`, and
+    ``torque_s3`` (T,) what of a unit random walk is in the noise of every band
+    (:class:`.TurnBand`).
+    """
+    shared = _shared_turn_covariances(event, physics, parameters, torque_s3) + left_open
+    inertia, by_rate = physics.inertia_kg_m2, physics.momentum_per_rate
+    rate = np.maximum(rate_variance(event, parameters), LEAST_RATE_RAD_S**2)[:, None, None]
+    of_gyro = rate * by_rate @ np.swapaxes(by_rate, -1, -2)
+    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
+    of_turns = (attitude * inertia @ np.swapaxes(inertia, -1, -2))[:, None]
+    summed = np.array([band.summed_s2 for band in event.turns])[:, None, None]
+    gain = shared @ np.linalg.inv(of_gyro)[:, None] / summed
+    more = np.eye(3) + gain
+    covariance = more @ of_turns @ np.swapaxes(more, -1, -2) + more @ shared
+    return TurnNoise(gain, np.ascontiguousarray(covariance))
+
+
+def _shared_turn_covariances(
+    event: TelemetryBalance,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    torque_s3: Sequence[float],
+) -> Array:
+    """Covariance (n, T, 3, 3) of what is in integrated rows and in turns alike, (N m s²)².
+
+    But for what counters leave open.
+    """
+    wheels = event.wheel_weights(physics)
+    white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
+    noise = _wheel_variances(event, parameters, white)
+    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
+    lasting = rounding * _lasting_share(event, parameters)[:, None]
+    by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
+    each = [
+        (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])
+        @ np.swapaxes(wheels, -1, -2)
+        + walked * by_torque
+        for band, walked in zip(event.turns, torque_s3, strict=True)
+    ]
+    return np.array(each).reshape(-1, *by_torque.shape).swapaxes(0, 1)
+
+
+def open_counters(event: TelemetryBalance, physics: Physics, thrust_n: float) -> OpenCounters:
+    """Covariances of tails and on-times that counters leave open, at n points."""
+    n = len(physics.inertia_kg_m2)
+    bands: Sequence[Band | TurnBand] = (event.slow, *event.fast, *event.turns)
+    result = np.zeros((n, len(bands), 3, 3))
+    if event.fires and any(band.left_open for band in bands):
+        scales = open_scales(event, physics, thrust_n)
+        across = np.swapaxes(scales.torque_n_m, -1, -2)
+        for place, band in enumerate(bands):
+            own = band.left_open
+            square = scales.variance_s2(own.pairs, own.columns)
+            result[:, place] = (scales.torque_n_m * square[:, None]) @ across
+    of_rows = 1 + len(event.fast)
+    return OpenCounters(result[:, :of_rows], result[:, of_rows:])
+
+
+def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> OpenScales:
+    """Torques of couples, what pairs scatter, and weights of pulse columns."""
+    n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
+    if not event.fires:
+        nothing = LostTails(np.zeros(n), np.zeros(n))
+        return OpenScales(np.zeros((n, 3, 0)), nothing, np.zeros((n, len(PULSE_COLUMNS))))
+    arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
+    together = [arms[..., list(own)].sum(-1) for own in couples]
+    rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
+    gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
+    pulse = event.sampling.pulses.weights(physics.tau_s)
+    return OpenScales(
+        thrust_n * np.stack(together, axis=-1),
+        lost_tails(gaps, rise, fall, share),
+        np.broadcast_to(pulse, (n, pulse.shape[-1])),
+    )
+
+
+def close_share(physics: Physics, n: int) -> Array:
+    """Share (n,) of close pulses, which widened priors may take out of its bounds."""
+    return np.asarray(np.clip(np.broadcast_to(physics.close_share, (n,)), 0.0, 1.0))
