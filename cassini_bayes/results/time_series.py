@@ -1,9 +1,10 @@
 """The momentum balance of telemetry row by row: measured, predicted, noise, and what is left.
 
-The columns and weights are those of the likelihood (:mod:`~cassini_bayes.balance.telemetry_weights`),
-at posterior draws. An event with thrusters shows the momentum gained, ``I ω + H_w − R h0``, against
-what thrusters and torque delivered; one without shows the body's own momentum ``I ω`` against what
-is left of the conserved total, ``R h0 + ∫ torque − H_w``. The residual is the same in both.
+The columns and weights are those of the likelihood
+(:mod:`cassini_bayes.balance.telemetry_weights`), at posterior draws. An event with thrusters shows
+the momentum gained, ``I ω + H_w − R h0``, against what thrusters and torque delivered; one without
+shows the body's own momentum ``I ω`` against what is left of the conserved total,
+``R h0 + ∫ torque − H_w``. The residual is the same in both.
 """
 
 from __future__ import annotations
