@@ -1,9 +1,9 @@
-"""How fast telemetry is fitted: from data to effective draws, against five other samplers.
+"""How fast telemetry is fitted: from data to effective draws, against four other samplers.
 
 Ratios in one run, as a page with tables and a figure. Parts that are finished are kept
-(``--parts``), so that a run can be taken up again or one part repeated: delete its file. The other
-samplers (benchmarks/README.md) may be missing; then they are left out. Everything runs on one core;
-times are processor time where a busy machine would spoil wall time, and say so.
+(``--parts``), so that a run can be taken up again or one part repeated: delete its file. Of the
+other samplers (benchmarks/README.md) those that are not installed are left out. Everything runs on
+one core; times are processor time where a busy machine would spoil wall time, and say so.
 """
 
 from __future__ import annotations
@@ -22,21 +22,16 @@ from typing import Any
 
 import numpy as np
 from speed import own, page, reduction
-from speed.problem import (
-    ROOT,
-    event_folders,
-    model_of,
-    reduced_events,
-)
+from speed.peers import PEERS, peer_row
+from speed.problem import ROOT, event_folders, reduced_events
 
 from cassini_bayes import __version__
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.files.storage import write_text
 
 Row = dict[str, Any]
-NEEDED = ("jax", "numpyro", "dynesty", "nautilus", "zeus")
 LONG = ("reduction-long", "reduction-file")  # minutes each, so kept until asked for again
-PACKAGES = ("emcee", "zeus-mcmc", "numpyro", "jax", "dynesty", "nautilus-sampler", "numpy")
+PACKAGES = ("emcee", "zeus-mcmc", "dynesty", "nautilus-sampler", "numpy")
 
 
 def main() -> None:
@@ -105,21 +100,15 @@ def parts(folders: list[Path], options: argparse.Namespace) -> dict[str, Callabl
         scratch = options.parts / "scratch"
         chosen["reduction-long"] = lambda: [reduction.reduce_row(folders[0], 10**8)]
         chosen["reduction-file"] = lambda: [reduction.file_row(folders[-1], 1e10, scratch)]
+    missing = [name for name in PEERS if importlib.util.find_spec(name) is None]
+    if missing:
+        print(f"not installed, left out (benchmarks/README.md): {', '.join(missing)}")
     for noise in (True, False):
         suffix = "noise" if noise else "white"
         chosen[f"own-{suffix}"] = partial(own_part, folders, noise, options)
-        if any(importlib.util.find_spec(name) is None for name in NEEDED):
-            print("other samplers are not all installed (benchmarks/README.md): left out")
-            continue
-        from speed.peers import PEERS
-
-        chosen[f"same-{suffix}"] = partial(same_part, folders, noise)
-        for fast in (True, False):
-            for i, name in enumerate(PEERS):
-                form = "fast" if fast else "plain"
-                chosen[f"peer-{suffix}-{form}-{i}"] = partial(
-                    peer_part, name, fast, noise, folders, options
-                )
+        for name in PEERS:
+            if name not in missing:
+                chosen[f"peer-{suffix}-{name}"] = partial(peer_part, name, noise, folders, options)
     return chosen
 
 
@@ -136,23 +125,11 @@ def reference_path(folder: Path, noise: bool) -> Path:
 
 
 def peer_part(
-    name: str, fast: bool, noise: bool, folders: list[Path], options: argparse.Namespace
+    name: str, noise: bool, folders: list[Path], options: argparse.Namespace
 ) -> list[Row]:
-    """One other sampler on one form of the posterior."""
-    from speed.peers import peer_row
-
+    """One other sampler on the same posterior."""
     reference = np.load(reference_path(options.parts, noise))
-    return [peer_row(name, fast, noise, folders, options.budget, reference)]
-
-
-def same_part(folders: list[Path], noise: bool) -> list[Row]:
-    """How well the plain likelihood and the JAX copies agree with ours."""
-    from speed import plain
-    from speed.checks import largest_difference
-
-    events = reduced_events(folders[:1], noise)
-    problem = plain.make_problem(model_of(events, noise), events[0])
-    return [{"torque_noise": noise, **largest_difference(problem)}]
+    return [peer_row(name, noise, folders, options.budget, reference)]
 
 
 def samples_part(folders: list[Path], quick: bool) -> list[Row]:

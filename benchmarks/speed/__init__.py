@@ -1,1 +1,1 @@
-"""Parts of ``telemetry_speed.py``: the problem, the plain likelihood, other samplers, the page."""
+"""Parts of ``telemetry_speed.py``: the problem, own times, other samplers, the page."""

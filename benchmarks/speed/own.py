@@ -105,7 +105,6 @@ def sampler_row(folders: list[Path], torque_noise: bool) -> tuple[Row, Array]:
     enough = clock.enough or (np.nan, np.nan)
     row = {
         "sampler": "cassini_bayes (emcee)",
-        "likelihood": "fast",
         "torque_noise": torque_noise,
         "dimensions": d,
         "warm_start_s": warm_s,
