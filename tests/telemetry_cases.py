@@ -864,8 +864,8 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
                 for order in range(129)
             ]
         )
-        slowest = [np.cos(order * np.pi * np.array(times)[piece] / duration) for order in range(7)]
-        other_waves += list(contrast @ integral @ np.array(slowest[1:]).T)
+        slowest = np.cos(np.outer(np.array(times)[piece], np.arange(1, 7)) * np.pi / duration)
+        other_waves += list(contrast @ integral @ slowest)
         slope_sums.append(np.sum((slope @ integral) ** 2))
         sums += [
             np.sum((contrast @ integral) ** 2),
@@ -888,8 +888,7 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
         bands.append((share, float(summed), *walked))
     if total > count:
         rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
-        slowest = np.array(other_waves) * scale[1:7]
-        squares = [*sums, sums[1] - np.sum(slowest**2)]
+        squares = [*sums, sums[1] - np.sum((np.array(other_waves) * scale[1:7]) ** 2)]
         bands.append((rest, *(float(square) / (total - count) for square in squares)))
     return PlainTurns(
         of_rates,

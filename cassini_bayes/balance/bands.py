@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
 from cassini_bayes.balance.rounded_wheels import WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics, Layout
-from cassini_bayes.balance.statistics.columns import WALK_COSINES
+from cassini_bayes.balance.statistics.columns import WALK_COSINES, cosines
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.computing.arrays import Array
 
@@ -89,7 +89,7 @@ def _bands(statistics: EventStatistics) -> Bands:
     walk, faster, modes, turned = turned_modes(statistics)
     counters = statistics.counters
     time = counters.row_time_s
-    waves = np.cos(np.pi / statistics.duration_s * time[:, None] * np.arange(len(turned)))
+    waves = cosines(time, statistics.duration_s, len(turned))
     places, on_modes = Places(time, waves, counters.stride), waves @ turned
     left_open = open_modes(statistics, places, on_modes)
     step = statistics.steps.wheel_rad_s

@@ -199,7 +199,7 @@ def without_first(
     normal, log_scale
         (n, P, P) and (n,), as :func:`normal_equations` returns them.
     count
-        C of the unknowns, at least one.
+        C of the unknowns.
 
     Returns
     -------

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.bands import Band, TurnBand
+from cassini_bayes.balance.kernel import without_first
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
@@ -70,7 +71,7 @@ def row_information(
     for band, gram, estimate, own in bands:
         weights = balance_weights(event, physics, _scale(event, mean), estimate[None])
         slow = walk if gram is None else np.zeros_like(walk)
-        columns = np.r_[_columns(event, weights, mean, own_sd, levels, step), slow]
+        columns = np.r_[slow, _columns(event, weights, mean, own_sd, levels, step)]
         noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
         total = total + _whitened(event, band, gram, columns, noise, nominal)
     weights = balance_weights(event, physics, _scale(event, mean))
@@ -82,9 +83,9 @@ def row_information(
     bands_of_turns = zip(event.turns, event.reduced.turns, by_turn.covariance[0], strict=True)
     for place, (turn, gram, noise) in enumerate(bands_of_turns):
         own = _columns(event, turned[:, place], mean, own_sd, levels, step)
-        columns = np.r_[own, walk]
+        columns = np.r_[walk, own]
         total = total + _of_turns(event, turn, gram, columns, noise, nominal)
-    total = _without_last(np.asarray(total), len(walk))
+    (total,), _ = without_first(np.asarray(total)[None], len(walk), np.zeros(1))
     # noise that happens to be less than it is taken for leaves less than nothing of a regressor
     values, vectors = np.linalg.eigh(total)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
@@ -96,16 +97,6 @@ def _walk_columns(event: TelemetryBalance, nominal: Mapping[str, Array]) -> Arra
     columns = np.zeros((*weights.shape, event.reduced.slow.shape[1]))
     columns[np.arange(len(weights)), :, np.repeat(event.reduced.walk, 3)] = weights
     return columns
-
-
-def _without_last(information: Array, count: int) -> Array:
-    """The information on all but the last unknowns, standard normals beforehand."""
-    if count == 0:
-        return information
-    rest, last = slice(0, -count), slice(-count, None)
-    mixed = information[rest, last]
-    own = information[last, last] + np.eye(count)
-    return np.asarray(information[rest, rest] - mixed @ np.linalg.solve(own, mixed.T))
 
 
 def _noise_seen(event: TelemetryBalance, parameters: Mapping[str, Array]) -> dict[str, Array]:

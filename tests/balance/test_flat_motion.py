@@ -104,12 +104,17 @@ def z_of_mean(found: Array) -> float:
 
 
 def noise_of_turns(
-    balance: TelemetryBalance, physics: Physics, values: Mapping[str, Array], thrust_n: float
+    balance: TelemetryBalance,
+    physics: Physics,
+    values: Mapping[str, Array],
+    thrust_n: float,
+    *,
+    whole: bool = False,
 ) -> TurnNoise:
-    """As a likelihood call has it."""
+    """As a likelihood call has it, or with the whole of the torque noise."""
     left_open = open_counters(balance, physics, thrust_n).turns
-    faster = [band.faster_s3 for band in balance.turns]
-    return turn_noise(balance, physics, values, left_open, faster)
+    walked = [band.walked_s3 if whole else band.faster_s3 for band in balance.turns]
+    return turn_noise(balance, physics, values, left_open, walked)
 
 
 def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
@@ -172,9 +177,7 @@ def test_the_measure_has_the_degree_of_the_rows_in_the_common_scale() -> None:
         }
         values |= {name: np.array([value]) for name, value in slew.sampling.reference_noise}
         physics = physics_of(model.spacecraft, "B", values, fires=False)
-        left_open = open_counters(balance, physics, 1.0).turns
-        walked = [band.walked_s3 for band in balance.turns]
-        noise = turn_noise(balance, physics, values, left_open, walked)
+        noise = noise_of_turns(balance, physics, values, 1.0, whole=True)
         unmixed = replace(noise, gain=np.zeros_like(noise.gain))
         measures.append(float(log_measure(balance, physics, values, unmixed)[0]))
         noises.append(0.5 * np.linalg.slogdet(noise.covariance[0, 0])[1])

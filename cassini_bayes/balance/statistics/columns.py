@@ -421,7 +421,7 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
             np.zeros((n, 3)),
             cuts[index],
             context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0)),
-            _walk(context.time_s, sampling.duration_s),
+            cosines(context.time_s, sampling.duration_s, 1 + WALK_COSINES)[:, 1:] - 1.0,
             *(extra.values(context)[:, None] for extra in sampling.extra),
         ],
         axis=1,
@@ -436,10 +436,9 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
     return Rows(time[keep], vector, scalar, body), after
 
 
-def _walk(time_s: Array, duration_s: float) -> Array:
-    """The cosines cos(m π t/T) − 1, (n, :data:`WALK_COSINES`)."""
-    order = np.arange(1, 1 + WALK_COSINES)
-    return np.asarray(np.cos(np.pi / duration_s * time_s[:, None] * order) - 1.0)
+def cosines(time_s: Array, duration_s: float, count: int) -> Array:
+    """The cosines cos(m π t/T), m = 0 … M − 1, at times (n,): (n, M)."""
+    return np.asarray(np.cos(np.pi / duration_s * time_s[:, None] * np.arange(count)))
 
 
 class _Counted:

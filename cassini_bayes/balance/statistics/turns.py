@@ -24,7 +24,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.columns import Layout, Rows
+from cassini_bayes.balance.statistics.columns import Layout, Rows, cosines
 from cassini_bayes.computing.arrays import Array, Flags
 
 LONGEST_S: Final = 32.0  # of a piece: by then attitudes tell its rate to 4e-7 rad/s
@@ -141,8 +141,7 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
     flat = np.concatenate([rows.vector.reshape(n, -1), rows.scalar], axis=1)
     turn = slice(layout.turn.start + 2 * vectors, layout.turn.stop + 2 * vectors)
     wheel = slice(layout.wheel.start + 2 * vectors, layout.wheel.stop + 2 * vectors)
-    order = np.arange(SLOPE_WAVES + 1)
-    times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, len(order)))]
+    times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, SLOPE_WAVES + 1))]
     resting = [np.zeros((0, len(layout.wheels)))]
     rest = [np.zeros((0, flat.shape[1]))]
     of_slopes: list[float] = []
@@ -154,7 +153,7 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
         own = _integral(time, flat[start:stop])
         turns = turns_between(rows.cosines[start:stop])
         own[:, turn] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
-        cosines = _integral(time, np.cos(np.pi / duration_s * time[:, None] * order))
+        gained = _integral(time, cosines(time, duration_s, SLOPE_WAVES + 1))
         summed = _integral(time, np.eye(len(time)))
         walked = summed @ (np.sqrt(np.diff(time)) * np.tri(len(time), len(time) - 1, -1))
         ramp = time - time.mean()
@@ -163,7 +162,7 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
         shown = flat[start:stop, wheel]
         resting.append(np.where(np.ptp(shown, axis=0) == 0.0, shown[:1], np.nan))
         slopes.append(ramp[None] @ own)
-        waves.append(ramp[None] @ cosines)
+        waves.append(ramp[None] @ gained)
         rest.append(_without_slope(own, ramp))
         contrasts += stop - start - 2
         of_slopes.append(float(((ramp @ summed) ** 2).sum()))
