@@ -28,6 +28,7 @@ EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, th
 # The same of slopes of quiet pieces. The first mode is a constant, which the initial momentum takes
 # up: the next ones hold most of what is known of torque noise.
 SLOPE_EDGES: Final = (1, 2, 4, 8, 32)
+FEW_SLOPES: Final = 8  # modes of slopes that cost less one by one than as Gram matrices
 ROWS_PER_MODE: Final = 2  # with as many modes as rows nothing is left that is faster than all
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
@@ -251,17 +252,19 @@ class TurnBand:
     left_open: OpenSquares  # each times s²
 
 
-def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array]:
+def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array, Array]:
     """Slopes of the quiet pieces by frequency, then the rest; and their Gram matrices.
 
     Torque noise and what counters leave open are slow, so that slopes are told apart by modes as
-    rows are (:func:`turned_modes`). Returns the bands and (T, 3, 3, A, A).
+    rows are (:func:`turned_modes`). Returns the bands, their (T, 3, 3, A, A), and the columns'
+    coordinates (3, A, M) on the first modes, of whole bands with few modes.
     """
     turns = statistics.turns
     bands: list[TurnBand] = []
     grams: list[Array] = []
+    modes = np.zeros((*turns.gram.shape[1:3], 0))
     if turns.pieces > 0:
-        bands, grams = _slope_bands(statistics)
+        bands, grams, modes = _slope_bands(statistics)
     if turns.contrasts > 0:
         couples, size = statistics.counters.slopes.shape[1:]
         nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
@@ -274,10 +277,11 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
         squares = (turns.summed_s2, resting, turns.walked_s3, faster)
         bands.append(TurnBand(turns.contrasts, *squares, nothing))
         grams.append(turns.gram)
-    return tuple(bands), np.array(grams).reshape(len(bands), *turns.gram.shape)
+    grams_of_all = np.array(grams).reshape(len(bands), *turns.gram.shape)
+    return tuple(bands), grams_of_all, np.ascontiguousarray(modes)
 
 
-def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array]]:
+def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array], Array]:
     turns = statistics.turns
     walk, faster, turned = diagonal_walk(turns.slope_mode_gram, statistics.duration_s, turns.pieces)
     modes = np.tensordot(turns.slope_projection, turned, (0, 0))
@@ -307,7 +311,7 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
         squares = (float(max(beyond_summed / rows, least)), left, walked, walked)
         bands.append(TurnBand(rows, *squares, left_open.of_rest(rows)))
         grams.append(rest)
-    return bands, grams
+    return bands, grams, modes[..., :FEW_SLOPES]
 
 
 def rounded_slopes(turns: TurnStatistics, on_modes: Array) -> tuple[Array, Array]:

@@ -1,8 +1,9 @@
 """Normal equations of a telemetry event at a batch of parameter points, compiled.
 
-Columns combine into P new ones per axis, y_c,k(t) = Σ_a w[a, k, c] C_c,a(t); what the likelihood
-needs are the inner products of these under the noise of every band. The weights are sparse: entry b
-says that column ``row[b]`` enters the new column that ``start`` gives it to. Point by point all
+Columns combine into P new ones per axis, y_c,k(t) = Σ_b w[b, c] C_c,b(t), over the columns b that
+are of new column k; what the likelihood needs are the inner products of these under the noise of
+every band. Each of the B columns is of one new column: where several are made of the same, it is
+there as often. Point by point all
 that belongs to one stays in the processor's cache, and other threads may work on other points.
 
 Linear algebra on three or four wheels is written out: calls of LAPACK from
@@ -25,17 +26,11 @@ _TURNED: Final = 1e-15  # of the geometric mean of two diagonal elements
 
 
 class Entries(NamedTuple):
-    """Which columns enter which new column, and where measured wheel rates are.
+    """Which columns are of which new column: of k those from ``start[k]`` to ``start[k + 1]``."""
 
-    ``row`` (B',) is the column of every entry; entries of new column k are ``start[k]`` to
-    ``start[k + 1]``, in columns below ``reach[k]``, as are those of the new columns before it.
-    """
-
-    row: Places
-    start: Places
-    reach: Places
-    wheels: Places  # (W,) columns
-    wheel_entries: Places  # (W,) entries
+    start: Places  # (P + 1,)
+    wheels: Places  # (W,) measured wheel rates
+    turned: Places  # (V,) what integrated columns weigh in their own way
 
 
 class SlowBand(NamedTuple):
@@ -45,7 +40,7 @@ class SlowBand(NamedTuple):
     (T,) and coefficients (4, T − 1, 2); none where nothing is said of the wheels' motion.
     """
 
-    projection: Array  # (3, A', R)
+    projection: Array  # (3, B, R)
     walk: Array  # (R,) variances of a unit random walk but for its slowest cosines, s
     square: Array
     nodes: Array
@@ -55,7 +50,7 @@ class SlowBand(NamedTuple):
 class FastBands(NamedTuple):
     """F bands of Gram matrices; tables as for the slow one."""
 
-    grams: Array  # (F, A', 3, 3, A'): what an entry needs lies together
+    grams: Array  # (F, B, 3, 3, B): what a column needs lies together
     rows: Array  # (F,)
     walk: Array  # (F,) s
     nodes: Array  # (F, T)
@@ -63,9 +58,15 @@ class FastBands(NamedTuple):
 
 
 class Turns(NamedTuple):
-    """T bands of integrated columns, white noise in each."""
+    """T bands of integrated columns, white noise in each.
 
-    grams: Array  # (T, A', 3, 3, A')
+    The first S have few modes and are given by columns' coordinates on these, of band t those from
+    ``first[t]`` to ``first[t + 1]``; the others by Gram matrices.
+    """
+
+    projection: Array  # (3, B, M)
+    first: Places  # (S + 1,)
+    grams: Array  # (T − S, B, 3, 3, B)
     contrasts: Array  # (T,)
 
 
@@ -108,9 +109,9 @@ def normal_equations(
     Parameters
     ----------
     weights
-        (n, B', 3) weight of every entry per axis; those of measured wheel rates are overwritten.
+        (n, B, 3) weight of every column per axis; those of measured wheel rates are overwritten.
     turned
-        (n, T, B', 3) the same for integrated columns, by band.
+        (n, T, V, 3) those of integrated columns, by band, where they are others.
     noise, entries, slow, fast, turns, placed
         See there.
 
@@ -123,16 +124,17 @@ def normal_equations(
     """
     n, width, wheels = len(weights), entries.start.size - 1, noise.wheels.shape[2]
     size, modes, bands = slow.projection.shape[1], slow.walk.size, fast.rows.size
+    most = max(modes, turns.projection.shape[2])
     normal, log_scale = np.zeros((n, width, width)), np.empty(n)
     kept, lacking = np.empty((n, 1 + bands, wheels, wheels)), np.empty((n, 3, size))
     seen, products = np.empty((3, wheels)), np.empty((3 + wheels, 3 + wheels))
     other, covariance, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    gain, on_modes = np.empty((3, modes)), np.empty((width, 3 * modes))
+    gain, on_modes = np.empty((3, most)), np.empty((width, 3 * most))
     is_told = slow.nodes.size > 0
     for i in range(n):
         used, own = weights[i], noise.wheels[i]
         log_scale[i] = _slow_wheels(slow, noise.wheel[i, 0], kept[i, 0])
-        _see(own, kept[i, 0], entries.wheel_entries, used, seen)
+        _see(own, kept[i, 0], entries.wheels, used, seen)
         _add_wheels(noise.beside[i, 0], noise.wheel[i, 0], seen, own, covariance)
         _diagonalise(covariance, axes)
         for e in range(3):
@@ -140,7 +142,7 @@ def normal_equations(
                 variance = covariance[e, e] + noise.walk[i] * slow.walk[m]
                 gain[e, m] = 1.0 / variance
                 log_scale[i] -= 0.5 * np.log(variance)
-        _add_modes(slow.projection, entries, used, axes, gain, on_modes, normal[i])
+        _add_modes(slow.projection, 0, modes, entries, used, axes, gain, on_modes, normal[i])
         if is_told and bands > 0:
             _place(entries, used, normal[i], placed, i, lacking[i])
     # band by band, so that one band's Gram matrices stay in the cache
@@ -165,17 +167,37 @@ def normal_equations(
                 )
             else:
                 _set_one(kept[i, 1 + f])
-            _see(own, kept[i, 1 + f], entries.wheel_entries, used, seen)
+            _see(own, kept[i, 1 + f], entries.wheels, used, seen)
             _add_wheels(other, noise.wheel[i, 1 + f], seen, own, covariance)
             log_determinant = _invert(covariance, other)
             if not is_told:
                 log_scale[i] -= 0.5 * fast.rows[f] * log_determinant
             _contract(fast.grams[f], entries, used, other, placed.normals, normal[i])
+    by_modes = turns.first.size - 1
+    for i in range(n):
+        for j in range(wheels):
+            for c in range(3):
+                weights[i, entries.wheels[j], c] = noise.wheels[i, c, j]
     for t in range(turns.contrasts.size):
         for i in range(n):
-            log_determinant = _invert(noise.turns[i, t], other)
-            log_scale[i] -= 0.5 * turns.contrasts[t] * log_determinant
-            _contract(turns.grams[t], entries, turned[i, t], other, 0, normal[i])
+            used = weights[i]
+            for v in range(entries.turned.size):
+                for c in range(3):
+                    used[entries.turned[v], c] = turned[i, t, v, c]
+            if t >= by_modes:
+                log_determinant = _invert(noise.turns[i, t], other)
+                log_scale[i] -= 0.5 * turns.contrasts[t] * log_determinant
+                _contract(turns.grams[t - by_modes], entries, used, other, 0, normal[i])
+                continue
+            start, count = turns.first[t], turns.first[t + 1] - turns.first[t]
+            covariance[:] = noise.turns[i, t]
+            _diagonalise(covariance, axes)
+            for e in range(3):
+                log_scale[i] -= 0.5 * turns.contrasts[t] * np.log(covariance[e, e])
+                gain[e, :count] = 1.0 / covariance[e, e]
+            _add_modes(
+                turns.projection, start, count, entries, used, axes, gain, on_modes, normal[i]
+            )
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):
@@ -317,7 +339,7 @@ def without_own(
 def _see(
     own: Array, kept: Array, places: Places, used: Array, seen: Array
 ) -> None:  # pragma: no cover - compiled
-    """Momentum (3, W) per measured wheel rate, also as weights (B', 3) of their entries."""
+    """Momentum (3, W) per measured wheel rate, also among the weights (B, 3)."""
     wheels = own.shape[1]
     for c in range(3):
         for j in range(wheels):
@@ -512,6 +534,8 @@ def estimated_wheels(
 @compiled_sums
 def _add_modes(
     projection: Array,
+    first: int,
+    modes: int,
     entries: Entries,
     used: Array,
     axes: Array,
@@ -519,11 +543,11 @@ def _add_modes(
     seen: Array,
     normal: Array,
 ) -> None:  # pragma: no cover - compiled
-    """Add the slow modes' inner products to the lower triangle (P, P).
+    """Add the inner products of some modes, from the ``first`` on, to the lower triangle (P, P).
 
     Σ_m,e gain_m,e Y_m,e,k Y_m,e,l with Y_m,e,k = Σ_c axes_c,e Σ_t φ_m(t) y_c,k(t).
     """
-    width, modes = entries.start.size - 1, projection.shape[2]
+    width = entries.start.size - 1
     body, scaled = np.empty((3, modes)), np.empty(3 * modes)
     for k in range(width):
         body[:] = 0.0
@@ -532,9 +556,9 @@ def _add_modes(
                 weight = used[b, c]
                 if weight == 0.0:
                     continue
-                line = projection[c, entries.row[b]]
+                line = projection[c, b]
                 for m in range(modes):
-                    body[c, m] += weight * line[m]
+                    body[c, m] += weight * line[first + m]
         for e in range(3):
             for m in range(modes):
                 value = axes[0, e] * body[0, m] + axes[1, e] * body[1, m] + axes[2, e] * body[2, m]
@@ -551,7 +575,7 @@ def _add_modes(
 def _place(
     entries: Entries, used: Array, normal: Array, placed: Placed, point: int, lacking: Array
 ) -> None:  # pragma: no cover - compiled
-    """Column weights (3, A') of the momentum that all but the wheels leaves to them.
+    """Column weights (3, B) of the momentum that all but the wheels leaves to them.
 
     Unknowns are taken where the slow band (lower triangle ``normal``) and their priors have them:
     good enough to tell how much the wheels move at higher frequencies.
@@ -581,7 +605,7 @@ def _place(
         sign = -1.0 if k == unknowns else placed.mean[k] + sd[k] * at[k]
         for b in range(entries.start[k], entries.start[k + 1]):
             for c in range(3):
-                lacking[c, entries.row[b]] += sign * used[b, c]
+                lacking[c, b] = sign * used[b, c]
     for place in entries.wheels:
         for c in range(3):
             lacking[c, place] = 0.0
@@ -591,7 +615,7 @@ def _place(
 def _moments(
     gram: Array, places: Places, weights: Array, rows: float, out: Array
 ) -> None:  # pragma: no cover - compiled
-    """Mean products (3 + W, 3 + W) of a vector column, of weights (3, A'), and scalar columns."""
+    """Mean products (3 + W, 3 + W) of a vector column, of weights (3, B), and scalar columns."""
     size = gram.shape[0]
     for c in range(3):
         for d in range(c + 1):
@@ -625,26 +649,34 @@ def _contract(
 ) -> None:  # pragma: no cover - compiled
     """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to the lower triangle (P, P).
 
-    Only columns from the ``first`` on are in the band.
+    Only new columns from the ``first`` on are in the band.
     """
-    start, row = entries.start, entries.row
-    gathered = np.empty((3, gram.shape[0]))
+    start, size = entries.start, gram.shape[0]
+    by_axis, gathered, products = np.empty((3, size)), np.empty((3, size)), np.empty(size)
+    for b in range(size):
+        for c in range(3):
+            by_axis[c, b] = used[b, c]
     for k in range(first, start.size - 1):
-        reach = entries.reach[k]
-        gathered[:, :reach] = 0.0
-        for b in range(start[k], start[k + 1]):
+        end = start[k + 1]
+        gathered[:, :end] = 0.0
+        for b in range(start[k], end):
             for c in range(3):
                 by_x = precision[c, 0] * used[b, 0]
                 by_y = precision[c, 1] * used[b, 1]
                 by_z = precision[c, 2] * used[b, 2]
-                x, y, z = gram[row[b], 0, c], gram[row[b], 1, c], gram[row[b], 2, c]
-                for a in range(reach):
+                x, y, z = gram[b, 0, c], gram[b, 1, c], gram[b, 2, c]
+                for a in range(end):
                     gathered[c, a] += by_x * x[a] + by_y * y[a] + by_z * z[a]
+        for a in range(end):
+            products[a] = (
+                by_axis[0, a] * gathered[0, a]
+                + by_axis[1, a] * gathered[1, a]
+                + by_axis[2, a] * gathered[2, a]
+            )
         for other in range(first, k + 1):
             value = 0.0
             for b in range(start[other], start[other + 1]):
-                for c in range(3):
-                    value += used[b, c] * gathered[c, row[b]]
+                value += products[b]
             normal[k, other] += value
 
 

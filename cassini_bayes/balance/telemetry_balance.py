@@ -102,10 +102,16 @@ class Pattern:
     wheels: Places  # (W,)
     turns: Places  # (3,) turns of the attitude
 
+    @property
+    def turned(self) -> Places:
+        """Places (7,) of rates, their bias and turns, which integrated columns weigh otherwise."""
+        first = self.start[-2]
+        return np.concatenate([np.arange(first, first + 4), self.turns])
+
 
 @dataclass(frozen=True)
 class Reduced:
-    """The part of the Gram matrices that can have weight: a lever arm may be zero by design.
+    """The part of the columns that can have weight: a lever arm may be zero by design.
 
     ``entries`` are the places of the pattern's entries that are ever used, ``columns`` the columns
     of the layout that are left; ``row`` and ``start`` are the pattern for these.
@@ -115,21 +121,42 @@ class Reduced:
     columns: Places  # (A',)
     row: Places
     start: Places
-    wheels: Places  # (W,) columns of the wheel rates
-    wheel_entries: Places  # (W,) places among the entries
-    grams: Array  # (F, 3, 3, A', A') of the fast bands
-    slow: Array  # (3, A', M) coordinates on the slow modes
-    turns: Array  # (T, 3, 3, A', A') of the integrated columns of quiet pieces
+    wheels: Places  # (W,) places of wheel rates among the entries
+    turned: Places  # (V,) which of the pattern's ``turned`` are left
+    turned_entries: Places  # (V,) their places among the entries
     walk: Places  # (D,) columns of the slowest cosines of torque noise; none where there is none
 
     @cached_property
     def places(self) -> Entries:
         """The same for compiled code, torque noise's slowest cosines first, each for three axes."""
         walks = 3 * len(self.walk)
-        row = np.r_[np.repeat(self.walk, 3), self.row]
         start = np.r_[np.arange(walks), walks + self.start]
-        last = np.maximum.accumulate(row)[start[1:] - 1]
-        return Entries(row, start, last + 1, self.wheels, walks + self.wheel_entries)
+        return Entries(start, walks + self.wheels, walks + self.turned_entries)
+
+    @property
+    def entered(self) -> Places:
+        """The layout's column of every entry, in that order."""
+        return self.columns[np.r_[np.repeat(self.walk, 3), self.row]]
+
+
+@dataclass(frozen=True)
+class Products:
+    """Inner products of columns: of all A of the layout, or of some.
+
+    A model shares those of all with whatever is built on its events; each has those that it needs
+    once its likelihood is called.
+    """
+
+    slow: Array  # (3, A, M) coordinates on the slow modes
+    grams: Array  # (F, 3, 3, A, A) of the fast bands
+    slopes: Array  # (3, A, S) coordinates of integrated columns on the slowest modes of slopes
+    turns: Array  # (T, 3, 3, A, A) of the integrated columns of quiet pieces
+
+    def of(self, columns: Places) -> Products:
+        """Those of some columns, in their order."""
+        both = columns[:, None], columns
+        slow, slopes = (np.ascontiguousarray(each[:, columns]) for each in (self.slow, self.slopes))
+        return Products(slow, self.grams[..., *both], slopes, self.turns[..., *both])
 
 
 class OpenCounters(NamedTuple):
@@ -165,6 +192,7 @@ class TelemetryBalance:
     initial_mean_n_m_s: Array
     spin: Array
     wheels: WheelSquares  # over all rows
+    products: Products
     reduced: Reduced
     constant: Array
     log_unit: float = 0.0
@@ -183,20 +211,22 @@ class TelemetryBalance:
 
     @cached_property
     def bands(self) -> tuple[SlowBand, FastBands, Turns]:
-        """The bands for compiled code."""
+        """The bands for compiled code, which has a column of its own for every entry."""
+        own = self.products.of(self.reduced.entered)
         nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
-        slow = SlowBand(
-            self.reduced.slow, self.slow.faster, self.slow.square, nodes[0], coefficients[0]
-        )
+        slow = SlowBand(own.slow, self.slow.faster, self.slow.square, nodes[0], coefficients[0])
         fast = FastBands(
-            np.ascontiguousarray(self.reduced.grams.transpose(0, 3, 1, 2, 4)),
+            _by_column(own.grams),
             np.array([float(band.rows) for band in self.fast]),
             np.array([band.faster.mean() for band in self.fast]),
             np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
             np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
         )
-        turns = np.ascontiguousarray(self.reduced.turns.transpose(0, 3, 1, 2, 4))
-        return slow, fast, Turns(turns, np.array([float(own.contrasts) for own in self.turns]))
+        contrasts = np.array([own.contrasts for own in self.turns], dtype=np.int64)
+        first = np.r_[0, np.cumsum(contrasts)]
+        first = first[first <= own.slopes.shape[2]]
+        rest = _by_column(own.turns[len(first) - 1 :])
+        return slow, fast, Turns(own.slopes, first, rest, contrasts.astype(np.float64))
 
     @property
     def fires(self) -> bool:
@@ -239,7 +269,7 @@ def make_balance(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
     slow, fast, slow_modes, grams, of_wheels = make_bands(statistics)
-    turns, turn_grams = turn_bands(statistics)
+    turns, turn_grams, slopes = turn_bands(statistics)
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
     constant = slow_modes[0, layout.one]
@@ -254,16 +284,15 @@ def make_balance(
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
         wheels=of_wheels,
+        products=Products(slow_modes, grams, slopes, turn_grams),
         reduced=Reduced(
             everything,
             np.arange(slow_modes.shape[1]),
             pattern.row,
             pattern.start,
-            np.arange(layout.wheel.start, layout.wheel.stop),
             pattern.wheels,
-            grams,
-            slow_modes,
-            turn_grams,
+            np.arange(len(pattern.turned)),
+            pattern.turned,
             np.arange(layout.walk.start, layout.walk.stop),
         ),
         constant=constant / np.linalg.norm(constant),
@@ -285,13 +314,18 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     first, rows = event.fast[0], sum(band.rows for band in event.fast)
     # of the measure, whose reference noise may have torque noise
     walk = np.array([sum(band.rows * band.walk.mean() for band in event.fast) / rows])
-    reduced, nominally_open = event.reduced, event.nominally_open
+    products, nominally_open = event.products, event.nominally_open
     return replace(
         event,
         fast=(replace(first, rows=rows, walk=walk, faster=walk),),
-        reduced=replace(reduced, grams=reduced.grams.sum(axis=0, keepdims=True)),
+        products=replace(products, grams=products.grams.sum(axis=0, keepdims=True)),
         nominally_open=nominally_open._replace(rows=nominally_open.rows[:, :2]),
     )
+
+
+def _by_column(grams: Array) -> Array:
+    """Gram matrices (F, 3, 3, B, B) as (F, B, 3, 3, B): what a column needs lies together."""
+    return np.ascontiguousarray(grams.transpose(0, 3, 1, 2, 4))
 
 
 def _initial_gram(statistics: EventStatistics) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.bands import Band, TurnBand
 from cassini_bayes.balance.kernel import without_first
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import Products, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
     covariance_beside_wheels,
@@ -58,29 +58,29 @@ def row_information(
     step
         Size of the steps.
     """
-    parameters = {**parameters, **_noise_seen(event, parameters)}
+    products = event.products.of(event.reduced.columns)
+    parameters = {**parameters, **_noise_seen(event, products, parameters)}
     nominal = {name: values[:1] for name, values in parameters.items()}
     total: Array | float = 0.0
     beside = covariance_beside_wheels(event, physics, parameters)[0]
     left_open = open_counters(event, physics, _scale(event, mean))
     with_open = band_covariances(event, physics, parameters, left_open.rows)[0]
     walk = _walk_columns(event, nominal)
-    bands = zip(
-        (event.slow, *event.fast), (None, *event.reduced.grams), kept, with_open, strict=True
-    )
+    bands = zip((event.slow, *event.fast), (None, *products.grams), kept, with_open, strict=True)
     for band, gram, estimate, own in bands:
         weights = balance_weights(event, physics, _scale(event, mean), estimate[None])
         slow = walk if gram is None else np.zeros_like(walk)
         columns = np.r_[slow, _columns(event, weights, mean, own_sd, levels, step)]
         noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
-        total = total + _whitened(event, band, gram, columns, noise, nominal)
+        total = total + _whitened(event, products.slow, band, gram, columns, noise, nominal)
     weights = balance_weights(event, physics, _scale(event, mean))
     faster = [band.faster_s3 for band in event.turns]
     by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
     # how much of both is weighed against each other is no effect of a parameter
     gain = np.repeat(by_turn.gain[:1], len(weights), axis=0)
-    turned = turn_weights(event, physics, weights, gain)
-    bands_of_turns = zip(event.turns, event.reduced.turns, by_turn.covariance[0], strict=True)
+    turned = np.repeat(weights[:, None], gain.shape[1], axis=1)
+    turned[:, :, event.pattern.turned] = turn_weights(event, physics, weights, gain)
+    bands_of_turns = zip(event.turns, products.turns, by_turn.covariance[0], strict=True)
     for place, (turn, gram, noise) in enumerate(bands_of_turns):
         own = _columns(event, turned[:, place], mean, own_sd, levels, step)
         columns = np.r_[walk, own]
@@ -94,23 +94,25 @@ def row_information(
 def _walk_columns(event: TelemetryBalance, nominal: Mapping[str, Array]) -> Array:
     """Coefficients (3 D, 3, A') of the slowest cosines of torque noise, standard normals."""
     weights = walk_weights(event, nominal)[0]
-    columns = np.zeros((*weights.shape, event.reduced.slow.shape[1]))
+    columns = np.zeros((*weights.shape, len(event.reduced.columns)))
     columns[np.arange(len(weights)), :, np.repeat(event.reduced.walk, 3)] = weights
     return columns
 
 
-def _noise_seen(event: TelemetryBalance, parameters: Mapping[str, Array]) -> dict[str, Array]:
+def _noise_seen(
+    event: TelemetryBalance, products: Products, parameters: Mapping[str, Array]
+) -> dict[str, Array]:
     """Noise of rates and attitudes that is no more than what the fastest rows and turns show.
 
     Prior means of noise levels are good to a factor only, and what a channel's noise is taken for
     must not exceed all that there is in it.
     """
-    layout, reduced = event.statistics.layout, event.reduced
+    layout = event.statistics.layout
     rows, contrasts = [band.rows for band in event.fast], [band.contrasts for band in event.turns]
     seen = {}
     for name, columns, grams, counts in (
-        ("rate_noise_rad_s", layout.rate, reduced.grams, rows),
-        ("attitude_noise_rad", layout.turn, reduced.turns, contrasts),
+        ("rate_noise_rad_s", layout.rate, products.grams, rows),
+        ("attitude_noise_rad", layout.turn, products.turns, contrasts),
     ):
         if len(grams) > 0:
             own = _are(event, columns)
@@ -156,7 +158,7 @@ def _columns(
     """
     pattern, reduced, places = event.pattern, event.reduced, event.unknowns
     owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
-    by_owner = np.zeros((len(weights), places.measured + 1, 3, reduced.slow.shape[1]))
+    by_owner = np.zeros((len(weights), places.measured + 1, 3, len(reduced.columns)))
     for b, column in zip(reduced.entries, reduced.row, strict=True):
         by_owner[:, owner[b], :, column] += weights[:, b]
     residual = np.einsum("nuca,u->nca", by_owner, np.append(-mean, 1.0))
@@ -171,6 +173,7 @@ def _columns(
 
 def _whitened(
     event: TelemetryBalance,
+    slow_modes: Array,
     band: Band,
     gram: Array | None,
     columns: Array,
@@ -179,9 +182,9 @@ def _whitened(
 ) -> Array:
     """Inner products of the derivatives over one band's rows, white and torque noise whitened."""
     values, vectors = np.linalg.eigh(noise)
-    count, size = len(columns), event.reduced.slow.shape[1]
+    count, size = len(columns), columns.shape[-1]
     variance = values[:, None] + nominal["torque_noise_n_m_s05"][0] ** 2 * band.faster  # (3, R)
-    modes = event.reduced.slow.reshape(3 * size, -1)
+    modes = slow_modes.reshape(3 * size, -1)
     quiet = band.rows * _channel_square(event, nominal, 1.0)
     result = np.zeros((count, count))
     for own, axis in zip(variance, vectors.T, strict=True):

@@ -91,10 +91,9 @@ def event_system(
     mean = np.r_[np.zeros(normals), np.full(k, thrust_n), own_mean]
     placed = Placed(normals, mean, _THRUST_SPREAD * thrust_n, own_sd)
     used = np.concatenate([walk, weights[:, reduced.entries]], axis=1)
-    turned = turn_weights(event, physics, weights, by_turn.gain)[:, :, reduced.entries]
-    by_band = np.broadcast_to(walk[:, None], (n, turned.shape[1], *walk.shape[1:]))
+    turned = turn_weights(event, physics, weights, by_turn.gain)[:, :, reduced.turned]
     normal, log_scale, kept = normal_equations(
-        used, np.concatenate([by_band, turned], axis=2), noise, reduced.places, *event.bands, placed
+        used, np.ascontiguousarray(turned), noise, reduced.places, *event.bands, placed
     )
     if normals > 0:
         normal, log_scale = without_first(normal, normals, log_scale)

@@ -40,21 +40,19 @@ def without_idle_columns(
     columns = columns[np.argsort(first)]
     if walks:
         columns = np.r_[event.reduced.walk, columns]
-    place = np.empty(len(event.reduced.slow[0]), dtype=np.int64)
+    place = np.empty(event.statistics.layout.size, dtype=np.int64)
     place[columns] = np.arange(len(columns))
     owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
     counts = np.bincount(owner[entries], minlength=len(pattern.start) - 1)
-    full = event.reduced
+    full, turned = event.reduced, np.flatnonzero(used[pattern.turned])
     reduced = Reduced(
         entries=entries,
         columns=columns,
         row=place[pattern.row[entries]],
         start=np.concatenate([[0], np.cumsum(counts)]),
-        wheels=place[full.wheels],
-        wheel_entries=np.searchsorted(entries, pattern.wheels),
-        grams=np.ascontiguousarray(full.grams[..., columns[:, None], columns]),
-        slow=np.ascontiguousarray(full.slow[:, columns]),
-        turns=np.ascontiguousarray(full.turns[..., columns[:, None], columns]),
+        wheels=np.searchsorted(entries, pattern.wheels),
+        turned=turned,
+        turned_entries=np.searchsorted(entries, pattern.turned[turned]),
         walk=place[full.walk] if walks else full.walk[:0],
     )
     return replace(event, reduced=reduced)
@@ -78,21 +76,17 @@ def balance_weights(
 
 
 def turn_weights(event: TelemetryBalance, physics: Physics, weights: Array, gain: Array) -> Array:
-    """Weights (n, T, B, 3) for integrated columns, at the gains (n, T, 3, 3) of the bands.
+    """Weights (n, T, 7, 3) of the entries ``turned`` of the pattern for integrated columns.
 
+    All others have those of rows, ``weights`` (n, B, 3); ``gain`` (n, T, 3, 3) is of the bands.
     Turns of the body need no gyro; where rates and turns err alike, by which both differ from each
     other tells the error of each: (1 + Q) I Θ − Q I (∫ω_m dt − ∫b dt)/(1 + s) + all else.
     """
-    n, bands = gain.shape[:2]
-    result = np.repeat(weights[:, None], bands, axis=1)
-    first = event.pattern.start[event.unknowns.measured]
     # in rows they are those of the gyro's momentum, per rate and per its bias
-    of_gyro = weights[:, None, first : first + 4]
-    result[:, :, first : first + 4] = -of_gyro @ np.swapaxes(gain, -1, -2)
-    inertia = np.broadcast_to(physics.inertia_kg_m2, (n, 3, 3))[:, None]
-    turned = inertia + gain @ inertia
-    result[:, :, event.pattern.turns] = np.swapaxes(turned, -1, -2)
-    return result
+    of_gyro = weights[:, None, event.pattern.turned[:4]]
+    inertia = physics.inertia_kg_m2[:, None]
+    turned = np.swapaxes(inertia + gain @ inertia, -1, -2)
+    return np.concatenate([-of_gyro @ np.swapaxes(gain, -1, -2), turned], axis=2)
 
 
 def walk_weights(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:

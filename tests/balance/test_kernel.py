@@ -49,7 +49,8 @@ def equations(
 ) -> tuple[Array, Array, Array]:
     """Normal equations of one unknown and the measured momentum, four modes, nothing faster.
 
-    ``turns``: rows (m, 3, 2) of integrated columns and the variance of their noise, by band.
+    ``turns``: rows (m, 3, 2) of integrated columns and the variance of their noise, by band, bands
+    of two rows or fewer first.
     """
     modes = np.random.default_rng(2).standard_normal((3, 2, 4))
     slow = SlowBand(modes, np.ones(4), np.eye(1), np.zeros(0), np.zeros((4, 0, 2)))
@@ -61,10 +62,14 @@ def equations(
         np.zeros((0, 4, 0, 2)),
     )
     places = np.arange(2)
-    entries = Entries(places, np.arange(3), places + 1, places[1:], places[1:])
-    grams = [np.einsum("tca,tdb->acdb", rows, rows) for rows, _ in turns]
+    entries = Entries(np.arange(3), places[1:], places)
+    few = [rows for rows, _ in turns if len(rows) <= 2]
+    grams = [np.einsum("tca,tdb->acdb", rows, rows) for rows, _ in turns[len(few) :]]
     band = Turns(
-        np.array(grams).reshape(-1, 2, 3, 3, 2), np.array([float(len(rows)) for rows, _ in turns])
+        np.concatenate([np.zeros((0, 3, 2)), *few]).transpose(1, 2, 0).copy(),
+        np.cumsum([0, *map(len, few)]),
+        np.array(grams).reshape(-1, 2, 3, 3, 2),
+        np.array([float(len(rows)) for rows, _ in turns]),
     )
     by_turns = np.array([variance * np.eye(3) for _, variance in turns]).reshape(1, -1, 3, 3)
     noise = Noise(
@@ -89,7 +94,10 @@ def test_inner_products_of_modes_are_the_sums_written_out() -> None:
 
 
 def test_turns_add_their_own_products_and_determinants() -> None:
-    """Integrated rows with weights and noise of their own: Σ (w y)ᵀ (w y)/σ², −½ · 3 N log σ²."""
+    """Integrated rows with weights and noise of their own: Σ (w y)ᵀ (w y)/σ², −½ · 3 N log σ².
+
+    The first band has two modes, the second is a Gram matrix.
+    """
     beside, rows = positive(3, 9) + np.eye(3), np.random.default_rng(5).standard_normal((7, 3, 2))
     without = equations(beside)
     with_turns = equations(beside, turns=((rows[:2], 0.3), (rows[2:], 0.5)))
