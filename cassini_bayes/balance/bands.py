@@ -8,10 +8,11 @@ a measured wheel rate says of the true one differs by band: docs/topics/telemetr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, wraps
 from itertools import pairwise
-from typing import Final
+from typing import Final, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,6 +24,8 @@ from cassini_bayes.balance.statistics import EventStatistics, Layout
 from cassini_bayes.balance.statistics.columns import WALK_COSINES, cosines
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.computing.arrays import Array
+
+Result = TypeVar("Result")
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
 # The same of slopes of quiet pieces. The first mode is a constant, which the initial momentum takes
@@ -68,11 +71,24 @@ class Band:
 
 
 Bands = tuple[Band, tuple[Band, ...], Array, Array, WheelSquares]
-_MADE: WeakKeyDictionary[EventStatistics, Bands] = WeakKeyDictionary()
 
 
+def _once(function: Callable[[EventStatistics], Result]) -> Callable[[EventStatistics], Result]:
+    """The function, which all models of an event share the result of."""
+    made: WeakKeyDictionary[EventStatistics, Result] = WeakKeyDictionary()
+
+    @wraps(function)
+    def known(statistics: EventStatistics) -> Result:
+        if statistics not in made:
+            made[statistics] = function(statistics)
+        return made[statistics]
+
+    return known
+
+
+@_once
 def make_bands(statistics: EventStatistics) -> Bands:
-    """Split an event's rows into bands, once for all models of the event.
+    """Split an event's rows into bands.
 
     In slews the wheels are what turns the body, at every frequency that the controller has: nothing
     is said of them in any band, and next to nothing lost, the rates being far above their noise.
@@ -81,12 +97,6 @@ def make_bands(statistics: EventStatistics) -> Bands:
     explains), all columns' coordinates (3, A, M) on the slow modes, the Gram matrices
     (3, 3, A, A) of the fast bands, and the noise of wheel rates over all rows.
     """
-    if statistics not in _MADE:
-        _MADE[statistics] = _bands(statistics)
-    return _MADE[statistics]
-
-
-def _bands(statistics: EventStatistics) -> Bands:
     walk, faster, modes, turned = turned_modes(statistics)
     counters = statistics.counters
     time = counters.row_time_s
@@ -252,6 +262,7 @@ class TurnBand:
     left_open: OpenSquares  # each times s²
 
 
+@_once
 def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array, Array]:
     """Slopes of the quiet pieces by frequency, then the rest; and their Gram matrices.
 

@@ -58,9 +58,10 @@ from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.files.checkpoint import CheckpointStore
 
 Candidate = Weighed[Hypothesis]
-NEAR_NATS: Final = 10.0
-"""Behind the best, up to which importance draws decide: less is a probability below 5e-5, and
-Laplace's evidence agreed with draws to 0.03 nats in the study before this package."""
+NEAR_NATS: Final = 6.0
+"""Behind the best, up to which importance draws decide: less is a probability below 0.3 %, and
+Laplace's evidence agreed with 200 draws to 0.11 nats (root mean square; 0.54 at most) in 90 causes
+of two diagnoses with nothing hidden."""
 MOST_DRAWN: Final = 3  # of the best: what a reader compares
 DRAWS: Final = 2_000  # of these: 0.015 nats at an efficiency of 0.7, and sizes by their draws
 FAR_FROM_PRIOR: Final = 5.0

@@ -33,7 +33,6 @@ STEPS: Final = 7
 SHRINK: Final = 3.0
 """Sizes looked at: from the width of the prior over 3⁷, which telemetry hardly tells from nothing,
 up to it; each falls nine times as far as the one before."""
-ENOUGH: Final = 3.0  # times the fall that is looked for: the next size would tell σ no better
 FEW_STEPS: Final = 10  # of L-BFGS where Newton steps of the nuisances do not do (judgement)
 NATS_AT: Final = 8.0
 """Fall of the log likelihood near which σ is taken: what a cause needs to be named (judgement)."""
@@ -121,8 +120,8 @@ def visible_size(
     signs = sides(parameter)
     sizes = signs[0] * width / SHRINK ** np.arange(STEPS, -1, -1)
     z = parameter.distribution.standard_of(no_effect(parameter) + sizes)
-    fall = _falls(density, base, z[np.isfinite(z)])
-    sd = size_sd(np.abs(sizes[: len(fall)]), fall)
+    sizes, z = sizes[np.isfinite(z)], z[np.isfinite(z)]
+    sd = size_sd(*_falls(density, base, np.abs(sizes), z))
     size = (
         None if sd is None else detectable_size(sd, width, needed_nats, one_sided=len(signs) == 1)
     )
@@ -144,31 +143,55 @@ def size_sd(sizes: Array, fall: Array) -> float | None:
     The parabola x²/2σ² − b x through the size nearest :data:`NATS_AT` and the one before it: b is
     the chance by which the estimate is not at no effect.
     """
-    at = 1 + int(np.argmin(np.abs(np.log(np.maximum(np.abs(fall[1:]), LEAST_FALL) / NATS_AT))))
+    at = 1 + int(np.argmin(np.abs(_too_far(np.abs(fall[1:])))))
     (near, far), (least, most) = sizes[at - 1 : at + 1], fall[at - 1 : at + 1]
     curvature = (most / far - least / near) / (far - near)
     is_known = curvature > 0.0 and abs(most) > LEAST_FALL
     return float(1.0 / np.sqrt(2.0 * curvature)) if is_known else None
 
 
-def _falls(density: LogDensity, base: Mode, z: Array) -> Array:
-    """Fall (m,) of the log likelihood at the effect's coordinates z (n,), from the first.
+def _falls(density: LogDensity, base: Mode, sizes: Array, z: Array) -> tuple[Array, Array]:
+    """Some of the sizes (n,), and what the log likelihood falls there (m,) from that at the least.
 
-    The nuisances are at their best for each, found from where they were for the one before. It ends
-    with the first that falls by several times :data:`NATS_AT`.
+    ``z`` (n,) are their coordinates. What one falls tells which other is nearest to
+    :data:`NATS_AT`; that and the one before it are among them. The first is the one that is nearest
+    while the nuisances stay. They are at their best for each, looked for from where the last ones
+    say, as they move in proportion to the size.
     """
-    point, best = base.point, []
-    for value in z:
+    best: dict[int, float] = {}
+    point, reached = base.point, 1.0
 
-        def beside(nuisances: Array, value: float = value) -> Array:
-            whole = np.column_stack([nuisances, np.full(len(nuisances), value)])
-            return np.asarray(density(whole) + 0.5 * value**2 + 0.5 * LOG_2_PI)
+    def likelihood(nuisances: Array, at: Array) -> Array:
+        whole = np.column_stack([nuisances, at])
+        return np.asarray(density(whole) + 0.5 * at**2 + 0.5 * LOG_2_PI)
 
-        point = maximise(beside, point, base.factor, FEW_STEPS)
-        best.append(float(beside(point[None])[0]))
-        if best[0] - best[-1] > ENOUGH * NATS_AT:
-            break
-    return best[0] - np.array(best)
+    def fall(place: int) -> float:
+        nonlocal point, reached
+
+        def beside(nuisances: Array) -> Array:
+            return likelihood(nuisances, np.full(len(nuisances), z[place]))
+
+        start = base.point + sizes[place] / reached * (point - base.point)
+        point = maximise(beside, start, base.factor, FEW_STEPS)
+        reached = float(sizes[place])
+        best[place] = float(beside(point[None])[0])
+        return best[0] - best[place]
+
+    fall(0)
+    stayed = likelihood(np.tile(base.point, (len(z), 1)), z)
+    place = 1 + int(np.argmin(np.abs(_too_far(stayed[0] - stayed[1:]))))
+    while place not in best:
+        steps = np.rint(_too_far(fall(place)))
+        place = int(np.clip(place - steps, 1, len(z) - 1))
+    if place - 1 not in best:
+        fall(place - 1)
+    places = sorted(best)
+    return sizes[places], best[0] - np.array([best[place] for place in places])
+
+
+def _too_far(fall: Array | float) -> Array:
+    """Sizes between one that falls that far and the one that falls by :data:`NATS_AT`."""
+    return np.asarray(np.log(np.maximum(fall, LEAST_FALL) / NATS_AT) / (2.0 * np.log(SHRINK)))
 
 
 def said(effect: Effect, visible: Visible) -> AtLeast | None:

@@ -35,7 +35,7 @@ def change_of_evidence(
 ) -> float:
     """Change (nats) of a cause's log evidence with priors wider by a factor.
 
-    Zero for causes whose evidence was not sampled, further than ten nats from the best. A cause
+    Zero for causes whose evidence was not sampled, far behind the best. A cause
     that may begin with several events changes by the mean over them.
     """
     return over_beginnings(
