@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from cassini_bayes.balance.bands import Band, TurnBand, make_bands, turn_bands
+from cassini_bayes.balance.bands import Band, OpenSquares, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import WheelSquares
@@ -227,6 +227,15 @@ class TelemetryBalance:
         first = first[first <= own.slopes.shape[2]]
         rest = _by_column(own.turns[len(first) - 1 :])
         return slow, fast, Turns(own.slopes, first, rest, contrasts.astype(np.float64))
+
+    @cached_property
+    def left_open(self) -> OpenSquares:
+        """What counters leave open in the slow band, the fast ones and those of turns (N, G, …)."""
+        bands: list[Band | TurnBand] = [self.slow, *self.fast, *self.turns]
+        return OpenSquares(
+            np.array([band.left_open.pairs for band in bands]),
+            np.array([band.left_open.columns for band in bands]),
+        )
 
     @property
     def fires(self) -> bool:

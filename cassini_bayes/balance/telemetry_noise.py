@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.bands import Band, TurnBand
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
@@ -158,29 +157,23 @@ def _shared_turn_covariances(
     noise = _wheel_variances(event, parameters, white)
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     lasting = rounding * _lasting_share(event, parameters)[:, None]
-    by_torque = parameters["torque_noise_n_m_s05"][:, None, None] ** 2 * np.eye(3)
-    each = [
-        (wheels * (band.summed_s2 * noise + band.rounded_s2 * lasting)[:, None])
-        @ np.swapaxes(wheels, -1, -2)
-        + walked * by_torque
-        for band, walked in zip(event.turns, torque_s3, strict=True)
-    ]
-    return np.array(each).reshape(-1, *by_torque.shape).swapaxes(0, 1)
+    summed = np.array([band.summed_s2 for band in event.turns])
+    rounded = np.array([band.rounded_s2 for band in event.turns]).reshape(-1, noise.shape[1])
+    variance = np.multiply.outer(summed, noise).swapaxes(0, 1) + rounded * lasting[:, None]
+    of_wheels = (wheels[:, None] * variance[:, :, None]) @ np.swapaxes(wheels, -1, -2)[:, None]
+    by_torque = np.multiply.outer(parameters["torque_noise_n_m_s05"] ** 2, torque_s3)
+    return np.asarray(of_wheels + by_torque[:, :, None, None] * np.eye(3))
 
 
 def open_counters(event: TelemetryBalance, physics: Physics, thrust_n: float) -> OpenCounters:
     """Covariances of tails and on-times that counters leave open, at n points."""
-    n = len(physics.inertia_kg_m2)
-    bands: Sequence[Band | TurnBand] = (event.slow, *event.fast, *event.turns)
-    result = np.zeros((n, len(bands), 3, 3))
-    if event.fires and any(band.left_open for band in bands):
+    own, of_rows = event.left_open, 1 + len(event.fast)
+    result = np.zeros((len(physics.inertia_kg_m2), len(own.pairs), 3, 3))
+    if event.fires and own:
         scales = open_scales(event, physics, thrust_n)
-        across = np.swapaxes(scales.torque_n_m, -1, -2)
-        for place, band in enumerate(bands):
-            own = band.left_open
-            square = scales.variance_s2(own.pairs, own.columns)
-            result[:, place] = (scales.torque_n_m * square[:, None]) @ across
-    of_rows = 1 + len(event.fast)
+        square = scales.variance_s2(own.pairs, own.columns)
+        torque = scales.torque_n_m[:, None]
+        result = (torque * square[:, :, None]) @ np.swapaxes(torque, -1, -2)
     return OpenCounters(result[:, :of_rows], result[:, of_rows:])
 
 

@@ -16,12 +16,15 @@ from event_cases import eased
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.correlations import innovation_tests
 from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.evidence import by_laplace
 from cassini_bayes.diagnosis.gain import held_out_telemetry
-from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
+from cassini_bayes.diagnosis.modes import find_mode
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
+from cassini_bayes.diagnosis.visible import visible_record
 from cassini_bayes.effects.catalogue import read_catalogue
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
@@ -149,3 +152,18 @@ def test_catalogue_probabilities_add_up() -> None:
     total += catalogue.odds.none + catalogue.odds.unknown
     assert total == pytest.approx(1.0)
     assert len(set(catalogue.names)) == len(catalogue.names)
+
+
+def test_what_trades_with_a_nuisance_wholly_is_known_no_better_than_its_prior() -> None:
+    """A moment of inertia that changed, and one that the prior has wrong, are one and the same."""
+    events = flown(SEED + 1, short=True)
+    full = none_hypothesis(events)
+    none = compact(full)
+    base = by_laplace(none, find_mode(none.log_density, none.dimension))
+    for axis in "xyz":
+        effect = events.catalogue.effect(f"inertia:{axis}{axis}")
+        cause = by_laplace(compact(extend(full, [effect])), base.mode)
+        row = visible_record(base, cause, events.catalogue.kinds)
+        assert row is not None
+        known = events.priors.parameters[f"inertia_{axis}{axis}_kg_m2"].distribution.scale
+        assert known <= row["sd"] < 1.2 * known
