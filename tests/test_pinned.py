@@ -120,7 +120,8 @@ ALL: Final[Mapping[str, Callable[[], Array]]] = {
 CLOSED_FORM: Final = 1e-10  # 7e-12, and on one processor nothing
 # Gram matrices hold sums of squares that cancel: 9e-11, a millionth of a nat
 TELEMETRY: Final = 1e-9
-OWN_UNKNOWNS: Final = 1e-8  # tails far below their prior's sd: 3e-9 with statistics summed otherwise
+# Tails far below their prior's sd: 3e-9 with statistics summed otherwise
+OWN_UNKNOWNS: Final = 1e-8
 DRAWN_EVIDENCE: Final = 1e-8  # weights are exponentials of such densities: 4e-10
 # A search ends a little elsewhere where differences, its slopes, round otherwise: 8e-9
 ENDED: Final = 1e-6
