@@ -84,11 +84,11 @@ class Placed(NamedTuple):
     """Priors of the unknowns, by which the slow band places them.
 
     The first ``normals`` unknowns are standard normals, of momentum too slow for the fast bands.
-    Means (P − 1,), standard deviations of thrusts (one number) and of the event's own.
+    Means, standard deviations of thrusts (one number) and of the event's own.
     """
 
     normals: int
-    mean: Array
+    mean: Array  # (n, P − 1)
     thrust_sd: float
     own_sd: Array  # (n, U)
 
@@ -593,7 +593,7 @@ def _place(
         target = normal[unknowns, k]
         for other in range(unknowns):
             value = normal[max(k, other), min(k, other)]
-            target -= value * placed.mean[other]
+            target -= value * placed.mean[point, other]
             precision[k, other] = sd[k] * value * sd[other]
         precision[k, k] += 1.0
         at[k] = sd[k] * target
@@ -602,7 +602,7 @@ def _place(
     _solve_transposed(factor, at)
     lacking[:] = 0.0
     for k in range(placed.normals, unknowns + 1):
-        sign = -1.0 if k == unknowns else placed.mean[k] + sd[k] * at[k]
+        sign = -1.0 if k == unknowns else placed.mean[point, k] + sd[k] * at[k]
         for b in range(entries.start[k], entries.start[k + 1]):
             for c in range(3):
                 lacking[c, b] = sign * used[b, c]

@@ -183,7 +183,7 @@ def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> O
     if not event.fires:
         nothing = LostTails(np.zeros(n), np.zeros(n))
         return OpenScales(np.zeros((n, 3, 0)), nothing, np.zeros((n, len(PULSE_COLUMNS))))
-    arms = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters))
+    arms = np.broadcast_to(physics.expected_arms_m, (n, 3, event.pattern.thrusters))
     together = [arms[..., list(own)].sum(-1) for own in couples]
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)

@@ -88,7 +88,9 @@ def event_system(
         by_turn.covariance,
     )
     normals = walk.shape[1]
-    mean = np.r_[np.zeros(normals), np.full(k, thrust_n), own_mean]
+    mean = np.zeros((n, normals + k + len(own_mean)))
+    mean[:, normals : normals + k] = thrust_n * np.asarray(physics.thrust_factor)
+    mean[:, normals + k :] = own_mean
     placed = Placed(normals, mean, _THRUST_SPREAD * thrust_n, own_sd)
     used = np.concatenate([walk, weights[:, reduced.entries]], axis=1)
     turned = turn_weights(event, physics, weights, by_turn.gain)[:, :, reduced.turned]

@@ -144,7 +144,8 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
             if name in physics.extra:
                 on_time = np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
-        couples = thrust_n * pattern.members @ arm
+        expected = np.broadcast_to(physics.expected_arms_m, (n, 3, k))
+        couples = thrust_n * pattern.members @ np.swapaxes(expected, -1, -2)
         unit = cut_unit_s(event, scales)
         weights[:, tails : tails + len(pattern.cuts)] = unit[..., None] * couples
     return weights

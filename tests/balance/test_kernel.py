@@ -75,7 +75,7 @@ def equations(
     noise = Noise(
         np.ones((1, 3, 1)), beside[None, None], np.full((1, 1, 1), 1e-12), np.zeros(1), by_turns
     )
-    placed = Placed(0, np.zeros(1), 1.0, np.full((1, 1), own_sd))
+    placed = Placed(0, np.zeros((1, 1)), 1.0, np.full((1, 1), own_sd))
     weights = np.ones((1, 2, 3))
     turned = np.repeat(2.0 * weights[:, None], len(turns), axis=1)
     return kernel.normal_equations(weights, turned, noise, entries, slow, fast, band, placed)

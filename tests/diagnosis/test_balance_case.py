@@ -18,7 +18,13 @@ from cassini_bayes.diagnosis.correlations import innovation_tests
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.evidence import by_laplace
 from cassini_bayes.diagnosis.gain import held_out_telemetry
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
+from cassini_bayes.diagnosis.hypotheses import (
+    Hypothesis,
+    compact,
+    extend,
+    none_hypothesis,
+    unknown_hypothesis,
+)
 from cassini_bayes.diagnosis.modes import find_mode
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
@@ -29,6 +35,7 @@ from cassini_bayes.effects.catalogue import read_catalogue
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.blind.flights import reduced
+from cassini_bayes.studies.conditions import CONTROLLERS
 from cassini_bayes.studies.scenario import simulate_file
 
 NOT_A_SIZE = ("frequency_hz", "damping")
@@ -67,12 +74,19 @@ def flown(
     ids: Sequence[str] = EVENTS,
     *,
     short: bool = False,
+    rounded: bool = False,
 ) -> Events:
-    """A bias and slews, or one of them, with effects hidden."""
+    """A bias and slews, or one of them, with effects hidden.
+
+    ``rounded``: pulses of all widths, and counters in steps of 10 ms.
+    """
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     document["event"] = [e for e in document["event"] if e["id"] in ids]
     document["effect"] = list(effects)
     document["truth"] |= FINE
+    if rounded:
+        document["rcs"] |= CONTROLLERS["proportional, 0.5 s off"]
+        document["telemetry"]["on_time_resolution_s"] = 0.01
     content = eased(document) if short else document
     simulation = simulate_file(scenario_of(content, SCENARIO.parent), seed, priors=priors())
     return reduced(simulation, priors())
@@ -167,3 +181,19 @@ def test_what_trades_with_a_nuisance_wholly_is_known_no_better_than_its_prior() 
         assert row is not None
         known = events.priors.parameters[f"inertia_{axis}{axis}_kg_m2"].distribution.scale
         assert known <= row["sd"] < 1.2 * known
+
+
+def test_rounded_counters_of_stronger_thrusters_leave_more_momentum_open() -> None:
+    """Thrust at 2.2 of what is expected, counters of 10 ms: the cause leaves nothing to noise.
+
+    Rounding errors of on-time are momentum by the thrust that there is. By the one that was
+    expected they are too small by that factor, and torque noise wins.
+    """
+    hidden = {"name": "thrust_scale", "parameters": {"thrust_factor": 2.2}}
+    events = flown(SEED, [hidden], ("bias-1",), rounded=True)
+    effect = events.catalogue.effect("thrust_scale")
+    gained = []
+    for base in (none_hypothesis(events), unknown_hypothesis(events)):
+        cause = compact(extend(base, [effect]))
+        gained.append(find_mode(cause.log_density, cause.dimension).log_evidence)
+    assert gained[1] - gained[0] < 3.0
