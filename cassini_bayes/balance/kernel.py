@@ -129,6 +129,7 @@ def normal_equations(
     kept, lacking = np.empty((n, 1 + bands, wheels, wheels)), np.empty((n, 3, size))
     seen, products = np.empty((3, wheels)), np.empty((3 + wheels, 3 + wheels))
     other, covariance, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    precision = np.empty((2, 3, 3))
     gain, on_modes = np.empty((3, most)), np.empty((width, 3 * most))
     is_told = slow.nodes.size > 0
     for i in range(n):
@@ -145,59 +146,68 @@ def normal_equations(
         _add_modes(slow.projection, 0, modes, entries, used, axes, gain, on_modes, normal[i])
         if is_told and bands > 0:
             _place(entries, used, normal[i], placed, i, lacking[i])
-    # band by band, so that one band's Gram matrices stay in the cache
+    # band by band and two points at a time: Gram matrices are read from the cache half as often
     for f in range(bands):
-        for i in range(n):
-            used, own = weights[i], noise.wheels[i]
-            for c in range(3):
-                for d in range(3):
-                    other[c, d] = noise.beside[i, 1 + f, c, d]
-                other[c, c] += noise.walk[i] * fast.walk[f]
-            if is_told:
-                _moments(fast.grams[f], entries.wheels, lacking[i], fast.rows[f], products)
-                log_scale[i] += estimated_wheels(
-                    fast.rows[f],
-                    fast.nodes[f],
-                    fast.coefficients[f],
-                    products,
-                    other,
-                    own,
-                    noise.wheel[i, 1 + f],
-                    kept[i, 1 + f],
-                )
-            else:
-                _set_one(kept[i, 1 + f])
-            _see(own, kept[i, 1 + f], entries.wheels, used, seen)
-            _add_wheels(other, noise.wheel[i, 1 + f], seen, own, covariance)
-            log_determinant = _invert(covariance, other)
-            if not is_told:
-                log_scale[i] -= 0.5 * fast.rows[f] * log_determinant
-            _contract(fast.grams[f], entries, used, other, placed.normals, normal[i])
+        for i in range(0, n, 2):
+            pair = slice(i, min(i + 2, n))
+            for p in range(pair.start, pair.stop):
+                used, own = weights[p], noise.wheels[p]
+                for c in range(3):
+                    for d in range(3):
+                        other[c, d] = noise.beside[p, 1 + f, c, d]
+                    other[c, c] += noise.walk[p] * fast.walk[f]
+                if is_told:
+                    _moments(fast.grams[f], entries.wheels, lacking[p], fast.rows[f], products)
+                    log_scale[p] += estimated_wheels(
+                        fast.rows[f],
+                        fast.nodes[f],
+                        fast.coefficients[f],
+                        products,
+                        other,
+                        own,
+                        noise.wheel[p, 1 + f],
+                        kept[p, 1 + f],
+                    )
+                else:
+                    _set_one(kept[p, 1 + f])
+                _see(own, kept[p, 1 + f], entries.wheels, used, seen)
+                _add_wheels(other, noise.wheel[p, 1 + f], seen, own, covariance)
+                log_determinant = _invert(covariance, precision[p - i])
+                if not is_told:
+                    log_scale[p] -= 0.5 * fast.rows[f] * log_determinant
+            _contract(
+                fast.grams[f], entries, weights[pair], precision, placed.normals, normal[pair]
+            )
     by_modes = turns.first.size - 1
     for i in range(n):
         for j in range(wheels):
             for c in range(3):
                 weights[i, entries.wheels[j], c] = noise.wheels[i, c, j]
     for t in range(turns.contrasts.size):
-        for i in range(n):
-            used = weights[i]
-            for v in range(entries.turned.size):
-                for c in range(3):
-                    used[entries.turned[v], c] = turned[i, t, v, c]
+        for i in range(0, n, 2):
+            pair = slice(i, min(i + 2, n))
+            for p in range(pair.start, pair.stop):
+                used = weights[p]
+                for v in range(entries.turned.size):
+                    for c in range(3):
+                        used[entries.turned[v], c] = turned[p, t, v, c]
+                if t >= by_modes:
+                    log_determinant = _invert(noise.turns[p, t], precision[p - i])
+                    log_scale[p] -= 0.5 * turns.contrasts[t] * log_determinant
+                    continue
+                start, count = turns.first[t], turns.first[t + 1] - turns.first[t]
+                covariance[:] = noise.turns[p, t]
+                _diagonalise(covariance, axes)
+                for e in range(3):
+                    log_scale[p] -= 0.5 * turns.contrasts[t] * np.log(covariance[e, e])
+                    gain[e, :count] = 1.0 / covariance[e, e]
+                _add_modes(
+                    turns.projection, start, count, entries, used, axes, gain, on_modes, normal[p]
+                )
             if t >= by_modes:
-                log_determinant = _invert(noise.turns[i, t], other)
-                log_scale[i] -= 0.5 * turns.contrasts[t] * log_determinant
-                _contract(turns.grams[t - by_modes], entries, used, other, 0, normal[i])
-                continue
-            start, count = turns.first[t], turns.first[t + 1] - turns.first[t]
-            covariance[:] = noise.turns[i, t]
-            _diagonalise(covariance, axes)
-            for e in range(3):
-                log_scale[i] -= 0.5 * turns.contrasts[t] * np.log(covariance[e, e])
-                gain[e, :count] = 1.0 / covariance[e, e]
-            _add_modes(
-                turns.projection, start, count, entries, used, axes, gain, on_modes, normal[i]
-            )
+                _contract(
+                    turns.grams[t - by_modes], entries, weights[pair], precision, 0, normal[pair]
+                )
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):
@@ -647,37 +657,45 @@ def _moments(
 def _contract(
     gram: Array, entries: Entries, used: Array, precision: Array, first: int, normal: Array
 ) -> None:  # pragma: no cover - compiled
-    """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to the lower triangle (P, P).
+    """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to lower triangles (m, P, P).
 
-    Only new columns from the ``first`` on are in the band.
+    For m = 1 or 2 points, of weights (m, B, 3) and matrices W (2, 3, 3). Only new columns from the
+    ``first`` on are in the band.
     """
-    start, size = entries.start, gram.shape[0]
-    by_axis, gathered, products = np.empty((3, size)), np.empty((3, size)), np.empty(size)
-    for b in range(size):
-        for c in range(3):
-            by_axis[c, b] = used[b, c]
+    start, size, second = entries.start, gram.shape[0], len(used) - 1
+    by_axis, gathered, products = np.empty((2, 3, size)), np.empty((2, 3, size)), np.empty(size)
+    for p in range(len(used)):
+        for b in range(size):
+            for c in range(3):
+                by_axis[p, c, b] = used[p, b, c]
     for k in range(first, start.size - 1):
         end = start[k + 1]
-        gathered[:, :end] = 0.0
+        gathered[:, :, :end] = 0.0
         for b in range(start[k], end):
             for c in range(3):
-                by_x = precision[c, 0] * used[b, 0]
-                by_y = precision[c, 1] * used[b, 1]
-                by_z = precision[c, 2] * used[b, 2]
+                one_x = precision[0, c, 0] * used[0, b, 0]
+                one_y = precision[0, c, 1] * used[0, b, 1]
+                one_z = precision[0, c, 2] * used[0, b, 2]
+                other_x = precision[second, c, 0] * used[second, b, 0]
+                other_y = precision[second, c, 1] * used[second, b, 1]
+                other_z = precision[second, c, 2] * used[second, b, 2]
                 x, y, z = gram[b, 0, c], gram[b, 1, c], gram[b, 2, c]
+                one, other = gathered[0, c], gathered[1, c]
                 for a in range(end):
-                    gathered[c, a] += by_x * x[a] + by_y * y[a] + by_z * z[a]
-        for a in range(end):
-            products[a] = (
-                by_axis[0, a] * gathered[0, a]
-                + by_axis[1, a] * gathered[1, a]
-                + by_axis[2, a] * gathered[2, a]
-            )
-        for other in range(first, k + 1):
-            value = 0.0
-            for b in range(start[other], start[other + 1]):
-                value += products[b]
-            normal[k, other] += value
+                    one[a] += one_x * x[a] + one_y * y[a] + one_z * z[a]
+                    other[a] += other_x * x[a] + other_y * y[a] + other_z * z[a]
+        for p in range(len(used)):
+            for a in range(end):
+                products[a] = (
+                    by_axis[p, 0, a] * gathered[p, 0, a]
+                    + by_axis[p, 1, a] * gathered[p, 1, a]
+                    + by_axis[p, 2, a] * gathered[p, 2, a]
+                )
+            for before in range(first, k + 1):
+                value = 0.0
+                for b in range(start[before], start[before + 1]):
+                    value += products[b]
+                normal[p, k, before] += value
 
 
 @compiled_sums

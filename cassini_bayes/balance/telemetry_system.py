@@ -89,7 +89,8 @@ def event_system(
     )
     normals = walk.shape[1]
     mean = np.zeros((n, normals + k + len(own_mean)))
-    mean[:, normals : normals + k] = thrust_n * np.asarray(physics.thrust_factor)
+    if k > 0:  # the craft's thrusters have factors in events without firings, too
+        mean[:, normals : normals + k] = thrust_n * np.asarray(physics.thrust_factor)
     mean[:, normals + k :] = own_mean
     placed = Placed(normals, mean, _THRUST_SPREAD * thrust_n, own_sd)
     used = np.concatenate([walk, weights[:, reduced.entries]], axis=1)

@@ -19,6 +19,7 @@ import numpy as np
 from cassini_bayes.balance.statistics import reduce_chunks
 from cassini_bayes.balance.statistics.reduction import Preparation
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.draws import draw
@@ -162,11 +163,19 @@ class TelemetryCampaign:
         return priors.with_distribution("wheel_noise_rpm", narrow)
 
     def repetition(self, index: int) -> dict[str, Array | float | bool]:
-        """Draw, fly, reduce, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in."""
+        """Draw, fly, reduce, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in.
+
+        Where the package declines the events ranks and k̂ are not a number. What it declines
+        depends on the data alone, so the ranks of the others are as even as those of all.
+        """
         rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
         priors = self.priors()
         simulation = self.simulate(priors, rng)
-        model = model_of(simulation, self.variant, priors)
+        try:
+            model = model_of(simulation, self.variant, priors)
+        except InputError:
+            unknown = np.full(len(self.names()), np.nan)
+            return {"ranks": unknown, "pareto_k": np.nan, "by_chain": False}
         z, pareto_k, by_chain = posterior_draws(log_density_of(model, self.variant), model, rng)
         drawn = flat_draws(model, z, rng)
         truth = flat_truth(simulation)

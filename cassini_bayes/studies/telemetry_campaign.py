@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
 import pandas as pd
 
 from cassini_bayes.report.plots.envelopes import envelope_figure
@@ -59,16 +60,20 @@ def calibrate_telemetry(
     and every control fails.
     """
     collected: dict[str, Ranks] = {}
+    declined: dict[str, int] = {}
     variants = (*VARIANTS, *CONTROLS)
     for variant in variants:
         campaign = TelemetryCampaign(scenario, priors, study.seed, variant)
         result = study.repeat(variant.name, variant.label, campaign, numbers[variant.name])
-        collected[variant.name] = ranks_of(campaign.names(), result)
+        was_declined = np.isnan(result["ranks"]).all(axis=1)
+        declined[variant.name] = int(was_declined.sum())
+        answered = {key: values[~was_declined] for key, values in result.items()}
+        collected[variant.name] = ranks_of(campaign.names(), answered)
     main = judge({v.name: collected[v.name] for v in VARIANTS})
     controls = {v.name: judge({v.name: collected[v.name]}) for v in CONTROLS}
     figure = envelope_figure({v.label: collected[v.name] for v in variants}, 1.0 - LEVEL)
     table = pd.concat([main.table, *(control.table for control in controls.values())])
-    body = _body(study.page.stem, collected, main, controls)
+    body = _body(study.page.stem, collected, declined, main, controls)
     study.publish(
         "Calibration of the joint model on telemetry", body, MODULE, {"": table}, {"": figure}
     )
@@ -101,12 +106,12 @@ def judge(collected: Mapping[str, Ranks]) -> Judgement:
     return Judgement(table, bool(least > LEVEL))
 
 
-def _row(variant: Variant, ranks: Ranks, judgement: Judgement) -> str:
+def _row(variant: Variant, ranks: Ranks, declined: int, judgement: Judgement) -> str:
     table = judgement.table[judgement.table["variant"] == variant.name]
     outside = (table["p_envelope_holm"] <= LEVEL) | (table["p_coverage_holm"] <= LEVEL)
     worst = table.loc[table["p_envelope"].idxmin()]
     return (
-        f"| {variant.label} | {len(ranks.ranks)} | {len(table)} "
+        f"| {variant.label} | {len(ranks.ranks)} | {declined} | {len(table)} "
         f"| {table['coverage_90'].min():.3f} … {table['coverage_90'].max():.3f} "
         f"| {table['p_envelope_holm'].min():.2g} | {table['p_coverage_holm'].min():.2g} "
         f"| {int(outside.sum())} | {worst['parameter']} (mean rank {worst['mean_rank']:.2f}) "
@@ -117,11 +122,12 @@ def _row(variant: Variant, ranks: Ranks, judgement: Judgement) -> str:
 def _body(
     stem: str,
     collected: Mapping[str, Ranks],
+    declined: Mapping[str, int],
     main: Judgement,
     controls: Mapping[str, Judgement],
 ) -> str:
-    rows = [_row(v, collected[v.name], main) for v in VARIANTS]
-    rows += [_row(v, collected[v.name], controls[v.name]) for v in CONTROLS]
+    rows = [_row(v, collected[v.name], declined[v.name], main) for v in VARIANTS]
+    rows += [_row(v, collected[v.name], declined[v.name], controls[v.name]) for v in CONTROLS]
     failed = [v.label for v in CONTROLS if not controls[v.name].passed]
     verdict = "passes" if main.passed else "FAILS"
     least = min(len(collected[v.name].ranks) for v in VARIANTS)
@@ -137,14 +143,16 @@ variants. Each control is judged alone and has to fail.
 
 **The model {verdict}; {len(failed)} of {len(CONTROLS)} controls fail as they must.**
 
-| variant | repetitions | parameters | coverage of 90 % intervals, lowest … highest \
+| variant | repetitions | declined | parameters | coverage of 90 % intervals, lowest … highest \
 | smallest p, envelope (Holm) | smallest p, coverage (Holm) | parameters rejected \
 | most extreme | chains | largest Pareto k̂ |
-| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {chr(10).join(rows)}
 
 ![Rank distributions in their simultaneous envelopes]({stem}.png)
 
 Every parameter: [{stem}.csv]({stem}.csv). Draws are importance draws where Pareto k̂ < 0.5, else a
 chain. Of the torques, which all events of a repetition share in truth and each fit has per event,
-the first event's are ranked. The seed was stated before the run."""
+the first event's are ranked. *Declined* are flights that the package refuses before sampling; that
+depends on the data alone, and they are not among the repetitions. The seed was stated before the
+run."""

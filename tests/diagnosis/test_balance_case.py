@@ -197,3 +197,12 @@ def test_rounded_counters_of_stronger_thrusters_leave_more_momentum_open() -> No
         cause = compact(extend(base, [effect]))
         gained.append(find_mode(cause.log_density, cause.dimension).log_evidence)
     assert gained[1] - gained[0] < 3.0
+
+
+def test_causes_of_thrusters_have_a_density_beside_slews() -> None:
+    """Slews fire nothing, and the craft's thrusters have their factors all the same."""
+    events = flown(SEED + 1, short=True)
+    for name in ("thrust_scale", "thruster_degraded:z1"):
+        effect = events.catalogue.effect(name)
+        cause = compact(extend(none_hypothesis(events), [effect]))
+        assert np.isfinite(cause.log_density(np.zeros((2, cause.dimension)))).all()

@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cassini_bayes.errors import InputError
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.ranks import Ranks
+from cassini_bayes.studies import telemetry_calibration
 from cassini_bayes.studies.telemetry_calibration import (
     CONTROLS,
     VARIANTS,
@@ -37,6 +40,20 @@ def test_a_repetition_repeats_and_ranks_every_name() -> None:
     assert first.shape == (len(slews.names()),)
     assert ((first >= 0) & (first <= 1)).all()
     assert np.isfinite(k)
+
+
+def test_a_flight_that_is_declined_is_kept_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No rows between firings: no ranks, and the campaign goes on."""
+
+    def refused(*_: object) -> Model:
+        raise InputError("event bias-1: telemetry", "rows", "none", "give more")
+
+    monkeypatch.setattr(telemetry_calibration, "model_of", refused)
+    bias = campaign("bias")
+    found = bias.repetition(0)
+    assert np.isnan(found["ranks"]).all()
+    assert np.shape(found["ranks"]) == (len(bias.names()),)
+    assert np.isnan(found["pareto_k"])
 
 
 def test_names_are_those_of_draws_and_truth() -> None:
