@@ -178,6 +178,7 @@ def _falls(density: LogDensity, base: Mode, sizes: Array, z: Array) -> tuple[Arr
         return best[0] - best[place]
 
     fall(0)
+    point = base.point  # next to nothing tells no direction
     stayed = likelihood(np.tile(base.point, (len(z), 1)), z)
     place = 1 + int(np.argmin(np.abs(_too_far(stayed[0] - stayed[1:]))))
     while place not in best:
