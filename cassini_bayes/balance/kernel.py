@@ -109,7 +109,8 @@ def normal_equations(
     Parameters
     ----------
     weights
-        (n, B, 3) weight of every column per axis; those of measured wheel rates are overwritten.
+        (n, B, 3) weight of every column per axis; those of measured wheel rates, and those that
+        integrated columns have otherwise, are overwritten.
     turned
         (n, T, V, 3) those of integrated columns, by band, where they are others.
     noise, entries, slow, fast, turns, placed
