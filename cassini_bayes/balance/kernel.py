@@ -3,8 +3,7 @@
 Columns combine into P new ones per axis, y_c,k(t) = Σ_b w[b, c] C_c,b(t), over the columns b that
 are of new column k; what the likelihood needs are the inner products of these under the noise of
 every band. Each of the B columns is of one new column: where several are made of the same, it is
-there as often. Point by point all
-that belongs to one stays in the processor's cache, and other threads may work on other points.
+there as often. Other threads may work on other points.
 
 Linear algebra on three or four wheels is written out: calls of LAPACK from
 compiled code hold the interpreter's lock and cost more than the work.
@@ -153,9 +152,8 @@ def normal_equations(
             pair = slice(i, min(i + 2, n))
             for p in range(pair.start, pair.stop):
                 used, own = weights[p], noise.wheels[p]
+                other[:] = noise.beside[p, 1 + f]
                 for c in range(3):
-                    for d in range(3):
-                        other[c, d] = noise.beside[p, 1 + f, c, d]
                     other[c, c] += noise.walk[p] * fast.walk[f]
                 if is_told:
                     _moments(fast.grams[f], entries.wheels, lacking[p], fast.rows[f], products)

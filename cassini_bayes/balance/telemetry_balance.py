@@ -212,7 +212,11 @@ class TelemetryBalance:
     @cached_property
     def bands(self) -> tuple[SlowBand, FastBands, Turns]:
         """The bands for compiled code, which has a column of its own for every entry."""
-        own = self.products.of(self.reduced.entered)
+        contrasts = np.array([band.contrasts for band in self.turns], dtype=np.int64)
+        first = np.r_[0, np.cumsum(contrasts)]
+        first = first[first <= self.products.slopes.shape[2]]
+        rest = replace(self.products, turns=self.products.turns[len(first) - 1 :])
+        own = rest.of(self.reduced.entered)
         nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
         slow = SlowBand(own.slow, self.slow.faster, self.slow.square, nodes[0], coefficients[0])
         fast = FastBands(
@@ -222,11 +226,8 @@ class TelemetryBalance:
             np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
             np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
         )
-        contrasts = np.array([own.contrasts for own in self.turns], dtype=np.int64)
-        first = np.r_[0, np.cumsum(contrasts)]
-        first = first[first <= own.slopes.shape[2]]
-        rest = _by_column(own.turns[len(first) - 1 :])
-        return slow, fast, Turns(own.slopes, first, rest, contrasts.astype(np.float64))
+        turns = Turns(own.slopes, first, _by_column(own.turns), contrasts.astype(np.float64))
+        return slow, fast, turns
 
     @cached_property
     def left_open(self) -> OpenSquares:

@@ -92,6 +92,12 @@ def flown(
     return reduced(simulation, priors())
 
 
+@cache
+def nothing_hidden() -> Events:
+    """A short bias and slews with nothing hidden."""
+    return flown(SEED + 1, short=True)
+
+
 def verdict_of(events: Events) -> Verdict[Hypothesis]:
     """A diagnosis without a hint."""
     return weigh(BalanceCase(events), np.random.default_rng(1), pairs=False)
@@ -139,7 +145,7 @@ def test_what_bends_the_baseline_to_its_walls_is_found_from_the_centre() -> None
 
 def test_nothing_hidden_gives_none_and_something_strange_gives_unknown() -> None:
     """Null telemetry keeps the baseline; a torque pulse outside the catalogue is called unknown."""
-    null = verdict_of(flown(SEED + 1, short=True))
+    null = verdict_of(nothing_hidden())
     assert null.best.name == "none"
     left = null.none.remainder
     assert left is not None
@@ -170,7 +176,7 @@ def test_catalogue_probabilities_add_up() -> None:
 
 def test_what_trades_with_a_nuisance_wholly_is_known_no_better_than_its_prior() -> None:
     """A moment of inertia that changed, and one that the prior has wrong, are one and the same."""
-    events = flown(SEED + 1, short=True)
+    events = nothing_hidden()
     full = none_hypothesis(events)
     none = compact(full)
     base = by_laplace(none, find_mode(none.log_density, none.dimension))
@@ -201,7 +207,7 @@ def test_rounded_counters_of_stronger_thrusters_leave_more_momentum_open() -> No
 
 def test_causes_of_thrusters_have_a_density_beside_slews() -> None:
     """Slews fire nothing, and the craft's thrusters have their factors all the same."""
-    events = flown(SEED + 1, short=True)
+    events = nothing_hidden()
     for name in ("thrust_scale", "thruster_degraded:z1"):
         effect = events.catalogue.effect(name)
         cause = compact(extend(none_hypothesis(events), [effect]))
