@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from cassini_bayes.balance.open_counters import LEAST_RATIO
 from cassini_bayes.balance.statistics import (
     EventStatistics,
-    Layout,
     Samples,
     Sampling,
+    layout_of,
     reduce_chunks,
 )
 from cassini_bayes.balance.statistics.pulse_columns import WIDTHS_S
@@ -114,7 +114,7 @@ def reduced(
     fires = samples.on_time_s.shape[1] > 0
     names = priors.spacecraft.thruster_names(priors.branch) if fires else ()
     sampling = sampling_of(priors, names, float(samples.time_s[-1]), "first_order")
-    layout = Layout((1, 2, 4), names, sampling.couples)
+    layout = layout_of((1, 2, 4), names, sampling)
     edges = np.linspace(0, len(samples), chunks + 1).astype(int)
     parts = [samples.part(a, b) for a, b in pairwise(edges)]
     kind = "bias" if fires else "slew"
@@ -472,9 +472,9 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         still = 0.2 if plain_sparse(n, samples) else 0.5
         turns = plain_turns(rows, term.event.sampling)
         row_white = white
-        walk = plain_walk(np.array(rows.times), term) * values["torque_noise_n_m_s05"]
+        walk = plain_walk(samples, rows, term) * values["torque_noise_n_m_s05"]
         bands = plain_bands(np.array(rows.times), samples)
-        of_rows = np.kron(bands[0][0] @ walk, np.eye(3))
+        of_rows = np.kron(bands[0][0], np.eye(3)) @ walk
         for band, (share, _, drift) in enumerate(bands):
             size = round(np.trace(share))
             white = (
@@ -531,7 +531,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             mean = np.concatenate([mean, (on_turns @ mean.reshape(-1)).reshape(-1, 3)])
             y = np.concatenate([y, gained])
             columns = np.concatenate([columns, on_turns @ columns])
-            everywhere = np.concatenate([np.array(own).T, np.kron(walk, np.eye(3))], axis=1)
+            everywhere = np.concatenate([np.array(own).T, walk], axis=1)
             unknown = np.concatenate([unknown, on_turns @ everywhere])
             total = block_diag(total, noise.reshape(3 * len(gained), -1))
         if fires:
@@ -656,12 +656,12 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
         by_attitude = at["attitude_noise_rad"] ** 2 * inertia @ inertia
         by_wheels = (at["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
         of_row = by_rate + by_wheels + at["attitude_noise_rad"] ** 2 * spin
-        walk = at["torque_noise_n_m_s05"] * plain_walk(np.array(rows.times), term, MODES)
-        of_rows = np.kron(np.eye(n), of_row) + np.kron(walk @ walk.T, np.eye(3))
-        integrated = summed @ walk
-        between = np.kron(summed, by_wheels) + np.kron(integrated @ walk.T, np.eye(3))
+        walk = at["torque_noise_n_m_s05"] * plain_walk(samples, rows, term, MODES)
+        of_rows = np.kron(np.eye(n), of_row) + walk @ walk.T
+        integrated = np.kron(summed, np.eye(3)) @ walk
+        between = np.kron(summed, by_wheels) + integrated @ walk.T
         of_turns = np.kron(summed @ summed.T, by_wheels) + np.kron(np.eye(contrasts), by_attitude)
-        of_turns += np.kron(integrated @ integrated.T, np.eye(3))
+        of_turns += integrated @ integrated.T
         between *= float(shared)
         return np.block([[of_rows, between.T], [between, of_turns]])
 
@@ -864,7 +864,8 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
                 for order in range(129)
             ]
         )
-        slowest = np.cos(np.outer(np.array(times)[piece], np.arange(1, 7)) * np.pi / duration)
+        order = np.arange(1, 1 + plain_cosines(duration))
+        slowest = np.cos(np.outer(np.array(times)[piece], order) * np.pi / duration)
         other_waves += list(contrast @ integral @ slowest)
         slope_sums.append(np.sum((slope @ integral) ** 2))
         sums += [
@@ -878,7 +879,7 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
     order = np.arange(1, 129)
     scale = np.r_[np.sqrt(duration / 3.0), np.sqrt(2 * duration) / (order * np.pi)]
     modes, size, _ = np.linalg.svd(np.array(waves) * scale, full_matrices=False)
-    faster = plain_faster(modes, size, np.array(waves) * scale)
+    faster = plain_faster(modes, size, np.array(waves) * scale, duration)
     bands = []
     for start, stop in pairwise([0, *(edge for edge in SLOPE_EDGES if edge < count), count]):
         share = np.zeros((total, total))
@@ -888,7 +889,8 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
         bands.append((share, float(summed), *walked))
     if total > count:
         rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
-        squares = [*sums, sums[1] - np.sum((np.array(other_waves) * scale[1:7]) ** 2)]
+        slowest_of = slice(1, 1 + plain_cosines(duration))
+        squares = [*sums, sums[1] - np.sum((np.array(other_waves) * scale[slowest_of]) ** 2)]
         bands.append((rest, *(float(square) / (total - count) for square in squares)))
     return PlainTurns(
         of_rates,
@@ -917,19 +919,34 @@ def _lacking(
     return np.asarray((before + design @ at).reshape(n, 3))
 
 
-def plain_walk(times: Array, term: TelemetryTerm, cosines: int = 6) -> Array:
-    """What the slowest cosines of a unit random walk gained at times (n, cosines), per normal."""
-    duration, order = term.event.sampling.duration_s, np.arange(1, 1 + cosines)
-    scale = np.sqrt(2 * duration) / (order * np.pi)
-    return np.asarray((np.cos(np.pi * np.outer(times, order) / duration) - 1.0) * scale)
+def plain_cosines(duration_s: float) -> int:
+    """Cosines of torque noise that are unknowns: one for every five minutes, 6 to 16."""
+    return min(max(6, int(np.ceil(duration_s / 300.0))), 16)
 
 
-def plain_faster(modes: Array, size: Array, waves: Array) -> Array:
-    """Variances of a unit random walk's modes (n, M) without its mean and six slowest cosines.
+def plain_walk(
+    samples: Samples, rows: PlainRows, term: TelemetryTerm, cosines: int | None = None
+) -> Array:
+    """What the slowest cosines of a unit random walk gained (3 n, 3 cosines), per normal.
+
+    In inertial axes, and seen in those of the body.
+    """
+    duration = term.event.sampling.duration_s
+    start = _first_body(samples)
+    own = []
+    for order in range(1, 1 + (cosines or plain_cosines(duration))):
+        scale = np.sqrt(2 * duration) / (order * np.pi)
+        gained = scale * (np.cos(order * np.pi * np.array(rows.times) / duration) - 1.0)
+        own.append((gained[:, None, None] * np.array(rows.bodies) @ start.T).reshape(-1, 3))
+    return np.concatenate(own, axis=1)
+
+
+def plain_faster(modes: Array, size: Array, waves: Array, duration_s: float) -> Array:
+    """Variances of a unit random walk's modes (n, M) without its mean and slowest cosines.
 
     ``waves`` (n, 1 + cosines) have their standard deviations in them.
     """
-    slowest = modes.T @ waves[:, :7]
+    slowest = modes.T @ waves[:, : 1 + plain_cosines(duration_s)]
     return np.asarray(size**2 - np.sum(slowest**2, axis=1))
 
 
@@ -945,7 +962,7 @@ def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array, Arra
         for m in range(1, MODES + 1)
     ]
     modes, size, _ = np.linalg.svd(np.array(waves).T, full_matrices=False)
-    faster = plain_faster(modes, size, np.array(waves).T)
+    faster = plain_faster(modes, size, np.array(waves).T, duration)
     n = len(times)
     count, inner = n // ROWS_PER_MODE, list(EDGES)
     if plain_sparse(n, samples):

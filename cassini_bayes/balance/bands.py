@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
 from cassini_bayes.balance.rounded_wheels import WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics, Layout
-from cassini_bayes.balance.statistics.columns import WALK_COSINES, cosines
+from cassini_bayes.balance.statistics.columns import cosines, walk_cosines
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.computing.arrays import Array
 
@@ -282,8 +282,9 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
         # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
         resting = np.zeros(len(statistics.layout.wheels))
         own = range(statistics.layout.walk.start, statistics.layout.walk.stop)
-        scale = walk_scales(statistics.duration_s, WALK_COSINES)[1:]
-        slowest = scale**2 @ turns.gram[0, 0, own, own] / turns.contrasts
+        scale = walk_scales(statistics.duration_s, statistics.layout.cosines)[1:]
+        of_axes = np.trace(turns.gram)[own, own]
+        slowest = np.repeat(scale**2, 3) @ of_axes / (3.0 * turns.contrasts)
         faster = max(turns.walked_s3 - float(slowest), 0.0)
         squares = (turns.summed_s2, resting, turns.walked_s3, faster)
         bands.append(TurnBand(turns.contrasts, *squares, nothing))
@@ -380,14 +381,14 @@ def diagonal_walk(square: Array, duration_s: float, most: int) -> tuple[Array, A
 
     ``square`` (1 + cosines, 1 + cosines) are inner products over rows. Returns the variances
     (M,) over a², largest first and at most ``most`` of them, those (M,) without the walk's mean and
-    its :data:`.WALK_COSINES` slowest cosines, and the matrix (1 + cosines, M).
+    its slowest cosines (:func:`.walk_cosines`), and the matrix (1 + cosines, M).
     """
     scale = walk_scales(duration_s, len(square) - 1)
     values, turn = np.linalg.eigh(scale[:, None] * square * scale)
     kept = np.flatnonzero(values > _INDEPENDENT * values[-1])[::-1][: max(most, 1)]
     values, turn = values[kept], turn[:, kept]
     turned = turn / np.sqrt(values) * scale[:, None]
-    slowest = slice(0, 1 + WALK_COSINES)
+    slowest = slice(0, 1 + walk_cosines(duration_s))
     seen = scale[slowest, None] * (square[slowest] @ turned)
     return values, np.maximum(values - (seen**2).sum(axis=0), 0.0), turned
 

@@ -124,19 +124,19 @@ class Reduced:
     wheels: Places  # (W,) places of wheel rates among the entries
     turned: Places  # (V,) which of the pattern's ``turned`` are left
     turned_entries: Places  # (V,) their places among the entries
-    walk: Places  # (D,) columns of the slowest cosines of torque noise; none where there is none
+    walk: Places  # (3 D,) columns of the slowest cosines of torque noise; none where there is none
 
     @cached_property
     def places(self) -> Entries:
-        """The same for compiled code, torque noise's slowest cosines first, each for three axes."""
-        walks = 3 * len(self.walk)
+        """The same for compiled code, torque noise's slowest cosines first."""
+        walks = len(self.walk)
         start = np.r_[np.arange(walks), walks + self.start]
         return Entries(start, walks + self.wheels, walks + self.turned_entries)
 
     @property
     def entered(self) -> Places:
         """The layout's column of every entry, in that order."""
-        return self.columns[np.r_[np.repeat(self.walk, 3), self.row]]
+        return self.columns[np.r_[self.walk, self.row]]
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def _walk_columns(event: TelemetryBalance, nominal: Mapping[str, Array]) -> Arra
     """Coefficients (3 D, 3, A') of the slowest cosines of torque noise, standard normals."""
     weights = walk_weights(event, nominal)[0]
     columns = np.zeros((*weights.shape, len(event.reduced.columns)))
-    columns[np.arange(len(weights)), :, np.repeat(event.reduced.walk, 3)] = weights
+    columns[np.arange(len(weights)), :, event.reduced.walk] = weights
     return columns
 
 

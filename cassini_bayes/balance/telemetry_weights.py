@@ -15,7 +15,7 @@ import numpy as np
 from cassini_bayes.balance.bands import walk_scales
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, WALK_COSINES
+from cassini_bayes.balance.statistics.columns import CUT_COLUMNS
 from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, Reduced, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array
@@ -92,13 +92,12 @@ def turn_weights(event: TelemetryBalance, physics: Physics, weights: Array, gain
 def walk_weights(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Weights (n, 3 D, 3) of the slowest cosines of torque noise, for standard normals.
 
-    Every cosine has one unknown per axis. It is in rows and in turns alike, which as two noises
-    would seem to tell the same thing independently (docs/topics/telemetry-likelihood.md §8).
+    Every cosine has one unknown per inertial axis. It is in rows and in turns alike, which as two
+    noises would seem to tell the same thing independently (docs/topics/telemetry-likelihood.md §8).
     """
-    cosines = WALK_COSINES if len(event.reduced.walk) > 0 else 0
-    scale = walk_scales(event.statistics.duration_s, cosines)[1:]
-    weights = np.multiply.outer(parameters["torque_noise_n_m_s05"], np.kron(scale, np.eye(3)).T)
-    return np.asarray(weights)
+    cosines = len(event.reduced.walk) // 3
+    scale = np.repeat(walk_scales(event.statistics.duration_s, cosines)[1:], 3)
+    return np.multiply.outer(parameters["torque_noise_n_m_s05"], np.tile(scale[:, None], 3))
 
 
 def _measured_weights(event: TelemetryBalance, physics: Physics, wheels: Array) -> Array:

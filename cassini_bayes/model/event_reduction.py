@@ -24,9 +24,9 @@ from cassini_bayes.balance.physics import PULSE_PARAMETERS
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     ExtraColumn,
-    Layout,
     Samples,
     Sampling,
+    layout_of,
     load_statistics,
     reduce_chunks,
     save_statistics,
@@ -286,7 +286,7 @@ def reduce_samples(
     epoch: datetime | None = None,
 ) -> ReducedEvent:
     """Reduce telemetry that is in memory, as from a simulation."""
-    layout = Layout(tuple(wheels), tuple(thrusters), sampling.couples)
+    layout = layout_of(wheels, thrusters, sampling)
     rows = PreparedRows((samples,), sampling.control_cycle_s)
     result = rows.prepared.found
     statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=result)
@@ -536,7 +536,7 @@ def _reduced(
     log: Log,
     policy: Policy,
 ) -> tuple[EventStatistics, ReadingRecord]:
-    layout = Layout(event.wheels, event.thrusters, sampling.couples)
+    layout = layout_of(event.wheels, event.thrusters, sampling)
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
     reading = _Reading(event, rows, check, sampling.duration_s, log)
     statistics = reduce_chunks(

@@ -12,8 +12,8 @@ from telemetry_cases import made_up_samples, reduced, telemetry_priors
 
 from cassini_bayes.balance.statistics import (
     Carry,
-    Layout,
     Samples,
+    layout_of,
     load_statistics,
     reduce_chunks,
     reduction,
@@ -212,7 +212,7 @@ def test_ceaseless_firing_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPat
     priors = telemetry_priors()
     names = priors.spacecraft.thruster_names("B")
     sampling = sampling_of(priors, names, 199.0, "first_order")
-    layout = Layout((1, 2, 4), names, sampling.couples)
+    layout = layout_of((1, 2, 4), names, sampling)
     carry = Carry.start(layout)
     for start in range(0, 200, 10):
         _, carry = settle(busy.part(start, start + 10), carry, layout, sampling, final=False)
@@ -232,4 +232,4 @@ def test_reduction_of_nothing_is_refused() -> None:
     priors = telemetry_priors()
     sampling = sampling_of(priors, (), 10.0, "first_order")
     with pytest.raises(InputError, match="at least 10 rows"):
-        reduce_chunks("none", "slew", [], Layout((1, 2, 4), (), ()), sampling)
+        reduce_chunks("none", "slew", [], layout_of((1, 2, 4), (), sampling), sampling)

@@ -8,6 +8,7 @@ from cassini_bayes.balance.statistics.columns import (
     Layout,
     RowContext,
     Sampling,
+    layout_of,
     settle,
 )
 from cassini_bayes.balance.statistics.reduction import (
@@ -26,6 +27,7 @@ __all__ = [
     "RowContext",
     "Samples",
     "Sampling",
+    "layout_of",
     "load_statistics",
     "reduce_chunks",
     "save_statistics",

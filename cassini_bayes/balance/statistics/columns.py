@@ -6,14 +6,16 @@ In body axes at time t, with R(t, t') the rotation from body axes at t' to those
 
 (paper 000 eqs. 4-7 and 15-17 in inertial form). Scalar columns stand for one column per axis:
 ω_x, ω_y, ω_z, 1, ρ_1 … ρ_W, and the turns of the attitude, which only the balance integrated over
-quiet pieces has (:mod:`.turns`; zero in rows), and the slowest cosines of a random walk, less 1.
+quiet pieces has (:mod:`.turns`; zero in rows).
 Vector columns have three components at each time: R e_j for the initial momentum, ∫R e_j dt for a
-steady torque, ∫R e_j ds_k for thruster k. The effective on-time s depends on the pulse parameters,
-by the columns of :mod:`.pulse_columns`.
+steady torque, R e_j [cos(mπt/T) − 1] for the slowest cosines of torque noise, ∫R e_j ds_k for
+thruster k. The effective on-time s depends on the pulse parameters, by the columns of
+:mod:`.pulse_columns`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -39,9 +41,10 @@ CUT_COLUMNS = 1 + CUT_PARTS
 # readings (docs/topics/telemetry-likelihood.md §7).
 ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
-# The slowest cosines of torque noise are unknowns: rows and turns see them alike. With five times
-# the usual torque noise the seventh has a fiftieth of the noise of real rates, in ten minutes.
-WALK_COSINES = 6
+# The slowest cosines of torque noise are unknowns: rows and turns see them alike. How many matter
+# grows with the duration (docs/topics/telemetry-likelihood.md §8).
+COSINE_S = 300.0  # of the event, for each cosine
+WALK_COSINES = 6, 16  # as few, as many: the slow band has twice as many modes
 USUAL_SHARE = 0.3  # of close pairs: the mean of the shipped priors
 LEAST_PAIR_S2 = 1e-12  # (1 µs)²: where no tail is cut, unlike widths are all that scatters
 LEAST_FALL_S = 1e-4  # a valve that closes at once: nothing of its thrust is left a cycle later
@@ -127,6 +130,12 @@ class Sampling:
         return PulseBasis(self.pulse_shape, self.pulse_reference_s, self.widths_s)
 
 
+def walk_cosines(duration_s: float) -> int:
+    """How many of the slowest cosines of torque noise are unknowns of an event."""
+    fewest, most = WALK_COSINES
+    return min(max(fewest, math.ceil(duration_s / COSINE_S)), most)
+
+
 class LostTails(NamedTuple):
     """On-time that a pair of pulses loses by a cut tail: mean (n,), s, and variance (n,), s²."""
 
@@ -155,12 +164,14 @@ class Layout:
     wheels: tuple[int, ...]
     thrusters: tuple[str, ...]
     couples: tuple[tuple[int, ...], ...]
+    cosines: int  # of torque noise that are unknowns
     extra: tuple[str, ...] = ()
 
     @cached_property
     def vector(self) -> tuple[str, ...]:
         """Names of the vector columns."""
-        steady = [f"{what}:{axis}" for what in ("initial", "torque") for axis in AXES]
+        walks = (f"walk:{order}" for order in range(1, 1 + self.cosines))
+        steady = [f"{what}:{axis}" for what in ("initial", "torque", *walks) for axis in AXES]
         fired = [
             f"thrust:{name}:{axis}:{column}"
             for name in self.thrusters
@@ -183,7 +194,6 @@ class Layout:
                 for part in ("mean", *range(CUT_PARTS))
             ),
             *(f"pulses:{name}" for name in self.thrusters),
-            *(f"walk:{order}" for order in range(1, 1 + WALK_COSINES)),
             *self.extra,
         )
 
@@ -203,9 +213,14 @@ class Layout:
         return slice(3, 6)
 
     @property
+    def walk(self) -> slice:
+        """What the slowest cosines of a random walk gained, (D, 3 axes) in this order."""
+        return slice(self.torque.stop, self.torque.stop + 3 * self.cosines)
+
+    @property
     def fired(self) -> slice:
         """Columns of the thrusters, (K, 3 axes, C pulse columns) in this order."""
-        return slice(6, len(self.vector))
+        return slice(self.walk.stop, len(self.vector))
 
     @property
     def rate(self) -> slice:
@@ -238,14 +253,15 @@ class Layout:
         return slice(self.cut.stop, self.cut.stop + len(self.thrusters))
 
     @property
-    def walk(self) -> slice:
-        """What the slowest cosines of a random walk have gained since the event began."""
-        return slice(self.pulse_count.stop, self.pulse_count.stop + WALK_COSINES)
-
-    @property
     def extra_place(self) -> slice:
         """Columns that effects brought."""
-        return slice(self.walk.stop, self.size)
+        return slice(self.pulse_count.stop, self.size)
+
+
+def layout_of(wheels: Sequence[int], thrusters: Sequence[str], sampling: Sampling) -> Layout:
+    """The columns of an event with these wheels and thrusters."""
+    count = walk_cosines(sampling.duration_s)
+    return Layout(tuple(wheels), tuple(thrusters), sampling.couples, count)
 
 
 @dataclass(frozen=True)
@@ -400,8 +416,11 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
     rows, body, n = state[keep], attitude[keep], int(keep.sum())
     index = counted.events_before(time[keep])
     vector = np.empty((n, 3, len(layout.vector)))
-    vector[:, :, layout.initial] = body @ first.T
+    vector[:, :, layout.initial] = since_start = body @ first.T
     vector[:, :, layout.torque] = body @ torque[keep[new]]
+    gained = cosines(time[keep], sampling.duration_s, 1 + layout.cosines)[:, 1:] - 1.0
+    walks = gained[:, None, :, None] * since_start[:, :, None, :]
+    vector[:, :, layout.walk] = walks.reshape(n, 3, 3 * layout.cosines)
     # (1 + m, K, pulse column, inertial, j) -> inertial, (K, j, pulse column)
     inertial = fired.transpose(0, 3, 1, 4, 2).reshape(len(fired), 3, -1)
     turned_into_body(body, np.ascontiguousarray(inertial), index, vector[:, :, layout.fired])
@@ -421,7 +440,6 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
             np.zeros((n, 3)),
             cuts[index],
             context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0)),
-            cosines(context.time_s, sampling.duration_s, 1 + WALK_COSINES)[:, 1:] - 1.0,
             *(extra.values(context)[:, None] for extra in sampling.extra),
         ],
         axis=1,

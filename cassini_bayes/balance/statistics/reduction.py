@@ -23,6 +23,7 @@ from cassini_bayes.balance.statistics.columns import (
     Sampling,
     quarter_of,
     settle,
+    walk_cosines,
 )
 from cassini_bayes.balance.statistics.counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
@@ -39,7 +40,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512  # at 1 Hz the remainder is faster than 6 s in a bias of 1,500 s
-_FORMAT: Final = 11  # raised with every change of what is stored
+_FORMAT: Final = 12  # raised with every change of what is stored
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -576,6 +577,7 @@ def load_statistics(path: Path) -> EventStatistics | None:
             tuple(int(number) for number in stored["wheels"]),
             tuple(str(name) for name in stored["thrusters"]),
             couples_from(stored["couples"]),
+            walk_cosines(float(stored["duration_s"])),
         )
         return EventStatistics(
             str(stored["event_id"]),
