@@ -8,11 +8,13 @@ precision of their unknowns, what the prior and the fit leave of a target y is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
+from cassini_bayes.balance.statistics.turns import Pieces
 from cassini_bayes.computing.arrays import Array
 
 
@@ -21,7 +23,9 @@ class EventRows:
     """What a model leaves of one event's rows, and the channels there.
 
     ``residual_n_m_s`` (n, 3) is momentum about body axes, ``white`` (n, 3) the same whitened:
-    ``residual_n_m_s = white @ noise_factor.T`` with the lower factor (3, 3) of a row's noise.
+    ``residual_n_m_s = white @ noise_factor.T`` with the lower factor (3, 3) of a row's noise. With
+    ``pieces`` all that is of the balance integrated over quiet pieces, N m s², in which turns of
+    the attitude are measured and not rates (:mod:`.statistics.turns`).
     """
 
     event: str
@@ -35,6 +39,7 @@ class EventRows:
     thrusters: tuple[str, ...]
     noise_factor: Array
     attitude: Array  # (n, 4) Euler parameters, scalar last
+    pieces: Pieces | None = None
 
 
 @dataclass(frozen=True)
@@ -67,3 +72,35 @@ def fitted_away(linear: Linear, target: Array) -> Array:
     """What the prior and the fit leave (m, …) of one or more targets (m, …)."""
     coefficients = np.linalg.solve(linear.gram(), linear.columns.T @ target)
     return np.asarray(target - linear.columns @ coefficients)
+
+
+def with_unknowns(
+    linear: Linear,
+    opened: Sequence[tuple[Array, Array]],
+    factors: Sequence[Array],
+) -> Linear:
+    """The linear model with a column for everything that is left open.
+
+    Parameters
+    ----------
+    linear
+        Of the likelihood's columns.
+    opened
+        Columns (n, 3, s) in N m s and their variances (s,), of every event
+        (:func:`cassini_bayes.diagnosis.unresolved.unresolved`).
+    factors
+        Lower factors (3, 3) of every event's noise.
+    """
+    widths = [len(variance) for _, variance in opened]
+    added, place = np.zeros((len(linear.target), sum(widths))), 0
+    for part, (columns, variance), factor in zip(linear.parts, opened, factors, strict=True):
+        white = np.einsum("ab,nbs->nas", np.linalg.inv(factor), columns)
+        stop = place + len(variance)
+        added[part, place:stop] = white.reshape(part.stop - part.start, len(variance))
+        place = stop
+    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance in opened)])
+    return replace(
+        linear,
+        columns=np.concatenate([linear.columns, added], axis=1),
+        precision=np.concatenate([linear.precision, precision]),
+    )

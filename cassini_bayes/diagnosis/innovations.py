@@ -10,17 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away
+from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, with_unknowns
 from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance
 from cassini_bayes.balance.telemetry_weights import balance_weights
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.turns import with_turns
 from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Remainder
 
@@ -220,38 +222,6 @@ def _stacked(
     return Linear(target, columns, precision, tuple(size // 3 for size in sizes))
 
 
-def with_unknowns(
-    linear: Linear,
-    opened: Sequence[tuple[Array, Array]],
-    factors: Sequence[Array],
-) -> Linear:
-    """The linear model with a column for everything that counters leave open.
-
-    Parameters
-    ----------
-    linear
-        Of the likelihood's columns.
-    opened
-        Columns (n, 3, s) in N m s and their variances (s,), of every event
-        (:func:`unresolved.unresolved`).
-    factors
-        Lower factors (3, 3) of every event's noise.
-    """
-    widths = [len(variance) for _, variance in opened]
-    added, place = np.zeros((len(linear.target), sum(widths))), 0
-    for part, (columns, variance), factor in zip(linear.parts, opened, factors, strict=True):
-        white = np.einsum("ab,nbs->nas", np.linalg.inv(factor), columns)
-        stop = place + len(variance)
-        added[part, place:stop] = white.reshape(part.stop - part.start, len(variance))
-        place = stop
-    precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance in opened)])
-    return replace(
-        linear,
-        columns=np.concatenate([linear.columns, added], axis=1),
-        precision=np.concatenate([linear.precision, precision]),
-    )
-
-
 def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
     """What a hypothesis leaves of telemetry at its mode z (d,), what counters leave open as well.
 
@@ -290,4 +260,5 @@ def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
         tuple(rows),
         linear,
         {name: float(np.ravel(value)[0]) for name, value in parameters.items()},
+        partial(with_turns, hypothesis, z, linear, rows),
     )

@@ -7,11 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.balance.linearised import with_unknowns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import H, Size, Weighed
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
+from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.unresolved import timed
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.model.posterior import TORQUES, Model

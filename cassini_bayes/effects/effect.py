@@ -71,12 +71,15 @@ class Remainder:
     """What a fitted model leaves of the telemetry: where a search before the next fit looks.
 
     ``samples`` and ``rows`` are those of every event, ``parameters`` the model's at its mode.
+    ``with_turns`` makes rows and turns of quiet pieces, and the linear model that left them: first
+    the rows of every event, then its turns.
     """
 
     samples: tuple[Samples, ...]
     rows: tuple[EventRows, ...]
     linear: Linear
     parameters: Mapping[str, float]
+    with_turns: Callable[[], tuple[Linear, tuple[EventRows, ...]]]
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from scipy.optimize import minimize
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
+from cassini_bayes.balance.statistics.turns import Pieces
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.appendage import KnownMotion, known_motion, oscillation_series
 from cassini_bayes.effects.changes import AXES, with_columns
@@ -45,6 +46,7 @@ PEAKS: Final = (
     6  # lines that are looked at more closely: judgement, time against a weak line's loss
 )
 FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width, about each peak
+MOST_VALUES: Final = 2_000_000  # of turns' oscillations at a time, 32 MB
 LARGEST_ROOT: Final = 0.3
 """Of the damping, 0.09: an appendage that dies within two cycles is no oscillation (judgement)."""
 MOST_EVALUATIONS: Final = 60  # for the last digits of frequency and damping
@@ -186,10 +188,11 @@ def left_open(
 def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillation | None:
     """The line of most evidence in what a model leaves, by the priors of its size."""
     motions = [known_motion(samples.time_s, samples.rate_rad_s) for samples in remainder.samples]
+    linear, rows = remainder.with_turns()
     inertia = [remainder.parameters[f"inertia_{axis}{axis}_kg_m2"] for axis in AXES]
     amplitude, share = (priors[key].scale for key in ("cosine_rad_s", "inertia_fraction"))
     scales = amplitude, share
-    return find_oscillation(remainder.rows, motions, remainder.linear, np.array(inertia), scales)
+    return find_oscillation(rows, [*motions, *motions], linear, np.array(inertia), scales)
 
 
 def find_oscillation(
@@ -208,7 +211,8 @@ def find_oscillation(
     Parameters
     ----------
     rows, motions, linear
-        Innovations and known motion of every event, and the linear model that left them.
+        Innovations and known motion of every event, and the linear model that left them; of rows,
+        or of turns over quiet pieces.
     inertia_kg_m2
         Moments (3,) about body axes.
     scales
@@ -279,6 +283,11 @@ def _coarse(
         directions = np.linalg.inv(event.noise_factor)  # column a: a unit of momentum, whitened
         lengths = (directions**2).sum(0)
         left = event.white @ directions
+        if event.pieces is not None:
+            squares, along = _products_of_turns(event.pieces, frequencies, damping, left)
+            gram[:, :, :2, :2] += lengths[:, None, None] * squares[:, None]
+            projection[:, :, :2] += np.swapaxes(along, 1, 2)
+            continue
         squares, along = motion.products(event.time_s, frequencies, damping, left)
         squares[:, :2, 2:] *= -1.0  # what the balance lacks is less the driven part
         squares[:, 2:, :2] *= -1.0
@@ -288,6 +297,25 @@ def _coarse(
             gram[:, axis] += lengths[axis] * squares[:, places[:, None], places]
             projection[:, axis] += along[:, places, axis]
     return _log_evidence(gram, projection, size)
+
+
+def _products_of_turns(
+    pieces: Pieces, frequencies: Array, damping: float, left: Array
+) -> tuple[Array, Array]:
+    """Inner products (f, 2, 2) of an oscillation's cosine and sine, integrated; with ``left``.
+
+    The latter (f, 2, 3); left (n, 3). The answer to the body's motion is not in them.
+    """
+    at_once = max(1, MOST_VALUES // len(pieces.time_s))
+    squares, along = np.empty((len(frequencies), 2, 2)), np.empty((len(frequencies), 2, 3))
+    for first in range(0, len(frequencies), at_once):
+        part = slice(first, first + at_once)
+        rate = 2.0 * np.pi * frequencies[part] * (1j - damping)
+        waves = pieces.centred(np.exp(pieces.time_s[:, None] * rate) / rate)
+        series = np.stack([waves.real, waves.imag])
+        squares[part] = np.einsum("anf,bnf->fab", series, series)
+        along[part] = np.swapaxes(np.tensordot(series, left, (1, 0)), 0, 1)
+    return squares, along
 
 
 def _peaks(scores: Array) -> list[tuple[int, int]]:
@@ -343,6 +371,8 @@ def _fine(
     for event, motion, view in zip(rows, motions, views, strict=True):
         cosine, sine, driven = oscillation_series(event.time_s, motion, frequency_hz, damping)
         series = np.stack([cosine, sine, -driven[:, axis]], axis=1)
+        if event.pieces is not None:
+            series = event.pieces.integrated(series)
         gram += view.length * series.T @ series
         projection += view.white @ series
         across += view.columns.T @ series

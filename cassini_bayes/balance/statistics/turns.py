@@ -24,8 +24,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.columns import Layout, Rows, cosines
-from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.balance.statistics.columns import Layout, Rows, Sampling, cosines
+from cassini_bayes.computing.arrays import Array, Flags, Places
 
 LONGEST_S: Final = 32.0  # of a piece: by then attitudes tell its rate to 4e-7 rad/s
 LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate
@@ -76,6 +76,32 @@ class PieceRule:
     usual_s: float
     corner_rad_s: float = np.inf
     corner_rad: float = np.inf
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Quiet pieces of rows at times (n,): rows ``ends[i]`` to ``ends[i + 1]`` of each."""
+
+    time_s: Array
+    ends: Places
+
+    def integrated(self, values: Array) -> Array:
+        """∫ values dt (n, c) from row to row, less its mean over every piece."""
+        return self.centred(_integral(self.time_s, values))
+
+    def centred(self, values: Array) -> Array:
+        """Values (n, c) less their mean over every piece."""
+        counts = np.diff(self.ends)
+        means = np.add.reduceat(values, self.ends[:-1], axis=0) / counts[:, None]
+        return np.asarray(values - np.repeat(means, counts, axis=0))
+
+
+def pieces_of(rows: Rows, layout: Layout, sampling: Sampling) -> Pieces:
+    """The quiet pieces of all rows of an event, at least two."""
+    usual = float(np.median(np.diff(rows.time_s)))
+    rule = PieceRule(usual, sampling.corner_rad_s, sampling.corner_rad)
+    ends = piece_ends(rows.time_s, piece_breaks(rows, layout, rule))
+    return Pieces(rows.time_s, np.array(ends))
 
 
 def turns_between(cosines: Array) -> Array:

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import Linear, fitted_away
+from cassini_bayes.balance.linearised import Linear, fitted_away, with_unknowns
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
-from cassini_bayes.diagnosis.innovations import linearise, with_unknowns
+from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.priors.parameter_space import ParameterSpace

@@ -1,0 +1,116 @@
+"""What a model leaves of rows and of turns over quiet pieces, together.
+
+Turns of the attitude show what is slower than a second or so better than a gyro. In a quiet piece
+the integral of the balance holds, so every column of a row is integrated; the rates' own is
+replaced by the turn. For searches before a fit: the noise of integrated wheel rates is taken as
+white, and torque noise has a column for each of its cosines of two minutes and more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.balance.bands import walk_scales
+from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, with_unknowns
+from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.statistics.columns import Rows, cosines
+from cassini_bayes.balance.statistics.turns import Pieces, pieces_of, turns_between
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_noise import covariance_beside_wheels, noise_covariance
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
+
+HALF_PERIOD_S: Final = 60.0
+"""Of the fastest cosine of torque noise: with 1e-4 N m s^½ what is faster moves a body of 8,000
+kg m² by less than 1e-5 rad, the noise of an attitude."""
+MOST_COSINES: Final = 64  # of an event: judgement, longer ones have slow lines of torque noise
+LEAST_ATTITUDE_RAD: Final = 1e-9  # noise that no star tracker goes below
+
+
+def with_turns(
+    hypothesis: Hypothesis, z: Array, linear: Linear, rows: Sequence[EventRows]
+) -> tuple[Linear, tuple[EventRows, ...]]:
+    """Linear model and innovations of all events' rows, then of all their turns, at z (d,).
+
+    ``linear`` and ``rows`` are those of the rows alone
+    (:func:`cassini_bayes.diagnosis.innovations.innovations`).
+    """
+    located = hypothesis.model.points(z[None])
+    terms = [(term.balance, term.physics(located)) for term in hypothesis.model.telemetry]
+    usable = [term.event.usable_rows for term in hypothesis.model.telemetry]
+    walks = [
+        _torque_noise(balance, own, located.parameters)
+        for (balance, _), own in zip(terms, usable, strict=True)
+    ]
+    linear = with_unknowns(linear, walks, [event.noise_factor for event in rows])
+    targets, columns, turned = [linear.target], [linear.columns], []
+    for (balance, physics), own, event, part in zip(terms, usable, rows, linear.parts, strict=True):
+        n = len(own.time_s)
+        pieces = pieces_of(own, balance.statistics.layout, balance.sampling)
+        factor = _turn_factor(balance, physics, located.parameters)
+        to_white = np.linalg.inv(factor)
+        to_turns = to_white @ event.noise_factor
+        used = np.flatnonzero(np.any(linear.columns[part], axis=0))
+        of_rows = linear.columns[part][:, used].reshape(n, 3, -1)
+        integrated = pieces.integrated(of_rows.reshape(n, -1)).reshape(of_rows.shape)
+        own_columns = np.zeros((3 * n, linear.columns.shape[1]))
+        own_columns[:, used] = np.einsum("ab,nbp->nap", to_turns, integrated).reshape(3 * n, -1)
+        target = pieces.integrated(linear.target[part].reshape(n, 3)) @ to_turns.T
+        instead = _turns_for_rates(physics, own, event.rate_rad_s, pieces)
+        targets.append((target + instead @ to_white.T).reshape(-1))
+        columns.append(own_columns)
+        turned.append(replace(event, noise_factor=factor, pieces=pieces))
+    both = Linear(
+        np.concatenate(targets), np.concatenate(columns), linear.precision, 2 * linear.rows
+    )
+    left = fitted_away(both, both.target)
+    events = [
+        _innovations(event, left[part].reshape(-1, 3))
+        for event, part in zip((*rows, *turned), both.parts, strict=True)
+    ]
+    return both, tuple(events)
+
+
+def _innovations(event: EventRows, white: Array) -> EventRows:
+    return replace(event, white=white, residual_n_m_s=white @ event.noise_factor.T)
+
+
+def _torque_noise(
+    balance: TelemetryBalance, rows: Rows, parameters: Mapping[str, Array]
+) -> tuple[Array, Array]:
+    """Columns (n, 3, 3 M) of the slowest cosines of torque noise, and variances of their sizes."""
+    density = float(parameters["torque_noise_n_m_s05"][0])
+    duration, layout = balance.statistics.duration_s, balance.statistics.layout
+    count = min(math.ceil(duration / HALF_PERIOD_S), MOST_COSINES) if density > 0.0 else 0
+    gained = cosines(rows.time_s, duration, 1 + count)[:, 1:] - 1.0
+    columns = gained[:, None, :, None] * rows.vector[:, :, None, layout.initial]
+    variance = np.repeat((density * walk_scales(duration, count)[1:]) ** 2, 3)
+    return columns.reshape(len(rows.time_s), 3, 3 * count), variance
+
+
+def _turn_factor(
+    balance: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
+) -> Array:
+    """Lower factor (3, 3) of a turn's noise, N m s²: of the attitude, and of summed wheel rates."""
+    noise = noise_covariance(balance, physics, parameters)
+    of_wheels = (noise - covariance_beside_wheels(balance, physics, parameters))[0]
+    contrasts = np.array([band.contrasts for band in balance.turns])
+    summed_s2 = np.array([band.summed_s2 for band in balance.turns])
+    attitude = max(float(parameters["attitude_noise_rad"][0]), LEAST_ATTITUDE_RAD)
+    inertia = attitude * physics.inertia_kg_m2[0]
+    mean_s2 = float(contrasts @ summed_s2) / max(int(contrasts.sum()), 1)
+    return np.linalg.cholesky(inertia @ inertia.T + mean_s2 * of_wheels)
+
+
+def _turns_for_rates(physics: Physics, rows: Rows, rate_rad_s: Array, pieces: Pieces) -> Array:
+    """I times the turn, less the integrated momentum of the gyro's rates (n, 3), N m s²."""
+    steps = turns_between(rows.cosines)
+    turned = pieces.centred(np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]))
+    measured = pieces.integrated(rate_rad_s - np.broadcast_to(physics.rate_bias_rad_s, (1, 3)))
+    by_rate = np.broadcast_to(physics.momentum_per_rate, (1, 3, 3))[0]
+    return np.asarray(turned @ physics.inertia_kg_m2[0].T - measured @ by_rate.T)
