@@ -30,7 +30,7 @@ LEVEL: Final = 0.01
 FULL: Final[Mapping[str, int]] = {
     **{variant.name: 100 for variant in VARIANTS},
     **{control.name: 75 for control in CONTROLS},
-    "balance-residual": 20,  # wrong from the first, and every fit of it takes a chain
+    "balance-residual": 12,  # wrong from the first, and every fit of it takes a chain
     "joint": 300,
     "quiet-wheels": 50,
     "noisy-wheels": 50,
