@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.statistics.turns import Pieces
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled
 
@@ -101,6 +102,17 @@ def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
     return KnownMotion(float(time_s[0]), step, slope, change)
 
 
+def products_of_turns(
+    pieces: Pieces, frequency_hz: Array, damping: float, left: Array
+) -> tuple[Array, Array]:
+    """Inner products of a free oscillation's cosine and sine, integrated over quiet pieces.
+
+    With each other, (f, 2, 2), and with what is left of turns, ``left`` (n, 3), centred over every
+    piece, (f, 2, 3). The answer to the body's motion is not among them.
+    """
+    return _products_of_turns(pieces.time_s, pieces.ends, 2.0 * np.pi * frequency_hz, damping, left)
+
+
 @compiled
 def _answer(
     slope: Array, change: Array, coefficients: Array, place: Places
@@ -180,6 +192,52 @@ def _products(
                     own_squares[a, b] += values[a] * values[b]
                 for axis in range(3):
                     own_along[a, axis] += values[a] * left[i, axis]
+    return squares, along
+
+
+@compiled
+def _products_of_turns(
+    time_s: Array, ends: Places, angular: Array, damping: float, left: Array
+) -> tuple[Array, Array]:  # pragma: no cover - compiled
+    """See :func:`products_of_turns`; Ω (f,) in rad/s, ``ends`` (p + 1,) bounds of the pieces.
+
+    ∫ exp((i − ζ) Ωt) dt = exp((i − ζ) Ωt)/((i − ζ) Ω), from which the piece's mean is taken off.
+    """
+    squares, along = np.zeros((angular.size, 2, 2)), np.zeros((angular.size, 2, 3))
+    for f in range(angular.size):
+        omega, own_along = angular[f], along[f]
+        share = 1.0 / (omega * (1.0 + damping**2))
+        step, turn, swing, cosine, sine = -1.0, 0.0, 0.0, 0.0, 0.0
+        of_cosine, of_sine, of_both = 0.0, 0.0, 0.0
+        for piece in range(ends.size - 1):
+            sum_cosine, sum_sine = 0.0, 0.0
+            for i in range(ends[piece], ends[piece + 1]):
+                gap = time_s[i] - time_s[i - 1] if i > 0 else 0.0
+                if abs(gap - step) > SAME_S:
+                    step = gap
+                    turn = np.exp(-damping * omega * gap) * np.cos(omega * gap)
+                    swing = np.exp(-damping * omega * gap) * np.sin(omega * gap)
+                if i % RENEWED == 0:
+                    fading = np.exp(-damping * omega * time_s[i])
+                    cosine = fading * np.cos(omega * time_s[i])
+                    sine = fading * np.sin(omega * time_s[i])
+                else:
+                    cosine, sine = turn * cosine - swing * sine, swing * cosine + turn * sine
+                gained = share * (sine - damping * cosine), -share * (cosine + damping * sine)
+                sum_cosine += gained[0]
+                sum_sine += gained[1]
+                of_cosine += gained[0] * gained[0]
+                of_sine += gained[1] * gained[1]
+                of_both += gained[0] * gained[1]
+                for axis in range(3):
+                    own_along[0, axis] += gained[0] * left[i, axis]
+                    own_along[1, axis] += gained[1] * left[i, axis]
+            count = ends[piece + 1] - ends[piece]
+            of_cosine -= sum_cosine * sum_cosine / count
+            of_sine -= sum_sine * sum_sine / count
+            of_both -= sum_cosine * sum_sine / count
+        squares[f, 0, 0], squares[f, 1, 1] = of_cosine, of_sine
+        squares[f, 0, 1] = squares[f, 1, 0] = of_both
     return squares, along
 
 

@@ -22,9 +22,13 @@ from scipy.optimize import minimize
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
-from cassini_bayes.balance.statistics.turns import Pieces
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.effects.appendage import KnownMotion, known_motion, oscillation_series
+from cassini_bayes.effects.appendage import (
+    KnownMotion,
+    known_motion,
+    oscillation_series,
+    products_of_turns,
+)
 from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
 from cassini_bayes.effects.firings import Firings
@@ -46,7 +50,6 @@ PEAKS: Final = (
     6  # lines that are looked at more closely: judgement, time against a weak line's loss
 )
 FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width, about each peak
-MOST_VALUES: Final = 2_000_000  # of turns' oscillations at a time, 32 MB
 LARGEST_ROOT: Final = 0.3
 """Of the damping, 0.09: an appendage that dies within two cycles is no oscillation (judgement)."""
 MOST_EVALUATIONS: Final = 60  # for the last digits of frequency and damping
@@ -284,7 +287,7 @@ def _coarse(
         lengths = (directions**2).sum(0)
         left = event.white @ directions
         if event.pieces is not None:
-            squares, along = _products_of_turns(event.pieces, frequencies, damping, left)
+            squares, along = products_of_turns(event.pieces, frequencies, damping, left)
             gram[:, :, :2, :2] += lengths[:, None, None] * squares[:, None]
             projection[:, :, :2] += np.swapaxes(along, 1, 2)
             continue
@@ -297,25 +300,6 @@ def _coarse(
             gram[:, axis] += lengths[axis] * squares[:, places[:, None], places]
             projection[:, axis] += along[:, places, axis]
     return _log_evidence(gram, projection, size)
-
-
-def _products_of_turns(
-    pieces: Pieces, frequencies: Array, damping: float, left: Array
-) -> tuple[Array, Array]:
-    """Inner products (f, 2, 2) of an oscillation's cosine and sine, integrated; with ``left``.
-
-    The latter (f, 2, 3); left (n, 3). The answer to the body's motion is not in them.
-    """
-    at_once = max(1, MOST_VALUES // len(pieces.time_s))
-    squares, along = np.empty((len(frequencies), 2, 2)), np.empty((len(frequencies), 2, 3))
-    for first in range(0, len(frequencies), at_once):
-        part = slice(first, first + at_once)
-        rate = 2.0 * np.pi * frequencies[part] * (1j - damping)
-        waves = pieces.centred(np.exp(pieces.time_s[:, None] * rate) / rate)
-        series = np.stack([waves.real, waves.imag])
-        squares[part] = np.einsum("anf,bnf->fab", series, series)
-        along[part] = np.swapaxes(np.tensordot(series, left, (1, 0)), 0, 1)
-    return squares, along
 
 
 def _peaks(scores: Array) -> list[tuple[int, int]]:

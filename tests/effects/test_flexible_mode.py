@@ -10,10 +10,11 @@ from scipy.integrate import solve_ivp
 from totals_cases import ROOT
 
 from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.statistics.turns import Pieces
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import none_hypothesis
 from cassini_bayes.diagnosis.innovations import linearise
-from cassini_bayes.effects.appendage import known_motion, oscillation_series
+from cassini_bayes.effects.appendage import known_motion, oscillation_series, products_of_turns
 from cassini_bayes.effects.flexible_mode import Oscillation, find_oscillation
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
@@ -82,6 +83,25 @@ def test_sums_over_rows_are_those_of_the_series() -> None:
     for f, frequency in enumerate(frequencies):
         cosine, sine, driven = oscillation_series(time_s, motion, frequency, 0.002)
         columns = np.column_stack([cosine, sine, driven])
+        size = np.sqrt(np.diagonal(columns.T @ columns))
+        assert squares[f] == pytest.approx(columns.T @ columns, abs=1e-9 * size.max() ** 2)
+        assert along[f] == pytest.approx(
+            columns.T @ left, abs=1e-9 * size.max() * np.sqrt(len(left))
+        )
+
+
+def test_sums_over_turns_are_those_of_the_integrated_series() -> None:
+    """One pass over pieces of unlike lengths, rows missing, equals series written out."""
+    rng = np.random.default_rng(7)
+    time_s = np.delete(TIME, [5, 6, 40])
+    pieces = Pieces(time_s, np.array([0, 1, 9, 70, 71, len(time_s) - 30, len(time_s)]))
+    left, frequencies = rng.standard_normal((len(time_s), 3)), np.array([0.011, 0.13])
+    left = pieces.centred(left)
+    squares, along = products_of_turns(pieces, frequencies, 0.002, left)
+    for f, frequency in enumerate(frequencies):
+        rate = 2.0 * np.pi * frequency * (1j - 0.002)
+        waves = pieces.centred(np.exp(rate * time_s)[:, None] / rate)[:, 0]
+        columns = np.column_stack([waves.real, waves.imag])
         size = np.sqrt(np.diagonal(columns.T @ columns))
         assert squares[f] == pytest.approx(columns.T @ columns, abs=1e-9 * size.max() ** 2)
         assert along[f] == pytest.approx(
