@@ -22,7 +22,7 @@ from cassini_bayes.balance.telemetry_noise import noise_covariance
 from cassini_bayes.balance.telemetry_weights import balance_weights
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.turns import with_turns
+from cassini_bayes.diagnosis.rows_and_turns import with_turns
 from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Remainder
 
