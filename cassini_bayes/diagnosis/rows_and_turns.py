@@ -18,7 +18,7 @@ import numpy as np
 from cassini_bayes.balance.bands import walk_scales
 from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, with_unknowns
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.statistics.columns import Rows, cosines
+from cassini_bayes.balance.statistics.columns import Rows, walk_columns
 from cassini_bayes.balance.statistics.turns import Pieces, pieces_of, turns_between
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import covariance_beside_wheels, noise_covariance
@@ -87,10 +87,9 @@ def _torque_noise(
     density = float(parameters["torque_noise_n_m_s05"][0])
     duration, layout = balance.statistics.duration_s, balance.statistics.layout
     count = min(math.ceil(duration / HALF_PERIOD_S), MOST_COSINES) if density > 0.0 else 0
-    gained = cosines(rows.time_s, duration, 1 + count)[:, 1:] - 1.0
-    columns = gained[:, None, :, None] * rows.vector[:, :, None, layout.initial]
+    since_start = rows.vector[:, :, layout.initial]
     variance = np.repeat((density * walk_scales(duration, count)[1:]) ** 2, 3)
-    return columns.reshape(len(rows.time_s), 3, 3 * count), variance
+    return walk_columns(rows.time_s, since_start, duration, count), variance
 
 
 def _turn_factor(

@@ -166,25 +166,13 @@ def _products(
     size = 2 + slope.shape[1]
     squares = np.zeros((angular.size, size, size))
     along = np.zeros((angular.size, size, 3))
-    driven, values = np.empty_like(slope), np.zeros(size)
+    driven, values, free = np.empty_like(slope), np.zeros(size), np.empty((2, time_s.size))
     for f in range(angular.size):
         _recur(slope, change, coefficients[f], driven)
         own_squares, own_along = squares[f], along[f]
-        step, turn, swing = -1.0, 0.0, 0.0
+        _oscillate(time_s, angular[f], damping, free)
         for i in range(time_s.size):
-            gap = time_s[i] - time_s[i - 1] if i > 0 else 0.0
-            if abs(gap - step) > SAME_S:
-                step = gap
-                turn = np.exp(-damping * angular[f] * gap) * np.cos(angular[f] * gap)
-                swing = np.exp(-damping * angular[f] * gap) * np.sin(angular[f] * gap)
-            if i % RENEWED == 0:
-                fading = np.exp(-damping * angular[f] * time_s[i])
-                values[0] = fading * np.cos(angular[f] * time_s[i])
-                values[1] = fading * np.sin(angular[f] * time_s[i])
-            else:
-                cosine, sine = values[0], values[1]
-                values[0] = turn * cosine - swing * sine
-                values[1] = swing * cosine + turn * sine
+            values[0], values[1] = free[0, i], free[1, i]
             for c in range(2, size):
                 values[c] = driven[place[i], c - 2]
             for a in range(size):
@@ -204,25 +192,16 @@ def _products_of_turns(
     ∫ exp((i − ζ) Ωt) dt = exp((i − ζ) Ωt)/((i − ζ) Ω), from which the piece's mean is taken off.
     """
     squares, along = np.zeros((angular.size, 2, 2)), np.zeros((angular.size, 2, 3))
+    free = np.empty((2, time_s.size))
     for f in range(angular.size):
         omega, own_along = angular[f], along[f]
         share = 1.0 / (omega * (1.0 + damping**2))
-        step, turn, swing, cosine, sine = -1.0, 0.0, 0.0, 0.0, 0.0
+        _oscillate(time_s, omega, damping, free)
         of_cosine, of_sine, of_both = 0.0, 0.0, 0.0
         for piece in range(ends.size - 1):
             sum_cosine, sum_sine = 0.0, 0.0
             for i in range(ends[piece], ends[piece + 1]):
-                gap = time_s[i] - time_s[i - 1] if i > 0 else 0.0
-                if abs(gap - step) > SAME_S:
-                    step = gap
-                    turn = np.exp(-damping * omega * gap) * np.cos(omega * gap)
-                    swing = np.exp(-damping * omega * gap) * np.sin(omega * gap)
-                if i % RENEWED == 0:
-                    fading = np.exp(-damping * omega * time_s[i])
-                    cosine = fading * np.cos(omega * time_s[i])
-                    sine = fading * np.sin(omega * time_s[i])
-                else:
-                    cosine, sine = turn * cosine - swing * sine, swing * cosine + turn * sine
+                cosine, sine = free[0, i], free[1, i]
                 gained = share * (sine - damping * cosine), -share * (cosine + damping * sine)
                 sum_cosine += gained[0]
                 sum_sine += gained[1]
@@ -239,6 +218,28 @@ def _products_of_turns(
         squares[f, 0, 0], squares[f, 1, 1] = of_cosine, of_sine
         squares[f, 0, 1] = squares[f, 1, 0] = of_both
     return squares, along
+
+
+@compiled
+def _oscillate(
+    time_s: Array, omega: float, damping: float, series: Array
+) -> None:  # pragma: no cover - compiled
+    """Fill (2, n) with exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt, each row turned from the last."""
+    step, turn, swing = -1.0, 0.0, 0.0
+    for i in range(time_s.size):
+        gap = time_s[i] - time_s[i - 1] if i > 0 else 0.0
+        if abs(gap - step) > SAME_S:
+            step = gap
+            turn = np.exp(-damping * omega * gap) * np.cos(omega * gap)
+            swing = np.exp(-damping * omega * gap) * np.sin(omega * gap)
+        if i % RENEWED == 0:
+            fading = np.exp(-damping * omega * time_s[i])
+            series[0, i] = fading * np.cos(omega * time_s[i])
+            series[1, i] = fading * np.sin(omega * time_s[i])
+        else:
+            cosine, sine = series[0, i - 1], series[1, i - 1]
+            series[0, i] = turn * cosine - swing * sine
+            series[1, i] = swing * cosine + turn * sine
 
 
 @compiled

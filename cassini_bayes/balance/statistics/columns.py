@@ -418,9 +418,9 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
     vector = np.empty((n, 3, len(layout.vector)))
     vector[:, :, layout.initial] = since_start = body @ first.T
     vector[:, :, layout.torque] = body @ torque[keep[new]]
-    gained = cosines(time[keep], sampling.duration_s, 1 + layout.cosines)[:, 1:] - 1.0
-    walks = gained[:, None, :, None] * since_start[:, :, None, :]
-    vector[:, :, layout.walk] = walks.reshape(n, 3, 3 * layout.cosines)
+    vector[:, :, layout.walk] = walk_columns(
+        time[keep], since_start, sampling.duration_s, layout.cosines
+    )
     # (1 + m, K, pulse column, inertial, j) -> inertial, (K, j, pulse column)
     inertial = fired.transpose(0, 3, 1, 4, 2).reshape(len(fired), 3, -1)
     turned_into_body(body, np.ascontiguousarray(inertial), index, vector[:, :, layout.fired])
@@ -457,6 +457,13 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
 def cosines(time_s: Array, duration_s: float, count: int) -> Array:
     """The cosines cos(m π t/T), m = 0 … M − 1, at times (n,): (n, M)."""
     return np.asarray(np.cos(np.pi / duration_s * time_s[:, None] * np.arange(count)))
+
+
+def walk_columns(time_s: Array, since_start: Array, duration_s: float, count: int) -> Array:
+    """R e_j [cos(mπt/T) − 1] (n, 3, 3 M), M cosines; ``since_start`` (n, 3, 3) are the R e_j."""
+    gained = cosines(time_s, duration_s, 1 + count)[:, 1:] - 1.0
+    columns = gained[:, None, :, None] * since_start[:, :, None, :]
+    return np.asarray(columns.reshape(len(time_s), 3, 3 * count))
 
 
 class _Counted:

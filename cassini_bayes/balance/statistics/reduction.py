@@ -33,6 +33,7 @@ from cassini_bayes.balance.statistics.turns import (
     PieceRule,
     piece_breaks,
     piece_ends,
+    piece_rule,
     turned,
 )
 from cassini_bayes.computing.arrays import Array
@@ -439,8 +440,7 @@ class _Turns:
         rows = Rows.joined([*self._waiting, rows])
         self._waiting = [rows]
         if self._rule is None and len(rows.time_s) > 2:
-            usual = float(np.median(np.diff(rows.time_s)))
-            self._rule = PieceRule(usual, self._sampling.corner_rad_s, self._sampling.corner_rad)
+            self._rule = piece_rule(rows.time_s, self._sampling)
         self._work_up(is_last=False)
 
     def _work_up(self, *, is_last: bool) -> None:

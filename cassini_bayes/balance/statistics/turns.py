@@ -78,6 +78,12 @@ class PieceRule:
     corner_rad: float = np.inf
 
 
+def piece_rule(time_s: Array, sampling: Sampling) -> PieceRule:
+    """The rule for rows at times (n,)."""
+    usual = float(np.median(np.diff(time_s)))
+    return PieceRule(usual, sampling.corner_rad_s, sampling.corner_rad)
+
+
 @dataclass(frozen=True)
 class Pieces:
     """Quiet pieces of rows at times (n,): rows ``ends[i]`` to ``ends[i + 1]`` of each."""
@@ -98,8 +104,7 @@ class Pieces:
 
 def pieces_of(rows: Rows, layout: Layout, sampling: Sampling) -> Pieces:
     """The quiet pieces of all rows of an event, at least two."""
-    usual = float(np.median(np.diff(rows.time_s)))
-    rule = PieceRule(usual, sampling.corner_rad_s, sampling.corner_rad)
+    rule = piece_rule(rows.time_s, sampling)
     ends = piece_ends(rows.time_s, piece_breaks(rows, layout, rule))
     return Pieces(rows.time_s, np.array(ends))
 
