@@ -217,6 +217,14 @@ def calibrate_blind_command(
             help="Draw craft, events, cadence, steps, noise and controller in every trial.",
         ),
     ] = False,
+    parts: Annotated[
+        str | None,
+        typer.Option(
+            "--parts",
+            help="Run trials of these parts alone, e.g. null,clear.",
+            show_default="all",
+        ),
+    ] = None,
     trials: Trials = None,
     quick: Quick = False,
     seed: Seed = 20_261_121,
@@ -255,7 +263,8 @@ def calibrate_blind_command(
     numbers = _numbers(full, short, trials, quick)
     with _study(out / name / "index.md", seed, work / name, quiet, jobs, dask) as study:
         if not results_only:
-            blind.run_campaign(study, campaign, numbers["trials"])
+            named = () if parts is None else tuple(parts.split(","))
+            blind.run_campaign(study, campaign, numbers["trials"], named)
         typer.echo(json.dumps(blind.write_results(study, campaign.strata)))
 
 

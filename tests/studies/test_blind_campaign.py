@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from study_cases import study_in
 
+from cassini_bayes.errors import InputError
 from cassini_bayes.studies.blind import campaign as blind_campaign
 from cassini_bayes.studies.blind.campaign import read_trials, run_campaign, write_results
 from cassini_bayes.studies.blind.flights import Blind
@@ -22,7 +23,8 @@ from cassini_bayes.studies.blind.rates import (
     rates,
     reliability,
 )
-from cassini_bayes.studies.blind.trials import run_trial
+from cassini_bayes.studies.blind.strata import STRATA, stratum_of
+from cassini_bayes.studies.blind.trials import run_trial, trial_name
 
 
 def record(index: int, stratum: str, hidden: str | None, said: str, **other: Any) -> dict[str, Any]:
@@ -172,6 +174,17 @@ def test_campaign_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.M
     study = replace(study_in(tmp_path), progress=lambda _, done, total: told.append((done, total)))
     run_campaign(study, campaign, 3)
     assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_parts_are_run_alone_with_their_numbers(tmp_path: Path) -> None:
+    """Only trials of the parts asked for are run, and they keep their number; no other name is."""
+    campaign = Blind(tmp_path / "no scenario.toml", tmp_path / "no priors.toml", 5, ("a",))
+    wanted = [i for i in range(12) if stratum_of(STRATA, i).name in ("null", "two")]
+    assert 0 < len(wanted) < 12
+    run_campaign(study_in(tmp_path), campaign, 12, ("null", "two"))
+    assert sorted(p.stem for p in tmp_path.glob("trial_*")) == [trial_name(i) for i in wanted]
+    with pytest.raises(InputError, match=r"--parts: expected some of prior, null, .*, got nil"):
+        run_campaign(study_in(tmp_path), campaign, 12, ("null", "nil"))
 
 
 def test_a_pair_counts_by_its_groups_one_for_each() -> None:

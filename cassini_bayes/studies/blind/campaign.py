@@ -47,7 +47,13 @@ from cassini_bayes.studies.blind.rates import (
     timing_table,
     trial_table,
 )
-from cassini_bayes.studies.blind.strata import OVER_CONDITIONS, STRATA, Stratum, planned
+from cassini_bayes.studies.blind.strata import (
+    OVER_CONDITIONS,
+    STRATA,
+    Stratum,
+    planned,
+    stratum_of,
+)
 from cassini_bayes.studies.blind.trials import run_trial, trial_code, trial_name
 from cassini_bayes.studies.study import Study
 
@@ -68,11 +74,28 @@ and whether noise is known; parameters are drawn from the priors, wheel rates an
 acts in all events of a trial."""
 
 
-def run_campaign(study: Study, campaign: Blind, trials: int) -> None:
-    """Run the trials that this code has not left in the study's folder."""
+def run_campaign(study: Study, campaign: Blind, trials: int, parts: Sequence[str] = ()) -> None:
+    """Run the trials that this code has not left in the study's folder.
+
+    Of the first ``trials`` those of the ``parts`` named, or all: a trial has the same number, and
+    hides the same, whichever are run.
+
+    Raises
+    ------
+    InputError
+        The campaign has no part of such a name.
+    """
+    names = [stratum.name for stratum in campaign.strata]
+    if strange := sorted(set(parts) - set(names)):
+        wanted = f"some of {', '.join(names)}"
+        raise InputError("--parts", wanted, ", ".join(strange), "separate names by commas")
     made_by = {"seed": campaign.seed, "code": trial_code(), "events": list(campaign.events)}
     store = RecordStore(study.work, made_by)
-    pieces = {trial_name(index): (index,) for index in range(trials)}
+    pieces = {
+        trial_name(index): (index,)
+        for index in range(trials)
+        if not parts or stratum_of(campaign.strata, index).name in parts
+    }
     for done, total in run_pieces(run_trial, campaign, pieces, store, study.workers):
         study.progress("blind trials", done, total)
 
