@@ -257,6 +257,7 @@ def _body(
         f"{r['low_95']:.3f} … {r['high_95']:.3f} | "
         f"{_against_goal(r)} |"
         for r in headline.to_dict(orient="records")
+        if r["trials"] > 0  # parts that were not run have no rates
     )
     bins = "\n".join(
         f"| {r['stated_from']:.2f} … {r['stated_to']:.2f} | {r['trials']} | "
