@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 
@@ -47,12 +48,19 @@ TWO_WHEELS: Final = (
 
 def stratum_of(strata: Sequence[Stratum], index: int) -> Stratum:
     """Stratum of a trial: any first part of the campaign holds all strata in proportion."""
+    order = _in_order(tuple(strata))
+    return order[index % len(order)]
+
+
+@lru_cache
+def _in_order(strata: tuple[Stratum, ...]) -> tuple[Stratum, ...]:
+    """The stratum of every trial of a full campaign."""
     slots = [
         ((i + 0.5) / stratum.trials, stratum.name, stratum)
         for stratum in strata
         for i in range(stratum.trials)
     ]
-    return sorted(slots, key=lambda slot: slot[:2])[index % len(slots)][2]
+    return tuple(stratum for *_, stratum in sorted(slots, key=lambda slot: slot[:2]))
 
 
 def planned(strata: Sequence[Stratum]) -> int:
