@@ -495,7 +495,8 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             own_noise += drift_square * np.kron(drift, np.eye(3))
             if band == 0:
                 known = (share @ y + added, share, own_noise + of_rows @ of_rows.T)
-                lacking = _lacking(known, own, columns, mean, linear.common_mean_n) - y
+                thrusts = term.balance.thrusts_n if fires else np.zeros(arms.shape[1])
+                lacking = _lacking(known, own, columns, mean, thrusts) - y
             y = y + added
             total += own_noise
             constant += density
@@ -719,7 +720,7 @@ def _unknowns(
         cut = lost * counts[:, couple][:, None] * arms[:, k]
         columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
     for g, members in enumerate(couples):
-        step = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
+        step = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]
         if counts[-1, g] > 0.0:
             own.append((0.5 * lost * counts[:, g][:, None] * step).reshape(-1))
         sampling = term.event.sampling
@@ -765,7 +766,7 @@ def plain_open(
     _, scattered = plain_lost(term, tau, close)
     counters = term.event.statistics.counters
     for g, members in enumerate(sampling.couples):
-        arm = model.thrust_prior.common_mean_n * arms[:, list(members)].sum(1)
+        arm = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]
         square = 0.0
         each = (scattered**2, plain_pulses(sampling, tau))
         for part in range(PARTS):
@@ -902,13 +903,13 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
 
 
 def _lacking(
-    slow: tuple[Array, Array, Array], own: list[Array], columns: Array, mean: Array, thrust: float
+    slow: tuple[Array, Array, Array], own: list[Array], columns: Array, mean: Array, thrusts: Array
 ) -> Array:
     """What thrusters, torque and start deliver (n, 3), the unknowns placed by the slow band."""
     y, share, noise = slow
     n = len(y)
-    design = np.concatenate([0.3 * thrust * columns, np.array(own).T], axis=1)
-    before = mean.reshape(-1) + thrust * columns.sum(1)
+    design = np.concatenate([0.3 * thrusts.mean() * columns, np.array(own).T], axis=1)
+    before = mean.reshape(-1) + columns @ thrusts
     seen = np.kron(share, np.eye(3))
     inverse = np.linalg.pinv(noise, rcond=1e-13, hermitian=True)
     projected = seen @ design

@@ -19,10 +19,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
-from cassini_bayes.balance.rounded_wheels import WheelSquares, wheel_squares
+from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics, Layout
 from cassini_bayes.balance.statistics.columns import cosines, walk_cosines
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
+from cassini_bayes.balance.statistics.turns import slope_weights
 from cassini_bayes.computing.arrays import Array
 
 Result = TypeVar("Result")
@@ -31,6 +32,7 @@ EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, th
 # The same of slopes of quiet pieces. The first mode is a constant, which the initial momentum takes
 # up: the next ones hold most of what is known of torque noise.
 SLOPE_EDGES: Final = (1, 2, 4, 8, 32)
+SAME_PHASE: Final = 0.5  # steps between the means of neighbouring pieces
 FEW_SLOPES: Final = 8  # modes of slopes that cost less one by one than as Gram matrices
 ROWS_PER_MODE: Final = 2  # with as many modes as rows nothing is left that is faster than all
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
@@ -249,7 +251,7 @@ def open_modes(statistics: EventStatistics, places: Places, on_modes: Array) -> 
 class TurnBand:
     """Contrasts of turns over quiet pieces, and what beside the attitude is in their noise.
 
-    Mean squares per contrast: of summed white noise, of every wheel's rounding while it rests (W,),
+    Mean squares per contrast: of summed white noise, of every wheel's rounding by harmonic (H, W),
     of a unit random walk, of it without its slowest cosines, which are unknowns, and per couple of
     what counters leave open.
     """
@@ -280,13 +282,13 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
         couples, size = statistics.counters.slopes.shape[1:]
         nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
         # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
-        resting = np.zeros(len(statistics.layout.wheels))
+        moving = turns.summed_s2 * np.tile(make_bands(statistics)[4].moving, (HARMONICS, 1))
         own = range(statistics.layout.walk.start, statistics.layout.walk.stop)
         scale = walk_scales(statistics.duration_s, statistics.layout.cosines)[1:]
         of_axes = np.trace(turns.gram)[own, own]
         slowest = np.repeat(scale**2, 3) @ of_axes / (3.0 * turns.contrasts)
         faster = max(turns.walked_s3 - float(slowest), 0.0)
-        squares = (turns.summed_s2, resting, turns.walked_s3, faster)
+        squares = (turns.summed_s2, moving, turns.walked_s3, faster)
         bands.append(TurnBand(turns.contrasts, *squares, nothing))
         grams.append(turns.gram)
     grams_of_all = np.array(grams).reshape(len(bands), *turns.gram.shape)
@@ -300,7 +302,7 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     places = Places(turns.slope_time_s, turns.slope_waves, turns.slope_stride)
     on_modes = turns.slope_waves @ turned
     left_open = open_modes(statistics, places, on_modes)
-    rounded, all_rounded = rounded_slopes(turns, on_modes)
+    rounded, all_rounded = rounded_slopes(turns, on_modes, statistics.steps.wheel_rad_s)
     # of each piece its own: noise summed over a long one is far more than over a short one
     summed = turns.slope_stride * turns.slope_summed_s2 @ on_modes**2
     bands, grams, rest = [], [], turns.slope_gram
@@ -326,23 +328,43 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     return bands, grams, modes[..., :FEW_SLOPES]
 
 
-def rounded_slopes(turns: TurnStatistics, on_modes: Array) -> tuple[Array, Array]:
-    """Squares (M, W) of lasting roundings of wheel rates on every mode of slopes; on all (W,).
+def rounded_slopes(turns: TurnStatistics, on_modes: Array, step: float) -> tuple[Array, Array]:
+    """Squares (M, H, W) of roundings of wheel rates by mode of slopes and harmonic; on all (H, W).
 
-    Over that of a single row. A rounding that stays the same in a piece is in its slope |t − t̄|
-    times, and in the next pieces as well while the wheel rests. ``on_modes`` (r, M) are the modes
-    at the thinned pieces.
+    Over that of a single row. A rounding repeats where the rate moves by a step: harmonic k of a
+    rate φ(t) in steps is in a slope |Σ w exp(2πi k φ)| times, w what a row has in it. Straight
+    lines stand for the rate. As long as a wheel stays within half a step from piece to piece, it
+    has the same phase in all of them, and one that stays within a step altogether rests
+    (docs/topics/telemetry-likelihood.md §11). ``on_modes`` (r, M) are the modes at the thinned
+    pieces.
     """
-    stride, wheels = turns.slope_stride, turns.slope_resting.shape[1]
-    total, everywhere = np.zeros((on_modes.shape[1], wheels)), np.zeros(wheels)
-    for j, shown in enumerate(turns.slope_resting.T):
-        size = np.where(np.isfinite(shown), turns.slope_waves[:, 0], 0.0)
-        starts = np.flatnonzero(np.r_[True, shown[1:] != shown[:-1]])  # NaN is unlike any
-        lengths = np.diff(starts, append=len(shown))
-        own = np.where(lengths == 1, stride, stride**2)
-        total[:, j] = own @ np.add.reduceat(size[:, None] * on_modes, starts) ** 2
-        everywhere[j] = stride * float(size @ size)
-    return total, everywhere
+    stride, wheels = turns.slope_stride, (turns.slope_shown.shape[1] - 2) // 2
+    total = np.zeros((on_modes.shape[1], HARMONICS, wheels))
+    if step == 0.0:
+        return total, total[0]
+    levels, drifts = np.split(turns.slope_shown[:, 2:] / step, 2, axis=1)
+    stretches = [np.flatnonzero(np.r_[True, np.abs(np.diff(x)) > SAME_PHASE]) for x in levels.T]
+    for j, starts in enumerate(stretches):
+        lengths = np.diff(starts, append=len(levels))
+        apart = np.maximum.reduceat(levels[:, j], starts) - np.minimum.reduceat(
+            levels[:, j], starts
+        )
+        rests = np.repeat((apart <= 1.0) & (lengths > 1), lengths)
+        levels[rests, j] = drifts[rests, j] = 0.0  # noise, which would spoil the phase
+    turned = np.zeros((len(levels), HARMONICS, wheels), dtype=np.complex128)
+    order = np.arange(1, HARMONICS + 1)[:, None, None]
+    sizes, of_size = np.unique(turns.slope_shown[:, :2].round(3), axis=0, return_inverse=True)
+    for i, size in enumerate(sizes):
+        own = np.flatnonzero(of_size.reshape(-1) == i)
+        time = np.linspace(-0.5, 0.5, int(size[0])) * size[1]
+        phase = levels[own, :, None] + drifts[own, :, None] * time
+        turned[own] = np.exp(2j * np.pi * order * phase[:, None]) @ slope_weights(time)
+    for j, starts in enumerate(stretches):
+        alone = np.where(np.diff(starts, append=len(levels)) == 1, stride, stride**2)
+        for k in range(HARMONICS):
+            together = np.add.reduceat(turned[:, k, j, None] * on_modes, starts)
+            total[:, k, j] = alone @ np.abs(together) ** 2
+    return total, stride * (np.abs(turned) ** 2).sum(axis=0)
 
 
 def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array, Array]:

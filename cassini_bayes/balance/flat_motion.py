@@ -72,7 +72,7 @@ def log_measure(
 
 
 def in_channel_units(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], thrust_n: float
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
 ) -> TelemetryBalance:
     """The same event with a measure that is |det I| per rate and turn at one point (n = 1).
 
@@ -83,7 +83,7 @@ def in_channel_units(
         event,
         log_unit=0.0,
         log_inertia=float(_log_det(physics.inertia_kg_m2)[0]),
-        nominally_open=open_counters(event, physics, thrust_n),
+        nominally_open=open_counters(event, physics),
     )
     nothing = np.zeros((1, len(event.turns), 3, 3))
     flat = log_measure(event, physics, parameters, TurnNoise(nothing, nothing))

@@ -64,12 +64,6 @@ class Physics:
         return np.asarray(self.wheel_axes * self.wheel_inertia_kg_m2[..., None, :])
 
     @cached_property
-    def expected_arms_m(self) -> Array:
-        """Torque (..., 3, K) per newton that the prior expects: lever arms times thrust factors."""
-        factor = np.asarray(self.thrust_factor)
-        return np.asarray(self.arms_m * (factor[..., None, :] if factor.ndim > 0 else factor))
-
-    @cached_property
     def momentum_per_rate(self) -> Array:
         """Momentum per measured rate (..., 3, 3): the true one is (measured − bias)/(1 + scale)."""
         inertia = self.inertia_kg_m2

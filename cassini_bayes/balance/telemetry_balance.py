@@ -179,7 +179,8 @@ class TelemetryBalance:
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
     is a constant of unit length on the slow modes; ``log_unit``, ``log_inertia`` (log |det I| at
     the prior means) and ``nominally_open``, what counters leave open there, belong to the measure
-    of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
+    of flat motion (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are the event's
+    thrusts to some percent: they size what counters leave open, and place the slow modes.
     """
 
     statistics: EventStatistics
@@ -195,6 +196,7 @@ class TelemetryBalance:
     products: Products
     reduced: Reduced
     constant: Array
+    thrusts_n: Array
     log_unit: float = 0.0
     log_inertia: float = 0.0
     nominally_open: OpenCounters = NOTHING_OPEN
@@ -258,11 +260,12 @@ def make_balance(
     sampling: Sampling,
     spacecraft: Spacecraft,
     nominal: Mapping[str, float],
+    thrust_n: float,
 ) -> TelemetryBalance:
     """Prepare one event: everything that does not change during a fit.
 
     ``nominal`` are parameter values good to some percent (prior means): they centre the wide prior
-    of the initial momentum and scale the attitude noise.
+    of the initial momentum and scale the attitude noise. ``thrust_n`` is the thrust to expect.
     """
     layout = statistics.layout
     numbers = [wheel.number for wheel in spacecraft.wheels]
@@ -306,6 +309,7 @@ def make_balance(
             np.arange(layout.walk.start, layout.walk.stop),
         ),
         constant=constant / np.linalg.norm(constant),
+        thrusts_n=np.full(pattern.thrusters, thrust_n),
     )
 
 

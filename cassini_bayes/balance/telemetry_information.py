@@ -63,17 +63,17 @@ def row_information(
     nominal = {name: values[:1] for name, values in parameters.items()}
     total: Array | float = 0.0
     beside = covariance_beside_wheels(event, physics, parameters)[0]
-    left_open = open_counters(event, physics, _scale(event, mean))
+    left_open = open_counters(event, physics)
     with_open = band_covariances(event, physics, parameters, left_open.rows)[0]
     walk = _walk_columns(event, nominal)
     bands = zip((event.slow, *event.fast), (None, *products.grams), kept, with_open, strict=True)
     for band, gram, estimate, own in bands:
-        weights = balance_weights(event, physics, _scale(event, mean), estimate[None])
+        weights = balance_weights(event, physics, estimate[None])
         slow = walk if gram is None else np.zeros_like(walk)
         columns = np.r_[slow, _columns(event, weights, mean, own_sd, levels, step)]
         noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
         total = total + _whitened(event, products.slow, band, gram, columns, noise, nominal)
-    weights = balance_weights(event, physics, _scale(event, mean))
+    weights = balance_weights(event, physics)
     faster = [band.faster_s3 for band in event.turns]
     by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
     # how much of both is weighed against each other is no effect of a parameter
@@ -137,11 +137,6 @@ def _of_turns(
     quiet = _channel_square(event, nominal, band.summed_s2)
     own = np.einsum("uca,a,vca->uv", whitened, band.contrasts * quiet, whitened)
     return np.asarray(crossed @ whitened.reshape(len(columns), -1).T - own)
-
-
-def _scale(event: TelemetryBalance, mean: Array) -> float:
-    """Thrust that scales the cut tails."""
-    return float(mean[0]) if event.fires else 0.0
 
 
 def _columns(

@@ -13,7 +13,7 @@ import numpy as np
 
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.rounded_wheels import WheelSquares, lasting_share
+from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, coherent_shares
 from cassini_bayes.balance.statistics.columns import LostTails, lost_tails
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.telemetry_balance import OpenCounters, TelemetryBalance
@@ -64,15 +64,17 @@ def _wheel_variances(
     """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
     noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    share = _lasting_share(event, parameters)
+    share = _coherent_shares(event, parameters).sum(axis=1)
     white = (noise**2 + rounding) * squares.moving + squares.seen
     return np.asarray(white + rounding * share[:, None] * squares.lasting)
 
 
-def _lasting_share(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Share (n,) of the rounding of wheel rates that lasts; without steps there is none."""
+def _coherent_shares(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Shares (n, H) of the rounding of wheel rates that last at rest; none without steps."""
     step, noise = event.statistics.steps.wheel_rad_s, parameters["wheel_noise_rpm"]
-    return lasting_share(noise * RAD_S_PER_RPM / step) if step > 0.0 else np.zeros_like(noise)
+    if step == 0.0:
+        return np.zeros((len(noise), HARMONICS))
+    return coherent_shares(noise * RAD_S_PER_RPM / step)
 
 
 def covariance_beside_wheels(
@@ -154,42 +156,48 @@ def _shared_turn_covariances(
     """
     wheels = event.wheel_weights(physics)
     white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
-    noise = _wheel_variances(event, parameters, white)
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    lasting = rounding * _lasting_share(event, parameters)[:, None]
+    coherent = rounding * _coherent_shares(event, parameters)
+    noise = _wheel_variances(event, parameters, white)
+    noise = noise - coherent.sum(axis=1)[:, None] * white.moving
     summed = np.array([band.summed_s2 for band in event.turns])
-    rounded = np.array([band.rounded_s2 for band in event.turns]).reshape(-1, noise.shape[1])
-    variance = np.multiply.outer(summed, noise).swapaxes(0, 1) + rounded * lasting[:, None]
+    rounded = np.array([band.rounded_s2 for band in event.turns])
+    rounded = rounded.reshape(-1, HARMONICS, noise.shape[1])
+    variance = np.multiply.outer(summed, noise).swapaxes(0, 1)
+    variance = variance + np.tensordot(coherent, rounded, (1, 1))
     of_wheels = (wheels[:, None] * variance[:, :, None]) @ np.swapaxes(wheels, -1, -2)[:, None]
     by_torque = np.multiply.outer(parameters["torque_noise_n_m_s05"] ** 2, torque_s3)
     return np.asarray(of_wheels + by_torque[:, :, None, None] * np.eye(3))
 
 
-def open_counters(event: TelemetryBalance, physics: Physics, thrust_n: float) -> OpenCounters:
+def open_counters(event: TelemetryBalance, physics: Physics) -> OpenCounters:
     """Covariances of tails and on-times that counters leave open, at n points."""
     own, of_rows = event.left_open, 1 + len(event.fast)
     result = np.zeros((len(physics.inertia_kg_m2), len(own.pairs), 3, 3))
     if event.fires and own:
-        scales = open_scales(event, physics, thrust_n)
+        scales = open_scales(event, physics)
         square = scales.variance_s2(own.pairs, own.columns)
         torque = scales.torque_n_m[:, None]
         result = (torque * square[:, :, None]) @ np.swapaxes(torque, -1, -2)
     return OpenCounters(result[:, :of_rows], result[:, of_rows:])
 
 
-def open_scales(event: TelemetryBalance, physics: Physics, thrust_n: float) -> OpenScales:
-    """Torques of couples, what pairs scatter, and weights of pulse columns."""
+def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
+    """Torques of couples, what pairs scatter, and weights of pulse columns.
+
+    Torques are those of the event's own thrusts: a factor on what the prior expects is in them.
+    """
     n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
     if not event.fires:
         nothing = LostTails(np.zeros(n), np.zeros(n))
         return OpenScales(np.zeros((n, 3, 0)), nothing, np.zeros((n, len(PULSE_COLUMNS))))
-    arms = np.broadcast_to(physics.expected_arms_m, (n, 3, event.pattern.thrusters))
-    together = [arms[..., list(own)].sum(-1) for own in couples]
+    each = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters)) * event.thrusts_n
+    together = [each[..., list(own)].sum(-1) for own in couples]
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
     pulse = event.sampling.pulses.weights(physics.tau_s)
     return OpenScales(
-        thrust_n * np.stack(together, axis=-1),
+        np.stack(together, axis=-1),
         lost_tails(gaps, rise, fall, share),
         np.broadcast_to(pulse, (n, pulse.shape[-1])),
     )

@@ -55,7 +55,6 @@ def event_system(
     event: TelemetryBalance,
     physics: Physics,
     parameters: Mapping[str, Array],
-    thrust_n: float,
     torque_mean: Array,
     torque_sd: Array,
 ) -> EventSystem:
@@ -67,16 +66,14 @@ def event_system(
         The physics at n points.
     parameters
         Noise levels, name → (n,) array.
-    thrust_n
-        Thrust that scales the cut tails (they are small).
     torque_mean, torque_sd
         (3,) prior of the event's steady torque, N m.
     """
     n, k, reduced = len(physics.inertia_kg_m2), event.pattern.thrusters, event.reduced
-    weights = balance_weights(event, physics, thrust_n)
+    weights = balance_weights(event, physics)
     own_mean, sd = own_prior(event, torque_mean, torque_sd)
     own_sd = np.tile(sd, (n, 1))
-    left_open = open_counters(event, physics, thrust_n)
+    left_open = open_counters(event, physics)
     faster = [band.faster_s3 for band in event.turns]
     by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
     walk = walk_weights(event, parameters)
@@ -89,10 +86,10 @@ def event_system(
     )
     normals = walk.shape[1]
     mean = np.zeros((n, normals + k + len(own_mean)))
-    if k > 0:  # the craft's thrusters have factors in events without firings, too
-        mean[:, normals : normals + k] = thrust_n * np.asarray(physics.thrust_factor)
+    mean[:, normals : normals + k] = event.thrusts_n
     mean[:, normals + k :] = own_mean
-    placed = Placed(normals, mean, _THRUST_SPREAD * thrust_n, own_sd)
+    spread = _THRUST_SPREAD * event.thrusts_n.mean() if k > 0 else 0.0
+    placed = Placed(normals, mean, spread, own_sd)
     used = np.concatenate([walk, weights[:, reduced.entries]], axis=1)
     turned = turn_weights(event, physics, weights, by_turn.gain)[:, :, reduced.turned]
     normal, log_scale, kept = normal_equations(

@@ -24,7 +24,7 @@ SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses abo
 
 
 def without_idle_columns(
-    event: TelemetryBalance, physics: Physics, thrust_n: float, *, walks: bool
+    event: TelemetryBalance, physics: Physics, *, walks: bool
 ) -> TelemetryBalance:
     """The same event without the columns whose weights vanish at every one of a few points.
 
@@ -32,7 +32,7 @@ def without_idle_columns(
     torque noise. Likelihood calls cost half as much without idle columns.
     """
     pattern = event.pattern
-    used = np.any(balance_weights(event, physics, thrust_n) != 0.0, axis=(0, 2))
+    used = np.any(balance_weights(event, physics) != 0.0, axis=(0, 2))
     used[pattern.turns] = len(event.turns) > 0  # without weight in rows
     entries = np.flatnonzero(used)
     # in the order in which the unknowns need them: inner products are symmetric
@@ -58,9 +58,7 @@ def without_idle_columns(
     return replace(event, reduced=reduced)
 
 
-def balance_weights(
-    event: TelemetryBalance, physics: Physics, thrust_n: float, kept: Array | None = None
-) -> Array:
+def balance_weights(event: TelemetryBalance, physics: Physics, kept: Array | None = None) -> Array:
     """Weights (n, B, 3) of all entries of the pattern, in its order, at a batch of n points.
 
     The measured momentum is that of the measured rates and wheels, or with the matrices ``kept``
@@ -70,7 +68,7 @@ def balance_weights(
     wheels = event.wheel_weights(physics)
     if kept is not None:
         wheels = wheels @ kept
-    weights = _unknown_weights(event, physics, len(physics.inertia_kg_m2), thrust_n)
+    weights = _unknown_weights(event, physics, len(physics.inertia_kg_m2))
     weights[:, event.pattern.start[-2] :] = _measured_weights(event, physics, wheels)
     return weights
 
@@ -123,7 +121,7 @@ def _measured_weights(event: TelemetryBalance, physics: Physics, wheels: Array) 
     )
 
 
-def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n: float) -> Array:
+def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int) -> Array:
     """Weights (n, B, 3) of the unknowns' entries."""
     pattern, places = event.pattern, event.unknowns
     weights = np.zeros((n, len(pattern.row), 3))
@@ -132,7 +130,7 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
     weights[:, pattern.start[places.initial.start] : tails] = 1.0
     if k > 0:
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
-        scales = open_scales(event, physics, thrust_n)
+        scales = open_scales(event, physics)
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
         fired = arm[..., :, None] * scales.pulse_weights[:, None, None, :]
@@ -143,8 +141,7 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int, thrust_n
             if name in physics.extra:
                 on_time = np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
-        expected = np.broadcast_to(physics.expected_arms_m, (n, 3, k))
-        couples = thrust_n * pattern.members @ np.swapaxes(expected, -1, -2)
+        couples = pattern.members * event.thrusts_n @ arm
         unit = cut_unit_s(event, scales)
         weights[:, tails : tails + len(pattern.cuts)] = unit[..., None] * couples
     return weights

@@ -43,7 +43,7 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
     time_s = term.event.usable_rows.time_s
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = term.physics(model.points(z[None]))
-    scales = open_scales(term.balance, physics, model.thrust_prior.common_mean_n)
+    scales = open_scales(term.balance, physics)
     for g, (steps, intervals, levels) in enumerate(
         patterns_at(counters, sampling.duration_s, time_s)
     ):

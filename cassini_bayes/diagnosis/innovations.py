@@ -55,7 +55,7 @@ def thrust_columns(hypothesis: Hypothesis, z: Array, place: int) -> Array:
     """Momentum per newton (n, 3, K), N m s/N, of every thruster in an event's rows at z (d,)."""
     model, term = hypothesis.model, hypothesis.model.telemetry[place]
     physics = term.physics(model.points(z[None]))
-    weights = balance_weights(term.balance, physics, model.thrust_prior.common_mean_n)[0]
+    weights = balance_weights(term.balance, physics)[0]
     columns = _columns(term.balance, term.event.usable_rows, weights)
     return columns[:, :, : term.balance.pattern.thrusters]
 
@@ -95,7 +95,7 @@ def linearise(
     targets, blocks, event_precision, factors = [], [], [], []
     for term in model.telemetry:
         terms, physics, rows = term.balance, term.physics(located), term.event.usable_rows
-        weights = balance_weights(terms, physics, thrust)
+        weights = balance_weights(terms, physics)
         noise = noise_covariance(terms, physics, located.parameters)[0]
         factor = np.linalg.cholesky(noise)
         smooth = smoothed(rows, terms.statistics.layout) if smooth_channels else rows
@@ -151,14 +151,14 @@ def effect_columns(
         weights, shifts = [], []
         for (own, _), at in zip(extended, points, strict=True):
             with_effect = own.model.telemetry[place]
-            weights.append(balance_weights(terms, with_effect.physics(at), thrust))
+            weights.append(balance_weights(terms, with_effect.physics(at)))
             factor = with_effect.thrust_factor(at) if k else None
             shifts.append(np.zeros((at.n, k)) if factor is None else thrust * (factor[:, 0] - 1.0))
         mean = (np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m)
         added = _slopes(
             terms,
             smoothed(term.event.usable_rows, terms.statistics.layout),
-            np.concatenate(weights) - balance_weights(terms, physics, thrust),
+            np.concatenate(weights) - balance_weights(terms, physics),
             np.concatenate([*mean, np.zeros(len(terms.pattern.cuts))]),
         )
         added += thrust_columns(base, z, place) @ np.concatenate(shifts).T

@@ -29,6 +29,7 @@ from cassini_bayes.model.thrusts import (
     ThrustInformation,
     ThrustPrior,
     collapse_thrusts,
+    level_factor,
     thrust_moments,
     thrust_prior_of,
 )
@@ -42,6 +43,7 @@ TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
 Event = TotalsEvent | ReducedEvent
 _POINTS: Final = 4  # draws of the prior at which a column without weight is found
 _BLOCK: Final = 400  # points at once, whose arrays stay in the processor's cache
+_ROUGH: Final = 0.3  # of the expected thrust, wide beside any that data have told
 _FAR: Final = 30.0  # standard normals: beyond it quantiles overflow
 
 
@@ -211,8 +213,34 @@ def build_model(
         idle={name: 0.0 for name in priors.spacecraft.wheel_parameters() if name not in names},
         priors=priors,
     )
-    model = with_effects(model, effects)
+    model = with_effects(_with_rough_thrusts(model), effects)
     return model if keep_idle else without_idle(model)
+
+
+def _with_rough_thrusts(model: Model) -> Model:
+    """The model whose telemetry knows its thrusts to some percent.
+
+    What counters leave open is momentum by the thrust that there is, not by the one that the prior
+    expects (docs/topics/telemetry-likelihood.md §7). These are the posterior means of a wide prior,
+    at the prior means of all else and without torque noise: the same for all hypotheses.
+    """
+    if not any(term.event.fires for term in model.telemetry):
+        return model
+    prior = model.thrust_prior
+    wide = level_factor(_ROUGH * prior.common_mean_n, prior.individual_sd_n, len(prior.shared))
+    prior = replace(prior, shared=wide, common_is_walked=False, chained=None)
+    parameters = {name: np.full(1, mean) for name, mean in model.priors.means().items()}
+    at_means = {**parameters, TORQUE_NOISE: np.zeros(1)}
+    nominal = replace(model, thrust_prior=prior).points_at(at_means, 1)
+    means, _ = thrust_moments(prior, _collapse_at(model, nominal).thrusts)
+    rough = np.maximum(means[0], 0.0)
+    terms = [
+        term.with_thrusts(rough[fired][0], nominal) if term.event.fires else term
+        for term, fired in zip(
+            model.telemetry, model.fired_of_term[len(model.totals) :], strict=True
+        )
+    ]
+    return replace(model, telemetry=tuple(terms))
 
 
 def _with_columns(event: ReducedEvent, effects: Sequence[Effect]) -> ReducedEvent:
@@ -346,9 +374,12 @@ class Collapsed:
 
 def collapse(model: Model, z: Array) -> Collapsed:
     """Everything linear integrated out at walked coordinates z (n, d)."""
-    points = model.points(z)
+    return _collapse_at(model, model.points(z))
+
+
+def _collapse_at(model: Model, points: Points) -> Collapsed:
     terms = tuple(term.at(points) for term in model.terms)
-    prior, common = model.thrust_prior, points.common_n
+    prior, common = points.shared.thrust_prior, points.common_n
     factor = thrust_factor(model, points)
     thrusts = collapse_thrusts(
         prior,

@@ -150,10 +150,15 @@ class TelemetryTerm:
 
     def without_idle_columns(self, points: Points) -> TelemetryTerm:
         """The same without columns that no point gives weight."""
-        thrust = points.shared.thrust_prior.common_mean_n
         walks = bool(np.any(points.parameters[TORQUE_NOISE] > 0.0))
-        balance = without_idle_columns(self.balance, self.physics(points), thrust, walks=walks)
+        balance = without_idle_columns(self.balance, self.physics(points), walks=walks)
         return replace(self, balance=balance)
+
+    def with_thrusts(self, thrusts_n: Array, nominal: Points) -> TelemetryTerm:
+        """The same with the event's thrusts (K,) to some percent, at the prior means (n = 1)."""
+        balance = replace(self.balance, thrusts_n=thrusts_n)
+        physics = self.physics(nominal)
+        return replace(self, balance=in_channel_units(balance, physics, nominal.parameters))
 
     def with_bands_merged(self) -> TelemetryTerm:
         """The same with equal bands as one."""
@@ -196,7 +201,6 @@ class TelemetryAt:
             self.term.balance,
             self.physics,
             self.points.parameters,
-            shared.thrust_prior.common_mean_n,
             shared.torque_mean_n_m,
             shared.torque_sd_n_m,
         )
@@ -475,8 +479,8 @@ def _term(event: ReducedEvent, priors: Priors, shared: Shared) -> TelemetryTerm:
             "fix it; the delay cancels in first_order pulses",
         )
     nominal = {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **priors.means()}
-    balance = make_balance(event.statistics, event.sampling, spacecraft, nominal)
+    thrust = shared.thrust_prior.common_mean_n
+    balance = make_balance(event.statistics, event.sampling, spacecraft, nominal, thrust)
     at_nominal = {name: np.full(1, value) for name, value in nominal.items()}
     physics = physics_of(spacecraft, shared.branch, at_nominal, fires=event.fires)
-    thrust = shared.thrust_prior.common_mean_n
-    return TelemetryTerm(event, in_channel_units(balance, physics, at_nominal, thrust), names)
+    return TelemetryTerm(event, in_channel_units(balance, physics, at_nominal), names)

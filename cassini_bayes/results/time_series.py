@@ -154,7 +154,7 @@ def balances(
     for term, fired, drawn in zip(model.telemetry, thrust, integrated, strict=True):
         balance, physics = term.balance, term.physics(points)
         rows, every = _rows(term, most_rows)
-        weights = balance_weights(balance, physics, model.thrust_prior.common_mean_n)
+        weights = balance_weights(balance, physics)
         unknowns = unknowns_of(draws.thrusts.thrust_n[:, fired], drawn)
         measured, predicted = _both_sides(balance, rows, weights, unknowns)
         yield BalanceRows(
@@ -167,7 +167,7 @@ def balances(
             walk=points.parameters[TORQUE_NOISE] ** 2,
             by_rate=physics.momentum_per_rate,
             by_wheel=balance.wheel_weights(physics),
-            scales=open_scales(balance, physics, model.thrust_prior.common_mean_n),
+            scales=open_scales(balance, physics),
         )
 
 

@@ -107,12 +107,11 @@ def noise_of_turns(
     balance: TelemetryBalance,
     physics: Physics,
     values: Mapping[str, Array],
-    thrust_n: float,
     *,
     whole: bool = False,
 ) -> TurnNoise:
     """As a likelihood call has it, or with the whole of the torque noise."""
-    left_open = open_counters(balance, physics, thrust_n).turns
+    left_open = open_counters(balance, physics).turns
     walked = [band.walked_s3 if whole else band.faster_s3 for band in balance.turns]
     return turn_noise(balance, physics, values, left_open, walked)
 
@@ -131,7 +130,7 @@ def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
         values["inertia_zz_kg_m2"] *= factor
         values |= {name: np.array([value]) for name, value in slew.sampling.reference_noise}
         physics = physics_of(model.spacecraft, "B", values, fires=False)
-        by_turn = noise_of_turns(balance, physics, values, 1.0)
+        by_turn = noise_of_turns(balance, physics, values)
         measured = log_measure(balance, physics, values, by_turn)
         logs.append((measured[0], np.linalg.slogdet(physics.inertia_kg_m2)[1][0]))
     (before, inertia), (after, larger) = logs
@@ -151,8 +150,8 @@ def test_pulses_are_no_part_of_the_measure() -> None:
         values |= dict(bias.sampling.reference_noise)
         point = {name: np.array([value]) for name, value in values.items()}
         physics = physics_of(model.spacecraft, "B", point)
-        left_open = open_counters(balance, physics, 0.76)
-        noise = noise_of_turns(balance, physics, point, 0.76)
+        left_open = open_counters(balance, physics)
+        noise = noise_of_turns(balance, physics, point)
         unmixed = replace(noise, gain=np.zeros_like(noise.gain))
         found.append(float(log_measure(balance, physics, point, unmixed)[0]))
         rows = band_covariances(balance, physics, point, left_open.rows)
@@ -177,7 +176,7 @@ def test_the_measure_has_the_degree_of_the_rows_in_the_common_scale() -> None:
         }
         values |= {name: np.array([value]) for name, value in slew.sampling.reference_noise}
         physics = physics_of(model.spacecraft, "B", values, fires=False)
-        noise = noise_of_turns(balance, physics, values, 1.0, whole=True)
+        noise = noise_of_turns(balance, physics, values, whole=True)
         unmixed = replace(noise, gain=np.zeros_like(noise.gain))
         measures.append(float(log_measure(balance, physics, values, unmixed)[0]))
         noises.append(0.5 * np.linalg.slogdet(noise.covariance[0, 0])[1])

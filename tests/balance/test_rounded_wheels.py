@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from cassini_bayes.balance.rounded_wheels import (
     WheelSquares,
-    lasting_share,
+    coherent_shares,
     rests,
     wheel_squares,
 )
@@ -69,7 +69,7 @@ def test_the_share_that_lasts_is_that_of_simulated_readings(noise: float) -> Non
     above = norm.cdf((phase[:, None] - np.arange(-3.5, 4.0)) / noise)  # what is printed exceeds it
     shown = above.sum(axis=1) - 4.0
     wanted = 12.0 * np.mean((shown - phase) ** 2)
-    assert lasting_share(np.array([noise]))[0] == pytest.approx(wanted, abs=0.003)
+    assert coherent_shares(np.array([noise])).sum() == pytest.approx(wanted, abs=0.003)
 
 
 def test_squares_on_modes_are_those_of_simulated_errors() -> None:
@@ -86,7 +86,7 @@ def test_squares_on_modes_are_those_of_simulated_errors() -> None:
     shown = np.round(true + noise * rng.standard_normal(true.shape))
     actual = ((modes.T @ (shown - true)) ** 2).mean(axis=1)
     on, over = wheel_squares(shown, 1.0, modes, 1)
-    share = lasting_share(np.array([noise]))[0]
+    share = coherent_shares(np.array([noise])).sum()
 
     def variance(squares: WheelSquares) -> Array:
         lasting = (squares.moving + share * squares.lasting) / 12.0

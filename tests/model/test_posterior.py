@@ -162,6 +162,19 @@ def test_a_common_thrust_that_is_not_normal_is_walked() -> None:
     assert integral == pytest.approx(log_likelihood(normal, z[:, others])[0], abs=1e-2)
 
 
+@pytest.mark.parametrize("expected_n", [0.6, 1.5])
+def test_counters_are_as_noisy_as_the_thrust_that_there_is(expected_n: float) -> None:
+    """Thrusts that size open counters are those of the data (0.76 N), whatever was expected."""
+    priors = telemetry_priors()
+    common = priors.parameters["thrust_common_n"].distribution
+    assert common is not None
+    wrong = {"loc": expected_n, "scale": 0.04}
+    priors = priors.with_distribution("thrust_common_n", Distribution("norm", wrong))
+    event = event_of(made_up_samples(np.random.default_rng(6), 300), priors)
+    (term,) = build_model([event], priors).telemetry
+    assert term.balance.thrusts_n == pytest.approx(np.full(8, 0.76), rel=0.06)
+
+
 def replace_with_student(priors: Priors) -> Priors:
     """The common thrust with a Student-t prior of so many degrees of freedom that it is normal."""
     prior = priors.parameters["thrust_common_n"].distribution

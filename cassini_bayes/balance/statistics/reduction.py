@@ -81,9 +81,9 @@ class TurnStatistics:
     momentum ``slope_projection`` (1 + M, 3, A) and ``slope_mode_gram`` (1 + M, 1 + M);
     ``slope_time_s`` (r,) and ``slope_waves`` (r, 1 + M) are evenly thinned times of the pieces and
     the cosines there, the first of them |t − t̄|, ``slope_summed_s2`` (r,) the variances of summed
-    white noise, and ``slope_resting`` (r, W) the wheel rates that stay the same in them, else NaN;
-    each stands for ``slope_stride`` pieces. Of the ``contrasts`` that are left: ``gram``,
-    ``summed_s2`` and ``walked_s3``, mean squares per contrast
+    white noise, and ``slope_shown`` (r, 2 + 2 W) the lines through their wheel rates; each stands
+    for ``slope_stride`` pieces. Of the ``contrasts`` that are left: ``gram``, ``summed_s2`` and
+    ``walked_s3``, mean squares per contrast
     (:class:`cassini_bayes.balance.statistics.turns.Turned`).
     """
 
@@ -94,7 +94,7 @@ class TurnStatistics:
     slope_time_s: Array
     slope_waves: Array
     slope_summed_s2: Array
-    slope_resting: Array
+    slope_shown: Array
     slope_stride: int
     contrasts: int
     gram: Array
@@ -427,7 +427,7 @@ class _Turns:
         self._rule: PieceRule | None = None
         self._waiting: list[Rows] = []
         self._before = 0  # rows of the piece before, by which a corner at the first row shows
-        self._places = Thinned()  # (p, 2 + waves + W) times, cosines, summed noise, resting wheels
+        self._places = Thinned()  # (p, …) times, cosines, summed noise, lines of wheel rates
         self._pieces, self._contrasts = 0, 0
         self._slopes = _Inner(
             np.zeros((size, size)), np.zeros((waves, size)), np.zeros((waves, waves))
@@ -456,7 +456,7 @@ class _Turns:
         slopes, waves = found.slopes, found.waves
         self._slopes.gather(_Inner(slopes.T @ slopes, waves.T @ slopes, waves.T @ waves))
         times, summed = found.time_s[:, None], found.summed_s2[:, None]
-        self._places.add(np.concatenate([times, waves, summed, found.resting], axis=1))
+        self._places.add(np.concatenate([times, waves, summed, found.shown], axis=1))
         self._pieces += len(slopes)
         self._rest += found.rest.T @ found.rest
         self._contrasts += found.contrasts
@@ -469,7 +469,7 @@ class _Turns:
         self._work_up(is_last=True)
         slope_gram, columns = _by_axes(self._slopes.columns, self._layout)
         by_contrast, walked = (self._squares / max(self._contrasts, 1)).tolist()
-        width = SLOPE_WAVES + 3 + len(self._layout.wheels)
+        width = SLOPE_WAVES + 5 + 2 * len(self._layout.wheels)
         places = np.concatenate([np.zeros((0, width)), *self._places.kept])
         return TurnStatistics(
             self._pieces,

@@ -46,8 +46,9 @@ class Turned:
     ``slopes`` (p, 3 V + S) are vector columns (axis first) and scalar columns, one row for every
     piece at ``time_s`` (p,); ``waves`` (p, 1 + M) are those of the cosines cos(m π t/T), m = 0 … M,
     the first of them |t − t̄|; ``summed_s2`` (p,) are the variances of unit white noise of a rate
-    summed up by trapezoids, which grow with the square of a piece's length; ``resting`` (p, W) are
-    the wheel rates shown where they stay the same throughout a piece, else NaN. ``rest``
+    summed up by trapezoids, which grow with the square of a piece's length; ``shown``
+    (p, 2 + 2 W) are a piece's rows and how long it is (s), and the straight lines through its wheel
+    rates: means (rad/s), then slopes (rad/s²). ``rest``
     (n, 3 V + S) are the columns without their slopes, at all rows of the pieces, and
     ``rest_summed`` and ``rest_walked`` sums of squares: of the same white noise (s²), and of a unit
     random walk since the piece began, integrated (s³).
@@ -57,7 +58,7 @@ class Turned:
     slopes: Array
     waves: Array
     summed_s2: Array
-    resting: Array
+    shown: Array
     rest: Array
     contrasts: int
     rest_summed: float
@@ -173,7 +174,7 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
     turn = slice(layout.turn.start + 2 * vectors, layout.turn.stop + 2 * vectors)
     wheel = slice(layout.wheel.start + 2 * vectors, layout.wheel.stop + 2 * vectors)
     times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, SLOPE_WAVES + 1))]
-    resting = [np.zeros((0, len(layout.wheels)))]
+    shown = [np.zeros((0, 2 + 2 * len(layout.wheels)))]
     rest = [np.zeros((0, flat.shape[1]))]
     of_slopes: list[float] = []
     contrasts, rest_summed, rest_walked = 0, 0.0, 0.0
@@ -188,10 +189,12 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
         summed = _integral(time, np.eye(len(time)))
         walked = summed @ (np.sqrt(np.diff(time)) * np.tri(len(time), len(time) - 1, -1))
         ramp = time - time.mean()
-        ramp /= np.linalg.norm(ramp)
+        length = np.linalg.norm(ramp)
+        ramp /= length
         times.append(time.mean())
-        shown = flat[start:stop, wheel]
-        resting.append(np.where(np.ptp(shown, axis=0) == 0.0, shown[:1], np.nan))
+        rates = flat[start:stop, wheel]
+        size = (len(time), time[-1] - time[0])
+        shown.append(np.concatenate([size, rates.mean(axis=0), ramp @ rates / length])[None])
         slopes.append(ramp[None] @ own)
         waves.append(ramp[None] @ gained)
         rest.append(_without_slope(own, ramp))
@@ -204,12 +207,18 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
         np.concatenate(slopes),
         np.concatenate(waves),
         np.array(of_slopes),
-        np.concatenate(resting),
+        np.concatenate(shown),
         np.concatenate(rest),
         contrasts,
         rest_summed,
         rest_walked,
     )
+
+
+def slope_weights(time_s: Array) -> Array:
+    """What the rows (m,) of a piece put into its slope, s."""
+    ramp = time_s - time_s.mean()
+    return np.asarray(ramp / np.linalg.norm(ramp) @ _integral(time_s, np.eye(len(time_s))))
 
 
 def _integral(time_s: Array, values: Array) -> Array:
