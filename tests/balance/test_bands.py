@@ -46,7 +46,8 @@ def test_roundings_of_slow_wheels_last_as_long_as_they_stay(noise: float) -> Non
     """Slopes of 32 s and rates printed in whole steps: mean squares of what is printed wrongly.
 
     Of a wheel at rest on the slowest modes and on the others, of those that move over all. Control:
-    rounding that is another in every row has less than half of it, of a wheel at rest and of one that takes three pieces for a step.
+    rounding that is another in every row has less than half of it, of a wheel at rest and of one
+    that takes three pieces for a step.
     """
     rng = np.random.default_rng(20261124)
     turns = reduced(made_up_samples(rng, 70), telemetry_priors())[0].turns

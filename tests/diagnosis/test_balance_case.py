@@ -34,7 +34,8 @@ from cassini_bayes.diagnosis.visible import visible_record
 from cassini_bayes.effects.catalogue import read_catalogue
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
-from cassini_bayes.studies.blind.flights import reduced
+from cassini_bayes.studies.blind.flights import Blind, reduced
+from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 from cassini_bayes.studies.conditions import CONTROLLERS
 from cassini_bayes.studies.scenario import simulate_file
 
@@ -203,6 +204,21 @@ def test_rounded_counters_of_stronger_thrusters_leave_more_momentum_open() -> No
         cause = compact(extend(base, [effect]))
         gained.append(find_mode(cause.log_density, cause.dimension).log_evidence)
     assert gained[1] - gained[0] < 3.0
+
+
+def test_a_baseline_with_two_modes_is_searched_from_both() -> None:
+    """A bias that leaves 12 rows: from the centre the tail-off ends seven times too long.
+
+    What is wrong then has 80 nats and more for `pulse_shape` and `unknown`, with nothing hidden.
+    """
+    campaign = Blind(SCENARIO, ROOT / "priors", 20262401, (), OVER_CONDITIONS, over_conditions=True)
+    events = campaign.scene(campaign.stream(1013)).fly(())
+    assert events.telemetry[0].statistics.rows < 20
+    alone = compact(none_hypothesis(events))
+    from_centre = find_mode(alone.log_density, alone.dimension)
+    verdict = verdict_of(events)
+    assert verdict.none.mode.log_evidence > from_centre.log_evidence + 50.0
+    assert verdict.best.name == "none"
 
 
 def test_causes_of_thrusters_have_a_density_beside_slews() -> None:
