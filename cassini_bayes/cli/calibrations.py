@@ -242,6 +242,9 @@ def calibrate_blind_command(
     from cassini_bayes.studies.blind.flights import Blind
     from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 
+    if results_only and parts is not None:
+        wanted = "trials to run; with --results-only none are, and the page is of all there are"
+        raise InputError("--parts", wanted, parts, "leave one of them out")
     if over_conditions:
         name, full, short = (
             "blind-conditions",

@@ -278,10 +278,28 @@ def test_a_campaign_without_verdicts_has_no_page(tmp_path: Path) -> None:
     assert not study.page.exists()
 
 
-@pytest.mark.parametrize("option", [("--events", "bias-1"), ("--priors", "priors/none.toml")])
-def test_options_that_conditions_draw_are_refused(
-    option: tuple[str, str], capsys: pytest.CaptureFixture[str]
+def test_rates_of_parts_that_were_not_run_are_no_numbers(tmp_path: Path) -> None:
+    """With nothing hidden in any trial there are rates of false alarms, and none of clear causes."""
+    for own in records():
+        if own["stratum"] == "null":
+            (tmp_path / f"trial_{own['index']:04d}.json").write_text(json.dumps(own))
+    found = write_results(study_in(tmp_path, tmp_path / "page" / "index.md"), OVER_CONDITIONS)
+    assert any(name.startswith("null") for name in found)
+    assert not any(name.startswith("clear") for name in found)
+    assert np.isfinite(list(found.values())).all()
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--events", "bias-1"),
+        ("--priors", "priors/none.toml"),
+        ("--parts", "null", "--results-only"),
+    ],
+)
+def test_options_that_would_be_passed_over_are_refused(
+    option: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Events are drawn, and priors are those of both craft: neither is taken and passed over."""
+    """Conditions draw events and have priors of both craft; a page is of all parts there are."""
     assert run_cases.command(("calibrate", "blind", "--conditions", *option)) == 2
     assert capsys.readouterr().err.startswith(f"error: {option[0]}: ")

@@ -116,7 +116,7 @@ def read_trials(folder: Path, seed: int) -> list[Record]:
 
 
 def write_results(study: Study, strata: Sequence[Stratum] = STRATA) -> dict[str, Any]:
-    """Write tables, figures and the page of the trials in the study's folder; the rates.
+    """Write tables, figures and the page of the trials in the study's folder; rates by name.
 
     ``strata`` are the parts that were planned. Trials over conditions are counted by level, too.
 
@@ -159,7 +159,8 @@ def write_results(study: Study, strata: Sequence[Stratum] = STRATA) -> dict[str,
         write_bytes(study.page.with_name(f"{name}.png"), encode(figure, "png"))
     body = _body(records, table, headline, stated, _planned(records, strata), told, levels)
     study.publish(title, body, "studies.blind.trials", {}, {})
-    return {row["rate"]: row["value"] for row in headline.to_dict(orient="records")}
+    counted = headline[headline["trials"] > 0]  # of parts that were not run there is no rate
+    return dict(zip(counted["rate"], counted["value"], strict=True))
 
 
 def _against_goal(row: Mapping[str, Any]) -> str:
