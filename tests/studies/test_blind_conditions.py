@@ -279,7 +279,7 @@ def test_a_campaign_without_verdicts_has_no_page(tmp_path: Path) -> None:
 
 
 def test_rates_of_parts_that_were_not_run_are_no_numbers(tmp_path: Path) -> None:
-    """With nothing hidden in any trial there are rates of false alarms, and none of clear causes."""
+    """Where all trials hide nothing there are rates of false alarms, and none of clear causes."""
     for own in records():
         if own["stratum"] == "null":
             (tmp_path / f"trial_{own['index']:04d}.json").write_text(json.dumps(own))
