@@ -73,6 +73,11 @@ class Rests:
     variance: Array
     starts: NDArray[np.intp]
 
+    @property
+    def lengths(self) -> NDArray[np.intp]:
+        """Rows of every stretch."""
+        return np.diff(self.starts, append=len(self.moving))
+
 
 def rests(levels: Array) -> Rests:
     """Where a wheel whose printed rates are whole numbers (r,) of steps rests.
@@ -130,6 +135,22 @@ def coherent_shares(noise: Array) -> Array:
     return np.concatenate([each[:, : HARMONICS - 1], last], axis=1)
 
 
+def long_stretches(rates: Array, step: float, least: int) -> list[tuple[int, slice]]:
+    """Wheel and rows of all stretches of at least so many rows in which a rounding lasts.
+
+    ``rates`` (r, W) are printed in steps; those without a step have none.
+    """
+    if step == 0.0:
+        return []
+    each = [rests(np.round(own / step)) for own in rates.T]
+    return [
+        (wheel, slice(start, start + length))
+        for wheel, own in enumerate(each)
+        for start, length in zip(own.starts.tolist(), own.lengths.tolist(), strict=True)
+        if length >= least
+    ]
+
+
 def wheel_squares(
     rates: Array, step: float, on_modes: Array, stride: int
 ) -> tuple[WheelSquares, WheelSquares]:
@@ -146,7 +167,7 @@ def wheel_squares(
     on, over = np.zeros((3, modes, wheels)), np.zeros((3, wheels))
     for j, own in enumerate(rates.T):
         found = rests(np.round(own / step))
-        lengths = np.diff(found.starts, append=len(own))
+        lengths = found.lengths
         together = np.add.reduceat(on_modes, found.starts) ** 2
         at_rest = np.where(lengths > 1, stride**2, 0.0)
         by_row = np.stack([found.moving.astype(np.float64), step**2 * found.variance])

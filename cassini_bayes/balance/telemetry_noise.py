@@ -64,12 +64,12 @@ def _wheel_variances(
     """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
     noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    share = _coherent_shares(event, parameters).sum(axis=1)
+    share = lasting_shares(event, parameters).sum(axis=1)
     white = (noise**2 + rounding) * squares.moving + squares.seen
     return np.asarray(white + rounding * share[:, None] * squares.lasting)
 
 
-def _coherent_shares(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+def lasting_shares(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Shares (n, H) of the rounding of wheel rates that last at rest; none without steps."""
     step, noise = event.statistics.steps.wheel_rad_s, parameters["wheel_noise_rpm"]
     if step == 0.0:
@@ -157,7 +157,7 @@ def _shared_turn_covariances(
     wheels = event.wheel_weights(physics)
     white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    coherent = rounding * _coherent_shares(event, parameters)
+    coherent = rounding * lasting_shares(event, parameters)
     noise = _wheel_variances(event, parameters, white)
     noise = noise - coherent.sum(axis=1)[:, None] * white.moving
     summed = np.array([band.summed_s2 for band in event.turns])

@@ -223,9 +223,9 @@ def _stacked(
 
 
 def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
-    """What a hypothesis leaves of telemetry at its mode z (d,), what counters leave open as well.
+    """What a hypothesis leaves of telemetry at its mode z (d,), what records leave open as well.
 
-    Its linear model has a column for everything that counters leave open (:mod:`.unresolved`).
+    Its linear model has a column for everything that records leave open (:mod:`.unresolved`).
     """
     events = [term.event for term in hypothesis.model.telemetry]
     linear, factors = linearise(hypothesis, z)

@@ -2,7 +2,7 @@
 
 Two statistics see two kinds of misfit: slow drifts (:func:`slow_statistic`) and oscillations
 (:func:`line_statistic`). Replicates of the target are drawn from the linear model and refitted in
-the same way, a parametric bootstrap, what counters leave open among what is drawn and refitted
+the same way, a parametric bootstrap, what records leave open among what is drawn and refitted
 (:mod:`cassini_bayes.diagnosis.unresolved`). The two are combined by the smaller of their ranks
 among data and replicates, which is ranked again among the same, so that neither has to be
 independent of the other: uniform where the model is true.

@@ -1,16 +1,21 @@
-"""What counters leave open, as unknowns of the rows' linear model.
+"""What records leave open, as unknowns of the rows' linear model.
 
 Counters show what fired in an interval, not when. The likelihood's columns are averages over when;
 each firing departs from them by an amount of its own: single tails may have been cut
 (:mod:`cassini_bayes.diagnosis.cut_tails`), and effects whose columns depend on when a pulse was
-fired say what they leave open (``left_open`` of their kind). Rows can have a column for every
-firing, which a Gram matrix could not.
+fired say what they leave open (``left_open`` of their kind). A wheel that rests
+has one rounding for minutes, which is no white noise of its rows. Rows can have a column for every
+firing and every rest, which a Gram matrix could not.
 """
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
+from cassini_bayes.balance.rounded_wheels import WINDOW, long_stretches
+from cassini_bayes.balance.telemetry_noise import lasting_shares
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
@@ -20,12 +25,40 @@ from cassini_bayes.effects.firings import firings
 Unknowns = tuple[Array, Array]
 """Columns (n, 3, s) and variances (s,) of their unknowns, together N m s, whose means are 0."""
 
+LEAST_REST: Final = 2 * WINDOW
+"""Rows over which a wheel's rounding has to last: fewer are as good as white in a drift."""
+
 
 def unresolved(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
-    """What counters leave open in the rows of an event (``place``) by a hypothesis at z (d,)."""
-    parts = (single_cuts(hypothesis, z, place), timed(hypothesis, z, place))
+    """What records leave open in the rows of an event (``place``) by a hypothesis at z (d,)."""
+    parts = (
+        single_cuts(hypothesis, z, place),
+        timed(hypothesis, z, place),
+        roundings(hypothesis, z, place),
+    )
     columns, variances = zip(*parts, strict=True)
     return np.concatenate(columns, axis=2), np.concatenate(variances)
+
+
+def roundings(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
+    """Roundings of wheels at rest: one for every stretch of sixteen rows and more.
+
+    Its variance is Δ²/12 times the share that noise of the measurement leaves of it
+    (docs/topics/telemetry-likelihood.md §11). It stays in the rows' white noise as well, of which
+    it is a few percent.
+    """
+    term = hypothesis.model.telemetry[place]
+    located = hypothesis.model.points(z[None])
+    time_s, samples = term.event.usable_rows.time_s, term.event.samples
+    step = term.event.statistics.steps.wheel_rad_s
+    rates = samples.wheel_rad_s[np.searchsorted(samples.time_s, time_s)]
+    stretches = long_stretches(rates, step, LEAST_REST)
+    share = float(lasting_shares(term.balance, located.parameters).sum())
+    weights = term.balance.wheel_weights(term.physics(located)).reshape(3, -1)
+    columns = np.zeros((len(time_s), 3, len(stretches)))
+    for i, (wheel, rows) in enumerate(stretches):
+        columns[rows, :, i] = np.sqrt(share / 12.0) * step * weights[:, wheel]
+    return columns, np.ones(len(stretches))
 
 
 def timed(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:

@@ -73,7 +73,7 @@ def at_truth(events: Events, truth: Truth, *, noisy: bool = False) -> View:
 def in_noise_of(quiet: View, flown: Events, truth: Truth) -> View:
     """What a flight without noise leaves, in the noise of the same flight as it was recorded.
 
-    V then has the noise of rounded channels, and a column for everything that counters leave open.
+    V then has the noise of rounded channels, and a column for everything that records leave open.
     """
     seen = at_truth(flown, truth, noisy=True)
     opened = [unresolved(seen.none, seen.point, place) for place in range(len(seen.times))]

@@ -1,0 +1,82 @@
+"""What records leave open: roundings of wheels at rest are unknowns, not noise of every row."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from event_cases import document, priors
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis import unresolved
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
+from cassini_bayes.diagnosis.innovations import innovations
+from cassini_bayes.diagnosis.modes import find_mode
+from cassini_bayes.diagnosis.p_value import p_value
+from cassini_bayes.diagnosis.unresolved import LEAST_REST, roundings
+from cassini_bayes.simulation import scenario_of
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
+from cassini_bayes.studies.blind.flights import reduced
+from cassini_bayes.studies.scenario import simulate_file
+
+SEEDS = range(16)
+STEP_RPM = 1.0
+
+
+@cache
+def at_mode(seed: int, step_rpm: float = STEP_RPM) -> tuple[Hypothesis, Array]:
+    """Slews with wheel rates in coarse steps and rates of a fine gyro, nothing hidden."""
+    content = document()
+    content["event"] = content["event"][1:]
+    content["telemetry"] |= {"wheel_noise_rpm": 0.1, "wheel_resolution_rpm": step_rpm}
+    flown = simulate_file(scenario_of(content), seed, priors=priors())
+    none = none_hypothesis(reduced(flown, priors()))
+    return none, find_mode(none.log_density, none.dimension).point
+
+
+def test_every_rest_has_one_rounding_of_its_wheel() -> None:
+    """Columns are one wheel's momentum in rows whose printed rates are two neighbours, else 0."""
+    none, point = at_mode(0)
+    columns, variance = roundings(none, point, 0)
+    event = none.model.telemetry[0].event
+    assert columns.shape == (len(event.usable_rows.time_s), 3, len(variance))
+    assert len(variance) >= 3
+    printed = np.round(event.samples.wheel_rad_s / (STEP_RPM * RAD_S_PER_RPM))
+    for own in np.moveaxis(columns, 2, 0):
+        rows = np.any(own, axis=1)
+        assert np.count_nonzero(rows) >= LEAST_REST
+        assert np.all(own[rows] == own[rows][0])
+        assert min(np.ptp(wheel[rows]) for wheel in printed.T) <= 1.0
+
+
+def test_rates_without_steps_leave_nothing_open() -> None:
+    """No steps, no roundings."""
+    none, point = at_mode(0, 0.0)
+    columns, variance = roundings(none, point, 0)
+    assert columns.shape[2] == len(variance) == 0
+
+
+def small_p_values() -> int:
+    """How many of the flights have a p-value of 0.05 or less."""
+    count = 0
+    for seed in SEEDS:
+        left = innovations(*at_mode(seed))
+        times = [event.time_s for event in left.rows]
+        count += p_value(left.linear, times, np.random.default_rng(seed)) <= 0.05
+    return count
+
+
+def test_wheels_at_rest_are_no_drift(monkeypatch: pytest.MonkeyPatch) -> None:
+    """p-values of 16 flights are as they should be, and are not if rounding were white noise.
+
+    Four and more of 16 are at most 0.05 by chance in 0.7 %; 8 were, as white noise.
+    """
+    assert small_p_values() <= 3
+
+    def none_open(hypothesis: Hypothesis, z: Array, place: int) -> unresolved.Unknowns:
+        columns, _ = roundings(hypothesis, z, place)
+        return columns[:, :, :0], np.zeros(0)
+
+    monkeypatch.setattr(unresolved, "roundings", none_open)
+    assert small_p_values() >= 6
