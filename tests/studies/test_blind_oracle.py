@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
+from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS
 from cassini_bayes.studies.blind.oracle import Classifier, Side, log_evidence
 
 RNG = np.random.default_rng(4)
@@ -51,3 +52,22 @@ def test_ranks_find_a_clear_cause_and_no_faint_one() -> None:
     draws = np.random.default_rng(1).multivariate_normal(np.zeros(4), GRAM, 400)
     assert 0.05 < (classifier.ranks(draws, "half") == 0).mean() < 0.7
     assert classifier.expected("half", np.array([8.0]), np.random.default_rng(2)) == 1.0
+
+
+def test_a_group_has_what_explains_the_same_data_better() -> None:
+    """A size at the far end of its prior, and the same change under a prior four times as wide.
+
+    The wider one is more than three nats better there, and cannot be told from the true one by
+    anybody. At a size of one scale it is a little worse. Data that only the wider one expects are its own.
+    """
+    columns = np.column_stack([COLUMNS[:, 2], 4.0 * COLUMNS[:, 2], COLUMNS[:, 3]])
+    gram = columns.T @ np.linalg.solve(V, columns)
+    names = ("narrow", "wide", "other")
+    sides = tuple(Side(name, (i,), -np.inf, np.inf, 0.0) for i, name in enumerate(names))
+    classifier = Classifier(gram, np.zeros(3), sides)
+    far = np.array([4.0])
+    narrow, wide = (log_evidence(gram, gram[:1] * far, side)[0] for side in sides[:2])
+    assert wide - narrow > CONFOUNDED_NATS
+    assert classifier.group("narrow", far) == ("narrow", "wide")
+    assert classifier.group("narrow", far / 4.0) == ("narrow", "wide")
+    assert classifier.group("wide", far / 4.0) == ("wide",)

@@ -102,13 +102,14 @@ class Classifier:
     def group(self, name: str, size: Array) -> tuple[str, ...]:
         """The cause and up to three more that are as likely on the data that it has on average.
 
-        As likely: log evidence within three nats, as the diagnosis counts them.
+        As likely or likelier: log evidence at most three nats below, as the diagnosis counts them.
+        One that explains the same data better is no easier to tell from it.
         """
         mean = self.gram[:, self._side_of(name, size).places] @ size
         prior = self._by_name([side.log_prior for side in self.sides])
         evidence = dict(zip(self.names, self.log_scores(mean[None])[0] - prior, strict=True))
         own = evidence.pop(name)
-        alike = [n for n, value in evidence.items() if abs(value - own) < CONFOUNDED_NATS]
+        alike = [n for n, value in evidence.items() if value > own - CONFOUNDED_NATS]
         return (name, *sorted(alike, key=lambda n: -evidence[n])[: MOST_ALIKE - 1])
 
     def _side_of(self, name: str, size: Array) -> Side:
