@@ -58,7 +58,8 @@ def test_a_group_has_what_explains_the_same_data_better() -> None:
     """A size at the far end of its prior, and the same change under a prior four times as wide.
 
     The wider one is more than three nats better there, and cannot be told from the true one by
-    anybody. At a size of one scale it is a little worse. Data that only the wider one expects are its own.
+    anybody. At a size of one scale it is a little worse, and the other way round the narrow one is
+    more than three nats behind.
     """
     columns = np.column_stack([COLUMNS[:, 2], 4.0 * COLUMNS[:, 2], COLUMNS[:, 3]])
     gram = columns.T @ np.linalg.solve(V, columns)
