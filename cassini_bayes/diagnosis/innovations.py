@@ -237,7 +237,7 @@ def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
         usable = event.usable_rows
         white = left[part].reshape(-1, 3)
         samples = event.samples
-        at = np.searchsorted(samples.time_s, usable.time_s)
+        at = event.usable_places
         fires = samples.on_time_s.shape[1] > 0
         rows.append(
             EventRows(

@@ -3,7 +3,8 @@
 Turns of the attitude show what is slower than a second or so better than a gyro. In a quiet piece
 the integral of the balance holds, so every column of a row is integrated; the rates' own is
 replaced by the turn. For searches before a fit: the noise of integrated wheel rates is taken as
-white, and torque noise has a column for each of its cosines of two minutes and more.
+white beside the roundings of wheels at rest, and torque noise has a column for each of its cosines
+of two minutes and more.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from cassini_bayes.balance.statistics import (
 )
 from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.statistics.preparation import Prepared, prepare
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.branches import require_branch
@@ -144,6 +144,11 @@ class ReducedEvent:
         """The columns of all rows that enter the balance."""
         layout = self.statistics.layout
         return settle(self.samples, Carry.start(layout), layout, self.sampling, final=True)[0]
+
+    @property
+    def usable_places(self) -> Places:
+        """Places (n,) of the usable rows among all samples."""
+        return np.searchsorted(self.samples.time_s, self.usable_rows.time_s)
 
     def with_columns(self, extra: Sequence[ExtraColumn]) -> ReducedEvent:
         """The event reduced with columns that effects need, which see all of it at once."""
