@@ -109,7 +109,8 @@ def make_bands(statistics: EventStatistics) -> Bands:
     of_wheels, everywhere = wheel_squares(
         statistics.shown.rate_rad_s, step, on_modes, counters.stride
     )
-    turning = statistics.kind == "slew"
+    # thrusters that fire in every interval answer what is late, at all frequencies that are left
+    turning = statistics.kind == "slew" or statistics.counters.block_s > 0.0
     edges, still = _edges(statistics, len(walk)), STILL
     bands, grams, rest = [], [], statistics.gram
     for start, stop in pairwise(edges):
@@ -145,7 +146,8 @@ def make_bands(statistics: EventStatistics) -> Bands:
 
 def is_sparse(statistics: EventStatistics) -> bool:
     """Whether wheels still move at the highest frequencies that an event's rows can show."""
-    return statistics.kind != "slew" and statistics.duration_s > SPARSE_S * statistics.rows
+    still = statistics.kind != "slew" and statistics.counters.block_s == 0.0
+    return still and statistics.duration_s > SPARSE_S * statistics.rows
 
 
 def _edges(statistics: EventStatistics, modes: int) -> list[int]:

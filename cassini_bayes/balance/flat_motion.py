@@ -59,7 +59,7 @@ def log_measure(
         cosines, which the likelihood has as unknowns; that of the measure is whole.)
     """
     reference = _at_reference(event, parameters, len(physics.inertia_kg_m2))
-    growth = _log_det(physics.inertia_kg_m2) - event.log_inertia
+    growth = _log_size(event, physics) - event.log_size
     physics = _of_size(physics, np.exp(-growth / 3.0))
     result = _of_rows(event, physics, reference) + _count(event) * growth - event.log_unit
     if event.turns:
@@ -82,7 +82,7 @@ def in_channel_units(
     event = replace(
         event,
         log_unit=0.0,
-        log_inertia=float(_log_det(physics.inertia_kg_m2)[0]),
+        log_size=float(_log_size(event, physics)[0]),
         nominally_open=open_counters(event, physics),
     )
     nothing = np.zeros((1, len(event.turns), 3, 3))
@@ -94,6 +94,19 @@ def in_channel_units(
 def _count(event: TelemetryBalance) -> int:
     """Rates and turns whose motion has a density: all rows but one, and contrasts of turns."""
     return event.statistics.rows - 1 + sum(band.contrasts for band in event.turns)
+
+
+def _log_size(event: TelemetryBalance, physics: Physics) -> Array:
+    """Log (n,) of the size that the measure grows with, as the cube of a common scale.
+
+    That of the body; where pulses are late in rows, that of the wheels. There thrusters answer what
+    is late, so that the slope in log I of the quadratic form is that of the gyro's noise alone, and
+    rows tell the ratio of body and wheels too badly for it not to matter which of them J grows with.
+    """
+    if event.late is None:
+        return _log_det(physics.inertia_kg_m2)
+    inertias = np.linalg.norm(event.wheel_weights(physics), axis=-2)
+    return np.asarray(3.0 * np.log(inertias).mean(axis=-1))
 
 
 def _of_size(physics: Physics, factor: Array) -> Physics:

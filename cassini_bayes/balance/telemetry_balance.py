@@ -25,6 +25,7 @@ from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import WheelSquares
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, quarter_of
+from cassini_bayes.balance.statistics.late import LatePulses, late_pulses
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft import Spacecraft
@@ -177,10 +178,11 @@ class TelemetryBalance:
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
-    is a constant of unit length on the slow modes; ``log_unit``, ``log_inertia`` (log |det I| at
+    is a constant of unit length on the slow modes; ``log_unit``, ``log_size`` (log |det I| at
     the prior means) and ``nominally_open``, what counters leave open there, belong to the measure
     of flat motion (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are the event's
     thrusts to some percent: they size what counters leave open, and place the slow modes.
+    ``late`` is of rows that have late pulses.
     """
 
     statistics: EventStatistics
@@ -197,8 +199,9 @@ class TelemetryBalance:
     reduced: Reduced
     constant: Array
     thrusts_n: Array
+    late: LatePulses | None
     log_unit: float = 0.0
-    log_inertia: float = 0.0
+    log_size: float = 0.0
     nominally_open: OpenCounters = NOTHING_OPEN
 
     @property
@@ -310,6 +313,7 @@ def make_balance(
         ),
         constant=constant / np.linalg.norm(constant),
         thrusts_n=np.full(pattern.thrusters, thrust_n),
+        late=_late(statistics, sampling),
     )
 
 
@@ -397,6 +401,15 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         wheels=start[-2] + 4 + np.arange(len(layout.wheels)),
         turns=start[-2] + 4 + len(layout.wheels) + np.arange(3),
     )
+
+
+def _late(statistics: EventStatistics, sampling: Sampling) -> LatePulses | None:
+    """What is late in the rows of an event that hardly has one between firings."""
+    counters = statistics.counters
+    if counters.block_s == 0.0:
+        return None
+    of_pulse = (sampling.pulse_shape, sampling.pulse_reference_s, sampling.guard_s)
+    return late_pulses(*of_pulse, counters.late_width_s, counters.late_rate_hz)
 
 
 def _of_cut_columns(statistics: EventStatistics, cuts: Sequence[int]) -> tuple[Array, Array]:

@@ -18,10 +18,9 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_balance import Products, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
-    covariance_beside_wheels,
-    noise_covariance,
     open_counters,
     turn_noise,
+    wheel_covariance,
     wheel_variance,
 )
 from cassini_bayes.balance.telemetry_weights import balance_weights, turn_weights, walk_weights
@@ -62,7 +61,6 @@ def row_information(
     parameters = {**parameters, **_noise_seen(event, products, parameters)}
     nominal = {name: values[:1] for name, values in parameters.items()}
     total: Array | float = 0.0
-    beside = covariance_beside_wheels(event, physics, parameters)[0]
     left_open = open_counters(event, physics)
     with_open = band_covariances(event, physics, parameters, left_open.rows)[0]
     walk = _walk_columns(event, nominal)
@@ -71,7 +69,7 @@ def row_information(
         weights = balance_weights(event, physics, estimate[None])
         slow = walk if gram is None else np.zeros_like(walk)
         columns = np.r_[slow, _columns(event, weights, mean, own_sd, levels, step)]
-        noise = noise_covariance(event, physics, parameters, estimate[None])[0] + own - beside
+        noise = own + wheel_covariance(event, physics, parameters, estimate[None])[0]
         total = total + _whitened(event, products.slow, band, gram, columns, noise, nominal)
     weights = balance_weights(event, physics)
     faster = [band.faster_s3 for band in event.turns]

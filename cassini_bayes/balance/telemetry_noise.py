@@ -34,11 +34,22 @@ def noise_covariance(
     ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
     estimated.
     """
+    of_wheels = wheel_covariance(event, physics, parameters, kept)
+    other = covariance_beside_wheels(event, physics, parameters)
+    return np.asarray(other + of_wheels + late_covariance(event, physics))
+
+
+def wheel_covariance(
+    event: TelemetryBalance,
+    physics: Physics,
+    parameters: Mapping[str, Array],
+    kept: Array | None = None,
+) -> Array:
+    """Covariance (n, 3, 3) of what wheel rates put into a row, (N m s)²; ``kept`` as above."""
     wheels = event.wheel_weights(physics)
     left = wheels if kept is None else wheels @ kept
     noise = wheel_variance(event, parameters)[:, None, :]
-    other = covariance_beside_wheels(event, physics, parameters)
-    return np.asarray(other + (left * noise) @ np.swapaxes(wheels, -1, -2))
+    return np.asarray((left * noise) @ np.swapaxes(wheels, -1, -2))
 
 
 def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -49,7 +60,8 @@ def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> 
 def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Variance (n,) of a measured body rate, its rounding included, rad²/s²."""
     rounding = event.statistics.steps.rate_rad_s**2 / 12.0
-    return np.asarray(parameters["rate_noise_rad_s"] ** 2 + rounding)
+    white = parameters["rate_noise_rad_s"] ** 2 + rounding
+    return np.asarray(white / event.statistics.counters.averaged)
 
 
 def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -65,7 +77,8 @@ def _wheel_variances(
     noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     share = lasting_shares(event, parameters).sum(axis=1)
-    white = (noise**2 + rounding) * squares.moving + squares.seen
+    of_row = (noise**2 + rounding) / event.statistics.counters.averaged
+    white = of_row * squares.moving + squares.seen
     return np.asarray(white + rounding * share[:, None] * squares.lasting)
 
 
@@ -84,6 +97,7 @@ def covariance_beside_wheels(
     by_rate = physics.momentum_per_rate
     rate = rate_variance(event, parameters)[:, None, None]
     attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
+    attitude = attitude / event.statistics.counters.averaged
     return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * event.spin)
 
 
@@ -170,8 +184,27 @@ def _shared_turn_covariances(
     return np.asarray(of_wheels + by_torque[:, :, None, None] * np.eye(3))
 
 
+def late_covariance(event: TelemetryBalance, physics: Physics) -> Array:
+    """Covariance (n, 3, 3) of what is late in rows, (N m s)²: of means over blocks of rows.
+
+    The variance of pulses at any time (:mod:`cassini_bayes.balance.statistics.late`), by couple,
+    times a factor that is inferred.
+    """
+    n = len(physics.inertia_kg_m2)
+    if event.late is None:
+        return np.zeros((n, 3, 3))
+    rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
+    factor = np.broadcast_to(physics.late_scale, (n,)) / event.statistics.counters.averaged
+    torque = couple_torques(event, physics)
+    scaled = torque * (factor[:, None] * event.late.variance_s2(rise, fall))[:, None]
+    return np.asarray(scaled @ np.swapaxes(torque, -1, -2))
+
+
 def open_counters(event: TelemetryBalance, physics: Physics) -> OpenCounters:
-    """Covariances of tails and on-times that counters leave open, at n points."""
+    """Covariances of tails and on-times that counters leave open, and of late pulses, at n points.
+
+    What is late does not last: it is the same in all bands of rows.
+    """
     own, of_rows = event.left_open, 1 + len(event.fast)
     result = np.zeros((len(physics.inertia_kg_m2), len(own.pairs), 3, 3))
     if event.fires and own:
@@ -179,7 +212,8 @@ def open_counters(event: TelemetryBalance, physics: Physics) -> OpenCounters:
         square = scales.variance_s2(own.pairs, own.columns)
         torque = scales.torque_n_m[:, None]
         result = (torque * square[:, :, None]) @ np.swapaxes(torque, -1, -2)
-    return OpenCounters(result[:, :of_rows], result[:, of_rows:])
+    late = late_covariance(event, physics)[:, None]
+    return OpenCounters(result[:, :of_rows] + late, result[:, of_rows:])
 
 
 def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
@@ -187,20 +221,26 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
 
     Torques are those of the event's own thrusts: a factor on what the prior expects is in them.
     """
-    n, couples = len(physics.inertia_kg_m2), event.statistics.layout.couples
+    n = len(physics.inertia_kg_m2)
     if not event.fires:
         nothing = LostTails(np.zeros(n), np.zeros(n))
         return OpenScales(np.zeros((n, 3, 0)), nothing, np.zeros((n, len(PULSE_COLUMNS))))
-    each = np.broadcast_to(physics.arms_m, (n, 3, event.pattern.thrusters)) * event.thrusts_n
-    together = [each[..., list(own)].sum(-1) for own in couples]
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
     pulse = event.sampling.pulses.weights(physics.tau_s)
     return OpenScales(
-        np.stack(together, axis=-1),
+        couple_torques(event, physics),
         lost_tails(gaps, rise, fall, share),
         np.broadcast_to(pulse, (n, pulse.shape[-1])),
     )
+
+
+def couple_torques(event: TelemetryBalance, physics: Physics) -> Array:
+    """Torques (n, 3, G) of all couples, N m, by the event's own thrusts."""
+    shape = (len(physics.inertia_kg_m2), 3, event.pattern.thrusters)
+    each = np.broadcast_to(physics.arms_m, shape) * event.thrusts_n
+    together = [each[..., list(own)].sum(-1) for own in event.statistics.layout.couples]
+    return np.stack(together, axis=-1)
 
 
 def close_share(physics: Physics, n: int) -> Array:

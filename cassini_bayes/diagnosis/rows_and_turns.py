@@ -22,7 +22,7 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.columns import Rows, walk_columns
 from cassini_bayes.balance.statistics.turns import Pieces, pieces_of, turns_between
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
-from cassini_bayes.balance.telemetry_noise import covariance_beside_wheels, noise_covariance
+from cassini_bayes.balance.telemetry_noise import wheel_covariance
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 
@@ -97,8 +97,7 @@ def _turn_factor(
     balance: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
 ) -> Array:
     """Lower factor (3, 3) of a turn's noise, N m s²: of the attitude, and of summed wheel rates."""
-    noise = noise_covariance(balance, physics, parameters)
-    of_wheels = (noise - covariance_beside_wheels(balance, physics, parameters))[0]
+    of_wheels = wheel_covariance(balance, physics, parameters)[0]
     contrasts = np.array([band.contrasts for band in balance.turns])
     summed_s2 = np.array([band.summed_s2 for band in balance.turns])
     attitude = max(float(parameters["attitude_noise_rad"][0]), LEAST_ATTITUDE_RAD)

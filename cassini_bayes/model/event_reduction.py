@@ -203,11 +203,11 @@ class EventRows:
 class PreparedRows:
     """Rows of an event with what a first look at them found: expected on-times, least steps."""
 
-    def __init__(self, rows: Iterable[Samples], control_cycle_s: float) -> None:
-        self._rows, self._control_cycle_s = rows, control_cycle_s
+    def __init__(self, rows: Iterable[Samples], control_cycle_s: float, guard_s: float) -> None:
+        self._rows, self._control_cycle_s, self._guard_s = rows, control_cycle_s, guard_s
 
     def __reduce__(self) -> tuple[object, ...]:
-        return PreparedRows, (self._rows, self._control_cycle_s)
+        return PreparedRows, (self._rows, self._control_cycle_s, self._guard_s)
 
     def __iter__(self) -> Iterator[Samples]:
         return self.prepared.samples(self._rows)
@@ -215,7 +215,7 @@ class PreparedRows:
     @cached_property
     def prepared(self) -> Prepared:
         """The first look, made once."""
-        return prepare(self._rows, self._control_cycle_s)
+        return prepare(self._rows, self._control_cycle_s, self._guard_s)
 
 
 def is_event_folder(path: Path) -> bool:
@@ -292,7 +292,7 @@ def reduce_samples(
 ) -> ReducedEvent:
     """Reduce telemetry that is in memory, as from a simulation."""
     layout = layout_of(wheels, thrusters, sampling)
-    rows = PreparedRows((samples,), sampling.control_cycle_s)
+    rows = PreparedRows((samples,), sampling.control_cycle_s, sampling.guard_s)
     result = rows.prepared.found
     statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=result)
     counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
@@ -356,8 +356,8 @@ def reduce_event(
     )
     search = CellSearch(nominal, event.wheels) if policy.leave_out else None
     rows = EventRows(event, priors.spacecraft, search)
-    looked = PreparedRows(rows, priors.spacecraft.control_cycle_s)
     likely = sampling_of(priors, event.thrusters, last_time(event), pulse_shape)
+    looked = PreparedRows(rows, likely.control_cycle_s, likely.guard_s)
     key = reduction_key(event, likely, policy)
     cached = _cached(cache, key)
     if cached is None:

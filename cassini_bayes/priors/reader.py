@@ -25,7 +25,12 @@ from cassini_bayes.priors.chaining import EarlierFit, read_earlier
 from cassini_bayes.priors.distributions import Distribution, check_bounds, check_keywords
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, ParameterSpec, generic_parameters
+from cassini_bayes.spacecraft.parameters import (
+    CLOSE_SHARE,
+    LATE_SCALE,
+    ParameterSpec,
+    generic_parameters,
+)
 
 __all__ = [
     "ZERO_CENTRED",
@@ -63,7 +68,11 @@ _NEGATIVE_MASS: Final = 1e-3
 
 TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
 """What priors of telemetry have and those of totals have not."""
-_ANY_SHARE: Final = (Distribution("uniform", {"loc": 0.0, "scale": 0.6}), None)
+# Of what controllers do; when they fire after readings, or before, is not known.
+_OF_CONTROLLERS: Final = {
+    CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 0.6}),
+    LATE_SCALE: Distribution("lognorm", {"s": 0.7, "scale": 1.0}),
+}
 
 
 @dataclass(frozen=True)
@@ -277,12 +286,11 @@ def read_priors(path: str | Path) -> Priors:
     table_of_file = _table(f"{path}: spacecraft", document.get("spacecraft"))
     spacecraft = _read_spacecraft(Path(path), table_of_file)
     parameters = _read_parameters(f"{path}: parameters", document.get("parameters"), spacecraft)
-    if TELEMETRY_NOISE in parameters and CLOSE_SHARE not in parameters:
-        parameters[CLOSE_SHARE] = ParameterPrior(
-            known_parameters(spacecraft)[CLOSE_SHARE],
-            *_ANY_SHARE,
-            "not in the file: any that controllers were seen to have",
-        )
+    if TELEMETRY_NOISE in parameters:
+        for name in sorted({*_OF_CONTROLLERS} - {*parameters}):
+            spec, prior = known_parameters(spacecraft)[name], _OF_CONTROLLERS[name]
+            source = "not in the file: any that controllers were seen to have"
+            parameters[name] = ParameterPrior(spec, prior, None, source)
     wheels = _read_wheels(f"{path}: spacecraft.wheels", table_of_file.get("wheels"), spacecraft)
     turned = spacecraft.with_platforms(parameters)
     turned.check_platforms(wheels, f"{path}: parameters")

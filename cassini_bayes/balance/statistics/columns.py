@@ -26,9 +26,14 @@ from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics.counters import firings
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS, PulseBasis
-from cassini_bayes.balance.statistics.rows import Samples, quiet_rows
+from cassini_bayes.balance.statistics.rows import (
+    Samples,
+    bracketing_readings,
+    quiet_rows,
+    rows_at_readings,
+)
 from cassini_bayes.balance.statistics.turning import turned_into_body
-from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.spacecraft.pulses import PulseShape
 
 AXES = "xyz"
@@ -41,6 +46,10 @@ CUT_COLUMNS = 1 + CUT_PARTS
 # readings (docs/topics/telemetry-likelihood.md §7).
 ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
+# Of the chance of two pulses within that time: three have 1.5 times the chance for each pair, and
+# no share is more than all (the largest share is 0.6).
+MOST_ALIKE = 5.0 / 3.0
+MOST_ACROSS = 4.0  # pairs about a reading, of several pulses on either side
 # The slowest cosines of torque noise are unknowns: rows and turns see them alike. How many matter
 # grows with the duration (docs/topics/telemetry-likelihood.md §8).
 COSINE_S = 300.0  # of the event, for each cosine
@@ -100,7 +109,9 @@ class Sampling:
     ``reference_noise`` are noise levels, by name, of about the right size: all hypotheses of an
     event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
     ``widths_s`` are what pulses of the event are like, all as likely (:class:`.PulseBasis`), and
-    ``gaps_s`` the times after which close ones follow (without, a control cycle).
+    ``gaps_s`` the times after which close ones follow (without, a control cycle). With a
+    ``block_s``, rows are means over blocks of that length of those at readings of the counters,
+    whatever is still being delivered then (:mod:`.late`).
     """
 
     pulse_shape: PulseShape
@@ -115,6 +126,7 @@ class Sampling:
     reference_noise: tuple[tuple[str, float], ...] = ()
     widths_s: tuple[float, ...] = ()
     gaps_s: tuple[float, ...] = ()
+    block_s: float = 0.0
 
     @cached_property
     def pair_s2(self) -> float:
@@ -315,6 +327,7 @@ class Carry:
     cuts: Array
     pairs: Pairs
     waiting: Samples | None
+    block: Rows | None = None  # rows of a block that may go on
 
     @staticmethod
     def start(layout: Layout) -> Carry:
@@ -340,6 +353,19 @@ class Rows:
     def part(self, places: slice) -> Rows:
         """Some of the rows."""
         return Rows(*(getattr(self, field.name)[places] for field in fields(self)))
+
+    def averaged(self, block: Array) -> Rows:
+        """Means over the blocks that rows (n,) are numbered by; time and attitude of the middle."""
+        first = np.flatnonzero(np.diff(block, prepend=-1.0))
+        count = np.diff(first, append=len(block))
+        middle = first + count // 2
+        means = (
+            np.add.reduceat(values, first, axis=0) / count.reshape(-1, *[1] * (values.ndim - 1))
+            if len(first)
+            else values
+            for values in (self.vector, self.scalar)
+        )
+        return Rows(self.time_s[middle], *means, self.cosines[middle])
 
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
@@ -385,7 +411,15 @@ def settle(
     until = float(now.time_s[-1])
     waiting = samples.part(_context(now, sampling.guard_s))
     rows, carry = _columns(now, carry, layout, sampling)
-    return rows, replace(carry, done_until_s=until, waiting=waiting)
+    carry = replace(carry, done_until_s=until, waiting=waiting)
+    if sampling.block_s == 0.0:
+        return rows, carry
+    if carry.block is not None:
+        rows = Rows.joined([carry.block, rows])
+    of_block = np.floor(rows.time_s / sampling.block_s + _SAME_S)
+    over = np.ones(len(of_block), dtype=bool) if final else of_block < of_block[-1:]
+    rows, block = rows.part(slice(0, over.sum())), rows.part(slice(over.sum(), None))
+    return rows.averaged(of_block[over]), replace(carry, block=block)
 
 
 def _no_rows(layout: Layout) -> Rows:
@@ -508,6 +542,8 @@ def _usable(samples: Samples, time: Array, sampling: Sampling) -> Flags:
     if samples.on_time_s.shape[1] == 0:
         return np.ones(len(time), dtype=bool)
     counted = samples.has_counters
+    if sampling.block_s > 0.0:
+        return rows_at_readings(time, samples.time_s[counted], sampling.guard_s)
     values = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
     return quiet_rows(time, samples.time_s[counted], values, sampling.guard_s)
 
@@ -537,30 +573,26 @@ def _impulses(
     return np.concatenate([carry.fired[None], carry.fired + np.cumsum(steps, axis=0)])
 
 
-def close_pairs(
-    length_s: Array,
-    pulses: Array,
-    fired: NDArray[np.bool_],
-    before: NDArray[np.bool_],
-) -> Array:
+def close_pairs(length_s: Array, pulses: Array, before: Array) -> Array:
     """Pairs (m, G) within each of some counter intervals, and across the reading before it.
 
     Counters show neither which pairs were a control cycle apart nor what share. The share depends
-    on the controller and is inferred (docs/topics/telemetry-likelihood.md §7).
+    on the controller and is inferred (docs/topics/telemetry-likelihood.md §7). The more pulses an
+    interval has, the closer they are.
 
     Parameters
     ----------
     length_s
         (m,) of the intervals.
     pulses
-        (m, G) pulses of every couple in them.
-    fired, before
-        (m, G) whether a couple fired in the interval, and in the one before it.
+        (m, G) that every couple began in them.
+    before
+        (m, G) that it fired in the intervals before them, one at least where it fired.
     """
-    within = np.maximum(pulses - 1.0, 0.0)
-    across = (fired & before & (pulses > 0)).astype(np.float64)
     alike = np.minimum(1.0, ALIKE_S / length_s)[:, None]
-    return np.asarray(alike * (within + ACROSS * across))
+    within = np.minimum(alike * np.maximum(0.5 * pulses, 1.0), MOST_ALIKE)
+    across = np.minimum(pulses * before, MOST_ACROSS)
+    return np.asarray(within * np.maximum(pulses - 1.0, 0.0) + alike * ACROSS * across)
 
 
 def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Pairs:
@@ -573,11 +605,12 @@ def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Pairs:
         pulses[:, g] = counted.pulses[:, members].max(axis=1, initial=0.0)
         on_time = counted.on_time[:, members].max(axis=1, initial=0.0)
         fired[:, g] = (pulses[:, g] > 0.0) | (on_time > 0.0)
-    before = np.concatenate([np.zeros_like(fired[:1]), fired[:-1]])
+    fired_of = np.maximum(pulses, fired)
+    before = np.concatenate([np.zeros_like(fired_of[:1]), fired_of[:-1]])
     return Pairs(
         counted.time_s[active + 1],
         fired[active],
-        close_pairs(np.diff(counted.time_s)[active], pulses[active], fired[active], before[active]),
+        close_pairs(np.diff(counted.time_s)[active], pulses[active], before[active]),
         *(of_all[active] for of_all in _unlike(counted, layout, sampling)),
     )
 
@@ -617,8 +650,8 @@ def effective_increments(
 ) -> Array:
     """What pulses of every counter interval add to the pulse columns, (m, K, C).
 
-    Intervals of one firing share the mean width of their pulses, and their effective on-time in
-    proportion to on-time.
+    Intervals of one firing share the mean width of their pulses. What a firing gains beyond its
+    on-time is of its pulses, each where it began.
     on_time, pulses (m, K) are the increments of the counters; ``of_pulse`` gives the columns
     (…, C) of a pulse from the mean width (…) of so many (…), s.
     """
@@ -626,6 +659,10 @@ def effective_increments(
     for k in range(on_time.shape[1]):
         rows, run, seconds, count = firings(on_time[:, k], pulses[:, k])
         effective = count[:, None] * of_pulse(seconds / count, count)
-        share = on_time[rows, k] / np.where(seconds > 0, seconds, 1.0)[run]
-        result[rows, k] = share[:, None] * effective[run]
+        begun = np.bincount(run, pulses[rows, k])
+        by_pulse = np.where(begun[run] > 0, pulses[rows, k] / np.maximum(begun[run], 1.0), 0.0)
+        by_time = on_time[rows, k] / np.where(seconds > 0, seconds, 1.0)[run]
+        commanded = seconds[:, None] * np.eye(1, effective.shape[1])
+        beyond = np.where(begun[run] > 0, by_pulse, by_time)[:, None] * (effective - commanded)[run]
+        result[rows, k] = by_time[:, None] * commanded[run] + beyond
     return result

@@ -41,7 +41,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512  # at 1 Hz the remainder is faster than 6 s in a bias of 1,500 s
-_FORMAT: Final = 12  # raised with every change of what is stored
+_FORMAT: Final = 13  # raised with every change of what is stored
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -114,7 +114,9 @@ class CounterStatistics:
     and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
     (:class:`cassini_bayes.balance.statistics.counters.Rounding`). ``gaps_s`` (m,) are the times,
     all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
-    (m,) are widths of pulses, all as likely, none if they are not known.
+    (m,) are widths of pulses, all as likely, none if they are not known. Where rows have pulses
+    that are late, they are means over ``averaged`` rows in blocks of ``block_s``, ``late_width_s``
+    is the mean width of pulses and ``late_rate_hz`` (G,) how often couples fire.
     """
 
     row_time_s: Array
@@ -130,6 +132,10 @@ class CounterStatistics:
     coarse: NDArray[np.bool_]
     gaps_s: Array
     widths_s: Array
+    block_s: float
+    averaged: float
+    late_width_s: float
+    late_rate_hz: Array
 
     def seen_by(self, sampling: Sampling) -> Sampling:
         """A sampling with what the event's counters say of its pulses."""
@@ -137,6 +143,7 @@ class CounterStatistics:
             sampling,
             widths_s=tuple(self.widths_s.tolist()),
             gaps_s=tuple(self.gaps_s.tolist()),
+            block_s=self.block_s,
         )
 
 
@@ -159,6 +166,18 @@ class ChannelSteps:
 
 
 @dataclass(frozen=True)
+class LateRows:
+    """Of rows that have late pulses: length of their blocks, mean width of pulses, and how often.
+
+    ``block_s`` is 0 where rows are between firings; ``rate_hz`` (K,) is of every thruster.
+    """
+
+    block_s: float = 0.0
+    width_s: float = 0.0
+    rate_hz: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class Preparation:
     """What a first look at an event's telemetry found, for the pass that reduces it."""
 
@@ -166,6 +185,7 @@ class Preparation:
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
     widths_s: tuple[float, ...] = ()  # of pulses; without, those of a firing are alike
+    late: LateRows = LateRows()  # without rows between firings
 
 
 @dataclass(frozen=True)
@@ -282,7 +302,7 @@ def reduce_chunks(
     Raises
     ------
     InputError
-        Fewer than ten rows can be used, or a counter's steps are longer than the pulses.
+        Fewer than ten rows can be used.
     """
     prepared = prepared or Preparation()
     by_couple = _by_couple(prepared.rounding, layout)
@@ -290,8 +310,9 @@ def reduce_chunks(
         sampling,
         widths_s=prepared.widths_s,
         gaps_s=prepared.gaps_s or (sampling.control_cycle_s,),
+        block_s=prepared.late.block_s,
     )
-    carry, used, interval = Carry.start(layout), 0, 0.0
+    carry, used, at_readings, interval = Carry.start(layout), 0, 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
     turns, times, wheels = _Turns(layout, sampling), Thinned(), Thinned()
@@ -304,17 +325,18 @@ def reduce_chunks(
             times.add(rows.time_s)
             wheels.add(rows.scalar[:, wheel])
             used += len(rows.time_s)
+        at_readings += int((chunk.has_state & chunk.has_counters).sum())
         interval = interval or counter_interval(chunk)
     if used < LEAST_ROWS:
         raise InputError(
             f"event {event_id}: telemetry",
             f"at least {LEAST_ROWS} rows with attitude, body rates and wheel rates at one time, "
-            f"none within {sampling.guard_s:.2f} s of a firing",
+            f"none within {sampling.guard_s:.2f} s of a firing, or all at readings of the counters",
             str(used),
             "give more telemetry, or the counters at a faster rate",
         )
+    averaged = at_readings / used if sampling.block_s > 0.0 else 1.0
     gram, places = _by_axes(inner.columns, layout)
-    _require_readable(event_id, layout, prepared.rounding)
     return EventStatistics(
         event_id=event_id,
         kind=kind,
@@ -327,27 +349,12 @@ def reduce_chunks(
         cuts=carry.cuts,
         counter_interval_s=interval,
         turns=turns.statistics(),
-        counters=_counter_statistics(carry.pairs, times, sampling, by_couple),
+        counters=_counter_statistics(
+            carry.pairs, times, sampling, by_couple, layout.couples, prepared.late, averaged
+        ),
         steps=prepared.steps,
-        shown=ShownWheels(np.concatenate(wheels.kept)),
+        shown=ShownWheels(wheels.values),
     )
-
-
-def _require_readable(event_id: str, layout: Layout, rounding: Sequence[Rounding]) -> None:
-    """Refuse counters whose steps hide the pulses: what was fired cannot be read from them.
-
-    The widths' scatter, which would then be noise, is not known well enough from such readings:
-    overstated noise makes the inertia several standard deviations too large.
-    """
-    for name, own in zip(layout.thrusters, rounding, strict=False):
-        if own.step_s > own.width_s:
-            raise InputError(
-                f"event {event_id}: on_time_{name}_s",
-                f"a counter in finer steps than its pulses, {own.width_s:.3f} s on average",
-                f"steps of {own.step_s:g} s",
-                "give the counter in finer steps; if pulses are whole numbers of control cycles, "
-                "say so by control_cycle_s in the spacecraft file",
-            )
 
 
 class Thinned:
@@ -367,8 +374,13 @@ class Thinned:
         self._seen += len(values)
         self.kept.append(values[number % self.stride == 0])
         while sum(map(len, self.kept)) > MOST_TIMES:
-            self.kept = [np.concatenate(self.kept)[::2]]
+            self.kept = [self.values[::2]]
             self.stride *= 2
+
+    @property
+    def values(self) -> Array:
+        """Those that stay, in one array."""
+        return np.concatenate(self.kept)
 
 
 def _counter_statistics(
@@ -376,6 +388,9 @@ def _counter_statistics(
     times: Thinned,
     sampling: Sampling,
     by_couple: Sequence[Rounding],
+    couples: Sequence[Sequence[int]],
+    late: LateRows,
+    averaged: float,
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
     every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
@@ -393,7 +408,7 @@ def _counter_statistics(
         )
         fired = np.logical_or.reduceat(fired, first, axis=0)
     return CounterStatistics(
-        np.concatenate(times.kept),
+        times.values,
         times.stride,
         pairs.end_s[first],
         fired,
@@ -406,6 +421,12 @@ def _counter_statistics(
         np.array([one.coarse for one in by_couple], dtype=np.bool_),
         np.array(sampling.gaps_s),
         np.array(sampling.widths_s),
+        sampling.block_s,
+        averaged,
+        late.width_s,
+        np.array([max((late.rate_hz[k] for k in own), default=0.0) for own in couples])
+        if late.rate_hz
+        else np.zeros(len(by_couple)),
     )
 
 
@@ -516,7 +537,7 @@ def counter_interval(samples: Samples) -> float:
     return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
-LEAST_ROWS: Final = 10  # judgement: three initial momenta and three torques take six
+LEAST_ROWS: Final = 5  # judgement: initial momentum and torque take two of them
 
 
 _PARTS: Final[Mapping[str, Any]] = {

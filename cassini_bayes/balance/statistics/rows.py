@@ -13,7 +13,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags, Places
+
+_SAME_S = 1e-6  # times closer than this are the same
 
 
 @dataclass(frozen=True)
@@ -84,10 +86,23 @@ def quiet_rows(time_s: Array, counter_time_s: Array, counters: Array, guard_s: f
     """
     if len(counter_time_s) == 0:
         return np.zeros(len(time_s), dtype=bool)
-    tolerance = 1e-6
-    before = np.searchsorted(counter_time_s, time_s - guard_s + tolerance, side="right") - 1
-    after = np.searchsorted(counter_time_s, time_s - tolerance, side="left")
+    before, after = bracketing_readings(time_s, counter_time_s, guard_s)
     changes = np.concatenate([[0], np.cumsum(np.any(np.diff(counters, axis=0) != 0, axis=1))])
     last = len(counter_time_s) - 1
     same = changes[np.minimum(after, last)] == changes[np.maximum(before, 0)]
     return np.asarray(same & (before >= 0) & (after <= last))
+
+
+def rows_at_readings(time_s: Array, counter_time_s: Array, guard_s: float) -> Flags:
+    """Times (N,) at which counters were read, and once before by ``guard_s`` at least."""
+    if len(counter_time_s) == 0:
+        return np.zeros(len(time_s), dtype=bool)
+    before, after = bracketing_readings(time_s, counter_time_s, guard_s)
+    read = counter_time_s[np.minimum(after, len(counter_time_s) - 1)]
+    return np.asarray((np.abs(read - time_s) <= _SAME_S) & (before >= 0))
+
+
+def bracketing_readings(time_s: Array, counter_time_s: Array, guard_s: float) -> tuple[Places, Places]:
+    """Places of the last readings ``guard_s`` before times (N,), and of the first ones after."""
+    before = np.searchsorted(counter_time_s, time_s - guard_s + _SAME_S, side="right") - 1
+    return before, np.searchsorted(counter_time_s, time_s - _SAME_S, side="left")

@@ -1,0 +1,91 @@
+"""Pulses that are still being delivered in a row.
+
+Counters show a pulse when it starts; thrust builds up and decays for another tenth of a second or
+two. Rows in which something is late are left out as long as others are left. A controller that
+fires in every interval between two readings leaves none. Then rows at readings are averaged over
+blocks. What is late in a row is at most a pulse, does not add up, and is noise of its own: that of
+pulses at any time, times a factor that is inferred (docs/topics/telemetry-likelihood.md §4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid, trapezoid
+
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.spacecraft.pulses import PulseShape
+
+AGES: Final = 501  # of a pulse that moments are integrated over: right to 1e-3
+# Multiples of the reference time constants at which moments are fitted, and their powers: what
+# priors allow, right to half a percent.
+_RISES: Final = np.linspace(0.6, 1.4, 5)
+_FALLS: Final = np.linspace(0.2, 2.0, 7)
+_POWERS: Final = [(i, j) for i in range(3) for j in range(4)]
+
+
+@dataclass(frozen=True)
+class LatePulses:
+    """What pulses have still to deliver at a time that owes nothing to them.
+
+    ``coefficients`` (2, 12) are those of polynomials for ∫ ℓ da, s², and ∫ ℓ² da, s³, over the time
+    since a pulse began, ℓ the on-time that it has still to deliver, in τ_rise and τ_fall over their
+    values ``reference_s``. ``rate_hz`` (G,) are the pulses of every couple per second.
+    """
+
+    coefficients: Array
+    reference_s: tuple[float, float]
+    rate_hz: Array
+
+    def variance_s2(self, rise_s: Array, fall_s: Array) -> Array:
+        """Variance (n, G), s², of what is late of every couple, at time constants (n,).
+
+        Of pulses that begin at any time, λ per second, λ ∫ℓ da is late on average, and its square
+        λ ∫ℓ² da (two pulses of a couple are not late at once).
+        """
+        rise, fall = self.reference_s
+        basis = _basis(
+            np.clip(rise_s / rise, _RISES[0], _RISES[-1]),
+            np.clip(fall_s / fall, _FALLS[0], _FALLS[-1]),
+        )
+        mean, square = (np.multiply.outer(basis @ each, self.rate_hz) for each in self.coefficients)
+        return np.maximum(square - mean**2, 0.0)
+
+
+def late_pulses(
+    shape: PulseShape,
+    tau_s: tuple[float, float, float],
+    guard_s: float,
+    width_s: float,
+    rate_hz: Array,
+) -> LatePulses:
+    """Moments of what is late, of pulses of their mean width.
+
+    A pulse is counted when it begins, its on-time as it goes on: at age a it is credited with
+    min(a, w) of the effective time g(w) and with all that g(w) is beyond w, and has delivered the
+    integral of its thrust until then.
+
+    Parameters
+    ----------
+    shape, tau_s
+        Pulse shape and τ_delay, τ_rise, τ_fall of the reference.
+    guard_s
+        How long after its end a pulse may still deliver momentum.
+    """
+    delay, rise, fall = tau_s
+    rises, falls = (each.ravel() for each in np.meshgrid(rise * _RISES, fall * _FALLS))
+    taus = delay, rises[:, None], falls[:, None]
+    age = np.linspace(0.0, width_s + guard_s, AGES)
+    thrust = shape.thrust_fraction(age, width_s, *taus)
+    delivered = cumulative_trapezoid(thrust, age, axis=1, initial=0.0)
+    late = np.minimum(age - width_s, 0.0) + shape.effective_time(width_s, *taus) - delivered
+    moments = np.stack([trapezoid(late, age), trapezoid(late**2, age)], axis=1)
+    fitted = np.linalg.lstsq(_basis(rises / rise, falls / fall), moments, rcond=None)[0]
+    return LatePulses(np.ascontiguousarray(fitted.T), (rise, fall), rate_hz)
+
+
+def _basis(rise: Array, fall: Array) -> Array:
+    """Powers (n, 12) of relative time constants (n,)."""
+    return np.stack([rise**i * fall**j for i, j in _POWERS], axis=-1)
