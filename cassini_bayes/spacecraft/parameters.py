@@ -23,7 +23,7 @@ EFFECT_BLOCK: Final = "effect"
 
 
 CLOSE_SHARE: Final = "close_pulse_share"
-LATE_SCALE: Final = "late_pulse_scale"
+UNSEEN_SCALE: Final = "unseen_pulse_scale"
 NOISE_LEVELS: Final = (
     "rate_noise_rad_s",
     "wheel_noise_rpm",
@@ -100,8 +100,9 @@ _GENERIC: Final = (
         "tail-off",
         "1",
         close_pulse_share="share of pulses within a second that start one control cycle apart",
-        late_pulse_scale="variance of what pulses have still to deliver when counters are read, "
-        "over that of pulses at any time; where hardly a row is without firing",
+        unseen_pulse_scale="factor on the variance of what counters do not show of pulses: what is "
+        "late at a reading where hardly a row is without firing, and what steps hide that are "
+        "longer than half a pulse",
     ),
     *_specs(
         "inertia",

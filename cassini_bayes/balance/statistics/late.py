@@ -51,7 +51,7 @@ class LatePulses:
             np.clip(fall_s / fall, _FALLS[0], _FALLS[-1]),
         )
         mean, square = (np.multiply.outer(basis @ each, self.rate_hz) for each in self.coefficients)
-        return np.maximum(square - mean**2, 0.0)
+        return np.asarray(np.maximum(square - mean**2, 0.0))
 
 
 def late_pulses(

@@ -116,7 +116,8 @@ class CounterStatistics:
     all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
     (m,) are widths of pulses, all as likely, none if they are not known. Where rows have pulses
     that are late, they are means over ``averaged`` rows in blocks of ``block_s``, ``late_width_s``
-    is the mean width of pulses and ``late_rate_hz`` (G,) how often couples fire.
+    is the mean width of pulses and ``late_rate_hz`` (G,) how often couples fire. ``hidden`` tells
+    whether steps hide single pulses.
     """
 
     row_time_s: Array
@@ -134,8 +135,14 @@ class CounterStatistics:
     widths_s: Array
     block_s: float
     averaged: float
+    hidden: bool
     late_width_s: float
     late_rate_hz: Array
+
+    @property
+    def has_unseen_pulses(self) -> bool:
+        """Whether counters say so little of pulses that the size of its noise is inferred."""
+        return self.hidden or self.block_s > 0.0
 
     def seen_by(self, sampling: Sampling) -> Sampling:
         """A sampling with what the event's counters say of its pulses."""
@@ -423,6 +430,7 @@ def _counter_statistics(
         np.array(sampling.widths_s),
         sampling.block_s,
         averaged,
+        any(one.widths_s2 > 0.0 for one in by_couple),
         late.width_s,
         np.array([max((late.rate_hz[k] for k in own), default=0.0) for own in couples])
         if late.rate_hz
