@@ -100,8 +100,8 @@ def _log_size(event: TelemetryBalance, physics: Physics) -> Array:
     """Log (n,) of the size that the measure grows with, as the cube of a common scale.
 
     That of the body; where pulses are late in rows, that of the wheels. There thrusters answer what
-    is late, so that the slope in log I of the quadratic form is that of the gyro's noise alone, and
-    rows tell the ratio of body and wheels too badly for it not to matter which of them J grows with.
+    is late, so that the slope in log I of the quadratic form is that of the gyro's noise alone. And
+    rows tell the ratio of body and wheels so badly that it matters with which of them J grows.
     """
     if event.late is None:
         return _log_det(physics.inertia_kg_m2)

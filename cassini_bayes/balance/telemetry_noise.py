@@ -194,7 +194,7 @@ def late_covariance(event: TelemetryBalance, physics: Physics) -> Array:
     if event.late is None:
         return np.zeros((n, 3, 3))
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
-    factor = np.broadcast_to(physics.unseen_scale, (n,)) / event.statistics.counters.averaged
+    factor = np.broadcast_to(physics.late_scale, (n,)) / event.statistics.counters.averaged
     torque = couple_torques(event, physics)
     scaled = torque * (factor[:, None] * event.late.variance_s2(rise, fall))[:, None]
     return np.asarray(scaled @ np.swapaxes(torque, -1, -2))
@@ -219,8 +219,7 @@ def open_counters(event: TelemetryBalance, physics: Physics) -> OpenCounters:
 def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     """Torques of couples, what pairs scatter, and weights of pulse columns.
 
-    Torques are those of the event's own thrusts: a factor on what the prior expects is in them, and
-    where steps hide pulses, the root of that on the variance of what is open.
+    Torques are those of the event's own thrusts: a factor on what the prior expects is in them.
     """
     n = len(physics.inertia_kg_m2)
     if not event.fires:
@@ -229,11 +228,8 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
     pulse = event.sampling.pulses.weights(physics.tau_s)
-    torque = couple_torques(event, physics)
-    if event.statistics.counters.hidden:
-        torque = torque * np.sqrt(np.broadcast_to(physics.unseen_scale, (n,)))[:, None, None]
     return OpenScales(
-        torque,
+        couple_torques(event, physics),
         lost_tails(gaps, rise, fall, share),
         np.broadcast_to(pulse, (n, pulse.shape[-1])),
     )

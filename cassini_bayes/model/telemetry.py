@@ -62,7 +62,7 @@ from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, UNSEEN_SCALE, NOISE_LEVELS
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_SCALE, NOISE_LEVELS
 from cassini_bayes.spacecraft.pulses import effective_on_time
 
 INITIAL: Final = "initial_momentum_n_m_s"
@@ -422,12 +422,12 @@ def telemetry_parameters(
     fires: bool,
     has_delta_v: bool = False,
     has_accelerometer: bool = False,
-    has_unseen_pulses: bool = False,
+    has_late_pulses: bool = False,
 ) -> tuple[str, ...]:
     """Names of the parameters that an event needs, in the order in which they are walked.
 
     ``has_delta_v``: its velocity change was measured; ``has_accelerometer``: in counts;
-    ``has_unseen_pulses``: hardly a row is without firing, or steps of counters hide pulses.
+    ``has_late_pulses``: hardly a row is without firing.
     """
     names = [*INERTIA_PARAMETERS, *NOISE_LEVELS]
     names += shared.spacecraft.wheel_parameters(wheels)
@@ -435,8 +435,8 @@ def telemetry_parameters(
         names += [*PULSE_PARAMETERS, CLOSE_SHARE, *CENTRE_PARAMETERS]
         names += [*shared.spacecraft.geometry[shared.branch].parameters]
         names += shared.thrust_prior.walked
-    if has_unseen_pulses:
-        names.append(UNSEEN_SCALE)
+    if has_late_pulses:
+        names.append(LATE_SCALE)
     if has_delta_v:
         names += DELTA_V_PARAMETERS
     if has_accelerometer:
@@ -473,7 +473,7 @@ def _term(event: ReducedEvent, priors: Priors, shared: Shared) -> TelemetryTerm:
         fires=event.fires,
         has_delta_v=event.delta_v is not None,
         has_accelerometer=event.accelerometer is not None,
-        has_unseen_pulses=event.statistics.counters.has_unseen_pulses,
+        has_late_pulses=event.statistics.counters.has_late_pulses,
     )
     priors.require(names, "the model of these events")
     if event.fires and priors.parameters["tau_delay_s"].distribution is not None:

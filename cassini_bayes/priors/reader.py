@@ -27,7 +27,7 @@ from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.spacecraft.parameters import (
     CLOSE_SHARE,
-    UNSEEN_SCALE,
+    LATE_SCALE,
     ParameterSpec,
     generic_parameters,
 )
@@ -68,11 +68,11 @@ _NEGATIVE_MASS: Final = 1e-3
 
 TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
 """What priors of telemetry have and those of totals have not."""
-# Of what controllers do: when they fire after readings, or before, is not known, nor how widths of
-# pulses are distributed that counters hide (0.9 to 1.6 in simulations).
+# Of what controllers do: whether they fire before readings, or after them, is not known (the factor
+# is 1.0 to 1.3 in simulations whose readings are at control cycles).
 _OF_CONTROLLERS: Final = {
     CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 0.6}),
-    UNSEEN_SCALE: Distribution("lognorm", {"s": 0.5, "scale": 1.1}),
+    LATE_SCALE: Distribution("lognorm", {"s": 0.5, "scale": 1.1}),
 }
 
 

@@ -23,7 +23,7 @@ EFFECT_BLOCK: Final = "effect"
 
 
 CLOSE_SHARE: Final = "close_pulse_share"
-UNSEEN_SCALE: Final = "unseen_pulse_scale"
+LATE_SCALE: Final = "late_pulse_scale"
 NOISE_LEVELS: Final = (
     "rate_noise_rad_s",
     "wheel_noise_rpm",
@@ -100,9 +100,8 @@ _GENERIC: Final = (
         "tail-off",
         "1",
         close_pulse_share="share of pulses within a second that start one control cycle apart",
-        unseen_pulse_scale="factor on the variance of what counters do not show of pulses: what is "
-        "late at a reading where hardly a row is without firing, and what steps hide that are "
-        "longer than half a pulse",
+        late_pulse_scale="variance of what is still to be delivered when counters are read, over "
+        "that of pulses at any time; where hardly a row is without firing",
     ),
     *_specs(
         "inertia",

@@ -28,12 +28,11 @@ from cassini_bayes.balance.statistics.counters import firings
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS, PulseBasis
 from cassini_bayes.balance.statistics.rows import (
     Samples,
-    bracketing_readings,
     quiet_rows,
     rows_at_readings,
 )
 from cassini_bayes.balance.statistics.turning import turned_into_body
-from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.spacecraft.pulses import PulseShape
 
 AXES = "xyz"
@@ -355,17 +354,20 @@ class Rows:
         return Rows(*(getattr(self, field.name)[places] for field in fields(self)))
 
     def averaged(self, block: Array) -> Rows:
-        """Means over the blocks that rows (n,) are numbered by; time and attitude of the middle."""
+        """Means over the blocks that rows (n,) are numbered by; time and attitude of the middle.
+
+        Blocks with less than half the usual number of rows are left out: their noise is another.
+        """
         first = np.flatnonzero(np.diff(block, prepend=-1.0))
+        if len(first) == 0:
+            return self
         count = np.diff(first, append=len(block))
-        middle = first + count // 2
-        means = (
-            np.add.reduceat(values, first, axis=0) / count.reshape(-1, *[1] * (values.ndim - 1))
-            if len(first)
-            else values
-            for values in (self.vector, self.scalar)
+        vector = np.add.reduceat(self.vector, first, axis=0) / count[:, None, None]
+        scalar = np.add.reduceat(self.scalar, first, axis=0) / count[:, None]
+        middle, full = first + count // 2, 2.0 * count >= np.median(count)
+        return Rows(
+            self.time_s[middle[full]], vector[full], scalar[full], self.cosines[middle[full]]
         )
-        return Rows(self.time_s[middle], *means, self.cosines[middle])
 
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:

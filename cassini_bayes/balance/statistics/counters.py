@@ -17,10 +17,6 @@ C_m is a random walk of steps v n̄ seen with white noise σ²: precision (1 + D
 differences and q = v n̄/σ². Where q is small, a few hundred firings do not tell v well enough, and
 with it how much of what distinguishes two firings is rounding. Then only the first and the last
 reading are used, E[Δc] = n w, and the precision has ones for these two alone.
-
-Where a step is longer than a pulse, several firings are in one step: δ is no independent noise, but
-goes down by a pulse each time until the counter moves. There C_m is a hidden chain that every
-reading confines to one step (:func:`_confined`).
 Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 """
 
@@ -31,7 +27,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
-from scipy.special import ndtr
 
 from cassini_bayes.computing.arrays import Array, Places
 
@@ -42,14 +37,7 @@ SPREADS: Final = np.concatenate([[0.0], np.logspace(-3.0, 5.0, 33)])
 LEAST_RUNS: Final = 3  # firings: two have one difference, which tells no spread
 # Of q: with less, a width's variance that is 20 % off moves what neighbours tell of thrust by 3 %.
 LEAST_RATIO: Final = 20.0
-# Of a mean pulse, up to which roundings are taken as independent: some widths tell them apart.
-LONGEST_STEP: Final = 0.5
 MOST_PULSES: Final = 32.0  # of a firing: by 1/32 of a pulse each is its mean width off at most
-# Of hidden chains: places a step is cut into, least, per pulse, and most of them.
-CELLS: Final = (64, 8, 512)
-# Standard deviations of widths, over their mean, all as likely beforehand.
-WIDTHS: Final = np.geomspace(0.02, 1.2, 13)
-LEAST_CHANCE: Final = 1e-3  # of one of them, beside the likeliest
 _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step
 
 
@@ -71,13 +59,18 @@ class Rounding:
 
     ``variance_s2`` is σ², none of a counter that is known; ``ratio`` is q, infinite where nothing
     is known of the widths. With ``coarse`` the 1 is there for the first and last level only.
-    ``widths_s2`` is the variance of widths by a counter whose steps hide single ones, else 0.
+    ``width_s`` is the mean width of a pulse.
     """
 
     variance_s2: float = 0.0
     ratio: float = np.inf
     coarse: bool = False
-    widths_s2: float = 0.0
+    width_s: float = np.inf
+
+    @property
+    def step_s(self) -> float:
+        """Step of the counter, 0 where it is known."""
+        return float(np.sqrt(12.0 * self.variance_s2))
 
 
 KNOWN: Final = Rounding()
@@ -107,7 +100,7 @@ def firings(gained_s: Array, begun: Array, most_pulses: float = MOST_PULSES) -> 
     starts = np.diff(active, prepend=active[:1]) > 1
     before = np.cumsum(begun[active]) - begun[active]
     first = np.maximum.accumulate(np.where(starts, np.arange(len(active)), 0))
-    since = (before - before[first]) // most_pulses if len(active) else before
+    since = (before - before[first]) // most_pulses
     starts |= np.diff(since, prepend=since[:1]) > 0
     number = np.cumsum(starts, dtype=np.int64)
     seconds = np.bincount(number, gained_s[active]).astype(np.float64)
@@ -190,9 +183,6 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Ro
     rounding = step_s**2 / 12.0
     if len(seconds) < LEAST_RUNS:
         return on_time_s, Rounding(rounding)
-    if step_s > LONGEST_STEP * seconds.sum() / count.sum():
-        expected, found = _confined(seconds, count, step_s)
-        return _within(on_time_s, pulses, expected), found
     spread = max(SPREADS, key=lambda s: _log_likelihood(seconds, count, s, rounding))
     width = _mean_width(seconds, count, spread, rounding)
     ratio = float(spread * count.mean())
@@ -201,96 +191,13 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Ro
     else:
         missed = _solve(seconds - count * width, count, spread, rounding)
         expected = count * width + spread * rounding * count * missed
-    return _within(on_time_s, pulses, expected), Rounding(rounding, ratio, coarse)
-
-
-def _within(on_time_s: Array, pulses: Array, expected_s: Array) -> Array:
-    """Cumulative on-time (m,) from what every firing (R,) is expected to have gained.
-
-    Within a firing by what the readings show; one too short to show anything, by its pulses.
-    """
-    change, begun = np.diff(on_time_s), np.diff(pulses)
-    active, run, seconds, _ = firings(change, begun)
-    shown = np.where(seconds[run] > 0.0, change[active], begun[active])
+    # Within a run by what the readings show; a run too short to show anything, by its pulses.
+    shown = np.where(seconds[run] > 0.0, change[active], np.diff(pulses)[active])
     share = shown / np.bincount(run, shown)[run]
     gained = np.zeros_like(change)
-    gained[active] = expected_s[run] * share
-    return np.asarray(on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)]))
-
-
-def _confined(seconds: Array, count: Array, step_s: float) -> tuple[Array, Rounding]:
-    """Expected on-time (R,) of firings by a counter whose step is longer than a pulse.
-
-    x = C_m − u_m lies within half a step of 0 at every reading and goes from one to the next by
-    N(n w, n v) − Δu: a chain over cells of a step, whose forward and backward sums give mean and
-    variance of every level, and products of neighbours, exactly (to the size of a cell). w is that
-    of all firings; moments are means over v, weighted by its likelihood. What stays open is given
-    as the stationary process that has the same mean variance of levels, S, and of differences, D:
-    with φ = 1 − D/(2 S), q = (1 − φ)²/φ and σ² = S (1 + 4/q)^½.
-    """
-    width = float(seconds.sum() / count.sum())
-    least, per_pulse, most = CELLS
-    cells = int(np.clip(per_pulse * np.ceil(step_s / width), least, most))
-    edges = step_s * (np.arange(cells + 1) / cells - 0.5)
-    kinds, kind = np.unique(np.stack([count, seconds]), axis=1, return_inverse=True)
-    kind, spreads = kind.reshape(-1), WIDTHS * width
-    chains = [_moves(kinds, width, spread, edges) for spread in spreads]
-    log_chance = np.array([_forward(moves, kind)[1] for moves in chains])
-    chance = np.exp(log_chance - log_chance.max())
-    chance[chance < LEAST_CHANCE] = 0.0
-    chance /= chance.sum()
-    mean, square, product = np.sum(
-        [chance[i] * _moments(chains[i], kind, edges) for i in np.flatnonzero(chance)], axis=0
-    )
-    product = product[1:] - mean[1:] * mean[:-1]
-    variance = square - mean**2
-    level = float(variance.mean())
-    apart = float((variance[1:] + variance[:-1] - 2.0 * product).mean())
-    like = 1.0 - apart / (2.0 * level)
-    ratio = (1.0 - like) ** 2 / like if like > 0.0 else np.inf
-    open_s2 = level * float(np.sqrt(1.0 + 4.0 / ratio))
-    return seconds + np.diff(mean), Rounding(open_s2, ratio, widths_s2=float(chance @ spreads**2))
-
-
-def _moments(moves: Array, kind: Places, edges: Array) -> Array:
-    """Means of x, of x² and of x times the one before it (0 first), of all levels: (3, R + 1)."""
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    forward, _ = _forward(moves, kind)
-    after = np.ones_like(forward)
-    product = np.zeros(len(forward))
-    for m, k in reversed(list(enumerate(kind))):
-        both = forward[m][:, None] * moves[k] * after[m + 1]
-        product[m + 1] = middle @ both @ middle / both.sum()
-        after[m] = moves[k] @ after[m + 1]
-        after[m] /= after[m].max()
-    chance = forward * after
-    chance /= chance.sum(axis=1, keepdims=True)
-    return np.stack([chance @ middle, chance @ middle**2, product])
-
-
-def _moves(kinds: Array, width_s: float, spread_s: float, edges: Array) -> Array:
-    """Chances (k, cells, cells) from every cell to every other by a firing of each kind (2, k).
-
-    ``kinds`` are pulses and seconds that the counter gained.
-    """
-    count, seconds = kinds
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    gained = count * width_s - seconds
-    scatter = spread_s * np.sqrt(count)
-    away = edges - middle[:, None] - gained[:, None, None]
-    return np.asarray(np.diff(ndtr(away / scatter[:, None, None]), axis=2))
-
-
-def _forward(moves: Array, kind: Places) -> tuple[Array, float]:
-    """Chances (R + 1, cells) of every level given the readings so far, and their log likelihood."""
-    chance = np.full((len(kind) + 1, moves.shape[1]), 1.0 / moves.shape[1])
-    total = 0.0
-    for m, k in enumerate(kind):
-        reached = chance[m] @ moves[k]
-        seen = max(float(reached.sum()), np.finfo(float).tiny)
-        chance[m + 1] = reached / seen
-        total += float(np.log(seen))
-    return chance, total
+    gained[active] = expected[run] * share
+    on_time = on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)])
+    return on_time, Rounding(rounding, ratio, coarse, float(seconds.sum() / count.sum()))
 
 
 def _banded(count: Array, spread: float, rounding: float) -> Array:

@@ -27,7 +27,6 @@ LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
 QUANTILES: Final = 12  # that stand for all gaps, and for all widths
-LEAST_WIDTH: Final = 0.1  # of the mean one: a pulse has some length
 # Rows between firings per row at a reading: with fewer, all that are at readings tell more.
 LEAST_QUIET: Final = 0.1
 # Controllers answer what is late; within a block of this length they have done so.
@@ -93,31 +92,18 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         return Prepared(Preparation(steps), time, on_time, end_s)
     step_s = counter_step(on_time)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
-    widths = single_widths(expected.on_time_s, on_time, pulses)
-    hidden_s2 = max(one.widths_s2 for one in expected.rounding)
-    if hidden_s2 > 0.0:
-        widths = widths_as_scattered(widths, hidden_s2)
-        gaps = close_gaps(widths, 0.0, control_cycle_s)
-    else:
-        gaps = close_gaps(single_widths(on_time, on_time, pulses), step_s, control_cycle_s)
-    counters = np.concatenate([on_time, pulses], axis=1)
-    quiet = quiet_rows(complete.values, np.r_[time, end_s], counters[[*range(len(time)), -1]], guard_s)
+    gaps = close_gaps(single_widths(on_time, on_time, pulses), step_s, control_cycle_s)
+    widths = _quantiles(single_widths(expected.on_time_s, on_time, pulses))
+    # after the last change nothing fires
+    counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
+    quiet = quiet_rows(complete.values, np.r_[time, end_s], counters, guard_s).sum()
     late = LateRows()
-    if quiet.sum() * complete.stride < LEAST_QUIET * len(at_readings.values) * at_readings.stride:
+    if quiet * complete.stride < LEAST_QUIET * len(at_readings.values) * at_readings.stride:
         gained, begun = expected.on_time_s[-1] - expected.on_time_s[0], pulses[-1] - pulses[0]
         width = float(gained.sum() / begun.sum())
         late = LateRows(BLOCK_S, width, tuple((begun / (time[-1] - time[0])).tolist()))
-    found = Preparation(steps, expected.rounding, gaps, _quantiles(widths), late)
+    found = Preparation(steps, expected.rounding, gaps, widths, late)
     return Prepared(found, time, expected.on_time_s, end_s)
-
-
-def widths_as_scattered(widths_s: Array, variance_s2: float) -> Array:
-    """Expected widths (m,) spread to the variance that widths have: expectations scatter less."""
-    if len(widths_s) < LEAST_ALONE:
-        return widths_s
-    mean, seen = float(widths_s.mean()), max(float(widths_s.std()), np.finfo(float).tiny)
-    spread = mean + (widths_s - mean) * np.sqrt(variance_s2) / seen
-    return np.asarray(np.maximum(spread, LEAST_WIDTH * mean))
 
 
 def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:

@@ -116,8 +116,7 @@ class CounterStatistics:
     all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
     (m,) are widths of pulses, all as likely, none if they are not known. Where rows have pulses
     that are late, they are means over ``averaged`` rows in blocks of ``block_s``, ``late_width_s``
-    is the mean width of pulses and ``late_rate_hz`` (G,) how often couples fire. ``hidden`` tells
-    whether steps hide single pulses.
+    is the mean width of pulses and ``late_rate_hz`` (G,) how often couples fire.
     """
 
     row_time_s: Array
@@ -135,14 +134,13 @@ class CounterStatistics:
     widths_s: Array
     block_s: float
     averaged: float
-    hidden: bool
     late_width_s: float
     late_rate_hz: Array
 
     @property
-    def has_unseen_pulses(self) -> bool:
-        """Whether counters say so little of pulses that the size of its noise is inferred."""
-        return self.hidden or self.block_s > 0.0
+    def has_late_pulses(self) -> bool:
+        """Whether rows have pulses that are late: hardly one is without firing."""
+        return self.block_s > 0.0
 
     def seen_by(self, sampling: Sampling) -> Sampling:
         """A sampling with what the event's counters say of its pulses."""
@@ -309,7 +307,7 @@ def reduce_chunks(
     Raises
     ------
     InputError
-        Fewer than ten rows can be used.
+        Fewer than five rows can be used, or a counter's steps are longer than the pulses.
     """
     prepared = prepared or Preparation()
     by_couple = _by_couple(prepared.rounding, layout)
@@ -344,6 +342,7 @@ def reduce_chunks(
         )
     averaged = at_readings / used if sampling.block_s > 0.0 else 1.0
     gram, places = _by_axes(inner.columns, layout)
+    _require_readable(event_id, layout, prepared.rounding)
     return EventStatistics(
         event_id=event_id,
         kind=kind,
@@ -362,6 +361,23 @@ def reduce_chunks(
         steps=prepared.steps,
         shown=ShownWheels(wheels.values),
     )
+
+
+def _require_readable(event_id: str, layout: Layout, rounding: Sequence[Rounding]) -> None:
+    """Refuse counters whose steps hide the pulses: what was fired cannot be read from them.
+
+    The widths' scatter, which would then be noise, is not known well enough from such readings:
+    overstated noise makes the inertia several standard deviations too large.
+    """
+    for name, own in zip(layout.thrusters, rounding, strict=False):
+        if own.step_s > own.width_s:
+            raise InputError(
+                f"event {event_id}: on_time_{name}_s",
+                f"a counter in finer steps than its pulses, {own.width_s:.3f} s on average",
+                f"steps of {own.step_s:g} s",
+                "give the counter in finer steps; if pulses are whole numbers of control cycles, "
+                "say so by control_cycle_s in the spacecraft file",
+            )
 
 
 class Thinned:
@@ -430,7 +446,6 @@ def _counter_statistics(
         np.array(sampling.widths_s),
         sampling.block_s,
         averaged,
-        any(one.widths_s2 > 0.0 for one in by_couple),
         late.width_s,
         np.array([max((late.rate_hz[k] for k in own), default=0.0) for own in couples])
         if late.rate_hz

@@ -102,7 +102,9 @@ def rows_at_readings(time_s: Array, counter_time_s: Array, guard_s: float) -> Fl
     return np.asarray((np.abs(read - time_s) <= _SAME_S) & (before >= 0))
 
 
-def bracketing_readings(time_s: Array, counter_time_s: Array, guard_s: float) -> tuple[Places, Places]:
+def bracketing_readings(
+    time_s: Array, counter_time_s: Array, guard_s: float
+) -> tuple[Places, Places]:
     """Places of the last readings ``guard_s`` before times (N,), and of the first ones after."""
     before = np.searchsorted(counter_time_s, time_s - guard_s + _SAME_S, side="right") - 1
     return before, np.searchsorted(counter_time_s, time_s - _SAME_S, side="left")
