@@ -19,6 +19,7 @@ from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
 from cassini_bayes import __version__
 from cassini_bayes.errors import CassiniBayesError
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 Captured = pytest.CaptureFixture[str]
 
 

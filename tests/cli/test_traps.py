@@ -19,6 +19,7 @@ from cassini_bayes.files import storage
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.results.record import read_fit
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 Captured = pytest.CaptureFixture[str]
 DIGITS = "9" * 27
 ESTIMATES = run_cases.ROOT / "priors" / "cassini_a_branch_2004_estimates.csv"

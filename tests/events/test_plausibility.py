@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -139,16 +140,30 @@ QUICK = {
 """A part of the table of docs/results/mistakes.md: one of each family, where it shows."""
 
 
+@pytest.fixture(scope="module")
+def refusal(honest: dict[str, Event]) -> Callable[[str, str], InputError]:
+    """The error with which a mistake in an event of a kind is refused, worked out once."""
+
+    @cache
+    def refused(kind: str, mistake: str) -> InputError:
+        event, chunk = honest[kind]
+        with pytest.raises(InputError) as caught:
+            check_telemetry(event, [TELEMETRY[mistake].change(chunk)], CASSINI, NOMINAL)
+        return caught.value
+
+    return refused
+
+
 @pytest.mark.parametrize(
     ("kind", "mistake"), [(kind, mistake) for kind, names in QUICK.items() for mistake in names]
 )
-def test_a_mistake_is_named(honest: dict[str, Event], kind: str, mistake: str) -> None:
+def test_a_mistake_is_named(
+    refusal: Callable[[str, str], InputError], kind: str, mistake: str
+) -> None:
     """Refused with the file in the message, under the right name, which is how to accept it."""
-    event, chunk = honest[kind]
-    with pytest.raises(InputError) as caught:
-        check_telemetry(event, [TELEMETRY[mistake].change(chunk)], CASSINI, NOMINAL)
-    assert caught.value.fix.rpartition("--accept ")[2] in TELEMETRY[mistake].names
-    assert "telemetry.csv" in caught.value.where
+    error = refusal(kind, mistake)
+    assert error.fix.rpartition("--accept ")[2] in TELEMETRY[mistake].names
+    assert "telemetry.csv" in error.where
 
 
 def test_an_accepted_mistake_is_said(honest: dict[str, Event]) -> None:
@@ -393,14 +408,13 @@ def rows_of_chunk(chunk: Chunk, part: slice) -> Chunk:
     return replace(chunk, **{name: getattr(chunk, name)[part] for name in arrays})
 
 
-def test_an_error_carries_the_names(honest: dict[str, Event]) -> None:
+def test_an_error_carries_the_names(refusal: Callable[[str, str], InputError]) -> None:
     """The error carries the names, the best first, and keeps them on its way from a worker."""
-    event, chunk = honest["bias"]
-    with pytest.raises(MistakeError) as caught:
-        check_telemetry(event, [TELEMETRY["wheels in rad/s"].change(chunk)], CASSINI, NOMINAL)
-    assert caught.value.mistakes[0] == "wheel-unit"
-    again = copy.copy(caught.value)
-    assert again.mistakes == caught.value.mistakes
+    error = refusal("bias", "wheels in rad/s")
+    assert isinstance(error, MistakeError)
+    assert error.mistakes[0] == "wheel-unit"
+    again = copy.copy(error)
+    assert again.mistakes == error.mistakes
 
 
 # ---- single cells --------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from cassini_bayes.results.exchange import MOST_REPLICATES
 from cassini_bayes.results.record import read_fit
 from cassini_bayes.sampling.ensembles import ProgressReport
 
+pytestmark = pytest.mark.usefixtures("short_warm_start")
 RECORD = 'events = ["e.csv"]\npriors = "p.toml"\n'
 """What makes a folder a run's."""
 

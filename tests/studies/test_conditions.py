@@ -71,7 +71,7 @@ def test_a_repetition_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(telemetry_calibration, "EFFORTS", ((15.0, 1, 500),))
     monkeypatch.setattr(telemetry_calibration, "TRUSTED_K", np.inf)
     trials = ConditionTrials(str(SCENARIO), str(ROOT / "priors"), 5)
-    first, again = trials.repetition(3), trials.repetition(3)
+    first, again = trials.repetition(2), trials.repetition(2)
     for key, value in first.items():
         np.testing.assert_array_equal(value, again[key])
     assert np.isfinite(np.asarray(first["ranks"])).any()

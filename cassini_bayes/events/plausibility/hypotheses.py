@@ -141,11 +141,12 @@ class Evidence:
         sizes = self.turning.misfit(rate, axes) - float(chance)
         return max(sizes, self.turning.misaligned(rate, axes) - BY_CHANCE, 0.0)
 
-    def misfit(self, correction: Correction | None = None) -> float:
-        """Misfit of motion and momentum."""
+    def misfit(self, correction: Correction | None = None, turned: float | None = None) -> float:
+        """Misfit of motion and momentum; ``turned``: that of motion, where it is known already."""
         correction = correction or self.as_recorded
         fit = self.balance(correction)
-        return (0.0 if fit is None else fit.excess) + self.turned(correction.rate)
+        turned = self.turned(correction.rate) if turned is None else turned
+        return (0.0 if fit is None else fit.excess) + turned
 
 
 def with_swing(evidence: Evidence) -> Evidence:
@@ -559,15 +560,16 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
         return
     turned, row_s = evidence.turned(), _row_s(motion)
     as_is: dict[float, float] = {}
+    still: dict[float, float] = {}
     for name, what in _SHIFTED.items():
-        of_motion = name in ("rate-time", "attitude-time")
+        of_motion = name in _OF_MOTION
         if of_motion and not turned:
             continue  # attitudes and rates are of one clock
         if not of_motion and turned > EXPLAINED * misfit:
             continue  # that is left whatever wheels and counters do
         if name == "counter-time" and not evidence.nominal.torques.shape[1]:
             continue
-        shift = _Shift(evidence, rows, motion, name, as_is)
+        shift = _Shift(evidence, rows, motion, name, as_is, still)
         grid = {late: shift.share(late) for late in shift.lags_s()}
         if not grid:
             return  # rows further apart than any shift that is asked about
@@ -624,6 +626,7 @@ _SHIFTED: Final = {
     "counter-time": "counters",
     "attitude-time": "attitudes",
 }
+_OF_MOTION: Final = ("rate-time", "attitude-time")
 
 
 @dataclass(frozen=True, eq=False)
@@ -631,7 +634,8 @@ class _Shift:
     """One channel moved in time: misfits of the rows that it still knows.
 
     ``as_is`` are misfits of rows as they are, by what a shift takes off their ends: the same for
-    all channels but counters, which are not known in between.
+    all channels but counters, which are not known in between. ``still`` are those of motion alone,
+    which wheels and counters have no part in.
     """
 
     evidence: Evidence
@@ -639,6 +643,7 @@ class _Shift:
     motion: Motion
     name: str
     as_is: dict[float, float] = field(default_factory=dict)
+    still: dict[float, float] = field(default_factory=dict)
     known: dict[float, tuple[float, float]] = field(default_factory=dict)
 
     def lags_s(self) -> list[float]:
@@ -680,16 +685,20 @@ class _Shift:
                 replace(self.evidence, rows=r, motion=m)
                 for r, m in zip((rows, moved), motion, strict=True)
             ]
-            before = self._as_is(pairs[0], abs(late_s))
-            self.known[late_s] = before, pairs[1].misfit()
+            off_s = abs(late_s)
+            if off_s not in self.still:
+                self.still[off_s] = pairs[0].turned()
+            before = self._as_is(pairs[0], off_s)
+            turned = None if self.name in _OF_MOTION else self.still[off_s]
+            self.known[late_s] = before, pairs[1].misfit(turned=turned)
         return self.known[late_s]
 
     def _as_is(self, evidence: Evidence, off_s: float) -> float:
         """Misfit of rows that are not moved, worked out once for all channels."""
         if self.name == "counter-time":
-            return evidence.misfit()
+            return evidence.misfit(turned=self.still[off_s])
         if off_s not in self.as_is:
-            self.as_is[off_s] = evidence.misfit()
+            self.as_is[off_s] = evidence.misfit(turned=self.still[off_s])
         return self.as_is[off_s]
 
     def moved(self, rows: AnyRows, late_s: float) -> tuple[AnyRows, AnyRows]:

@@ -259,7 +259,7 @@ class Momentum:
     def swing_hz(self, nominal: Nominal, time_s: Array) -> float:
         """The frequency at which what stays open oscillates most, 0 where rows are too few."""
         correction = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
-        target, _, design, strength, axes, pull = self._closed(nominal, correction)
+        target, _, design, strength, axes, pull, _ = self._closed(nominal, correction)
         left = (self.flat @ (target + design @ (axes @ (pull / (strength + 1.0))))).reshape(-1, 3)
         span_s, row_s = float(time_s[-1] - time_s[0]), float(np.median(np.diff(time_s)))
         lines = np.arange(LEAST_CYCLES / span_s, 0.5 / row_s, 0.5 / span_s)
@@ -270,22 +270,21 @@ class Momentum:
 
     def _closed(
         self, nominal: Nominal, correction: Correction
-    ) -> tuple[Array, Sequence[str], Array, Array, Array, Array]:
+    ) -> tuple[Array, Sequence[str], Array, Array, Array, Array, float]:
         """What is to be closed, names and weights of departures, and their normal equations.
 
-        Eigenvalues, eigenvectors and right-hand side of these, in units of the noise.
+        Eigenvalues, eigenvectors and right-hand side of these, in units of the noise; its variance.
         """
         target = corrected(self.columns, nominal.exchanges[:, :1], correction)[:, 0]
         names, design = self._present(*departures_of(self.columns, nominal, correction))
         variance = self.noise(nominal, correction) ** 2
         strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
         pull = -axes.T @ (design.T @ (self.gram @ target)) / variance
-        return target, names, design, np.maximum(strength, 0.0), axes, pull
+        return target, names, design, np.maximum(strength, 0.0), axes, pull, variance
 
     def fit(self, nominal: Nominal, correction: Correction) -> MomentumFit:
         """What it costs to close the balance."""
-        target, names, design, strength, axes, pull = self._closed(nominal, correction)
-        variance = self.noise(nominal, correction) ** 2
+        target, names, design, strength, axes, pull, variance = self._closed(nominal, correction)
         # least misfit at price λ: const − Σ pull²/(strength + λ)
         gain = pull**2 * (1.0 / (strength + NEARLY_FREE) - 1.0 / (strength + 1.0))
         by_noise = strength / (strength + NEARLY_FREE) - strength / (strength + 1.0)
