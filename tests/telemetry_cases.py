@@ -251,7 +251,7 @@ def plain_rows(
     impulse = np.zeros((3, thrusters))
     torque = np.zeros((3, 3))
     cuts = np.zeros(len(sampling.couples))
-    before = np.zeros(len(sampling.couples), dtype=bool)
+    before = np.zeros(len(sampling.couples))  # pulses in the interval before
     effective = effective_steps(samples, sampling, tau)
     for g, couple in enumerate(sampling.couples):
         for firing in plain_firings(samples, couple):
@@ -266,10 +266,11 @@ def plain_rows(
             for g, couple in enumerate(sampling.couples):
                 started = max(samples.pulses[i, k] - samples.pulses[i - 1, k] for k in couple)
                 gained = max(samples.on_time_s[i, k] - samples.on_time_s[i - 1, k] for k in couple)
-                within, across = max(started - 1, 0), float(started > 0 and before[g])
-                number = min(1.0, 1.0 / length) * (within + across / 6.0)
+                usual = min(1.0, 1.0 / length)  # of two pulses; three are 1.5 times as close
+                within = min(usual * max(started / 2.0, 1.0), 5.0 / 3.0) * max(started - 1, 0)
+                number = within + usual * min(started * before[g], 4.0) / 6.0
                 cuts[g] += number
-                before[g] = started > 0 or gained > 0
+                before[g] = max(started, float(gained > 0))
                 if number > 0:
                     rows.pairs.append((float(time), g, number))
                 if before[g]:
@@ -436,7 +437,11 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
             each = pulses.expected(firing.seconds / firing.count, firing.count)
             for j in firing.rows:
                 own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]
-                result[j, k] = own / firing.seconds * firing.count * each
+                begun = samples.pulses[j, k] - samples.pulses[j - 1, k]
+                whole = sum(samples.pulses[i, k] - samples.pulses[i - 1, k] for i in firing.rows)
+                # on-time where it is counted, the tails of its pulses where they begin
+                share = begun / whole if whole > 0 else own / firing.seconds
+                result[j, k] = own + share * (firing.count * each - firing.seconds)
     return result
 
 

@@ -22,7 +22,7 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_SCALE
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR
 
 Parameters = Mapping[str, Array | float]
 
@@ -51,7 +51,7 @@ class Physics:
     arms_m: Array  # (..., 3, K) torque per newton; no thrusters: K = 0
     tau_s: tuple[Array, Array, Array]  # delay, rise, fall, each (...)
     close_share: Array | float = 0.0  # (...) of pulses within a second, a control cycle apart
-    late_scale: Array | float = 1.0  # (...) on the variance of what is late in rows
+    late_factor: Array | float = 1.0  # (...) on the variance of what is late in rows
     thrust_factor: Array | float = 1.0  # (..., K) of the thrusters' levels
     impulse_offset_s: Array | float = 0.0  # (..., K) on-time added per pulse
     steady_torque_n_m: Array | float = 0.0  # (..., 3) beyond the collapsed external torque
@@ -97,7 +97,7 @@ def physics_of(
         arms_m=lever_arms(spacecraft, branch, parameters) if fires else np.zeros((3, 0)),
         tau_s=(delay, rise, fall),
         close_share=parameters.get(CLOSE_SHARE, zero) if fires else zero,
-        late_scale=parameters.get(LATE_SCALE, zero) if fires else zero,
+        late_factor=parameters.get(LATE_FACTOR, zero) if fires else zero,
         rate_bias_rad_s=_rate_bias(parameters),
     )
     for modify in modifiers:

@@ -194,7 +194,7 @@ def late_covariance(event: TelemetryBalance, physics: Physics) -> Array:
     if event.late is None:
         return np.zeros((n, 3, 3))
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
-    factor = np.broadcast_to(physics.late_scale, (n,)) / event.statistics.counters.averaged
+    factor = np.broadcast_to(physics.late_factor, (n,)) / event.statistics.counters.averaged
     torque = couple_torques(event, physics)
     scaled = torque * (factor[:, None] * event.late.variance_s2(rise, fall))[:, None]
     return np.asarray(scaled @ np.swapaxes(torque, -1, -2))

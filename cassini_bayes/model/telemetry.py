@@ -62,7 +62,7 @@ from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_SCALE, NOISE_LEVELS
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, NOISE_LEVELS
 from cassini_bayes.spacecraft.pulses import effective_on_time
 
 INITIAL: Final = "initial_momentum_n_m_s"
@@ -436,7 +436,7 @@ def telemetry_parameters(
         names += [*shared.spacecraft.geometry[shared.branch].parameters]
         names += shared.thrust_prior.walked
     if has_late_pulses:
-        names.append(LATE_SCALE)
+        names.append(LATE_FACTOR)
     if has_delta_v:
         names += DELTA_V_PARAMETERS
     if has_accelerometer:

@@ -27,7 +27,7 @@ from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.spacecraft.parameters import (
     CLOSE_SHARE,
-    LATE_SCALE,
+    LATE_FACTOR,
     ParameterSpec,
     generic_parameters,
 )
@@ -72,7 +72,7 @@ TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
 # is 1.0 to 1.3 in simulations whose readings are at control cycles).
 _OF_CONTROLLERS: Final = {
     CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 0.6}),
-    LATE_SCALE: Distribution("lognorm", {"s": 0.5, "scale": 1.1}),
+    LATE_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.1}),
 }
 
 

@@ -23,7 +23,7 @@ EFFECT_BLOCK: Final = "effect"
 
 
 CLOSE_SHARE: Final = "close_pulse_share"
-LATE_SCALE: Final = "late_pulse_scale"
+LATE_FACTOR: Final = "late_pulse_factor"
 NOISE_LEVELS: Final = (
     "rate_noise_rad_s",
     "wheel_noise_rpm",
@@ -100,7 +100,7 @@ _GENERIC: Final = (
         "tail-off",
         "1",
         close_pulse_share="share of pulses within a second that start one control cycle apart",
-        late_pulse_scale="variance of what is still to be delivered when counters are read, over "
+        late_pulse_factor="variance of what is still to be delivered when counters are read, over "
         "that of pulses at any time; where hardly a row is without firing",
     ),
     *_specs(

@@ -43,7 +43,7 @@ from cassini_bayes.simulation import (
     truth_fields,
     truth_text,
 )
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_SCALE
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> T
     drawn: dict[str, float] = {}
     if priors is not None:
         for name in priors.parameters:
-            if name not in given and name not in (*ZERO_CENTRED, CLOSE_SHARE, LATE_SCALE):
+            if name not in given and name not in (*ZERO_CENTRED, CLOSE_SHARE, LATE_FACTOR):
                 drawn[name] = _draw(priors, name, seed)
     individual = file.individual_n()
     events = {event.id: dict(event.truth) for event in scenario.event}

@@ -47,6 +47,10 @@ def counters(pairs: list[float]) -> CounterStatistics:
         coarse,
         GAPS_S,
         np.zeros(0),
+        0.0,
+        1.0,
+        0.0,
+        np.zeros(1),
     )
 
 
