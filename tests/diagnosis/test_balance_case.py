@@ -206,11 +206,13 @@ def test_rounded_counters_of_stronger_thrusters_leave_more_momentum_open() -> No
     assert gained[1] - gained[0] < 3.0
 
 
-def test_a_baseline_with_two_modes_is_searched_from_both() -> None:
-    """A bias that leaves 12 rows: from the centre the tail-off ends seven times too long.
+def test_a_baseline_with_two_modes_is_searched_from_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bias with 12 rows between firings: from the centre the tail-off ends seven times too long.
 
     What is wrong then has 80 nats and more for `pulse_shape` and `unknown`, with nothing hidden.
+    (It has 55 rows where rows with late pulses are used: here they are not.)
     """
+    monkeypatch.setattr("cassini_bayes.balance.statistics.preparation.LEAST_QUIET", 0.0)
     campaign = Blind(SCENARIO, ROOT / "priors", 20262401, (), OVER_CONDITIONS, over_conditions=True)
     events = campaign.scene(campaign.stream(1013)).fly(())
     assert events.telemetry[0].statistics.rows < 20

@@ -104,11 +104,13 @@ def test_known_noise_is_the_truth_s() -> None:
 
 
 def test_a_trial_that_is_refused_says_so() -> None:
-    """A controller that fires all the time leaves no rows: declined, in words; others are kept."""
-    index = index_of(events="one bias", controller="high gain, union", cadence="4 s, counters 10 s")
+    """Counters coarser than the pulses that they count: declined, in words; others are kept."""
+    index = index_of(
+        events="one bias", controller="proportional, 0.5 s off", counter_step="control cycle"
+    )
     record = run_trial(CAMPAIGN, index)
-    assert "at least 10 rows" in record["declined"]
-    assert record["condition"]["controller"] == "high gain, union"
+    assert "a counter in finer steps than its pulses" in record["declined"]
+    assert record["condition"]["controller"] == "proportional, 0.5 s off"
     assert "error" not in record
 
 
