@@ -84,6 +84,9 @@ class Body:
         return rate_rad_s @ self.inertia_kg_m2.T + wheels
 
 
+OF_CONTROLLERS = ("close_pulse_share", "late_pulse_factor")
+
+
 def read_priors(path: Path, branch: str) -> Table:
     """A priors file as plain TOML, for a branch: its wheels, and where its thrusters are."""
     document = tomllib.loads(path.read_text("utf-8"))
@@ -203,12 +206,12 @@ def is_body(value: Mapping[str, float]) -> bool:
 def draw_truth(priors: Table, events: tuple[str, ...], rng: np.random.Generator) -> Truth:
     """Parameters of these events from their priors; idle wheels' parameters are left out.
 
-    The thrust of a thruster in an event is common + its own departure + the event's + both's.
+    So is what controllers do: these decide it themselves. The thrust of a thruster in an event is common + its own departure + the event's + both's.
     """
     tables = copy.deepcopy(priors["parameters"])
     prime = priors["spacecraft"]["wheels"]
     for name in list(tables):
-        if name.startswith("rwa") and int(name[3]) not in prime:
+        if (name.startswith("rwa") and int(name[3]) not in prime) or name in OF_CONTROLLERS:
             del tables[name]
     parts = {part: tables.pop(f"thrust_{part}_n") for part in ("individual", "event", "jitter")}
     parameters = {name: draw(table, rng) for name, table in tables.items()}

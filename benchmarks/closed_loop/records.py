@@ -196,9 +196,12 @@ def priors_toml(priors: Table, channels: Channels) -> str:
     stated = "stated with the channels of this record"
     rate = max(channels.rate_noise_rad_s, 1e-7)
     tables["rate_noise_rad_s"] |= {"scale": rate, "source": stated}
-    tables["attitude_noise_rad"] |= {"fixed": channels.attitude_noise_rad, "source": stated}
-    tables["wheel_resolution_rpm"] |= {"fixed": channels.wheel_step_rpm, "source": stated}
-    tables["on_time_resolution_s"] |= {"fixed": channels.counter_step_ms / 1000, "source": stated}
+    for name, value in (
+        ("attitude_noise_rad", channels.attitude_noise_rad),
+        ("wheel_resolution_rpm", channels.wheel_step_rpm),
+        ("on_time_resolution_s", channels.counter_step_ms / 1000),
+    ):
+        tables[name] = {"fixed": value, "unit": tables[name]["unit"], "source": stated}
     return tomli_w.dumps({"spacecraft": priors["spacecraft"], "parameters": tables})
 
 
