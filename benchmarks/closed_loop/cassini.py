@@ -206,7 +206,8 @@ def is_body(value: Mapping[str, float]) -> bool:
 def draw_truth(priors: Table, events: tuple[str, ...], rng: np.random.Generator) -> Truth:
     """Parameters of these events from their priors; idle wheels' parameters are left out.
 
-    So is what controllers do: these decide it themselves. The thrust of a thruster in an event is common + its own departure + the event's + both's.
+    So is what controllers do: these decide it themselves. The thrust of a thruster in an event is
+    common + its own departure + the event's + both's.
     """
     tables = copy.deepcopy(priors["parameters"])
     prime = priors["spacecraft"]["wheels"]
