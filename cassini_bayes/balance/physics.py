@@ -97,7 +97,7 @@ def physics_of(
         arms_m=lever_arms(spacecraft, branch, parameters) if fires else np.zeros((3, 0)),
         tau_s=(delay, rise, fall),
         close_share=parameters.get(CLOSE_SHARE, zero) if fires else zero,
-        late_factor=parameters.get(LATE_FACTOR, zero) if fires else zero,
+        late_factor=parameters.get(LATE_FACTOR, np.ones(())),
         rate_bias_rad_s=_rate_bias(parameters),
     )
     for modify in modifiers:

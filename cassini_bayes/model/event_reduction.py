@@ -369,9 +369,10 @@ def reduce_event(
         sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
     sampling = statistics.counters.seen_by(sampling)
     source = "from the cache" if cached is not None else "reduced"
+    blocks = f" (means over {sampling.block_s:g} s: hardly a row is without firing)"
     log(
         f"{event.id} ({event.kind}): {reading.rows:,} rows of telemetry, {statistics.rows:,} in "
-        f"the balance, {source}"
+        f"the balance{blocks if sampling.block_s > 0.0 else ''}, {source}"
     )
     for line in reading.mends:
         log(f"{event.id}: mended: {line}")
