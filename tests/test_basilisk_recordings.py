@@ -6,6 +6,7 @@ balanced here from the telemetry and ``truth.json`` alone.
 
 from __future__ import annotations
 
+import importlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -264,6 +265,26 @@ def test_what_is_hidden_shows(recording: Path) -> None:
                 event["thrust_n"][target] /= effect["parameters"]["thrust_factor"]
     without["effects"] = []
     assert max(closure(folder, without, recording).excess for folder in folders) > SIGMAS
+
+
+@pytest.mark.parametrize("branch", ["A", "B"])
+def test_the_generator_reads_the_priors_as_they_are(
+    branch: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It draws a truth from the shipped priors, and what it states of channels is a distribution
+    or a value, never both: only flights need Basilisk.
+    """
+    if not (ROOT / "benchmarks").is_dir():
+        pytest.skip("benchmarks are no part of a source distribution")
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    cassini = importlib.import_module("closed_loop.cassini")
+    priors = cassini.read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml", branch)
+    truth = cassini.draw_truth(priors, ("1-bias",), np.random.default_rng(1))
+    assert set(truth.thrust_n["1-bias"]) == set(cassini.THRUSTERS)
+    assert 0.1 < truth.parameters["rwa1_inertia_kg_m2"] < 0.2
+    stated = cassini.stated_priors(priors, 2e-6, {"attitude_noise_rad": 1e-5})["parameters"]
+    assert stated["attitude_noise_rad"]["fixed"] == 1e-5
+    assert all(("fixed" in table) != ("dist" in table) for table in stated.values())
 
 
 def test_the_generator_does_not_know_the_package() -> None:

@@ -96,6 +96,16 @@ def read_priors(path: Path, branch: str) -> Table:
     return document
 
 
+def stated_priors(priors: Table, rate_noise_rad_s: float, levels: Mapping[str, float]) -> Table:
+    """Priors with a median of the rates' noise, and with levels that are known."""
+    tables = {name: dict(table) for name, table in priors["parameters"].items()}
+    stated = "stated with the channels of this record"
+    tables["rate_noise_rad_s"] |= {"scale": rate_noise_rad_s, "source": stated}
+    for name, value in levels.items():
+        tables[name] = {"fixed": value, "unit": tables[name]["unit"], "source": stated}
+    return {"spacecraft": priors["spacecraft"], "parameters": tables}
+
+
 def draw(table: Mapping[str, Any], rng: np.random.Generator) -> float:
     """One value of a prior: fixed, normal or log-normal, inside its bounds."""
     if "fixed" in table:

@@ -12,7 +12,7 @@ import numpy as np
 import tomli_w
 
 from closed_loop.arrays import Array
-from closed_loop.cassini import AXES, THRUSTERS, Table, Truth
+from closed_loop.cassini import AXES, THRUSTERS, Table, Truth, stated_priors
 from closed_loop.flight import Flight
 from closed_loop.hidden import Departures, Effect
 from closed_loop.valve import commanded
@@ -192,17 +192,12 @@ def _compact_lists(text: str) -> str:
 
 def priors_toml(priors: Table, channels: Channels) -> str:
     """The priors file for a diagnosis: noise and steps as the channels' makers state them."""
-    tables = {name: dict(table) for name, table in priors["parameters"].items()}
-    stated = "stated with the channels of this record"
-    rate = max(channels.rate_noise_rad_s, 1e-7)
-    tables["rate_noise_rad_s"] |= {"scale": rate, "source": stated}
-    for name, value in (
-        ("attitude_noise_rad", channels.attitude_noise_rad),
-        ("wheel_resolution_rpm", channels.wheel_step_rpm),
-        ("on_time_resolution_s", channels.counter_step_ms / 1000),
-    ):
-        tables[name] = {"fixed": value, "unit": tables[name]["unit"], "source": stated}
-    return tomli_w.dumps({"spacecraft": priors["spacecraft"], "parameters": tables})
+    levels = {
+        "attitude_noise_rad": channels.attitude_noise_rad,
+        "wheel_resolution_rpm": channels.wheel_step_rpm,
+        "on_time_resolution_s": channels.counter_step_ms / 1000,
+    }
+    return tomli_w.dumps(stated_priors(priors, max(channels.rate_noise_rad_s, 1e-7), levels))
 
 
 def write_record(
