@@ -143,6 +143,18 @@ def test_sizes_are_those_that_simulations_show(name: str) -> None:
         assert sigma_of(other, name, size) > 1.5 * SIGMA
 
 
+def test_a_size_needs_no_mode_of_the_same_parameters() -> None:
+    """A flight with an effect may have late pulses where that without has none: a new search."""
+    before = slews()
+    path = draw_path(before.events.catalogue.effect("rate_bias:y"), np.random.default_rng(4))
+    more = len(before.base.point) + 1
+    other = replace(before.base, point=np.zeros(more), factor=np.eye(more))
+    plain, searched = measured(before, path, 0.2), measured(replace(before, base=other), path, 0.2)
+    assert plain is not None
+    assert searched is not None
+    assert searched.sigma == pytest.approx(plain.sigma, rel=0.01)
+
+
 def sigma_of(oracle: Classifier, name: str, size: np.ndarray) -> float:
     """σ of a cause by an oracle's Gram matrix."""
     places = list(next(side.places for side in oracle.sides if side.name == name))

@@ -16,7 +16,7 @@ import numpy as np
 
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
-from cassini_bayes.diagnosis.modes import Mode, mode_near
+from cassini_bayes.diagnosis.modes import Mode, find_mode, mode_near
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.errors import InputError
@@ -337,7 +337,10 @@ def _flexible(
 def _flown_sensitivity(stage: Stage, events: Events, path: Growth, s: float) -> float:
     """σ per unit of s at size s, on the flight that has it, about the mode there."""
     with_it = compact(held(none_hypothesis(events), path.effect, path.values(s)))
-    near = mode_near(with_it.log_density, stage.base.point, stage.base.factor)
+    if with_it.dimension == len(stage.base.point):
+        near = mode_near(with_it.log_density, stage.base.point, stage.base.factor)
+    else:  # controllers answer an effect: rows have late pulses in one of the flights alone
+        near = find_mode(with_it.log_density, with_it.dimension)
     return sensitivity(events, near, path, s)
 
 
