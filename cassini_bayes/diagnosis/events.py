@@ -80,12 +80,17 @@ def prepare(
     """Reduce telemetry with every column that an effect may need, and list the causes.
 
     ``kinds`` are the effects that there are; those of the package by default. Causes are weighed by
-    momentum: a measured velocity change is left out.
+    momentum: a measured velocity change is left out. What rows with late pulses cannot tell is not
+    weighed where an event has them.
     """
     known = standard() if kinds is None else kinds
     events: tuple[Event, ...] = (*rows, *telemetry)
     wheels = sorted({number for event in events for number in event.wheels})
     inputs = (*(("telemetry",) if telemetry else ()), *(("totals",) if rows else ()))
+    catalogue = read_catalogue(priors, wheels, inputs, known)
+    if any(event.sampling.block_s > 0.0 for event in telemetry):
+        told = tuple(e for e in catalogue.effects if not e.kind.needs_quiet_rows)
+        catalogue = replace(catalogue, effects=told)
     return Events(
         priors,
         tuple(
@@ -93,5 +98,5 @@ def prepare(
             for event in telemetry
         ),
         tuple(rows),
-        read_catalogue(priors, wheels, inputs, known),
+        catalogue,
     )

@@ -135,6 +135,8 @@ class Kind:
         full stop: "Z3 delivers 74 ± 4 % of its thrust". Keys and units by default.
     separation
         Which measurement tells it from another kind, by the other's name.
+    needs_quiet_rows
+        Whether rows with late pulses cannot tell it: it is not weighed where events have them.
     """
 
     name: str
@@ -150,6 +152,7 @@ class Kind:
     doubt: Callable[[Printed, float], Mapping[str, Printed]] | None = None
     says: Callable[[Sizes, str], str] | None = None
     separation: Mapping[str, str] = field(default_factory=dict)
+    needs_quiet_rows: bool = False
 
 
 @dataclass(frozen=True)

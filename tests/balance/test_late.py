@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rows import rows_at_readings
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.events import prepare as prepare_diagnosis
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import build_model
 from cassini_bayes.model.event_reduction import sampling_of
@@ -195,6 +197,17 @@ def test_the_slope_at_the_truth_is_zero_where_pulses_are_late(
     assert abs(np.mean([slopes(*flight) for flight in flights])) < 0.8
     monkeypatch.setattr(cassini_bayes.balance.flat_motion, "_log_size", by_body)
     assert np.mean([slopes(*flight) for flight in flights]) > 1.0
+
+
+def test_late_records_are_not_weighed_where_pulses_are_late() -> None:
+    """What is late in rows is what a time offset is: that cause is left out, all others stay."""
+    event, _, condition = ceaseless_flight(3)
+    priors = beliefs_under(condition, ROOT / "priors")
+    reduced = reduced_simulation(event, priors)
+    settled = replace(reduced, sampling=replace(reduced.sampling, block_s=0.0))
+    late, every = (prepare_diagnosis([one], priors).catalogue.names for one in (reduced, settled))
+    assert set(every) - set(late) == {"time_offset"}
+    assert set(late) < set(every)
 
 
 def test_a_bias_without_rows_is_still_refused() -> None:
