@@ -103,7 +103,7 @@ def says(sizes: Sizes, _: str) -> str:
 # Pulses start with control cycles, and rows with a pulse under way do not enter the balance: those
 # that do cannot tell records late by τ from records late by the whole cycles in τ. Where rows have
 # late pulses, these are late by some 0.05 to 0.1 s on average themselves, as far as a controller
-# likes: 3 of 22 flights with nothing hidden were called late.
+# likes: 3 of 21 flights with nothing hidden were called late.
 KIND: Final = Kind(
     "time_offset",
     change,
