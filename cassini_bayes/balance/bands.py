@@ -110,7 +110,7 @@ def make_bands(statistics: EventStatistics) -> Bands:
         statistics.shown.rate_rad_s, step, on_modes, counters.stride
     )
     # thrusters that fire in every interval answer what is late, at all frequencies that are left
-    turning = statistics.kind == "slew" or statistics.counters.block_s > 0.0
+    turning = statistics.kind == "slew" or statistics.counters.has_late_pulses
     edges, still = _edges(statistics, len(walk)), STILL
     bands, grams, rest = [], [], statistics.gram
     for start, stop in pairwise(edges):
@@ -146,7 +146,7 @@ def make_bands(statistics: EventStatistics) -> Bands:
 
 def is_sparse(statistics: EventStatistics) -> bool:
     """Whether wheels still move at the highest frequencies that an event's rows can show."""
-    still = statistics.kind != "slew" and statistics.counters.block_s == 0.0
+    still = statistics.kind != "slew" and not statistics.counters.has_late_pulses
     return still and statistics.duration_s > SPARSE_S * statistics.rows
 
 

@@ -406,7 +406,7 @@ def _pattern(statistics: EventStatistics) -> Pattern:
 def _late(statistics: EventStatistics, sampling: Sampling) -> LatePulses | None:
     """What is late in the rows of an event that hardly has one between firings."""
     counters = statistics.counters
-    if counters.block_s == 0.0:
+    if not counters.has_late_pulses:
         return None
     of_pulse = (sampling.pulse_shape, sampling.pulse_reference_s, sampling.guard_s)
     return late_pulses(*of_pulse, counters.late_width_s, counters.late_rate_hz)

@@ -662,9 +662,10 @@ def effective_increments(
         rows, run, seconds, count = firings(on_time[:, k], pulses[:, k])
         effective = count[:, None] * of_pulse(seconds / count, count)
         begun = np.bincount(run, pulses[rows, k])
-        by_pulse = np.where(begun[run] > 0, pulses[rows, k] / np.maximum(begun[run], 1.0), 0.0)
         by_time = on_time[rows, k] / np.where(seconds > 0, seconds, 1.0)[run]
+        by_pulse = pulses[rows, k] / np.maximum(begun[run], 1.0)
+        share = np.where(begun[run] > 0, by_pulse, by_time)
         commanded = seconds[:, None] * np.eye(1, effective.shape[1])
-        beyond = np.where(begun[run] > 0, by_pulse, by_time)[:, None] * (effective - commanded)[run]
+        beyond = share[:, None] * (effective - commanded)[run]
         result[rows, k] = by_time[:, None] * commanded[run] + beyond
     return result
