@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +25,6 @@ THROUGHOUT: Final = "throughout"
 SURE: Final = 0.95  # probability that a cause acts in all events, above which it is not said
 MOST_PRINTED: Final = 0.99  # probability of an onset: more digits are not worth reading
 SIGNIFICANT: Final = 0.05  # p-value below which a model is called discrepant still
-Drawer = Callable[[Any], Sequence[Any]]
 PARTS: Final = 4  # in which the records of causes are made: work for up to four processes
 KEPT: Final[Mapping[str, Any]] = {
     "causes": list,
@@ -38,7 +37,7 @@ KEPT: Final[Mapping[str, Any]] = {
     "runner-up": dict,
     "visible": list,
 }
-"""Types of the measures that are kept, by name without its number; figures are drawn again."""
+"""Types of the measures that are kept, by name without its number; what figures show is not."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Diagnosis(Generic[H]):
 
     ``extended`` is the model to go on with, ``widths`` has the probabilities of all hypotheses with
     the effects' priors that much wider. ``curves`` are those of what nothing explains, ``drafts``
-    the effects proposed where ``unknown`` is best, ``drawn`` what was drawn on the way.
+    the effects proposed where ``unknown`` is best.
     """
 
     case: Case[H]
@@ -58,13 +57,6 @@ class Diagnosis(Generic[H]):
     record: dict[str, Any]
     curves: tuple[Any, ...] = ()
     drafts: tuple[Any, ...] = ()
-    drawn: tuple[Any, ...] = ()
-
-
-def undrawn(shown: object) -> Sequence[Any]:
-    """Draw nothing."""
-    del shown
-    return ()
 
 
 def diagnose(
@@ -75,7 +67,6 @@ def diagnose(
     pairs: bool = True,
     log: Log = silent,
     workers: StageRunner = SERIAL,
-    drawing: Drawer = undrawn,
 ) -> Diagnosis[H]:
     """Show, name, extend and measure; returns everything for JSON and report.
 
@@ -92,11 +83,8 @@ def diagnose(
     log
         Told how far it got.
     workers
-        Share out causes and measures and keep what is finished, all but what is drawn and what it
-        shows; the result does not depend on them.
-    drawing
-        Draws what is shown (:class:`.Discrepancies`) and the curves as soon as they are there, in
-        the process that has made them.
+        Share out causes and measures and keep what is finished, all but what figures show; the
+        result does not depend on them.
     """
     at_start = deepcopy(rng)
     verdict = weigh(case, rng, pairs=pairs, log=log, workers=workers)
@@ -120,8 +108,8 @@ def diagnose(
     if extended.is_cause:
         work["extended p"] = partial(case.p_value, extended, of_extended_p)
     work["p"] = partial(case.p_value, none, of_p)
-    work["shown"] = partial(_then, drawing, partial(case.show, none, extended, of_shown))
-    work["curves"] = partial(_then, drawing, partial(case.curves, verdict.unknown, of_curves))
+    work["shown"] = partial(case.show, none, extended, of_shown)
+    work["curves"] = partial(case.curves, verdict.unknown, of_curves)
     if verdict.best.name == UNKNOWN:
         work["drafts"] = partial(case.drafts, verdict.unknown)
     if verdict.best is none:
@@ -130,12 +118,8 @@ def diagnose(
     if runner_up is not None:
         work["runner-up"] = partial(_runner_up, case, verdict, runner_up, of_runner_up)
     kinds = [KEPT.get(name.rstrip(" .0123456789")) for name in work]
-    results = workers.results("measures and figures", list(work.values()), kinds)
+    results = workers.results("measures", list(work.values()), kinds)
     measured = dict(zip(work, results, strict=True))
-    drawn = []
-    for name in ("shown", "curves"):
-        measured[name], images = measured[name]
-        drawn += images
     widths = {width: normalised(measured[f"width {width:g}"]) for width in WIDTHS}
     record = _record(case, verdict, extended, widths, measured)
     return Diagnosis(
@@ -147,14 +131,7 @@ def diagnose(
         record,
         tuple(measured["curves"]),
         tuple(measured.get("drafts", ())),
-        tuple(drawn),
     )
-
-
-def _then(drawing: Drawer, work: Work) -> tuple[Any, Sequence[Any]]:
-    """A piece of work and what is drawn of it."""
-    shown = work()
-    return shown, drawing(shown)
 
 
 def _record(

@@ -18,7 +18,7 @@ from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Case
-from cassini_bayes.diagnosis.diagnosis import Diagnosis, Drawer, undrawn
+from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.diagnosis import diagnose as diagnose_case
 from cassini_bayes.diagnosis.estimates import is_estimates
 from cassini_bayes.diagnosis.read import read_estimate_case, read_events
@@ -323,7 +323,6 @@ def diagnose(
         measure_gain=gain,
         log=log,
         workers=StageRunner(processes, store, progress),
-        drawing=undrawn if place is None else _drawing(),
     )
     results.record.update(
         {
@@ -362,12 +361,6 @@ def _opened(
     if not (folder / PROVENANCE).exists():
         write_text(folder / PROVENANCE, provenance.as_json() + "\n")
     return CheckpointStore(folder / CHECKPOINT, provenance.identity)
-
-
-def _drawing() -> Drawer:
-    from cassini_bayes.report.diagnosis_pictures import drawings
-
-    return drawings
 
 
 def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -> dict[str, str]:

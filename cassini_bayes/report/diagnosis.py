@@ -26,8 +26,8 @@ def write_diagnosis(diagnosis: Diagnosis[Any], folder: Path, name: str, processe
     """Write ``diagnosis.json``, tables, ``figures/``, ``drafts/`` and ``report.html``.
 
     ``discrepancy.csv`` and ``correlation.csv`` hold what the figures of those names show,
-    ``drafts`` the files of effects that predict what was held out. Figures that the diagnosis has
-    not drawn are drawn by ``processes`` side by side.
+    ``drafts`` the files of effects that predict what was held out. Figures are drawn by
+    ``processes`` side by side.
 
     Raises
     ------
@@ -42,10 +42,8 @@ def write_diagnosis(diagnosis: Diagnosis[Any], folder: Path, name: str, processe
         write_text(folder / "discrepancy.csv", frame_csv(curve_table(diagnosis.curves)))
         table = driver_table(detail.before, detail.after)
         write_text(folder / "correlation.csv", frame_csv(table))
-    pictures = [cause_picture(record)]
-    if not diagnosis.drawn:
-        pictures += [*pictures_of(diagnosis.shown), *pictures_of(diagnosis.curves)]
-    images = [*drawn(pictures, processes), *diagnosis.drawn]
+    shown = [*pictures_of(diagnosis.shown), *pictures_of(diagnosis.curves)]
+    images = drawn([cause_picture(record), *shown], processes)
     for image in images:
         write_bytes(folder / "figures" / f"{image.name}.png", image.png)
         write_bytes(folder / "figures" / f"{image.name}.svg", image.svg)

@@ -85,11 +85,6 @@ def pictures_of(shown: Discrepancies | Sequence[Curve]) -> list[Drawing]:
     return [] if shown.detail is None else _balance_pictures(shown.detail)
 
 
-def drawings(shown: Discrepancies | Sequence[Curve]) -> list[Drawn]:
-    """The pictures drawn, for a diagnosis to draw as it goes."""
-    return drawn(pictures_of(shown))
-
-
 def drawn(pictures: Sequence[Drawing], processes: int = 1) -> list[Drawn]:
     """Pictures that show something made, laid out and drawn, shared out among processes."""
     results = in_processes(_drawn, pictures, processes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,25 @@ def test_a_likelihood_is_reached_with_its_compiled_part() -> None:
 def test_imports_inside_functions_count() -> None:
     """The command line loads what it needs when a command is called."""
     assert "results.fitting" in code.reached("cli")
+
+
+def test_no_import_is_missed() -> None:
+    """Names are those of a module's whole syntax tree, wherever a statement stands."""
+    folders = ("balance", "cli", "pipeline")  # the latter import much inside functions
+    for path in [path for folder in folders for path in (code.ROOT / folder).rglob("*.py")]:
+        tree = ast.walk(ast.parse(path.read_bytes()))
+        named = {
+            f"{node.module}.{alias.name}".removeprefix("cassini_bayes.")
+            for node in tree
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("cassini_bayes.")
+            for alias in node.names
+        }
+        module = ".".join(path.relative_to(code.ROOT).with_suffix("").parts)
+        found = code.imports(module.removesuffix(".__init__"))
+        assert all(name in found or name.rpartition(".")[0] in found for name in named), module
+        assert all(
+            any(name == one or name.startswith(f"{one}.") for name in named) for one in found
+        ), module
 
 
 def test_a_changed_module_changes_the_digest(
