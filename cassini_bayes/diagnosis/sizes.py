@@ -35,7 +35,11 @@ def size_draws(
     z, weights = effect_draws(weighed, rng)
     z = with_unresolved(hypothesis, weighed.mode.point, z, rng)
     values = effect_values(hypothesis, z)
+    model = hypothesis.model
     for effect in hypothesis.effects:
+        if effect.kind.drawn is not None:
+            setting = effect.setting(model.spacecraft, model.branch)
+            values |= effect.kind.drawn(setting, rng, len(z))
         for key, step in effect.kind.known_to.items():
             values[key] = values[key] + rng.uniform(0.0, step, len(z))
     for effect in hypothesis.effects:

@@ -121,6 +121,9 @@ class Kind:
     reported, report
         Keys of the sizes that it is reported with, and the function from its parameters to them;
         those of the parameters themselves by default.
+    drawn
+        Draws (n,) of sizes, keys as ``report`` has them, that stand for those of the fit: of what a
+        search has found and the fit, near one value of it, does not range over.
     known_to
         How finely the data tell a size, by key: it is spread evenly over such a step more.
     left_open
@@ -146,6 +149,7 @@ class Kind:
     search: Callable[[Remainder, Mapping[str, Distribution]], SearchResult | None] | None = None
     reported: tuple[str, ...] = ()
     report: Callable[[Values, Setting], Values] | None = None
+    drawn: Callable[[Setting, np.random.Generator, int], Values] | None = None
     known_to: Mapping[str, float] = field(default_factory=dict)
     left_open: Callable[[Firings, FittedRows, Values, Setting], tuple[Array, Array]] | None = None
     fire: Callable[[Controller, Values], Fired] | None = None

@@ -6,18 +6,26 @@ what the balance lacks, q a free oscillation and an answer D to the body's own m
 J (c e^(−ζΩt) cos Ωt + s e^(−ζΩt) sin Ωt − φ D), whatever the controllers do. The free oscillation
 is taken to start alike in every event, t from its first row. Frequency, damping and axis are those
 of most evidence in what a model leaves; the fit has departures from them in first order.
+
+Noise of measured rates would drive D as well: errors in variables, by which a share φ of 0.004
+comes out as 0.001 where rates have 2e-5 rad/s (docs/topics/criticism.md §2). So D is of the rates
+that the balance of momentum shows, ω − J⁻¹ r with r what the baseline leaves; wheels tell them ten
+times better. They lack what the appendage gives its body: then D has the frequency and damping of
+the free spacecraft, and is 1 − φ times too small.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+from hashlib import sha256
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
+from scipy.special import log_ndtr, ndtr, ndtri
 
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Parameters, Physics
@@ -53,6 +61,48 @@ FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width, 
 LARGEST_ROOT: Final = 0.3
 """Of the damping, 0.09: an appendage that dies within two cycles is no oscillation (judgement)."""
 MOST_EVALUATIONS: Final = 60  # for the last digits of frequency and damping
+FASTEST: Final = 0.45  # cycles from row to row, of what trapezoids still show
+NODES: Final = (0.0, 1e-3, 2e-3, 4e-3, 7e-3, 1.2e-2, 2e-2, 4e-2)
+NEAR_BEST: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
+"""Dampings that sizes are averaged over, and those about the best. A line that dies fast and an
+appendage that answers little are much alike: the fit, near one damping, says too little of both."""
+UNDAMPED: Final = 0.2  # prior probability of none, as one of five that are looked at
+DAMPED: Final = (2e-4, 5e-2)  # and of the others, uniform in their logarithm
+LEAST_BEND: Final = 0.05  # nats: a frequency is known to four steps at least, or it is another line
+FREQUENCY_STEP: Final = 0.3  # of a line's width, for its curvature by frequency: judgement
+
+
+@dataclass(frozen=True)
+class BalancedRates:
+    """Rates (N, 3) of an event, rad/s, as the balance of momentum shows them, NaN where not known.
+
+    ``of`` is the digest of those that were measured, ``known`` the share of rows that have better.
+    """
+
+    of: str
+    rate_rad_s: Array
+    known: float
+
+    @staticmethod
+    def instead(measured_rad_s: Array, rate_rad_s: Array, known: float) -> BalancedRates:
+        """Rates for those that were measured, both (N, 3)."""
+        return BalancedRates(_digest(measured_rad_s), rate_rad_s, known)
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Posterior of a line over K dampings, each with the frequency that is best for it.
+
+    ``mean`` (K, 3) and ``covariance`` (K, 3, 3) are those of cosine, sine (rad/s) and share of the
+    inertia before the share's bound at zero, ``weight`` (K,) the probabilities.
+    """
+
+    weight: Array
+    damping: Array
+    frequency_hz: Array
+    frequency_sd_hz: Array
+    mean: Array
+    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -62,7 +112,8 @@ class Oscillation:
     Departures from them are counted in what ``span_s`` can tell apart: 1/T of the frequency,
     1/(ΩT) of the damping. ``step_s`` lies between the rates that show how the body moves.
     ``log_looks`` is what the search costs, ``log_gain`` what it found, nats, about what the fit had
-    left.
+    left. Motion is that of ``balanced`` rates where an event has them; ``measured`` is the share of
+    rows without.
     """
 
     frequency_hz: float
@@ -72,13 +123,19 @@ class Oscillation:
     log_gain: float = 0.0
     span_s: float = 3_600.0
     step_s: float = 1.0
+    measured: float = 1.0
+    balanced: tuple[BalancedRates, ...] = field(default=(), compare=False)
+    shapes: Shapes | None = field(default=None, compare=False)
 
     def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
         """The three series (:func:`oscillation_series`) of an event and their slopes.
 
         Slopes are by frequency in units of 1/T and by damping in units of 1/(ΩT), T the span.
         """
-        motion = known_motion(samples.time_s, samples.rate_rad_s)
+        known = {rates.of: rates.rate_rad_s for rates in self.balanced}
+        rate = known.get(_digest(samples.rate_rad_s), samples.rate_rad_s)
+        motion = known_motion(samples.time_s, rate)
+        over_trapezoids = _over_trapezoids(self.frequency_hz, motion.step_s)
         unit_hz = 1.0 / self.span_s
         unit_damping = 1.0 / (2.0 * np.pi * self.frequency_hz * self.span_s)
 
@@ -95,9 +152,12 @@ class Oscillation:
         for place, name in enumerate(SERIES):
             by_line, by_damping = slope_names(name)
             columns += [
-                ExtraColumn(name, partial(series, place, 0.0, 0.0)),
-                ExtraColumn(by_line, partial(slope, place, SLOPE_STEP, 0.0)),
-                ExtraColumn(by_damping, partial(slope, place, 0.0, SLOPE_STEP)),
+                ExtraColumn(own, values, over_trapezoids)
+                for own, values in (
+                    (name, partial(series, place, 0.0, 0.0)),
+                    (by_line, partial(slope, place, SLOPE_STEP, 0.0)),
+                    (by_damping, partial(slope, place, 0.0, SLOPE_STEP)),
+                )
             ]
         return tuple(columns)
 
@@ -131,18 +191,64 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
 def report(values: Values, setting: Setting) -> Values:
     """An oscillation as the free body shows it: amplitude, frequency, damping.
 
-    A body that gives makes its appendage faster by 1/√(1 − φ). What it gives is in its rates, but
-    of a swing between rows straight lines show the share sinc² fΔ only, so that the line is found
-    with the rest of that already in it.
+    A body that gives makes its appendage faster by 1/√(1 − φ). What it gives is in its measured
+    rates, but of a swing between rows straight lines show the share sinc² fΔ only, and the balance
+    does not show it: so much the line is found with already in it. Rates that lack it drive an
+    appendage 1/(1 − φ) times more.
     """
     line = _line(setting)
     frequency = line.frequency_hz + values["frequency_shift"] / line.span_s
     unit = 2.0 * np.pi * line.frequency_hz * line.span_s
     damping = line.damping + values["damping_shift"] / unit
-    shown = np.sinc(line.frequency_hz * line.step_s) ** 2
-    free = np.sqrt(1.0 - shown * values["inertia_fraction"])
+    return _of_free_body(line, values, frequency, damping)
+
+
+def drawn(setting: Setting, rng: np.random.Generator, draws: int) -> Values:
+    """Sizes (n,) over all dampings (:class:`Shapes`), as :func:`report` has them."""
+    line = _line(setting)
+    shapes = line.shapes
+    if shapes is None:
+        return {}
+    place = rng.choice(len(shapes.weight), draws, p=shapes.weight)
+    mean, covariance = shapes.mean[place], shapes.covariance[place]
+    sd = np.sqrt(covariance[:, 2, 2])
+    below = ndtr(-mean[:, 2] / sd)
+    share = mean[:, 2] + sd * ndtri(below + (1.0 - below) * rng.uniform(size=draws))
+    along = (np.maximum(share, 0.0) - mean[:, 2]) / covariance[:, 2, 2]
+    swing = mean[:, :2] + covariance[:, :2, 2] * along[:, None]
+    rest = (
+        shapes.covariance[:, :2, :2]
+        - (shapes.covariance[:, :2, 2:] * shapes.covariance[:, 2:, :2])
+        / shapes.covariance[:, 2:, 2:]
+    )
+    factors = np.linalg.cholesky(rest)[place]
+    swing = swing + (factors @ rng.standard_normal((draws, 2, 1)))[..., 0]
+    frequency = shapes.frequency_hz[place] + shapes.frequency_sd_hz[place] * rng.standard_normal(
+        draws
+    )
+    edges = _edges(shapes.damping)
+    damping = rng.uniform(edges[place], edges[place + 1])
+    values = {
+        "cosine_rad_s": swing[:, 0],
+        "sine_rad_s": swing[:, 1],
+        "inertia_fraction": np.maximum(share, 0.0),
+    }
+    return _of_free_body(line, values, frequency, damping)
+
+
+def _edges(damping: Array) -> Array:
+    """Bounds (K + 1,) of what each of some dampings (K,) stands for, half-way to its neighbours."""
+    middle = 0.5 * (damping[1:] + damping[:-1])
+    return np.concatenate([[0.0], middle, damping[-1:]])
+
+
+def _of_free_body(line: Oscillation, values: Values, frequency: Array, damping: Array) -> Values:
+    """Sizes by those of the line: see :func:`report`."""
+    shown = line.measured * np.sinc(line.frequency_hz * line.step_s) ** 2
+    fraction = values["inertia_fraction"] / (1.0 + (1.0 - shown) * values["inertia_fraction"])
+    free = np.sqrt(1.0 - shown * fraction)
     return {
-        "inertia_fraction": values["inertia_fraction"],
+        "inertia_fraction": fraction,
         "frequency_hz": frequency / free,
         "damping": np.maximum(damping, 0.0) / free,
         "amplitude_rad_s": np.hypot(values["cosine_rad_s"], values["sine_rad_s"]),
@@ -190,12 +296,41 @@ def left_open(
 
 def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillation | None:
     """The line of most evidence in what a model leaves, by the priors of its size."""
-    motions = [known_motion(samples.time_s, samples.rate_rad_s) for samples in remainder.samples]
+    inertia = np.array([remainder.parameters[f"inertia_{axis}{axis}_kg_m2"] for axis in AXES])
+    balanced = tuple(
+        balanced_rates(samples, rows, inertia)
+        for samples, rows in zip(remainder.samples, remainder.rows, strict=True)
+    )
+    motions = [
+        known_motion(samples.time_s, rates.rate_rad_s)
+        for samples, rates in zip(remainder.samples, balanced, strict=True)
+    ]
     linear, rows = remainder.with_turns()
-    inertia = [remainder.parameters[f"inertia_{axis}{axis}_kg_m2"] for axis in AXES]
     amplitude, share = (priors[key].scale for key in ("cosine_rad_s", "inertia_fraction"))
-    scales = amplitude, share
-    return find_oscillation(rows, [*motions, *motions], linear, np.array(inertia), scales)
+    line = find_oscillation(rows, [*motions, *motions], linear, inertia, (amplitude, share))
+    if line is None:
+        return None
+    measured = 1.0 - float(np.mean([rates.known for rates in balanced]))
+    return replace(line, balanced=balanced, measured=measured)
+
+
+def balanced_rates(samples: Samples, rows: EventRows, inertia_kg_m2: Array) -> BalancedRates:
+    """Rates of an event's samples, those of its rows less what the balance leaves over J (3,)."""
+    rate = samples.rate_rad_s.copy()
+    at = np.searchsorted(samples.time_s, rows.time_s)
+    rate[at] -= rows.residual_n_m_s / inertia_kg_m2
+    sampled = int(np.isfinite(samples.rate_rad_s).all(1).sum())
+    return BalancedRates.instead(samples.rate_rad_s, rate, len(at) / max(sampled, 1))
+
+
+def _digest(values: Array) -> str:
+    return sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
+def _over_trapezoids(frequency_hz: float, step_s: float) -> float:
+    """Integral of a swing over that by trapezoids of its rows: tan x / x, x = π f Δ."""
+    half = np.pi * min(frequency_hz * step_s, FASTEST)
+    return float(np.tan(half) / half)
 
 
 def find_oscillation(
@@ -249,6 +384,10 @@ def find_oscillation(
     fits = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
     frequency, damping, axis = max(fits, key=score)
 
+    def shape(line: tuple[float, float, int]) -> tuple[float, Array, Array]:
+        gram, projection = _fine(rows, motions, views[line[2]], factor, line)
+        return _posterior(gram, projection, size[line[2]])
+
     def loss(x: Array) -> float:
         return -score((frequency + float(x[0]) / span, float(x[1]) ** 2, axis))
 
@@ -261,15 +400,79 @@ def find_oscillation(
     frequency += float(result.x[0]) / span
     step = float(np.median([motion.step_s for motion in motions]))
     damping = float(result.x[1] ** 2)
-    return Oscillation(frequency, damping, axis, looks, -float(result.fun), span, step)
+    units = np.array([*scales[:1], *scales])
+    shapes = _shapes(shape, (frequency, damping, axis), span, units)
+    gain = -float(result.fun)
+    return Oscillation(frequency, damping, axis, looks, gain, span, step, shapes=shapes)
+
+
+def _shapes(
+    shape: Callable[[tuple[float, float, int]], tuple[float, Array, Array]],
+    line: tuple[float, float, int],
+    span_s: float,
+    scales: Array,
+) -> Shapes:
+    """A line found at other dampings (:data:`NODES`), for each with its best frequency.
+
+    ``shape`` gives log evidence, mean and covariance of sizes in units of ``scales`` (3,).
+    """
+    frequency_hz, found, axis = line
+    step = SLOPE_STEP / (2.0 * np.pi * frequency_hz * span_s)
+    middle = max(found, step)
+    _, sd = _peak([shape((frequency_hz, middle + d, axis))[0] for d in (-step, 0.0, step)], step)
+    near = np.clip(found + sd * np.array(NEAR_BEST), 0.0, DAMPED[1])
+    dampings = np.unique(np.concatenate([NODES, near]))
+    logs = np.log(np.clip(_edges(dampings), *DAMPED))
+    prior = (1.0 - UNDAMPED) * np.diff(logs) / np.diff(np.log(DAMPED))
+    prior[0] += UNDAMPED
+    rows = []
+    for damping in dampings:
+        step = FREQUENCY_STEP * float(np.hypot(1.0 / span_s, damping * frequency_hz))
+        shifts = (frequency_hz - step, frequency_hz, frequency_hz + step)
+        shift, sd = _peak([shape((f, damping, axis))[0] for f in shifts], step)
+        best = frequency_hz + shift
+        rows.append((best, sd, *shape((best, damping, axis))))
+    frequency, frequency_sd, score, mean, covariance = (
+        np.array(own) for own in zip(*rows, strict=True)
+    )
+    weight = prior * np.exp(score - score.max())
+    return Shapes(
+        weight / weight.sum(),
+        dampings,
+        frequency,
+        frequency_sd,
+        scales * mean,
+        covariance * np.outer(scales, scales),
+    )
+
+
+def _peak(values: Sequence[float], step: float) -> tuple[float, float]:
+    """Where a parabola through three log densities has its peak, from the middle, and its sd."""
+    below, middle, above = values
+    bend = max(2.0 * middle - below - above, LEAST_BEND)
+    shift = step * float(np.clip(0.5 * (above - below) / bend, -2.0, 2.0))
+    return shift, step / float(np.sqrt(bend))
+
+
+def _posterior(gram: Array, projection: Array, size: Array) -> tuple[float, Array, Array]:
+    """log Z, mean (3,) and covariance (3, 3) of sizes in prior scales, for one line."""
+    covariance = np.asarray(np.linalg.inv(gram * np.outer(size, size) + np.eye(len(size))))
+    score = float(_log_evidence(gram, projection, size))
+    return score, covariance @ (projection * size), covariance
 
 
 def _log_evidence(gram: Array, projection: Array, size: Array) -> Array:
-    """log Z (...) against no oscillation of columns with Gram (..., 3, 3), Aᵀy (..., 3)."""
-    precision = gram * size[..., :, None] * size[..., None, :] + np.eye(gram.shape[-1])
+    """log Z (...) against no oscillation of columns with Gram (..., 3, 3), Aᵀy (..., 3).
+
+    The last size, a share of the inertia, is not below zero: the prior's half below it lies above.
+    """
+    covariance = np.linalg.inv(
+        gram * size[..., :, None] * size[..., None, :] + np.eye(gram.shape[-1])
+    )
     b = projection * size
-    mean = np.linalg.solve(precision, b[..., None])[..., 0]
-    return np.asarray(0.5 * (b * mean).sum(-1) - 0.5 * np.linalg.slogdet(precision)[1])
+    mean = (covariance @ b[..., None])[..., 0]
+    above = np.log(2.0) + log_ndtr(mean[..., -1] / np.sqrt(covariance[..., -1, -1]))
+    return np.asarray(0.5 * (b * mean).sum(-1) + 0.5 * np.linalg.slogdet(covariance)[1] + above)
 
 
 def _coarse(
@@ -356,7 +559,8 @@ def _fine(
         cosine, sine, driven = oscillation_series(event.time_s, motion, frequency_hz, damping)
         series = np.stack([cosine, sine, -driven[:, axis]], axis=1)
         if event.pieces is not None:
-            series = event.pieces.integrated(series)
+            seen = _over_trapezoids(frequency_hz, motion.step_s)
+            series = seen * event.pieces.integrated(series)
         gram += view.length * series.T @ series
         projection += view.white @ series
         across += view.columns.T @ series
@@ -378,6 +582,7 @@ KIND: Final = Kind(
     search=search,
     reported=("inertia_fraction", "frequency_hz", "damping", "amplitude_rad_s"),
     report=report,
+    drawn=drawn,
     left_open=left_open,
     says=says,
 )

@@ -54,7 +54,7 @@ def value_of(kind: Any, arrays: Mapping[str, NDArray[np.generic]], name: str = "
     ----------
     kind
         Its type as an annotation has it: a dataclass, ``tuple[…]``, ``float``, ``list``, an array,
-        or one of these or None.
+        or one of these or None; of ``tuple[kind, ...]`` there are as many as there are arrays of.
 
     Raises
     ------
@@ -66,8 +66,11 @@ def value_of(kind: Any, arrays: Mapping[str, NDArray[np.generic]], name: str = "
         present = any(key == name or key.startswith(f"{name}.") for key in arrays)
         return value_of(rest[0], arrays, name) if present else None
     if get_origin(kind) is tuple:
-        places = enumerate(get_args(kind))
-        return tuple(value_of(one, arrays, f"{name}.{place}") for place, one in places)
+        kinds = get_args(kind)
+        if kinds[-1] is Ellipsis:
+            inside = [key for key in arrays if key.startswith(f"{name}.")]
+            kinds = kinds[:1] * len({key[len(name) + 1 :].partition(".")[0] for key in inside})
+        return tuple(value_of(one, arrays, f"{name}.{i}") for i, one in enumerate(kinds))
     if is_dataclass(kind) and isinstance(kind, type):
         hints = get_type_hints(kind)
         return kind(

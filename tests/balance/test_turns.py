@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from telemetry_cases import event_of, made_up_samples, telemetry_priors
 
+from cassini_bayes.balance.statistics.columns import ExtraColumn
 from cassini_bayes.balance.statistics.turns import pieces_of, turns_between
 
 
@@ -26,3 +27,18 @@ def test_integrated_columns_have_the_gram_matrices_of_slopes_and_the_rest() -> N
     size = np.sqrt(np.diagonal(total))
     assert own.T @ own == pytest.approx(total, abs=1e-9 * np.outer(size, size).max())
     assert np.abs(np.add.reduceat(own, pieces.ends[:-1], axis=0)).max() < 1e-9
+
+
+def test_a_columns_own_integral_counts_in_turns_alone() -> None:
+    """What trapezoids miss of a swing is made up for, in turns and not in rows."""
+    event = event_of(made_up_samples(np.random.default_rng(3), 160), telemetry_priors())
+    grams = []
+    for over_trapezoids in (1.0, 1.5):
+        column = ExtraColumn("swing", lambda rows: np.sin(rows.time_s), over_trapezoids)
+        own = event.with_columns((column,)).statistics
+        place = own.layout.extra_place.start
+        turns = (own.turns.slope_gram + own.turns.gram)[0, 0]
+        wheel = own.layout.wheel.start
+        grams.append((turns[place, place], turns[place, wheel], own.gram[..., place, place].sum()))
+    once, more = grams
+    assert more == pytest.approx((2.25 * once[0], 1.5 * once[1], once[2]))

@@ -54,6 +54,8 @@ def same(one: Any, other: Any) -> bool:
         (Inner | None, Inner(np.array([np.nan, np.inf, -0.0]))),
         (float | None, float(np.nextafter(1.0, 2.0))),
         (tuple[Inner, float], (Inner(np.ones(2)), 2.5)),
+        (tuple[Inner, ...], tuple(Inner(np.full(2, i)) for i in range(12))),
+        (tuple[Inner, ...], ()),
         (list, [{"a": [0.1, None, "x"], "b": {"c": True}}]),
         (dict, {"none": 1e-300}),
     ],

@@ -91,10 +91,15 @@ class RowContext:
 
 @dataclass(frozen=True)
 class ExtraColumn:
-    """A scalar column of an effect: its name and its values (n,) at the rows."""
+    """A scalar column of an effect: its name and its values (n,) at the rows.
+
+    ``over_trapezoids`` is its integral over that by trapezoids, from row to row: of a swing of
+    frequency f and rows Δ apart tan(π f Δ)/(π f Δ), of all that is slow one.
+    """
 
     name: str
     values: Callable[[RowContext], Array]
+    over_trapezoids: float = 1.0
 
 
 @dataclass(frozen=True)

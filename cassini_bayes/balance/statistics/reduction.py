@@ -496,7 +496,7 @@ class _Turns:
         ends = [first + end for end in piece_ends(rows.time_s[first:], breaks[first:])]
         if not is_last:
             ends = ends[:-1]
-        found = turned(rows, self._layout, ends, self._sampling.duration_s)
+        found = turned(rows, self._layout, ends, self._sampling)
         slopes, waves = found.slopes, found.waves
         self._slopes.gather(_Inner(slopes.T @ slopes, waves.T @ slopes, waves.T @ waves))
         times, summed = found.time_s[:, None], found.summed_s2[:, None]

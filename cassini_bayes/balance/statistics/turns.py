@@ -166,13 +166,15 @@ def _corners(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
     return found
 
 
-def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Turned:
+def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> Turned:
     """Integrate and centre the columns of the pieces between bounds."""
     vectors = rows.vector.shape[2]
     n = len(rows.time_s)
     flat = np.concatenate([rows.vector.reshape(n, -1), rows.scalar], axis=1)
     turn = slice(layout.turn.start + 2 * vectors, layout.turn.stop + 2 * vectors)
     wheel = slice(layout.wheel.start + 2 * vectors, layout.wheel.stop + 2 * vectors)
+    extra = slice(layout.extra_place.start + 2 * vectors, layout.extra_place.stop + 2 * vectors)
+    over_trapezoids = np.array([column.over_trapezoids for column in sampling.extra])
     times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, SLOPE_WAVES + 1))]
     shown = [np.zeros((0, 2 + 2 * len(layout.wheels)))]
     rest = [np.zeros((0, flat.shape[1]))]
@@ -183,9 +185,10 @@ def turned(rows: Rows, layout: Layout, ends: list[int], duration_s: float) -> Tu
             continue
         time = rows.time_s[start:stop]
         own = _integral(time, flat[start:stop])
+        own[:, extra] *= over_trapezoids
         turns = turns_between(rows.cosines[start:stop])
         own[:, turn] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
-        gained = _integral(time, cosines(time, duration_s, SLOPE_WAVES + 1))
+        gained = _integral(time, cosines(time, sampling.duration_s, SLOPE_WAVES + 1))
         summed = _integral(time, np.eye(len(time)))
         walked = summed @ (np.sqrt(np.diff(time)) * np.tri(len(time), len(time) - 1, -1))
         ramp = time - time.mean()

@@ -18,7 +18,7 @@ from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
 from cassini_bayes.diagnosis.modes import Mode, find_mode, mode_near
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.effects.flexible_mode import Oscillation
+from cassini_bayes.effects.flexible_mode import FASTEST, BalancedRates, Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import Hidden, Scene
@@ -278,6 +278,18 @@ def _next(pairs: list[tuple[float, float]], sigma: float) -> float | None:
     return min(s * float(np.clip(sigma / value, 0.25, 4.0)), LARGEST_IN_PRIOR_SCALES)
 
 
+def moved_by(line: Oscillation, scene: Scene, events: Events, hidden: Hidden) -> Oscillation:
+    """A hidden line with the true motion of its flight, which no noise of rates drives."""
+    quiet = scene.fly_quietly((hidden,))
+    pairs = zip(events.telemetry, quiet.telemetry, strict=True)
+    true = [
+        BalancedRates.instead(seen.samples.rate_rad_s, own.samples.rate_rad_s, 1.0)
+        for seen, own in pairs
+        if seen.samples.rate_rad_s.shape == own.samples.rate_rad_s.shape
+    ]
+    return replace(line, balanced=tuple(true))
+
+
 def hidden_oscillation(values: Mapping[str, float]) -> tuple[Oscillation, dict[str, float]]:
     """What the model calls an oscillation that the simulation hides: its line, its parameters.
 
@@ -305,11 +317,13 @@ def _flexible(
 ) -> Hidden | None:
     """An oscillation between 10 and 316 mHz (log-uniform), size σ and its span given or by prior.
 
-    Amplitude and moving inertia grow together: however little it swings at first, an appendage is
-    driven by whatever moves the body.
+    It is no faster than rows show. Amplitude and moving inertia grow together: however little it
+    swings at first, an appendage is driven by whatever moves the body.
     """
+    samples = [event.samples for event in stage.events.telemetry]
+    fastest = FASTEST / max(float(np.median(np.diff(s.time_s[s.has_state]))) for s in samples)
     known = {
-        "frequency_hz": float(10.0 ** rng.uniform(-2.0, -0.5)),
+        "frequency_hz": float(10.0 ** rng.uniform(-2.0, min(-0.5, np.log10(fastest)))),
         "damping": float(rng.choice([0.0, 0.001, 0.003])),
         "axis": float(rng.integers(3)),
     }
@@ -349,7 +363,9 @@ def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
     line, values = hidden_oscillation(hidden.parameters)
     settled = replace(effect, search_result=line)
     if stage.scene.condition is not None:
-        events = stage.scene.fly((hidden,)).with_columns_of([settled])
+        events = stage.scene.fly((hidden,))
+        settled = replace(effect, search_result=moved_by(line, stage.scene, events, hidden))
+        events = events.with_columns_of([settled])
         return _flown_sensitivity(stage, events, Growth(settled, values, {}), 1.0)
     view = stage.view(hidden)
     events = view.events.with_columns_of([settled])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +27,7 @@ from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.studies.blind.flights import Blind, Hidden
+from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import classifier, sizes_of
 from cassini_bayes.studies.blind.sizes import (
@@ -36,6 +36,7 @@ from cassini_bayes.studies.blind.sizes import (
     Stage,
     draw_path,
     hidden_oscillation,
+    moved_by,
     sensitivity,
     sized_between,
     sized_from_prior,
@@ -130,11 +131,10 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
     prepared = time.process_time()
     verdict = weigh(BalanceCase(events), rng, pairs=stratum.name == "two")
     diagnosed = time.process_time()
-    truth = scene.truth().parameters
     return {
         **known,
         **_record(verdict, hidden, rng),
-        **_oracle(events, verdict, hidden, truth, rng, over_conditions=campaign.over_conditions),
+        **_oracle(scene, events, verdict, hidden, rng),
         "cpu_prepare_s": prepared - worked,
         "cpu_diagnose_s": diagnosed - prepared,
         "wall_s": time.monotonic() - began,
@@ -142,13 +142,11 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
 
 
 def _oracle(
+    scene: Scene,
     events: Events,
     verdict: Verdict[Hypothesis],
     hidden: Sequence[Hidden],
-    truth: Mapping[str, float],
     rng: np.random.Generator,
-    *,
-    over_conditions: bool,
 ) -> dict[str, Any]:
     """Place of a single catalogued cause for the oracle, and how often it expects the best three.
 
@@ -168,9 +166,11 @@ def _oracle(
         ),
         None,
     )
+    over_conditions = scene.condition is not None
     if effect.kind.search is not None:
         line = hidden_oscillation(values)[0]
-    size = sizes_of(effect, values, truth)
+        line = moved_by(line, scene, events, hidden[0]) if over_conditions else line
+    size = sizes_of(effect, values, scene.truth().parameters)
     make = likelihood_classifier if over_conditions else classifier
     settled = make(events, verdict.none.mode, values, line)
     group = {"oracle_group": settled.group(effect.name, size)} if over_conditions else {}
