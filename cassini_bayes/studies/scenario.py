@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +45,6 @@ from cassini_bayes.simulation import (
 )
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
-
-if TYPE_CHECKING:
-    pass
 
 TRUTH_FILE: Final = "truth.json"
 TOTALS_FILE: Final = "totals.csv"

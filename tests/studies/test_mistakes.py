@@ -43,7 +43,7 @@ SCENARIO, PRIORS = ROOT / "runs" / "scenarios" / "calibration.toml", ROOT / "pri
 
 def test_an_honest_draw_passes_twice_alike() -> None:
     """A draw has a random stream of its own; without mistakes nothing is refused."""
-    first, again = (Honest(SCENARIO, PRIORS, 3).repetition(0) for _ in range(2))
+    first, again = (Honest(SCENARIO, PRIORS, seed=3).repetition(0) for _ in range(2))
     assert first["effect"] == -1
     verdicts = np.asarray(first["verdict"])
     assert set(verdicts[verdicts != NO_EVENT]) == {VERDICTS.index("passed")}

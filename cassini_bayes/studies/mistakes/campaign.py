@@ -15,10 +15,9 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MISTAKES, MistakeError, TelemetryCheck
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.files.code import identity
 from cassini_bayes.model.nominal import check_rows, nominal_values
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.studies.conditions import CRAFTS, LEVELS, draw_condition
+from cassini_bayes.studies.conditions import CRAFTS, draw_condition
 from cassini_bayes.studies.mistakes.flights import EFFECTS, fly, with_events
 from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS
 from cassini_bayes.studies.mistakes.oracle import (
@@ -29,6 +28,7 @@ from cassini_bayes.studies.mistakes.oracle import (
     answer_of,
     physics_of,
 )
+from cassini_bayes.studies.repeated import Repeated
 
 MODULE: Final = "studies.mistakes.campaign"
 FULL: Final[Mapping[str, int]] = {"honest": 500, "mistaken": 5}
@@ -79,21 +79,26 @@ def _verdict(ask: Callable[[], Sequence[str]], sought: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True)
-class Honest:
-    """Draws over the conditions, every second one with a clear effect of the catalogue."""
+class Sets(Repeated):
+    """Sets of events over conditions: scenario whose events are flown, and folder of priors."""
 
     scenario: Path
     priors: Path
-    seed: int
-    per_file: int = 10
 
-    def identity(self) -> str:
-        """Hash of all that a repetition depends on."""
-        return identity(["honest", self.seed], _inputs(self.scenario, self.priors), MODULE)
+    def inputs(self) -> list[Path]:
+        """The scenario, and the priors files of telemetry and totals of all crafts."""
+        files = (*(file for file, *_ in CRAFTS.values()), *TOTALS_PRIORS.values())
+        return [self.scenario, *(self.priors / file for file in files)]
+
+
+class Honest(Sets):
+    """Draws over the conditions, every second one with a clear effect of the catalogue."""
+
+    per_file = 10
 
     def repetition(self, index: int) -> Mapping[str, NDArray[Any] | float]:
         """Levels of the conditions, place of the effect in :data:`EFFECTS`, verdict by event."""
-        rng = np.random.default_rng([self.seed, 0, index])
+        rng = self.stream(0, index)
         condition = draw_condition(rng)
         if condition.events == "six biases":  # as good as three here, at half the time
             condition = with_events(condition, "three biases")
@@ -106,26 +111,17 @@ class Honest:
             verdicts.append(judge_rows(flight.rows, totals))
         numbers = np.full(MOST_EVENTS, NO_EVENT)
         numbers[: len(verdicts)] = [VERDICTS.index(verdict) for verdict in verdicts]
-        levels = [LEVELS[name].index(level) for name, level in condition.strata.items()]
-        return {"levels": np.array(levels), "effect": effect, "verdict": numbers}
+        return {"levels": condition.places, "effect": effect, "verdict": numbers}
 
 
-@dataclass(frozen=True)
-class WithMistakes:
+class WithMistakes(Sets):
     """Sets without effects: every mistake in turn in a bias, in slews, and in six totals rows."""
 
-    scenario: Path
-    priors: Path
-    seed: int
-    per_file: int = 1
-
-    def identity(self) -> str:
-        """Hash of all that a repetition depends on."""
-        return identity(["mistaken", self.seed], _inputs(self.scenario, self.priors), MODULE)
+    per_file = 1
 
     def repetition(self, index: int) -> Mapping[str, NDArray[Any]]:
         """Verdict, largest shift of a scalar and nats, of :data:`CASES` and :data:`ROW_CASES`."""
-        rng = np.random.default_rng([self.seed, 1, index])
+        rng = self.stream(1, index)
         while True:
             condition = draw_condition(rng)
             flight = fly(with_events(condition, "bias and slews"), self.scenario, self.priors, rng)
@@ -214,8 +210,3 @@ class Oracle:
 
 
 _UNASKED: Final = (np.nan, np.nan)
-
-
-def _inputs(scenario: Path, priors: Path) -> list[Path]:
-    files = [file for file, *_ in CRAFTS.values()]
-    return [scenario, *(priors / file for file in (*files, *TOTALS_PRIORS.values()))]
