@@ -18,7 +18,6 @@ from cassini_bayes.published import WheelBiasTable
 from cassini_bayes.simulation import (
     Motion,
     Plan,
-    Scenario,
     ScenarioFile,
     hydrazine_g,
     make_plan,
@@ -72,10 +71,10 @@ def table_rows(plan: Plan, motion: Motion) -> Array:
 
 
 def simulate_biases(
-    file: ScenarioFile, scenario: Scenario, tables: Iterable[WheelBiasTable], seeds: Iterable[int]
+    file: ScenarioFile, tables: Iterable[WheelBiasTable], seeds: Iterable[int]
 ) -> Comparison:
-    """Simulate the scenario's events (with the given settings) for every seed."""
-    seeds = tuple(seeds)
+    """Simulate the scenario's events for every seed."""
+    scenario = file.scenario
     rows: dict[str, list[Array]] = {event.id: [] for event in scenario.event}
     for seed in seeds:
         truth = draw_truth(file, seed)

@@ -44,8 +44,11 @@ def score_table(scores: Mapping[str, Skill]) -> str:
     return table_of(
         (
             {
-                "kind": kind, "unit": KINDS[kind], "s": s,
-                "percent": 100 * s.coverage, "held": round(s.coverage * s.items),
+                "kind": kind,
+                "unit": KINDS[kind],
+                "s": s,
+                "percent": 100 * s.coverage,
+                "held": round(s.coverage * s.items),
             }
             for kind, s in scores.items()
         ),
