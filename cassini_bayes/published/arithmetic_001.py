@@ -100,10 +100,8 @@ def difference_checks(table: WheelBiasTable) -> Iterator[Check]:
 def delta_v_checks(table: WheelBiasTable) -> Iterator[Check]:
     """ΔVz of the calibrated column from its on-times with the F/M of the ideal column (eq. 22)."""
     on_time = table.cell("on_time_z_total", "calibrated").operand
-    speed, rule = (
-        table.cell("delta_v_z", "calibrated"),
-        "ΔVz = −(F/M of the ideal column) × total Z on-time",
-    )
+    speed = table.cell("delta_v_z", "calibrated")
+    rule = "ΔVz = −(F/M of the ideal column) × total Z on-time"
     computed = -(acceleration(table, "ideal") * on_time).scaled(1e3)
     yield _source(table).check(rule, speed, computed, "delta_v_z", "calibrated")
 

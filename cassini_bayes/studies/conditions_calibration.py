@@ -112,12 +112,12 @@ def judged(found: Mapping[str, NDArray[Any]]) -> tuple[pd.DataFrame, pd.DataFram
     inside = (ranks > tail) & (ranks < 1.0 - tail)  # an unknown one is not
     rows, places = [], []
     for name, level, chosen in [("all", "all", np.full(len(ranks), True)), *strata_of(levels)]:
-        for scalar, of_all, held in zip(SCALARS, ranks.T, inside.T, strict=True):
-            counted = chosen & np.isfinite(of_all)
+        for place, scalar in enumerate(SCALARS):
+            counted = chosen & known[:, place]
             number = int(counted.sum())
             if number < LEAST:
                 continue
-            own, coverage = of_all[counted], held[counted].mean()
+            own, coverage = ranks[counted, place], inside[counted, place].mean()
             p_ranks = float(kstest(own, "uniform").pvalue)
             p_coverage = coverage_p_values(np.array([coverage]), number, PROBABILITY)[0]
             rows.append([name, level, scalar, number, own.mean(), coverage, p_ranks, p_coverage])
