@@ -142,7 +142,7 @@ def totals(
     """Simulation-based calibration of the totals model, with two negative controls."""
     from cassini_bayes.studies.totals_campaign import calibrate_totals
 
-    return calibrate_totals(study, str(events), str(priors), numbers)
+    return calibrate_totals(study, events, priors, numbers)
 
 
 @_campaign("sbc", "telemetry-sbc", 20_261_122, "telemetry_campaign")
@@ -155,7 +155,7 @@ def sbc(
     """Simulation-based calibration of the joint model on closed-loop telemetry."""
     from cassini_bayes.studies.telemetry_campaign import calibrate_telemetry
 
-    return calibrate_telemetry(study, str(scenario), str(priors), numbers)
+    return calibrate_telemetry(study, scenario, priors, numbers)
 
 
 @_campaign("conditions", "conditions", 20_261_123, "conditions_calibration")
@@ -168,7 +168,7 @@ def conditions(
     """Calibration over conditions: controllers, steps of counters, cadence, noise, events."""
     from cassini_bayes.studies.conditions_calibration import calibrate_conditions
 
-    return calibrate_conditions(study, str(scenario), str(priors), numbers)
+    return calibrate_conditions(study, scenario, priors, numbers)
 
 
 @app.command("attitude")
@@ -192,7 +192,7 @@ def perturbations(
     """Coverage and length of perturbation bars, least squares, Laplace and posterior."""
     from cassini_bayes.studies.perturbation_campaign import compare_error_bars
 
-    return compare_error_bars(study, str(events), str(priors), numbers)
+    return compare_error_bars(study, events, priors, numbers)
 
 
 @app.command("blind")
@@ -308,7 +308,7 @@ def missions(
     """Simulated missions with known failures: names, onsets, false alarms, delays."""
     from cassini_bayes.studies.missions import study_missions
 
-    return study_missions(study, str(events), str(priors), numbers)
+    return study_missions(study, events, priors, numbers)
 
 
 @app.command("prediction")

@@ -8,7 +8,7 @@ thruster estimation (2005), 001 flight-calibrated on-times (2010), 002 inertia e
 """
 
 from cassini_bayes.published.arithmetic import Published, all_checks, published
-from cassini_bayes.published.checks import Check, Contradiction, contradictions
+from cassini_bayes.published.checks import Check, contradictions
 from cassini_bayes.published.constants import Constants, published_constants
 from cassini_bayes.published.mass import TableMass, table_mass
 from cassini_bayes.published.printed import Interval, Printed
@@ -28,7 +28,6 @@ from cassini_bayes.published.wheel_bias import WheelBiasTable, wheel_bias_tables
 __all__ = [
     "Check",
     "Constants",
-    "Contradiction",
     "Interval",
     "Printed",
     "Published",

@@ -13,8 +13,16 @@ from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.published.printed import Printed, csv_rows, package_text, parse_printed
-from cassini_bayes.published.tables import a_branch_thrusts, b_branch_thrusts, bias_thrusts
+from cassini_bayes.published.printed import Printed
+from cassini_bayes.published.tables import (
+    Row,
+    ThrustComparison,
+    a_branch_thrusts,
+    b_branch_thrusts,
+    bias_thrusts,
+    day_of,
+    records,
+)
 from cassini_bayes.published.wheel_bias import wheel_bias_tables
 
 Kind = Literal["measurement", "prediction", "flight_software"]
@@ -46,38 +54,30 @@ class Anchor:
     thruster: str = ""
 
 
-def parse_anchors(text: str) -> tuple[Anchor, ...]:
-    """Build the records of ``anchors.csv``: what stands in the papers' text.
+def text_anchors(text: str | None = None) -> tuple[Anchor, ...]:
+    """What stands in the papers' text: ``anchors.csv``, or a text in its place.
 
     Raises
     ------
     InputError
         A wrong header, figure or kind.
     """
-    result = []
-    for row in csv_rows(text, COLUMNS, where=FILE):
+
+    def build(row: Row) -> Anchor:
         kind = next((known for known in KINDS if known == row["kind"]), None)
         if kind is None:
             raise InputError(f"{FILE}: kind", ", ".join(KINDS), repr(row["kind"]), "mend it")
-        result.append(
-            Anchor(
-                datetime.date.fromisoformat(row["date"]),
-                row["branch"],
-                row["quantity"],
-                parse_printed(row["value"], where=f"{FILE}: value"),
-                row["unit"],
-                kind,
-                row["paper"],
-                row["place"],
-            )
-        )
-    return tuple(result)
+        date, value = datetime.date.fromisoformat(row["date"]), row.figure("value")
+        figure = (date, row["branch"], row["quantity"], value, row["unit"])
+        return Anchor(*figure, kind, row["paper"], row["place"])
+
+    return records(FILE, text, COLUMNS, build)
 
 
 def anchors() -> tuple[Anchor, ...]:
     """All of them: those of the text, and the thrusts of paper 000, 001 and 003's tables."""
     of_tables = (*_of_paper_000(), *_of_paper_001(), *_of_paper_003())
-    return tuple(sorted((*parse_anchors(package_text(FILE)), *of_tables), key=lambda a: a.date))
+    return tuple(sorted((*text_anchors(), *of_tables), key=lambda anchor: anchor.date))
 
 
 def thrust_anchors(kind: Kind) -> tuple[Anchor, ...]:
@@ -87,8 +87,7 @@ def thrust_anchors(kind: Kind) -> tuple[Anchor, ...]:
 
 def _of_paper_000() -> Iterator[Anchor]:
     for row in bias_thrusts():
-        day = datetime.date(BIASES_YEAR, 1, 1) + datetime.timedelta(days=row.day_of_year - 1)
-        place = f"Table 2, day {row.day_of_year}"
+        day, place = day_of(BIASES_YEAR, row.day_of_year), f"Table 2, day {row.day_of_year}"
         of_kinds: tuple[tuple[Printed, Kind, str], ...] = (
             (row.predicted_n, "prediction", "predicted"),
             (row.adjusted_tau_decay_65_ms_n, "measurement", "tail-off of 65 ms"),
@@ -106,21 +105,16 @@ def _of_paper_001() -> Iterator[Anchor]:
 
 
 def _of_paper_003() -> Iterator[Anchor]:
-    for row in a_branch_thrusts():
-        name = row.thruster.removesuffix("a")
-        yield Anchor(
-            SWAP, "A", "thrust", row.this_study_n, "N", "measurement", "003", "Table 1", name
-        )
-        if row.other_n is not None:
-            place = "Table 1, navigation"
-            yield Anchor(SWAP, "A", "thrust", row.other_n, "N", "measurement", "003", place, name)
-    for row in b_branch_thrusts():
-        name = row.thruster.removesuffix("b")
-        yield Anchor(
-            PAPER_003, "B", "thrust", row.this_study_n, "N", "measurement", "003", "Table 2", name
-        )
-        if row.other_n is not None:
-            place = "Table 2, flight software"
-            yield Anchor(
-                PAPER_003, "B", "thrust", row.other_n, "N", "flight_software", "003", place, name
-            )
+    branches: tuple[tuple[datetime.date, str, str, tuple[ThrustComparison, ...], Kind, str], ...]
+    branches = (
+        (SWAP, "A", "Table 1", a_branch_thrusts(), "measurement", "navigation"),
+        (PAPER_003, "B", "Table 2", b_branch_thrusts(), "flight_software", "flight software"),
+    )
+    for day, branch, table, rows, kind, source in branches:
+        thrust = (day, branch, "thrust")
+        for row in rows:
+            name, own = row.thruster.removesuffix(branch.lower()), row.this_study_n
+            yield Anchor(*thrust, own, "N", "measurement", "003", table, name)
+            if row.other_n is not None:
+                place = f"{table}, {source}"
+                yield Anchor(*thrust, row.other_n, "N", kind, "003", place, name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from cassini_bayes.published.arithmetic_000 import (
     comparison_checks,
@@ -39,32 +39,22 @@ from cassini_bayes.published.wheel_bias import WheelBiasTable, wheel_bias_tables
 
 @dataclass(frozen=True)
 class Published:
-    """Everything transcribed that has arithmetic of its own."""
+    """Everything transcribed that has arithmetic of its own, as the package has it."""
 
-    wheel_bias: Sequence[WheelBiasTable]
-    tensors: Sequence[InertiaTensor]
-    comparisons: Sequence[InertiaComparison]
-    bias_thrusts: Sequence[BiasThrust]
-    day_28: Sequence[ThrusterPulses]
-    torques: Sequence[TorqueEstimate]
-    a_branch: Sequence[ThrustComparison]
-    b_branch: Sequence[ThrustComparison]
-    constants: Constants
+    wheel_bias: Sequence[WheelBiasTable] = field(default_factory=wheel_bias_tables)
+    tensors: Sequence[InertiaTensor] = field(default_factory=inertia_tensors)
+    comparisons: Sequence[InertiaComparison] = field(default_factory=inertia_comparisons)
+    bias_thrusts: Sequence[BiasThrust] = field(default_factory=bias_thrusts)
+    day_28: Sequence[ThrusterPulses] = field(default_factory=day_28_pulses)
+    torques: Sequence[TorqueEstimate] = field(default_factory=torque_estimates)
+    a_branch: Sequence[ThrustComparison] = field(default_factory=a_branch_thrusts)
+    b_branch: Sequence[ThrustComparison] = field(default_factory=b_branch_thrusts)
+    constants: Constants = field(default_factory=published_constants)
 
 
 def published() -> Published:
     """Read all published data of the package."""
-    return Published(
-        wheel_bias_tables(),
-        inertia_tensors(),
-        inertia_comparisons(),
-        bias_thrusts(),
-        day_28_pulses(),
-        torque_estimates(),
-        a_branch_thrusts(),
-        b_branch_thrusts(),
-        published_constants(),
-    )
+    return Published()
 
 
 def all_checks(data: Published) -> tuple[Check, ...]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Final
 
-from cassini_bayes.published.checks import Check, absolute, check_cell
+from cassini_bayes.published.checks import Check, Source, absolute
 from cassini_bayes.published.constants import Constants
-from cassini_bayes.published.printed import Interval, Printed
+from cassini_bayes.published.printed import Interval, Operand, Printed, exactly
 from cassini_bayes.published.tables import (
     AXES,
     ELEMENTS,
@@ -21,6 +22,7 @@ from cassini_bayes.published.tables import (
 
 _UPPER: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 _MOMENTS: Final = ("xx", "yy", "zz")
+_TEXT: Final = Source("000 text")
 
 
 def impulse_ratio(width_s: float, delay_s: float, rise_s: float, fall_s: float) -> float:
@@ -35,97 +37,57 @@ def impulse_ratio(width_s: float, delay_s: float, rise_s: float, fall_s: float) 
     ) / width_s
 
 
-def _point(value: float) -> Interval:
-    return Interval(value, value)
+def _below(bound: float) -> Operand:
+    """A size that is printed as below a bound."""
+    return Operand(Interval(0.0, bound), bound)
+
+
+def _exact(cell: Printed) -> Operand:
+    """A cell that another one has to repeat digit by digit."""
+    return exactly(cell.value)
 
 
 def tensor_checks(tensors: Sequence[InertiaTensor], constants: Constants) -> Iterator[Check]:
     """Symmetry; the same tensors in papers 000 and 002; the offsets that paper 000 quotes."""
     for tensor in tensors:
+        source = Source(f"{tensor.paper} eq. {tensor.equation}")
         for element in ("yx", "zx", "zy"):
-            mirror = tensor.elements[element[::-1]]
-            yield check_cell(
-                tensor.elements[element],
-                _point(mirror.value),
-                mirror.value,
-                source=f"{tensor.paper} eq. {tensor.equation}",
-                row=element,
-                column=tensor.kind,
-                rule="symmetric",
-            )
+            cell, mirror = tensor.elements[element], tensor.elements[element[::-1]]
+            yield source.check("symmetric", cell, _exact(mirror), element, tensor.kind)
     first = {(t.paper, t.kind): t for t in tensors}
     for kind in ("predicted", "estimated"):
+        source, rule = (
+            Source(f"002 eq. {first['002', kind].equation}"),
+            "same tensor as in paper 000",
+        )
         for element in ELEMENTS:
-            other = first["000", kind].elements[element]
-            yield check_cell(
-                first["002", kind].elements[element],
-                _point(other.value),
-                other.value,
-                source=f"002 eq. {first['002', kind].equation}",
-                row=element,
-                column=kind,
-                rule="same tensor as in paper 000",
-            )
-    predicted, estimated = first["000", "predicted"], first["000", "estimated"]
+            cell, other = (first[paper, kind].elements[element] for paper in ("002", "000"))
+            yield source.check(rule, cell, _exact(other), element, kind)
     quoted = constants.number("paper_000_text", "inertia_offset_percent")
     bound = constants.value("paper_000_text", "product_of_inertia_offset_below_kg_m2")
     for element in _UPPER:
-        p, e = predicted.elements[element], estimated.elements[element]
+        p, e = (first["000", kind].elements[element].operand for kind in ("predicted", "estimated"))
         if element in _MOMENTS:
-            yield check_cell(
-                quoted,
-                (p.interval - e.interval).scaled(100.0) / p.interval,
-                100.0 * (p.value - e.value) / p.value,
-                source="000 text",
-                row=element,
-                column="eqs. 1, 8",
-                rule="moment lower by nearly 3 % (2.5 to 3.5)",
-            )
+            rule, offset = "moment lower by nearly 3 % (2.5 to 3.5)", (p - e).scaled(100.0) / p
+            yield _TEXT.check(rule, quoted, offset, element, "eqs. 1, 8")
         else:
-            yield Check(
-                "000 text",
-                "",
-                element,
-                "eqs. 1, 8",
-                "products within 40 kg m²",
-                Interval(0.0, bound),
-                absolute(p.interval - e.interval),
-                bound,
-                abs(p.value - e.value),
-            )
-
-
-def _relative_error(predicted: Interval, estimated: Interval) -> Interval:
-    """100 (p − e)/p = 100 (1 − e/p): p enters once, so the interval is exact (p > 0)."""
-    return (_point(1.0) - estimated / predicted).scaled(100.0)
+            rule, offset = "products within 40 kg m²", absolute(p - e)
+            yield _TEXT.check(rule, _below(bound), offset, element, "eqs. 1, 8")
 
 
 def comparison_checks(rows: Sequence[InertiaComparison], constants: Constants) -> Iterator[Check]:
     """Table 1: eqs. 12 and 13 in every cell, and the bounds that the text states."""
     for row in rows:
-        p, e = row.predicted_kg_m2, row.estimated_kg_m2
+        source = Source("000 Table 1", row.window)
+        p, e = row.predicted_kg_m2.operand, row.estimated_kg_m2.operand
         if row.error_percent is not None:
-            yield check_cell(
-                row.error_percent,
-                _relative_error(p.interval, e.interval),
-                100.0 * (p.value - e.value) / p.value,
-                source="000 Table 1",
-                event=row.window,
-                row=row.element,
-                column="error_percent",
-                rule="100 (predicted − estimated) / predicted (eq. 12)",
-            )
+            # 100 (1 − e/p): p enters once, so the interval is exact (p > 0)
+            error = (exactly(1.0) - e / p).scaled(100.0)
+            rule = "100 (predicted − estimated) / predicted (eq. 12)"
+            yield source.check(rule, row.error_percent, error, row.element, "error_percent")
         if row.error_kg_m2 is not None:
-            yield check_cell(
-                row.error_kg_m2,
-                p.interval - e.interval,
-                p.value - e.value,
-                source="000 Table 1",
-                event=row.window,
-                row=row.element,
-                column="error_kg_m2",
-                rule="predicted − estimated (eq. 13)",
-            )
+            rule = "predicted − estimated (eq. 13)"
+            yield source.check(rule, row.error_kg_m2, p - e, row.element, "error_kg_m2")
     for row in rows:
         if row.error_percent is None:
             continue
@@ -135,18 +97,12 @@ def comparison_checks(rows: Sequence[InertiaComparison], constants: Constants) -
             key = "table_1_z_post_probe_error_below_percent"
         else:
             continue
-        bound = constants.value("paper_000_text", key)
-        error = row.error_percent
-        yield Check(
-            "000 text",
-            row.window,
+        yield Source("000 text", row.window).check(
+            "error of Table 1 below 0.65 %",
+            _below(constants.value("paper_000_text", key)),
+            absolute(row.error_percent.operand),
             row.element,
             "error_percent",
-            "error of Table 1 below 0.65 %",
-            Interval(0.0, bound),
-            absolute(error.interval),
-            bound,
-            abs(error.value),
         )
 
 
@@ -158,182 +114,82 @@ def thrust_checks(
         name: constants.value("paper_000_pulse", f"tau_{name}_ms") / 1e3
         for name in ("delay", "rise", "fall", "fall_flight")
     }
-    source = "000 text"
-    for key, width, fall in (
-        ("ratio_125_ms_tau_fall_65_ms", 0.125, timing["fall"]),
-        ("ratio_250_ms_tau_fall_65_ms", 0.250, timing["fall"]),
-        ("ratio_125_ms_tau_fall_40_ms", 0.125, timing["fall_flight"]),
+
+    def ratio_of(width_s: float, fall: str = "fall") -> float:
+        return impulse_ratio(width_s, timing["delay"], timing["rise"], timing[fall])
+
+    fsds = partial(constants.number, "paper_000_fsds")
+    for key, ratio in (
+        ("ratio_125_ms_tau_fall_65_ms", ratio_of(0.125)),
+        ("ratio_250_ms_tau_fall_65_ms", ratio_of(0.250)),
+        ("ratio_125_ms_tau_fall_40_ms", ratio_of(0.125, "fall_flight")),
     ):
-        ratio = impulse_ratio(width, timing["delay"], timing["rise"], fall)
-        yield check_cell(
-            constants.number("paper_000_pulse", key),
-            _point(ratio),
-            ratio,
-            source=source,
-            row=key,
-            column="",
-            rule="closed form of the impulse",
-        )
-    widths = (125, 250, 500, 750)
-    counts = {w: constants.value("paper_000_fsds", f"pulses_{w}_ms") for w in widths}
-    commanded = sum(n * w / 1e3 for w, n in counts.items())
-    on_time = constants.number("paper_000_fsds", "on_time_y2_s")
-    yield check_cell(
-        on_time,
-        _point(commanded),
-        commanded,
-        source=source,
-        row="on_time_y2_s",
-        column="",
-        rule="sum of pulse widths",
-    )
-    actual = sum(
-        n * w / 1e3 * impulse_ratio(w / 1e3, timing["delay"], timing["rise"], timing["fall"])
-        for w, n in counts.items()
-    )
-    ratio_cell = constants.number("paper_000_fsds", "impulse_ratio")
-    yield check_cell(
-        ratio_cell,
-        _point(actual / commanded),
-        actual / commanded,
-        source=source,
-        row="impulse_ratio",
-        column="",
-        rule="closed form over all pulses",
-    )
-    naive = constants.number("paper_000_fsds", "estimated_thrust_n")
-    yield check_cell(
-        constants.number("paper_000_fsds", "corrected_thrust_n"),
-        naive.interval / ratio_cell.interval,
-        naive.value / ratio_cell.value,
-        source=source,
-        row="corrected_thrust_n",
-        column="",
-        rule="estimated thrust / ratio",
-    )
+        printed = constants.number("paper_000_pulse", key)
+        yield _TEXT.check("closed form of the impulse", printed, exactly(ratio), key)
+    seconds = {w / 1e3: w / 1e3 * fsds(f"pulses_{w}_ms").value for w in (125, 250, 500, 750)}
+    commanded = sum(seconds.values())
+    actual = sum(on_time * ratio_of(width) for width, on_time in seconds.items())
+    ratio_cell, naive = fsds("impulse_ratio"), fsds("estimated_thrust_n")
+    for key, computed, rule in (
+        ("on_time_y2_s", exactly(commanded), "sum of pulse widths"),
+        ("impulse_ratio", exactly(actual / commanded), "closed form over all pulses"),
+        ("corrected_thrust_n", naive.operand / ratio_cell.operand, "estimated thrust / ratio"),
+    ):
+        yield _TEXT.check(rule, fsds(key), computed, key)
     for row in rows:
-        for column, cell, key in (
-            (
-                "adjusted_tau_decay_65_ms_n",
-                row.adjusted_tau_decay_65_ms_n,
-                "ratio_125_ms_tau_fall_65_ms",
-            ),
-            (
-                "adjusted_tau_decay_40_ms_n",
-                row.adjusted_tau_decay_40_ms_n,
-                "ratio_125_ms_tau_fall_40_ms",
-            ),
+        source = Source("000 Table 2", f"day {row.day_of_year}")
+        for ms, cell in (
+            (65, row.adjusted_tau_decay_65_ms_n),
+            (40, row.adjusted_tau_decay_40_ms_n),
         ):
-            divisor = constants.number("paper_000_pulse", key)
-            yield check_cell(
-                cell,
-                row.unadjusted_n.interval / divisor.interval,
-                row.unadjusted_n.value / divisor.value,
-                source="000 Table 2",
-                event=f"day {row.day_of_year}",
-                row="thrust",
-                column=column,
-                rule="unadjusted / R",
-            )
+            divisor = constants.number("paper_000_pulse", f"ratio_125_ms_tau_fall_{ms}_ms")
+            thrust = row.unadjusted_n.operand / divisor.operand
+            column = f"adjusted_tau_decay_{ms}_ms_n"
+            yield source.check("unadjusted / R", cell, thrust, "thrust", column)
     yield from _pulse_checks(pulses, constants)
 
 
 def _pulse_checks(pulses: Sequence[ThrusterPulses], constants: Constants) -> Iterator[Check]:
     """Check that whole numbers of pulses give the mean sizes, and the share of Y2 and Y4."""
+    source = Source("000 text, day 28")
+    on_time = {item.thruster: item.on_time_s.operand for item in pulses}
     for item in pulses:
         count = max(1, round(item.on_time_s.value * 1e3 / item.mean_pulse_ms.value))
-        yield check_cell(
-            item.mean_pulse_ms,
-            item.on_time_s.interval.scaled(1e3 / count),
-            item.on_time_s.value * 1e3 / count,
-            source="000 text, day 28",
-            row=item.thruster,
-            column="mean_pulse_ms",
-            rule="on-time / whole number of pulses",
-        )
-    by_name = {item.thruster: item.on_time_s for item in pulses}
-    parts = [cell.interval for cell in by_name.values()]
-    total = sum(parts[1:], parts[0])
-    nominal = sum(cell.value for cell in by_name.values())
-    share = constants.number("paper_000_text", "day_28_y2_share_percent")
+        size = on_time[item.thruster].scaled(1e3 / count)
+        rule = "on-time / whole number of pulses"
+        yield source.check(rule, item.mean_pulse_ms, size, item.thruster, "mean_pulse_ms")
+    total = sum(on_time.values(), exactly(0.0))
+    printed = constants.number("paper_000_text", "day_28_y2_share_percent")
     for name in ("y2", "y4"):
-        yield check_cell(
-            share,
-            by_name[name].interval.scaled(100.0) / total,
-            100.0 * by_name[name].value / nominal,
-            source="000 text, day 28",
-            row=name,
-            column="share of on-time",
-            rule="100 on-time / sum of all on-times",
-        )
+        share, rule = on_time[name].scaled(100.0) / total, "100 on-time / sum of all on-times"
+        yield source.check(rule, printed, share, name, "share of on-time")
 
 
 def torque_checks(rows: Sequence[TorqueEstimate]) -> Iterator[Check]:
     """Table A1: total = RTG + solar."""
     by_source = {row.source: row.torque_micro_n_m for row in rows}
     for axis in AXES:
-        rtg, solar = by_source["rtg"][axis], by_source["solar"][axis]
-        yield check_cell(
-            by_source["total"][axis],
-            rtg.interval + solar.interval,
-            rtg.value + solar.value,
-            source="000 Table A1",
-            row="total",
-            column=axis,
-            rule="RTG + solar",
-        )
+        both = by_source["rtg"][axis].operand + by_source["solar"][axis].operand
+        total = by_source["total"][axis]
+        yield Source("000 Table A1").check("RTG + solar", total, both, "total", axis)
 
 
 def text_checks(rows: Sequence[BiasThrust], constants: Constants) -> Iterator[Check]:
     """Masses add up; the year of Table 2; the thrust at Probe relay against Table 2."""
-    section = "paper_000_text"
-
-    def number(key: str) -> Printed:
-        return constants.number(section, key)
-
-    before, after = number("mass_before_soi_kg"), number("mass_after_soi_kg")
-    yield check_cell(
-        number("soi_propellant_kg"),
-        before.interval - after.interval,
-        before.value - after.value,
-        source="000 text",
-        row="soi_propellant_kg",
-        column="",
-        rule="mass before − after orbit insertion",
-    )
+    number = partial(constants.number, "paper_000_text")
+    spent = number("mass_before_soi_kg").operand - number("mass_after_soi_kg").operand
     parts = [number(f"launch_{name}_kg") for name in ("oxidizer", "fuel", "hydrazine", "dry")]
-    intervals = [part.interval for part in parts]
-    yield check_cell(
-        number("launch_mass_kg"),
-        sum(intervals[1:], intervals[0]),
-        sum(part.value for part in parts),
-        source="000 text",
-        row="launch_mass_kg",
-        column="",
-        rule="sum of the parts",
-    )
-    ejection = constants.date(section, "probe_ejection")
-    printed_year = number("table_2_year").value
+    launched = sum((part.operand for part in parts), exactly(0.0))
+    for key, mass, rule in (
+        ("soi_propellant_kg", spent, "mass before − after orbit insertion"),
+        ("launch_mass_kg", launched, "sum of the parts"),
+    ):
+        yield _TEXT.check(rule, number(key), mass, key)
+    ejection = constants.date("paper_000_text", "probe_ejection")
+    year, rule = _exact(number("table_2_year")), "first such day after Probe ejection"
     for row in rows:
+        source = Source("000 Table 2", f"day {row.day_of_year}")
         first_year = float(ejection.year + (row.day_of_year <= ejection.timetuple().tm_yday))
-        yield Check(
-            "000 Table 2",
-            f"day {row.day_of_year}",
-            "year",
-            "header",
-            "first such day after Probe ejection",
-            _point(printed_year),
-            _point(first_year),
-            printed_year,
-            first_year,
-        )
-    predicted = rows[0].predicted_n
-    yield check_cell(
-        number("thrust_probe_relay_n"),
-        predicted.interval,
-        predicted.value,
-        source="000 text",
-        row="thrust_probe_relay_n",
-        column="",
-        rule="predicted thrust of Table 2, days after the relay",
-    )
+        yield source.check(rule, year, exactly(first_year), "year", "header")
+    key, rule = "thrust_probe_relay_n", "predicted thrust of Table 2, days after the relay"
+    yield _TEXT.check(rule, number(key), rows[0].predicted_n.operand, key)

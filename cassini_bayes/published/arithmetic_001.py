@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import inf, nan
 
 from cassini_bayes.published.checks import (
     Check,
+    Source,
     absolute,
     at_least_zero,
-    check_cell,
     norm,
     percent_difference,
 )
 from cassini_bayes.published.constants import Constants
-from cassini_bayes.published.mass import acceleration_interval
-from cassini_bayes.published.printed import Interval, Printed
+from cassini_bayes.published.mass import acceleration
+from cassini_bayes.published.printed import Interval, Operand, exactly
 from cassini_bayes.published.wheel_bias import (
     COMPARED_ROWS,
     ON_TIME_ROWS,
@@ -27,100 +28,50 @@ from cassini_bayes.published.wheel_bias import (
 PAPER = "001"
 
 
-def _interval(table: WheelBiasTable, row: str, column: str) -> Interval:
-    """Values a cell stands for; times, counts and masses are never negative."""
-    interval = table.cell(row, column).interval
+def _source(table: WheelBiasTable) -> Source:
+    return Source(f"{PAPER} Table {table.table}", table.event)
+
+
+def _operand(table: WheelBiasTable, row: str, column: str) -> Operand:
+    """A cell in arithmetic; times, counts and masses are never negative."""
+    operand = table.cell(row, column).operand
     signed = row.startswith("delta_v") and column in VALUE_COLUMNS
-    return interval if signed else at_least_zero(interval)
-
-
-def _cell_check(
-    table: WheelBiasTable,
-    row: str,
-    column: str,
-    rule: str,
-    recomputed: Interval,
-    nominal: float,
-) -> Check:
-    return check_cell(
-        table.cell(row, column),
-        recomputed,
-        nominal,
-        source=f"{PAPER} Table {table.table}",
-        event=table.event,
-        row=row,
-        column=column,
-        rule=rule,
-    )
+    return operand if signed else at_least_zero(operand)
 
 
 def date_checks(table: WheelBiasTable) -> Iterator[Check]:
     """Day of year of the header's date, and the date of the title against that of the header."""
-    day = float(table.header_date.timetuple().tm_yday)
-    exact = float(table.day_of_year)
-    source = f"{PAPER} Table {table.table}"
-    yield Check(
-        source,
-        table.event,
-        "day_of_year",
-        "header",
-        "day of year of the date",
-        Interval(exact, exact),
-        Interval(day, day),
-        exact,
-        day,
+    day = exactly(float(table.header_date.timetuple().tm_yday))
+    printed = exactly(float(table.day_of_year))
+    yield _source(table).check("day of year of the date", printed, day, "day_of_year", "header")
+    title, header = (
+        exactly(float(date.toordinal())) for date in (table.title_date, table.header_date)
     )
-    title, header = float(table.title_date.toordinal()), float(table.header_date.toordinal())
-    yield Check(
-        source,
-        table.event,
-        "date",
-        "title",
-        "title date = header date",
-        Interval(title, title),
-        Interval(header, header),
-        title,
-        header,
-    )
+    yield _source(table).check("title date = header date", title, header, "date", "title")
 
 
 def rate_checks(table: WheelBiasTable) -> Iterator[Check]:
     """Size of the rate change = final − initial rate, per wheel."""
     for n in WHEELS:
-        first = table.cell(f"rwa{n}_rate_initial", "all_columns")
-        last = table.cell(f"rwa{n}_rate_final", "all_columns")
-        yield _cell_check(
-            table,
-            f"rwa{n}_rate_size",
-            "all_columns",
-            "size = final − initial",
-            last.interval - first.interval,
-            last.value - first.value,
+        size, first, last = (
+            table.cell(f"rwa{n}_rate_{what}", "all_columns")
+            for what in ("size", "initial", "final")
         )
+        change, row = last.operand - first.operand, f"rwa{n}_rate_size"
+        yield _source(table).check("size = final − initial", size, change, row, "all_columns")
 
 
 def total_checks(table: WheelBiasTable) -> Iterator[Check]:
     """Total Z on-time = sum of the four; |ΔV| = length of the vector; in every column."""
+    source = _source(table)
     for column in VALUE_COLUMNS:
-        parts = [table.cell(f"on_time_{name}", column) for name in Z_THRUSTERS]
-        intervals = [_interval(table, f"on_time_{name}", column) for name in Z_THRUSTERS]
-        yield _cell_check(
-            table,
-            "on_time_z_total",
-            column,
-            "total = Z1 + Z2 + Z3 + Z4",
-            sum(intervals[1:], intervals[0]),
-            sum(part.value for part in parts),
-        )
-        vector = [table.cell(f"delta_v_{axis}", column) for axis in ("x", "y", "z")]
-        yield _cell_check(
-            table,
-            "delta_v_magnitude",
-            column,
-            "magnitude = √(x² + y² + z²)",
-            norm(part.interval for part in vector),
-            sum(part.value**2 for part in vector) ** 0.5,
-        )
+        parts = (_operand(table, f"on_time_{name}", column) for name in Z_THRUSTERS)
+        vector = (table.cell(f"delta_v_{axis}", column).operand for axis in "xyz")
+        for row, computed, rule in (
+            ("on_time_z_total", sum(parts, exactly(0.0)), "total = Z1 + Z2 + Z3 + Z4"),
+            ("delta_v_magnitude", norm(vector), "magnitude = √(x² + y² + z²)"),
+        ):
+            yield source.check(rule, table.cell(row, column), computed, row, column)
 
 
 def difference_checks(table: WheelBiasTable) -> Iterator[Check]:
@@ -129,50 +80,30 @@ def difference_checks(table: WheelBiasTable) -> Iterator[Check]:
     A dash in the percent column stands for more than 100 %: that is what both dashes have in
     common, and no printed percentage exceeds 100.
     """
+    source = _source(table)
     for row in COMPARED_ROWS:
-        flight, software = table.cell(row, "flight"), table.cell(row, "calibrated")
-        nominal = abs(flight.value - software.value)
-        bounds = _interval(table, row, "flight"), _interval(table, row, "calibrated")
-        yield _cell_check(
-            table,
-            row,
-            "abs_diff",
-            "|flight − calibrated|",
-            absolute(bounds[0] - bounds[1]),
-            nominal,
+        flight, software = (_operand(table, row, column) for column in ("flight", "calibrated"))
+        difference, column = absolute(flight - software), "abs_diff"
+        printed = table.cell(row, column)
+        yield source.check("|flight − calibrated|", printed, difference, row, column)
+        share = percent_difference(
+            flight.interval, software.interval, _operand(table, row, column).interval
         )
-        share = percent_difference(*bounds, _interval(table, row, "abs_diff"))
-        percent = table.get(row, "pct_abs_diff")
-        above = Interval(100.0, float("inf"))
         if share is None:  # the difference itself contradicts; its share has no meaning then
             continue
-        yield Check(
-            f"{PAPER} Table {table.table}",
-            table.event,
-            row,
-            "pct_abs_diff",
-            "100 |flight − calibrated| / |flight|",
-            above if percent is None else percent.interval,
-            share,
-            100.0 if percent is None else percent.value,
-            100.0 * nominal / abs(flight.value) if flight.value else float("nan"),
-        )
+        percent = table.get(row, "pct_abs_diff") or Operand(Interval(100.0, inf), 100.0)
+        nominal = 100.0 * difference.nominal / abs(flight.nominal) if flight.nominal else nan
+        rule = "100 |flight − calibrated| / |flight|"
+        yield source.check(rule, percent, Operand(share, nominal), row, "pct_abs_diff")
 
 
 def delta_v_checks(table: WheelBiasTable) -> Iterator[Check]:
     """ΔVz of the calibrated column from its on-times with the F/M of the ideal column (eq. 22)."""
-    acceleration = acceleration_interval(table, "ideal")
-    on_time = table.cell("on_time_z_total", "calibrated")
-    ideal_speed = table.cell("delta_v_z", "ideal").value
-    ideal_time = table.cell("on_time_z_total", "ideal").value
-    yield _cell_check(
-        table,
-        "delta_v_z",
-        "calibrated",
-        "ΔVz = −(F/M of the ideal column) × total Z on-time",
-        -(acceleration * on_time.interval).scaled(1e3),
-        ideal_speed / ideal_time * on_time.value,
-    )
+    on_time = table.cell("on_time_z_total", "calibrated").operand
+    speed = table.cell("delta_v_z", "calibrated")
+    rule = "ΔVz = −(F/M of the ideal column) × total Z on-time"
+    computed = -(acceleration(table, "ideal") * on_time).scaled(1e3)
+    yield _source(table).check(rule, speed, computed, "delta_v_z", "calibrated")
 
 
 def skill_checks(tables: Sequence[WheelBiasTable], constants: Constants) -> Iterator[Check]:
@@ -187,26 +118,16 @@ def skill_checks(tables: Sequence[WheelBiasTable], constants: Constants) -> Iter
         ("hydrazine_g", ("hydrazine",)),
     )
     for name, names in rows:
-        cells: list[Printed] = [table.cell(row, "abs_diff") for table in tables for row in names]
-        count = float(len(cells))
-        yield check_cell(
-            constants.number("paper_001_skill", name),
-            Interval(
-                sum(at_least_zero(cell.interval).low for cell in cells) / count,
-                sum(cell.interval.high for cell in cells) / count,
-            ),
-            sum(cell.value for cell in cells) / count,
-            source=f"{PAPER} text",
-            row=name,
-            column="mean over the eight events",
-            rule="mean |flight − calibrated|",
+        cells = [_operand(table, row, "abs_diff") for table in tables for row in names]
+        mean = sum(cells, exactly(0.0)).scaled(1.0 / len(cells))
+        printed, column = constants.number("paper_001_skill", name), "mean over the eight events"
+        yield Source(f"{PAPER} text").check(
+            "mean |flight − calibrated|", printed, mean, name, column
         )
 
 
 def wheel_bias_checks(tables: Sequence[WheelBiasTable], constants: Constants) -> tuple[Check, ...]:
     """All checks of paper 001."""
-    result: list[Check] = []
-    for table in tables:
-        for part in (date_checks, rate_checks, total_checks, difference_checks, delta_v_checks):
-            result.extend(part(table))
-    return (*result, *skill_checks(tables, constants))
+    parts = (date_checks, rate_checks, total_checks, difference_checks, delta_v_checks)
+    of_tables = (check for table in tables for part in parts for check in part(table))
+    return (*of_tables, *skill_checks(tables, constants))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from cassini_bayes.published.printed import TIE_TOLERANCE, Interval, Printed
+from cassini_bayes.published.printed import TIE_TOLERANCE, Interval, Operand, Printed
 
 
 @dataclass(frozen=True)
@@ -20,11 +20,10 @@ class Check:
     rule
         The relation that was applied.
     printed
-        Values that the printed figure stands for.
+        The printed figure with the values that it stands for.
     recomputed
-        Values that the unrounded operands allow.
-    nominal_printed, nominal_recomputed
-        The printed figure, and the same from the printed operands taken as exact.
+        The same of the printed operands: what their unrounded values allow, and what the printed
+        ones give.
     """
 
     source: str
@@ -32,95 +31,65 @@ class Check:
     row: str
     column: str
     rule: str
-    printed: Interval
-    recomputed: Interval
-    nominal_printed: float
-    nominal_recomputed: float
+    printed: Operand
+    recomputed: Operand
 
     @property
     def contradicts(self) -> bool:
         """No unrounded operands consistent with print give the printed figure."""
-        return not self.printed.meets(self.recomputed)
+        return not self.printed.interval.meets(self.recomputed.interval)
 
     @property
     def can_fail(self) -> bool:
         """Whether some printed figure would have been a contradiction (bounded interval)."""
-        return math.isfinite(self.recomputed.low) and math.isfinite(self.recomputed.high)
+        return math.isfinite(self.recomputed.interval.half_width)
 
     @property
     def matches_printed_operands(self) -> bool:
         """The printed operands, taken as exact, round to the printed figure (ties either way)."""
-        low, high = self.printed.low - TIE_TOLERANCE, self.printed.high + TIE_TOLERANCE
-        return low <= self.nominal_recomputed <= high
+        low, high = self.printed.interval.low, self.printed.interval.high
+        return low - TIE_TOLERANCE <= self.recomputed.nominal <= high + TIE_TOLERANCE
 
 
 @dataclass(frozen=True)
-class Contradiction:
-    """A printed cell that contradicts the cells it was computed from."""
+class Source:
+    """Where printed cells stand: paper and table, and the event of those that have one."""
 
-    source: str
-    event: str
-    row: str
-    column: str
-    rule: str
-    printed: float
-    recomputed_low: float
-    recomputed_high: float
+    name: str
+    event: str = ""
 
-
-def check_cell(
-    cell: Printed,
-    recomputed: Interval,
-    nominal: float,
-    *,
-    source: str,
-    row: str,
-    column: str,
-    rule: str,
-    event: str = "",
-) -> Check:
-    """Compare a printed cell with a recomputed interval and a nominal recomputed value."""
-    return Check(source, event, row, column, rule, cell.interval, recomputed, cell.value, nominal)
+    def check(
+        self, rule: str, printed: Printed | Operand, recomputed: Operand, row: str, column: str = ""
+    ) -> Check:
+        """A printed cell against what a rule makes of others."""
+        cell = printed.operand if isinstance(printed, Printed) else printed
+        return Check(self.name, self.event, row, column, rule, cell, recomputed)
 
 
-def contradictions(checks: Iterable[Check]) -> tuple[Contradiction, ...]:
-    """Contradicting cells, in the order of the checks."""
-    return tuple(
-        Contradiction(
-            check.source,
-            check.event,
-            check.row,
-            check.column,
-            check.rule,
-            check.nominal_printed,
-            check.recomputed.low,
-            check.recomputed.high,
-        )
-        for check in checks
-        if check.contradicts
-    )
+def contradictions(checks: Iterable[Check]) -> tuple[Check, ...]:
+    """Those of cells that contradict the cells they were computed from, in their order."""
+    return tuple(check for check in checks if check.contradicts)
 
 
-def absolute(interval: Interval) -> Interval:
+def absolute(operand: Operand) -> Operand:
     """Values of |x|."""
-    if interval.low >= 0.0:
-        return interval
-    if interval.high <= 0.0:
-        return -interval
-    return Interval(0.0, max(-interval.low, interval.high))
+    low, high = operand.interval.low, operand.interval.high
+    least = 0.0 if low < 0.0 < high else min(abs(low), abs(high))
+    return Operand(Interval(least, max(abs(low), abs(high))), abs(operand.nominal))
 
 
-def at_least_zero(interval: Interval) -> Interval:
+def at_least_zero(operand: Operand) -> Operand:
     """Restrict to values that are not negative."""
-    return Interval(max(interval.low, 0.0), max(interval.high, 0.0))
+    low, high = operand.interval.low, operand.interval.high
+    return replace(operand, interval=Interval(max(low, 0.0), max(high, 0.0)))
 
 
-def norm(components: Iterable[Interval]) -> Interval:
+def norm(components: Iterable[Operand]) -> Operand:
     """Length of a vector with independent components."""
-    bounds = [absolute(component) for component in components]
-    return Interval(
-        math.sqrt(sum(b.low**2 for b in bounds)), math.sqrt(sum(b.high**2 for b in bounds))
-    )
+    sizes = [absolute(component) for component in components]
+    low = math.hypot(*(size.interval.low for size in sizes))
+    high = math.hypot(*(size.interval.high for size in sizes))
+    return Operand(Interval(low, high), math.hypot(*(size.nominal for size in sizes)))
 
 
 Point = tuple[float, float]

@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from types import MappingProxyType
+from typing import TypeVar
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.toml_file import toml_of
 from cassini_bayes.published.printed import Printed, package_text, parse_printed
 
 Entry = Printed | tuple[Printed, ...] | datetime.date
+Kind = TypeVar("Kind", Printed, tuple[Printed, ...], datetime.date)
 
 
 @dataclass(frozen=True)
@@ -21,21 +23,20 @@ class Constants:
 
     entries: Mapping[tuple[str, str], Entry]
 
-    def _entry(self, section: str, key: str) -> Entry:
+    def _entry(self, section: str, key: str, kind: type[Kind], what: str) -> Kind:
+        """An entry of a kind; InputError when it is missing or something else."""
         result = self.entries.get((section, key))
         if result is None:
             names = ", ".join(k for s, k in self.entries if s == section) or "no such section"
             raise InputError(f"constants.toml: {section}", names, key, "use one of these names")
+        if not isinstance(result, kind):
+            where = f"constants.toml: {section}.{key}"
+            raise InputError(where, what, repr(result), "use the right getter")
         return result
 
     def number(self, section: str, key: str) -> Printed:
         """Return one printed figure; InputError when the entry is missing or something else."""
-        result = self._entry(section, key)
-        if not isinstance(result, Printed):
-            raise InputError(
-                f"constants.toml: {section}.{key}", "a number", repr(result), "use the right getter"
-            )
-        return result
+        return self._entry(section, key, Printed, "a number")
 
     def value(self, section: str, key: str) -> float:
         """Return one printed figure as a float."""
@@ -43,27 +44,15 @@ class Constants:
 
     def vector(self, section: str, key: str) -> tuple[Printed, ...]:
         """Return printed figures by body axis; InputError when the entry is missing or no list."""
-        result = self._entry(section, key)
-        if not isinstance(result, tuple):
-            raise InputError(
-                f"constants.toml: {section}.{key}", "a list", repr(result), "use the right getter"
-            )
-        return result
+        return self._entry(section, key, tuple, "a list")
 
     def date(self, section: str, key: str) -> datetime.date:
         """Return one printed date; InputError when the entry is missing or no date."""
-        result = self._entry(section, key)
-        if not isinstance(result, datetime.date):
-            raise InputError(
-                f"constants.toml: {section}.{key}", "a date", repr(result), "use the right getter"
-            )
-        return result
+        return self._entry(section, key, datetime.date, "a date")
 
 
 def _entry(value: object, where: str) -> Entry:
-    if isinstance(value, bool):
-        raise InputError(where, "a number, a list of numbers or a date", repr(value), "mend it")
-    if isinstance(value, int | Decimal):
+    if isinstance(value, int | Decimal) and not isinstance(value, bool):
         return parse_printed(str(value), where=where)
     if isinstance(value, list):
         return tuple(parse_printed(str(item), where=where) for item in value)

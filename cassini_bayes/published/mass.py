@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.published.printed import Interval
+from cassini_bayes.published.printed import Interval, Operand
 from cassini_bayes.published.wheel_bias import Z_THRUSTERS, WheelBiasTable
 
 _M_PER_MM: Final = 1e-3
@@ -75,10 +75,10 @@ class PulseTermFit:
     residual_sd_s: float
 
 
-def acceleration_interval(table: WheelBiasTable, column: str) -> Interval:
+def acceleration(table: WheelBiasTable, column: str) -> Operand:
     """F/M in m/s² that a ground-software column implies: |ΔVz| / total Z on-time."""
-    on_time = table.cell("on_time_z_total", column).interval
-    return (-table.cell("delta_v_z", column).interval).scaled(_M_PER_MM) / on_time
+    on_time = table.cell("on_time_z_total", column).operand
+    return -table.cell("delta_v_z", column).operand.scaled(_M_PER_MM) / on_time
 
 
 def table_mass(table: WheelBiasTable) -> TableMass:
@@ -88,18 +88,17 @@ def table_mass(table: WheelBiasTable) -> TableMass:
     other the ideal column stands alone: in Table 3.b ΔVz of the calibrated column is not that of
     its on-times, while ideal, FSDS and flight agree.
     """
-    ideal = acceleration_interval(table, "ideal")
-    calibrated = acceleration_interval(table, "calibrated")
+    ideal, calibrated = (acceleration(table, c).interval for c in ("ideal", "calibrated"))
     agree = ideal.meets(calibrated)
-    acceleration = ideal.intersect(calibrated) if agree else ideal
+    found = ideal.intersect(calibrated) if agree else ideal
     thrust = table.cell("thrust", "all_columns")
     return TableMass(
         event=table.event,
         columns=("ideal", "calibrated") if agree else ("ideal",),
-        acceleration_m_s2=acceleration,
-        mass_kg=thrust.value / acceleration.middle,
-        mass_at_printed_thrust_kg=Interval(thrust.value, thrust.value) / acceleration,
-        mass_interval_kg=thrust.interval / acceleration,
+        acceleration_m_s2=found,
+        mass_kg=thrust.value / found.middle,
+        mass_at_printed_thrust_kg=Interval(thrust.value, thrust.value) / found,
+        mass_interval_kg=thrust.interval / found,
     )
 
 
@@ -131,61 +130,38 @@ def consistent_accelerations(tables: Sequence[WheelBiasTable]) -> dict[str, floa
 
 def calibrated_accelerations(tables: Sequence[WheelBiasTable]) -> dict[str, float]:
     """F/M (m/s²) by event as |ΔVz|/T of the calibrated column alone, contradictory or not."""
-    return {
-        table.event: -table.cell("delta_v_z", "calibrated").value
-        * _M_PER_MM
-        / table.cell("on_time_z_total", "calibrated").value
-        for table in tables
-    }
+    return {table.event: acceleration(table, "calibrated").nominal for table in tables}
 
 
-def _columns(
-    tables: Sequence[WheelBiasTable], column: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _columns(tables: Sequence[WheelBiasTable], column: str) -> tuple[Array, Array, Array]:
     """|ΔVz| (m/s), total Z on-time (s) and Z pulses of one column, one entry per event."""
-    speed = [-table.cell("delta_v_z", column).value * _M_PER_MM for table in tables]
-    on_time = [table.cell("on_time_z_total", column).value for table in tables]
-    pulses = [
-        sum(table.cell(f"pulses_{name}", column).value for name in Z_THRUSTERS) for table in tables
-    ]
-    return np.array(speed), np.array(on_time), np.array(pulses)
+    rows = ("delta_v_z", "on_time_z_total", *(f"pulses_{name}" for name in Z_THRUSTERS))
+    values = np.array([[table.cell(row, column).value for row in rows] for table in tables])
+    return -values[:, 0] * _M_PER_MM, values[:, 1], values[:, 2:].sum(axis=1)
 
 
 def fit_pulse_term(
     tables: Sequence[WheelBiasTable],
-    columns: Sequence[str],
+    column: str,
     acceleration_m_s2: Mapping[str, float],
     *,
     unit_slope: bool,
 ) -> PulseTermFit:
     """Regress |ΔVz|/a on Z on-time and Z pulses, through the origin, unweighted.
 
-    |ΔVz|/a = slope · T + (slope · k) · N, ordinary least squares over all events and ``columns``;
-    the standard error of k by the delta method. ``unit_slope`` holds the slope at one.
+    |ΔVz|/a = slope · T + (slope · k) · N, ordinary least squares over all events of a column; the
+    standard error of k by the delta method. ``unit_slope`` holds the slope at one.
     """
-    factor = np.array([acceleration_m_s2[table.event] for table in tables])
-    response, on_time, pulses = [], [], []
-    for column in columns:
-        speed, seconds, count = _columns(tables, column)
-        response.append(speed / factor)
-        on_time.append(seconds)
-        pulses.append(count)
-    y, t, n = np.concatenate(response), np.concatenate(on_time), np.concatenate(pulses)
+    speed, t, n = _columns(tables, column)
+    y = speed / np.array([acceleration_m_s2[table.event] for table in tables])
     if unit_slope:
-        extra = float(n @ (y - t) / (n @ n))
-        sd = float(np.sqrt(np.sum((y - t - extra * n) ** 2) / (y.size - 1)))
-        return PulseTermFit(1.0, 0.0, extra, sd / float(np.sqrt(n @ n)), sd)
-    design = np.column_stack([t, n])
-    weights, covariance, sd = _least_squares(design, y)
-    extra = float(weights[1] / weights[0])
-    gradient = np.array([-extra / weights[0], 1.0 / weights[0]])
-    return PulseTermFit(
-        slope=float(weights[0]),
-        slope_se=math.sqrt(covariance[0, 0]),
-        extra_on_time_s=extra,
-        extra_on_time_se_s=math.sqrt(float(gradient @ covariance @ gradient)),
-        residual_sd_s=sd,
-    )
+        (extra,), covariance, sd = _least_squares(n[:, None], y - t)
+        return PulseTermFit(1.0, 0.0, float(extra), math.sqrt(covariance[0, 0]), sd)
+    (slope, both), covariance, sd = _least_squares(np.column_stack([t, n]), y)
+    extra = float(both / slope)
+    gradient = np.array([-extra / slope, 1.0 / slope])
+    extra_se = math.sqrt(float(gradient @ covariance @ gradient))
+    return PulseTermFit(float(slope), math.sqrt(covariance[0, 0]), extra, extra_se, sd)
 
 
 def fit_predicted_delta_v(
@@ -203,37 +179,23 @@ def fit_predicted_delta_v(
     """
     factor = np.array([acceleration_m_s2[table.event] for table in tables])
     speed, on_time, pulses = _columns(tables, column)
-    predicted = factor * (on_time + extra_on_time_s * pulses)
-    if intercept:
-        return _line(predicted, speed)
-    weights, covariance, sd = _least_squares(predicted[:, None], speed)
-    return LineFit(float(weights[0]), math.sqrt(covariance[0, 0]), 0.0, 0.0, sd)
+    return _line(factor * (on_time + extra_on_time_s * pulses), speed, intercept=intercept)
 
 
-def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> LineFit:
-    weights, covariance, sd = _least_squares(np.column_stack([x, np.ones_like(x)]), y)
-    return LineFit(
-        float(weights[0]),
-        math.sqrt(covariance[0, 0]),
-        float(weights[1]),
-        math.sqrt(covariance[1, 1]),
-        sd,
-    )
+def _line(x: Array, y: Array, *, intercept: bool = True) -> LineFit:
+    design = np.column_stack([x, np.ones_like(x)] if intercept else [x])
+    weights, covariance, sd = _least_squares(design, y)
+    errors = np.sqrt(np.diagonal(covariance))
+    level, level_se = (float(weights[1]), float(errors[1])) if intercept else (0.0, 0.0)
+    return LineFit(float(weights[0]), float(errors[0]), level, level_se, sd)
 
 
-def _least_squares(
-    design: NDArray[np.float64], y: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _least_squares(design: Array, y: Array) -> tuple[Array, Array, float]:
     """Ordinary least squares: weights, their covariance, residual standard deviation."""
     freedom = y.size - design.shape[1]
     if freedom < 1:
-        raise InputError(
-            "least squares",
-            f"more than {design.shape[1]} events",
-            str(y.size),
-            "give more events",
-        )
+        wanted = f"more than {design.shape[1]} events"
+        raise InputError("least squares", wanted, str(y.size), "give more events")
     weights = np.asarray(np.linalg.lstsq(design, y, rcond=None)[0], dtype=np.float64)
     variance = float(np.sum((y - design @ weights) ** 2)) / freedom
-    inverse = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
-    return weights, variance * inverse, math.sqrt(variance)
+    return weights, variance * np.linalg.inv(design.T @ design), math.sqrt(variance)

@@ -77,6 +77,43 @@ class Interval:
 
 
 @dataclass(frozen=True)
+class Operand:
+    """A figure in arithmetic: values that it may stand for, and the digits taken as exact."""
+
+    interval: Interval
+    nominal: float
+
+    def __neg__(self) -> Operand:
+        """The opposite figure."""
+        return Operand(-self.interval, -self.nominal)
+
+    def __add__(self, other: Operand) -> Operand:
+        """Sum of two independent figures."""
+        return Operand(self.interval + other.interval, self.nominal + other.nominal)
+
+    def __sub__(self, other: Operand) -> Operand:
+        """Difference of two independent figures."""
+        return Operand(self.interval - other.interval, self.nominal - other.nominal)
+
+    def __mul__(self, other: Operand) -> Operand:
+        """Product of two independent figures."""
+        return Operand(self.interval * other.interval, self.nominal * other.nominal)
+
+    def __truediv__(self, other: Operand) -> Operand:
+        """Quotient of two independent figures."""
+        return Operand(self.interval / other.interval, self.nominal / other.nominal)
+
+    def scaled(self, factor: float) -> Operand:
+        """Multiply by a number known exactly."""
+        return Operand(self.interval.scaled(factor), factor * self.nominal)
+
+
+def exactly(value: float) -> Operand:
+    """A number known exactly."""
+    return Operand(Interval(value, value), value)
+
+
+@dataclass(frozen=True)
 class Printed:
     """A figure as printed.
 
@@ -105,6 +142,11 @@ class Printed:
     def interval(self) -> Interval:
         """Unrounded values that print like this, both ends included."""
         return Interval(self.value - self.step / 2, self.value + self.step / 2)
+
+    @property
+    def operand(self) -> Operand:
+        """The figure in arithmetic."""
+        return Operand(self.interval, self.value)
 
 
 def parse_printed(text: str, *, where: str, exact: bool = False) -> Printed:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Final, TypeVar
 
@@ -107,203 +107,141 @@ class Perturbation:
 Record = TypeVar("Record")
 
 
-def _read(
-    text: str, columns: Sequence[str], where: str, build: Callable[[Mapping[str, str]], Record]
+@dataclass(frozen=True)
+class Row:
+    """Cells of one row of a file by column."""
+
+    file: str
+    cells: Mapping[str, str]
+
+    def __getitem__(self, column: str) -> str:
+        """The text of a cell."""
+        return self.cells[column]
+
+    def figure(self, column: str, *, zero_is_exact: bool = False) -> Printed:
+        """The printed figure of a cell; a bare 0 may be exact."""
+        exact = zero_is_exact and self[column] == "0"
+        return parse_printed(self[column], where=f"{self.file}: {column}", exact=exact)
+
+    def figure_or_none(self, column: str, *, zero_is_exact: bool = False) -> Printed | None:
+        """The same; None of an empty cell."""
+        return self.figure(column, zero_is_exact=zero_is_exact) if self[column] else None
+
+
+def records(
+    file: str, text: str | None, columns: Sequence[str], build: Callable[[Row], Record]
 ) -> tuple[Record, ...]:
-    return tuple(build(MappingProxyType(row)) for row in csv_rows(text, columns, where=where))
+    """Records of a file of this package, or of a text in its place.
 
-
-def _figure(row: Mapping[str, str], column: str, where: str) -> Printed:
-    return parse_printed(row[column], where=f"{where}: {column}")
-
-
-def _figure_or_none(
-    row: Mapping[str, str], column: str, where: str, *, zero_is_exact: bool
-) -> Printed | None:
-    if not row[column]:
-        return None
-    exact = zero_is_exact and row[column] == "0"
-    return parse_printed(row[column], where=f"{where}: {column}", exact=exact)
-
-
-def parse_inertia_tensors(text: str) -> tuple[InertiaTensor, ...]:
-    """Build the records of ``inertia_tensors.csv``; InputError for a wrong header or figure."""
-    where = "inertia_tensors.csv"
-    columns = ("paper", "equation", "date", "kind", *(f"inertia_{e}_kg_m2" for e in ELEMENTS))
-    return _read(
-        text,
-        columns,
-        where,
-        lambda row: InertiaTensor(
-            row["paper"],
-            row["equation"],
-            datetime.date.fromisoformat(row["date"]),
-            row["kind"],
-            MappingProxyType({e: _figure(row, f"inertia_{e}_kg_m2", where) for e in ELEMENTS}),
-        ),
-    )
-
-
-def parse_inertia_comparisons(text: str) -> tuple[InertiaComparison, ...]:
-    """Build the records of ``inertia_000_table_1.csv``; a bare 0 % is exact."""
-    where = "inertia_000_table_1.csv"
-    columns = (
-        "window",
-        "slew_year",
-        "slew_day_of_year",
-        "element",
-        "predicted_kg_m2",
-        "estimated_kg_m2",
-        "error_percent",
-        "error_kg_m2",
-    )
-    return _read(
-        text,
-        columns,
-        where,
-        lambda row: InertiaComparison(
-            row["window"],
-            datetime.date(int(row["slew_year"]), 1, 1)
-            + datetime.timedelta(days=int(row["slew_day_of_year"]) - 1),
-            row["element"],
-            _figure(row, "predicted_kg_m2", where),
-            _figure(row, "estimated_kg_m2", where),
-            _figure_or_none(row, "error_percent", where, zero_is_exact=True),
-            _figure_or_none(row, "error_kg_m2", where, zero_is_exact=False),
-        ),
-    )
-
-
-def parse_bias_thrusts(text: str) -> tuple[BiasThrust, ...]:
-    """Build the records of ``thrust_000_table_2.csv``."""
-    where = "thrust_000_table_2.csv"
-    figures = (
-        "rwa1_rpm",
-        "rwa2_rpm",
-        "rwa3_rpm",
-        "predicted_n",
-        "unadjusted_n",
-        "adjusted_tau_decay_65_ms_n",
-        "adjusted_tau_decay_40_ms_n",
-    )
-    return _read(
-        text,
-        ("day_of_year", *figures),
-        where,
-        lambda row: BiasThrust(
-            int(row["day_of_year"]), *(_figure(row, name, where) for name in figures)
-        ),
-    )
-
-
-def parse_day_28_pulses(text: str) -> tuple[ThrusterPulses, ...]:
-    """Build the records of ``pulses_000_day_28.csv``."""
-    where = "pulses_000_day_28.csv"
-    return _read(
-        text,
-        ("thruster", "on_time_s", "mean_pulse_ms"),
-        where,
-        lambda row: ThrusterPulses(
-            row["thruster"],
-            _figure(row, "on_time_s", where),
-            _figure(row, "mean_pulse_ms", where),
-        ),
-    )
-
-
-def parse_torques(text: str) -> tuple[TorqueEstimate, ...]:
-    """Build the records of ``torque_000_table_a1.csv``; a bare 0 is exact."""
-    where = "torque_000_table_a1.csv"
-    return _read(
-        text,
-        ("source", *(f"torque_{axis}_micro_n_m" for axis in AXES)),
-        where,
-        lambda row: TorqueEstimate(
-            row["source"],
-            MappingProxyType(
-                {
-                    axis: parse_printed(
-                        row[f"torque_{axis}_micro_n_m"],
-                        where=f"{where}: {axis}",
-                        exact=row[f"torque_{axis}_micro_n_m"] == "0",
-                    )
-                    for axis in AXES
-                }
-            ),
-        ),
-    )
-
-
-def parse_thrust_comparisons(text: str, other: str, where: str) -> tuple[ThrustComparison, ...]:
-    """Build the records of paper 003 Table 1 (``other`` navigation) or 2 (flight_software).
-
-    A bare 0 % is exact.
+    Raises
+    ------
+    InputError
+        A wrong header or figure, or a row with another number of cells.
     """
-    return _read(
-        text,
-        ("thruster", "this_study_n", f"{other}_n", "difference_percent"),
-        where,
-        lambda row: ThrustComparison(
-            row["thruster"],
-            _figure(row, "this_study_n", where),
-            _figure_or_none(row, f"{other}_n", where, zero_is_exact=False),
-            _figure_or_none(row, "difference_percent", where, zero_is_exact=True),
-        ),
-    )
+    text = package_text(file) if text is None else text
+    return tuple(build(Row(file, cells)) for cells in csv_rows(text, columns, where=file))
 
 
-def parse_perturbations(text: str) -> tuple[Perturbation, ...]:
-    """Build the records of ``perturbations_003.csv``."""
-    where = "perturbations_003.csv"
-    return _read(
-        text,
-        ("quantity", "elements", "error_percent"),
-        where,
-        lambda row: Perturbation(
-            row["quantity"],
-            tuple(row["elements"].split()),
-            _figure(row, "error_percent", where).value,
-        ),
-    )
+def day_of(year: int, day_of_year: int) -> datetime.date:
+    """The date of a day of a year, from 1."""
+    return datetime.date(year, 1, 1) + datetime.timedelta(days=day_of_year - 1)
 
 
-def inertia_tensors() -> tuple[InertiaTensor, ...]:
+def inertia_tensors(text: str | None = None) -> tuple[InertiaTensor, ...]:
     """Inertia tensors of 2000-03-15 (paper 000 eqs. 1 and 8, paper 002 eqs. 1 and 4)."""
-    return parse_inertia_tensors(package_text("inertia_tensors.csv"))
+    figures = {element: f"inertia_{element}_kg_m2" for element in ELEMENTS}
+
+    def build(row: Row) -> InertiaTensor:
+        elements = {element: row.figure(column) for element, column in figures.items()}
+        date = datetime.date.fromisoformat(row["date"])
+        known = MappingProxyType(elements)
+        return InertiaTensor(row["paper"], row["equation"], date, row["kind"], known)
+
+    columns = ("paper", "equation", "date", "kind", *figures.values())
+    return records("inertia_tensors.csv", text, columns, build)
 
 
-def inertia_comparisons() -> tuple[InertiaComparison, ...]:
-    """Paper 000 Table 1."""
-    return parse_inertia_comparisons(package_text("inertia_000_table_1.csv"))
+def inertia_comparisons(text: str | None = None) -> tuple[InertiaComparison, ...]:
+    """Paper 000 Table 1; a bare 0 % is exact."""
+
+    def build(row: Row) -> InertiaComparison:
+        return InertiaComparison(
+            row["window"],
+            day_of(int(row["slew_year"]), int(row["slew_day_of_year"])),
+            row["element"],
+            row.figure("predicted_kg_m2"),
+            row.figure("estimated_kg_m2"),
+            row.figure_or_none("error_percent", zero_is_exact=True),
+            row.figure_or_none("error_kg_m2"),
+        )
+
+    names = [field.name for field in fields(InertiaComparison) if field.name != "slew_day"]
+    columns = (names[0], "slew_year", "slew_day_of_year", *names[1:])
+    return records("inertia_000_table_1.csv", text, columns, build)
 
 
-def bias_thrusts() -> tuple[BiasThrust, ...]:
+def bias_thrusts(text: str | None = None) -> tuple[BiasThrust, ...]:
     """Paper 000 Table 2."""
-    return parse_bias_thrusts(package_text("thrust_000_table_2.csv"))
+    day, *figures = (field.name for field in fields(BiasThrust))
+    return records(
+        "thrust_000_table_2.csv",
+        text,
+        (day, *figures),
+        lambda row: BiasThrust(int(row[day]), *map(row.figure, figures)),
+    )
 
 
-def day_28_pulses() -> tuple[ThrusterPulses, ...]:
+def day_28_pulses(text: str | None = None) -> tuple[ThrusterPulses, ...]:
     """On-times and mean pulse sizes of the bias of day 28 (paper 000 section V)."""
-    return parse_day_28_pulses(package_text("pulses_000_day_28.csv"))
+    name, *figures = (field.name for field in fields(ThrusterPulses))
+    return records(
+        "pulses_000_day_28.csv",
+        text,
+        (name, *figures),
+        lambda row: ThrusterPulses(row[name], *map(row.figure, figures)),
+    )
 
 
-def torque_estimates() -> tuple[TorqueEstimate, ...]:
-    """Paper 000 Table A1."""
-    return parse_torques(package_text("torque_000_table_a1.csv"))
+def torque_estimates(text: str | None = None) -> tuple[TorqueEstimate, ...]:
+    """Paper 000 Table A1; a bare 0 is exact."""
+    figures = {axis: f"torque_{axis}_micro_n_m" for axis in AXES}
+
+    def build(row: Row) -> TorqueEstimate:
+        torque = {axis: row.figure(name, zero_is_exact=True) for axis, name in figures.items()}
+        return TorqueEstimate(row["source"], MappingProxyType(torque))
+
+    return records("torque_000_table_a1.csv", text, ("source", *figures.values()), build)
 
 
-def a_branch_thrusts() -> tuple[ThrustComparison, ...]:
+def a_branch_thrusts(text: str | None = None) -> tuple[ThrustComparison, ...]:
     """Paper 003 Table 1: A branch at the swap of March 2009, against navigation."""
-    name = "thrust_003_table_1.csv"
-    return parse_thrust_comparisons(package_text(name), "navigation", name)
+    return _thrust_comparisons("thrust_003_table_1.csv", text, "navigation_n")
 
 
-def b_branch_thrusts() -> tuple[ThrustComparison, ...]:
+def b_branch_thrusts(text: str | None = None) -> tuple[ThrustComparison, ...]:
     """Paper 003 Table 2: B branch in 2012, against flight software."""
-    name = "thrust_003_table_2.csv"
-    return parse_thrust_comparisons(package_text(name), "flight_software", name)
+    return _thrust_comparisons("thrust_003_table_2.csv", text, "flight_software_n")
+
+
+def _thrust_comparisons(file: str, text: str | None, other: str) -> tuple[ThrustComparison, ...]:
+    """Thrusts against those of a column; a bare 0 % is exact."""
+    name, study, share = "thruster", "this_study_n", "difference_percent"
+
+    def build(row: Row) -> ThrustComparison:
+        percent = row.figure_or_none(share, zero_is_exact=True)
+        return ThrustComparison(row[name], row.figure(study), row.figure_or_none(other), percent)
+
+    return records(file, text, (name, study, other, share), build)
 
 
 def perturbations() -> tuple[Perturbation, ...]:
     """Assumed parameter errors of paper 003 section IV."""
-    return parse_perturbations(package_text("perturbations_003.csv"))
+    quantity, elements, error = (field.name for field in fields(Perturbation))
+    return records(
+        "perturbations_003.csv",
+        None,
+        (quantity, elements, error),
+        lambda row: Perturbation(
+            row[quantity], tuple(row[elements].split()), row.figure(error).value
+        ),
+    )

@@ -11,7 +11,7 @@ import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pandas as pd
 
@@ -76,6 +76,13 @@ def markdown_table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     names = list(header)
     lines = [names, ["---"] * len(names), *rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def table_of(rows: pd.DataFrame | Iterable[Mapping[str, Any]], header: str, cells: str) -> str:
+    """Rows in Markdown: names of columns, and cells of a row (``{name:.2f}``), parted by ``|``."""
+    known = rows.to_dict(orient="records") if isinstance(rows, pd.DataFrame) else rows
+    written = (cells.format_map(row).split(" | ") for row in known)
+    return markdown_table(header.split(" | "), written)
 
 
 def _without_place(argument: str) -> str:

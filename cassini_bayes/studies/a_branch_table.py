@@ -114,22 +114,31 @@ def hypotheses() -> list[Hypothesis]:
 
 
 @dataclass(frozen=True)
-class Weighed:
-    """Evidence of a hypothesis and the posterior at its nodes."""
+class Nodes:
+    """What figures say at nodes of shift and deficits: their log density, and the posterior there.
 
-    hypothesis: Hypothesis
-    log_evidence: float
-    weights: Array  # (n,)
-    shift_m: Array  # (n, 2)
-    deficit: Array  # (n, 6)
-    thrust_n: Array  # (n, 6) mean of the groups' thrusts
-    thrust_var: Array  # (n, 6)
-    common_n: Array  # (n,) mean of the common level
-    common_var: Array  # (n,)
+    Mean and variance (n, 6) of the groups' thrusts and (n,) of the common level.
+    """
+
+    log_density: Array  # (n,)
+    thrust_n: Array
+    thrust_var: Array
+    common_n: Array
+    common_var: Array
+
+    @property
+    def log_evidence(self) -> float:
+        """Of nodes that are as likely beforehand."""
+        return float(logsumexp(self.log_density) - np.log(len(self.log_density)))
+
+    @property
+    def weights(self) -> Array:
+        """Posterior probabilities (n,) of the nodes."""
+        return np.asarray(np.exp(self.log_density - logsumexp(self.log_density)))
 
 
-def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1.0) -> Weighed:
-    """Evidence by quadrature; ``width`` scales the priors of what a hypothesis doubts.
+def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1.0) -> Nodes:
+    """A hypothesis at a quadrature's nodes; ``width`` scales the priors of what it doubts.
 
     Deficits and a doubted shift are taken at midpoints of their priors' quantiles; a shift that is
     not doubted is narrow and enters the covariance to first order.
@@ -146,30 +155,13 @@ def weigh(table: Table, hypothesis: Hypothesis, scatter: float, width: float = 1
     shift = np.zeros((len(grid), 2))
     if hypothesis.doubted:
         shift[:, "xy".index(hypothesis.doubted)] = grid[:, -1]
-    log_density, mean, var, common, common_var = _gaussian(
-        table, deficit, shift, spread, hypothesis.doubted
-    )
-    weights = np.exp(log_density - logsumexp(log_density))
-    return Weighed(
-        hypothesis,
-        float(logsumexp(log_density) - np.log(len(grid))),
-        weights,
-        shift,
-        deficit,
-        mean,
-        var,
-        common,
-        common_var,
-    )
+    return _gaussian(table, deficit, shift, spread, hypothesis.doubted)
 
 
-def _gaussian(
-    table: Table, deficit: Array, shift: Array, scatter: float, doubted: str
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Log density (n,) of the figures at deficits (n, 6) and shifts (n, 2).
+def _gaussian(table: Table, deficit: Array, shift: Array, scatter: float, doubted: str) -> Nodes:
+    """The figures at deficits (n, 6) and shifts (n, 2).
 
-    Then mean and variance (n, 6) of the thrusts, and (n,) of the common level, given them. Unknowns
-    are the common level, six own departures, and the shifts that are not doubted.
+    Unknowns are the common level, six own departures, and the shifts that are not doubted.
     """
     groups, torque = table.groups, table.sees_torque
     n, factor, columns, widths = len(deficit), np.ones((len(deficit), len(groups))), [], []
@@ -194,7 +186,7 @@ def _gaussian(
     log_det = np.linalg.slogdet(2.0 * np.pi * covariance)[1]
     after = mean + (gain @ residual[..., None])[..., 0]
     spread = np.diag(prior) - gain @ (design * prior)
-    return (
+    return Nodes(
         -0.5 * ((residual * solved).sum(-1) + log_det),
         (thrust @ after[..., None])[..., 0],
         np.einsum("nku,nuv,nkv->nk", thrust, spread, thrust, optimize=True),
@@ -205,11 +197,11 @@ def _gaussian(
 
 def ranking(table: Table, scatter: float, width: float = 1.0) -> pd.DataFrame:
     """Every hypothesis with its log Bayes factor against ``none`` and its probability."""
-    weighed = [weigh(table, hypothesis, scatter, width) for hypothesis in hypotheses()]
-    log_evidence = np.array([one.log_evidence for one in weighed])
-    total = log_evidence + np.log([one.hypothesis.prior for one in weighed])
+    known = hypotheses()
+    log_evidence = np.array([weigh(table, one, scatter, width).log_evidence for one in known])
+    total = log_evidence + np.log([one.prior for one in known])
     rows = {
-        "name": [one.hypothesis.name for one in weighed],
+        "name": [one.name for one in known],
         "log_bayes_factor": log_evidence - log_evidence[0],
         "probability": np.exp(total - logsumexp(total)),
     }

@@ -18,7 +18,6 @@ from cassini_bayes.published import WheelBiasTable
 from cassini_bayes.simulation import (
     Motion,
     Plan,
-    Scenario,
     ScenarioFile,
     hydrazine_g,
     make_plan,
@@ -55,6 +54,12 @@ class Comparison:
         values = self.values[event]
         return np.asarray(values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(len(ROWS)))
 
+    def column(self, column: str) -> Array:
+        """A printed column of all events, or ``simulation``: (events, seeds or 1, rows)."""
+        if column == "simulation":
+            return np.array([self.values[table.event] for table in self.tables])
+        return np.array([[printed_rows(table, column)] for table in self.tables])
+
 
 def table_rows(plan: Plan, motion: Motion) -> Array:
     """An event as the rows of :data:`ROWS`: s, counts, mm/s, g."""
@@ -66,10 +71,10 @@ def table_rows(plan: Plan, motion: Motion) -> Array:
 
 
 def simulate_biases(
-    file: ScenarioFile, scenario: Scenario, tables: Iterable[WheelBiasTable], seeds: Iterable[int]
+    file: ScenarioFile, tables: Iterable[WheelBiasTable], seeds: Iterable[int]
 ) -> Comparison:
-    """Simulate the scenario's events (with the given settings) for every seed."""
-    seeds = tuple(seeds)
+    """Simulate the scenario's events for every seed."""
+    scenario = file.scenario
     rows: dict[str, list[Array]] = {event.id: [] for event in scenario.event}
     for seed in seeds:
         truth = draw_truth(file, seed)
@@ -91,19 +96,9 @@ def mean_absolute_differences(comparison: Comparison, column: str) -> dict[str, 
 
     A pair counts once. As paper 001 averages: every thruster or pair of every event alike.
     """
-    sums: dict[str, list[Array]] = {kind: [] for kind in KINDS}
-    for table in comparison.tables:
-        flight = printed_rows(table, "flight")
-        other = (
-            comparison.values[table.event]
-            if column == "simulation"
-            else printed_rows(table, column)[None, :]
-        )
-        difference = np.abs(other - flight)
-        for kind in KINDS:
-            chosen = [i for i, row in enumerate(ROWS) if row.startswith(kind)]
-            sums[kind].append(difference[:, chosen].ravel())
-    return {kind: float(np.mean(np.concatenate(parts))) for kind, parts in sums.items()}
+    difference = np.abs(comparison.column(column) - comparison.column("flight"))
+    of_kind = {kind: [row.startswith(kind) for row in ROWS] for kind in KINDS}
+    return {kind: float(difference[..., rows].mean()) for kind, rows in of_kind.items()}
 
 
 @dataclass(frozen=True)
@@ -133,14 +128,10 @@ class Signature:
 
 def signature(comparison: Comparison, column: str) -> Signature:
     """The signature of a printed column or of ``simulation`` (mean over seeds)."""
-    flight = np.array([printed_rows(table, "flight") for table in comparison.tables])
-    if column == "simulation":
-        stacked = np.array([comparison.values[table.event] for table in comparison.tables])
-    else:
-        stacked = np.array([[printed_rows(t, column)] for t in comparison.tables])
+    flight, stacked = comparison.column("flight"), comparison.column(column)
     n = len(UNITS)
     on_time, pulses = stacked[..., :n], stacked[..., n : 2 * n]
-    counted = flight[:, n : 2 * n][:, None, :]
+    counted = flight[..., n : 2 * n]
     major = np.broadcast_to(counted >= 25, pulses.shape)
     minor = np.broadcast_to(counted < 10, pulses.shape)
     seeds = stacked.shape[1]

@@ -15,7 +15,9 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cassini_bayes.computing.arrays import Flags, Places
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -90,6 +92,11 @@ class Condition:
         """Level by condition."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
+    @property
+    def places(self) -> Places:
+        """Places of the levels among those of :data:`LEVELS`, in its order."""
+        return np.array([LEVELS[name].index(level) for name, level in self.strata.items()])
+
 
 LEVELS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -103,6 +110,15 @@ LEVELS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "noise": ("inferred", "known"),
     }
 )
+
+
+def strata_of(levels: NDArray[Any]) -> list[tuple[str, str, Flags]]:
+    """Condition, level, and which of n trials had it; ``levels`` (n, conditions) are places."""
+    return [
+        (name, level, levels[:, column] == place)
+        for column, (name, known) in enumerate(LEVELS.items())
+        for place, level in enumerate(known)
+    ]
 
 
 def draw_condition(rng: np.random.Generator) -> Condition:

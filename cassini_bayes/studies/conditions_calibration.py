@@ -19,23 +19,26 @@ from numpy.typing import NDArray
 from scipy.stats import kstest
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.code import identity
 from cassini_bayes.model.posterior import build_model, log_posterior
+from cassini_bayes.report.study_page import table_of
 from cassini_bayes.results.ranks import coverage_p_values, holm, rank
 from cassini_bayes.studies.conditions import (
     CRAFTS,
-    LEVELS,
     beliefs_under,
     draw_condition,
     scenario_under,
+    strata_of,
     with_known_noise,
 )
+from cassini_bayes.studies.posterior_draws import posterior_draws
+from cassini_bayes.studies.repeated import Repeated
 from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.study import Study
 from cassini_bayes.studies.telemetry_calibration import (
+    CHAIN_STEPS,
+    EFFORTS,
     flat_draws,
     flat_truth,
-    posterior_draws,
     reduced_simulation,
 )
 
@@ -48,30 +51,22 @@ PROBABILITY: Final = 0.9
 
 
 @dataclass(frozen=True)
-class ConditionTrials:
+class ConditionTrials(Repeated):
     """Repetitions over conditions: scenario whose events are flown, folder of priors, seed."""
 
-    scenario: str
-    priors: str
-    seed: int
+    scenario: Path
+    priors: Path
 
-    @property
-    def per_file(self) -> int:
-        """Repetitions that one file keeps."""
-        return 5
-
-    def identity(self) -> str:
-        """What finished repetitions depend on."""
-        files = [Path(self.priors) / file for file, *_ in CRAFTS.values()]
-        return identity([MODULE, self.seed], [self.scenario, *files], MODULE)
+    def inputs(self) -> list[Path]:
+        """The scenario, and the priors files of all crafts."""
+        return [self.scenario, *(self.priors / file for file, *_ in CRAFTS.values())]
 
     def repetition(self, index: int) -> Mapping[str, NDArray[Any] | float | bool]:
         """One repetition: levels, ranks of the scalars it has (JSON keys by name), Pareto k̂."""
-        rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
+        rng = self.stream(index)
         condition = draw_condition(rng)
-        levels = [LEVELS[name].index(level) for name, level in condition.strata.items()]
-        file = scenario_under(condition, Path(self.scenario), Path(self.priors), rng)
-        priors = beliefs_under(condition, Path(self.priors))
+        file = scenario_under(condition, self.scenario, self.priors, rng)
+        priors = beliefs_under(condition, self.priors)
         flight = simulate_file(file, int(rng.integers(2**62)), priors=priors)
         truth = flat_truth(flight)
         if condition.noise == "known":
@@ -79,14 +74,15 @@ class ConditionTrials:
         ranks, pareto_k = np.full(len(SCALARS), np.nan), np.nan
         try:
             model = build_model([reduced_simulation(e, priors) for e in flight.events], priors)
-            z, pareto_k, _ = posterior_draws(partial(log_posterior, model), model, rng)
+            density, dimension = partial(log_posterior, model), model.space.dimension
+            z, pareto_k, _ = posterior_draws(density, dimension, rng, EFFORTS, CHAIN_STEPS)
             drawn = flat_draws(model, z, rng)
             for place, name in enumerate(SCALARS):
                 if name in drawn and name in truth and np.ptp(drawn[name]) > 0.0:
                     ranks[place] = rank(drawn[name], truth[name], rng)
         except InputError:
             pass  # declined: every rank stays unknown
-        return {"levels": np.array(levels), "ranks": ranks, "pareto_k": pareto_k}
+        return {"levels": condition.places, "ranks": ranks, "pareto_k": pareto_k}
 
 
 SCALARS: Final = (
@@ -111,33 +107,23 @@ SCALARS: Final = (
 def judged(found: Mapping[str, NDArray[Any]]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Strata, and every parameter pooled over them, each with coverage and p-values after Holm."""
     levels, ranks = found["levels"].astype(int), found["ranks"]
-    answered = np.isfinite(ranks).any(axis=1)
-    rows, places = [], []
+    known = np.isfinite(ranks)
     tail = 0.5 * (1.0 - PROBABILITY)
-    everything = np.ones(len(ranks), dtype=bool)
-    strata = [("all", "all", everything)] + [
-        (name, level, levels[:, c] == i)
-        for c, (name, item) in enumerate(LEVELS.items())
-        for i, level in enumerate(item)
-    ]
-    for name, level, chosen in strata:
-        for p, scalar in enumerate(SCALARS):
-            ranks_of = ranks[chosen, p]
-            ranks_of = ranks_of[np.isfinite(ranks_of)]
-            if len(ranks_of) < LEAST:
+    inside = (ranks > tail) & (ranks < 1.0 - tail)  # an unknown one is not
+    rows, places = [], []
+    for name, level, chosen in [("all", "all", np.full(len(ranks), True)), *strata_of(levels)]:
+        for place, scalar in enumerate(SCALARS):
+            counted = chosen & known[:, place]
+            number = int(counted.sum())
+            if number < LEAST:
                 continue
-            coverage = np.array([((ranks_of > tail) & (ranks_of < 1.0 - tail)).mean()])
-            p_values = (
-                float(kstest(ranks_of, "uniform").pvalue),
-                float(coverage_p_values(coverage, len(ranks_of), PROBABILITY)[0]),
-            )
-            rows.append(
-                [name, level, scalar, len(ranks_of), ranks_of.mean(), coverage[0], *p_values]
-            )
-        known = ranks[chosen]
-        inside = (known > tail) & (known < 1.0 - tail)
-        share = inside.sum() / max(int(np.isfinite(known).sum()), 1)
-        places.append([name, level, int(chosen.sum()), int((chosen & ~answered).sum()), share])
+            own, coverage = ranks[counted, place], inside[counted, place].mean()
+            p_ranks = float(kstest(own, "uniform").pvalue)
+            p_coverage = coverage_p_values(np.array([coverage]), number, PROBABILITY)[0]
+            rows.append([name, level, scalar, number, own.mean(), coverage, p_ranks, p_coverage])
+        share = inside[chosen].sum() / max(int(known[chosen].sum()), 1)
+        declined = int((chosen & ~known.any(axis=1)).sum())
+        places.append([name, level, int(chosen.sum()), declined, share])
     columns = ["condition", "level", "scalar", "n", "mean_rank", "coverage_90", "p_ranks"]
     table = pd.DataFrame(rows, columns=[*columns, "p_coverage"])
     both = holm(table[["p_ranks", "p_coverage"]].to_numpy().ravel()).reshape(-1, 2)
@@ -149,10 +135,10 @@ def judged(found: Mapping[str, NDArray[Any]]) -> tuple[pd.DataFrame, pd.DataFram
 
 
 def calibrate_conditions(
-    study: Study, scenario: str, priors: str, numbers: Mapping[str, int]
+    study: Study, scenario: Path, priors: Path, numbers: Mapping[str, int]
 ) -> bool:
     """Run the repetitions and write page and tables; whether no stratum is rejected."""
-    trials = ConditionTrials(scenario, priors, study.seed)
+    trials = ConditionTrials(scenario, priors, seed=study.seed)
     result = study.repeat("conditions", "conditions", trials, numbers["conditions"])
     summary, table = judged(result)
     rejected = table[table["p_holm"] <= LEVEL]
@@ -162,16 +148,17 @@ def calibrate_conditions(
 
 
 def _body(summary: pd.DataFrame, table: pd.DataFrame, rejected: pd.DataFrame, number: int) -> str:
-    rows = [
-        f"| {row.condition} | {row.level} | {row.repetitions} | {row.declined} "
-        f"| {row.coverage_90:.3f} |"
-        for row in summary.itertuples()
-    ]
-    worst = [
-        f"| {row.condition} | {row.level} | {row.scalar} | {row.n} | {row.coverage_90:.2f} "
-        f"| {row.mean_rank:.2f} | {row.p_holm:.2g} |"
-        for row in table.sort_values("p_holm").head(12).itertuples()
-    ]
+    rows = table_of(
+        summary,
+        "condition | level | repetitions | declined | coverage of 90 % intervals",
+        "{condition} | {level} | {repetitions} | {declined} | {coverage_90:.3f}",
+    )
+    worst = table_of(
+        table.sort_values("p_holm").head(12),
+        "condition | level | scalar | repetitions | coverage | mean rank | p after Holm",
+        "{condition} | {level} | {scalar} | {n} | {coverage_90:.2f} | {mean_rank:.2f}"
+        " | {p_holm:.2g}",
+    )
     return f"""\
 Does a 90 % interval hold 90 % of the truths, whatever the flight was like? Every repetition draws
 craft, events, cadence, steps of counters and wheels, noise of rates, controller, and whether
@@ -185,13 +172,9 @@ stratum passes if it is not rejected; few repetitions reject little, so the tabl
 **Rejected: {len(rejected)} of {len(table)}. Pooled coverage: {summary["coverage_90"][0]:.3f}, over
 {number} repetitions.**
 
-| condition | level | repetitions | declined | coverage of 90 % intervals |
-| --- | --- | --- | --- | --- |
-{chr(10).join(rows)}
+{rows}
 
 The twelve that are furthest off:
 
-| condition | level | scalar | repetitions | coverage | mean rank | p after Holm |
-| --- | --- | --- | --- | --- | --- | --- |
-{chr(10).join(worst)}
+{worst}
 """

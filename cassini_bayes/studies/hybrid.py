@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.published.constants import published_constants
 from cassini_bayes.report.study_page import markdown_table
@@ -23,6 +22,7 @@ from cassini_bayes.simulation.arrays import prime_wheels
 from cassini_bayes.simulation.motion import Motion
 from cassini_bayes.spacecraft import wheel_axes, wheel_inertias
 from cassini_bayes.spacecraft.two_wheels import SpinModulation, torque_coupling
+from cassini_bayes.studies.repeated import Repeated
 from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.study import Study
 
@@ -133,21 +133,12 @@ def flown_figures(event: SimulatedEvent) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class HybridFlights:
-    """Flights of a scenario over seeds, as the repetitions of a study."""
+class HybridFlights(Repeated):
+    """Flights of a scenario over seeds, counted from that of the first one."""
 
     scenario: Path
-    seed: int  # of the first one
     products: bool  # of inertia, as paper 000 estimated them
-
-    @property
-    def per_file(self) -> int:
-        """Flights that one file keeps."""
-        return 4
-
-    def identity(self) -> str:
-        """Hash of seed, products, scenario and code."""
-        return identity(["hybrid", self.seed, self.products], [self.scenario], MODULE)
+    per_file: ClassVar[int] = 4
 
     def repetition(self, index: int) -> dict[str, float]:
         """Figures of every event of the scenario, as ``event.key``."""
@@ -235,7 +226,7 @@ def fly_hybrid(study: Study, scenario: Path, numbers: Mapping[str, int]) -> None
     """Fly what is missing and write the page; ``numbers`` of seeds as in :data:`FULL`."""
     flown = []
     for name, products in (("as-printed", False), ("with-products", True)):
-        flights = HybridFlights(scenario, study.seed, products)
+        flights = HybridFlights(scenario, products, seed=study.seed)
         flown.append(study.repeat(name, f"flights {name}", flights, numbers["seeds"]))
     floats = [{key: np.asarray(v, dtype=np.float64) for key, v in one.items()} for one in flown]
     study.publish("Hybrid controllers: results", body(scenario, floats), MODULE, {}, {})

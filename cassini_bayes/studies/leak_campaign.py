@@ -260,7 +260,7 @@ def compare_leak_monitors(
 
     ``calibrated``: the thrusters are known, see :class:`LeakTrials`.
     """
-    campaign = LeakTrials(scenario, priors, study.seed, calibrated)
+    campaign = LeakTrials(scenario, priors, calibrated, seed=study.seed)
     name = study.page.stem
     flown = trials_of(study.repeat(name, "biases", campaign, numbers["trials"]))
     quiet = sum(trial.thruster < 0 for trial in flown)

@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import make_plan, scenario_of
@@ -27,6 +26,7 @@ from cassini_bayes.studies.leak_monitors import (
     residual_of,
     threshold_track,
 )
+from cassini_bayes.studies.repeated import Repeated
 from cassini_bayes.studies.scenario import (
     draw_truth,
     draw_wheel_rates,
@@ -97,7 +97,7 @@ def fly_trial(
 
 
 @dataclass(frozen=True)
-class LeakTrials:
+class LeakTrials(Repeated):
     """Trials as the repetitions of a study: seven of ten have a leak.
 
     ``calibrated``: thrusts, pulses and centre of mass are known to a tenth of their prior widths,
@@ -106,18 +106,8 @@ class LeakTrials:
 
     scenario: Path
     priors: Path
-    seed: int
     calibrated: bool = False
-
-    @property
-    def per_file(self) -> int:
-        """Trials that one file keeps."""
-        return 20
-
-    def identity(self) -> str:
-        """Hash of seed, knowledge, scenario, priors and code."""
-        settings = ["leaks", self.seed, self.calibrated]
-        return identity(settings, [self.scenario, self.priors], MODULE)
+    per_file: ClassVar[int] = 20
 
     @cached_property
     def _known(self) -> tuple[Priors, Mapping[str, Any]]:
@@ -129,8 +119,8 @@ class LeakTrials:
 
     def repetition(self, index: int) -> dict[str, Array]:
         """One trial, its tracks padded to :data:`MOST_ROWS`; :func:`trials_of` takes them back."""
-        rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
-        return padded(fly_trial(*self._known, index % 10 < LEAKS_OF_TEN, rng))
+        leaks = index % 10 < LEAKS_OF_TEN
+        return padded(fly_trial(*self._known, leaks, self.stream(index)))
 
 
 def padded(trial: Trial) -> dict[str, Array]:

@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.files.code import identity
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.model.mission.losses import Loss
@@ -33,6 +33,7 @@ from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.studies.bias_estimates import bias_estimates
 from cassini_bayes.studies.interim_analyses import analyses
+from cassini_bayes.studies.repeated import Repeated
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 MODULE: Final = "studies.mission_flights"
@@ -64,17 +65,12 @@ DRAWS, PROPOSALS = 400, 800
 
 
 @dataclass(frozen=True)
-class MissionFlights:
+class MissionFlights(Repeated):
     """What a study of simulated missions runs: template events, priors, seed."""
 
-    events_path: str
-    priors_path: str
-    seed: int
-    per_file: int = 2
-
-    def identity(self) -> str:
-        """What finished repetitions depend on: seed, template events, priors, code."""
-        return identity(["missions", self.seed], [self.events_path, self.priors_path], MODULE)
+    events: Path
+    priors: Path
+    per_file: ClassVar[int] = 2
 
     def repetition(self, index: int) -> Mapping[str, NDArray[Any]]:
         """Draw, fly and fit one mission, event by event; one row per branch and thruster.
@@ -82,10 +78,8 @@ class MissionFlights:
         ``failed`` and ``alarm`` hold the event of the branch at which a thruster failed, and at
         which the fit first gave it an alarm (−1: never).
         """
-        rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
-        priors = study_priors(self.priors_path)
-        flown = fly(self.events_path, priors, rng)
-        return judge_flight(flown, priors, rng)
+        rng, priors = self.stream(index), study_priors(self.priors)
+        return judge_flight(fly(self.events, priors, rng), priors, rng)
 
 
 @dataclass(frozen=True)
@@ -101,7 +95,7 @@ class Flown:
     shared: Mapping[str, Array]  # branch → (q,) coefficients
 
 
-def study_priors(path: str) -> Priors:
+def study_priors(path: Path) -> Priors:
     """The priors with most nuisances held."""
     priors = read_priors(path)
     for name in FIXED:
@@ -131,12 +125,12 @@ def mission_table() -> MissionTable:
     return check_mission(table, "simulated mission")
 
 
-def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
+def fly(events: Path, priors: Priors, rng: np.random.Generator) -> Flown:
     """A mission with everything drawn from the priors."""
     spacecraft = priors.spacecraft
     number = int(rng.integers(FEWEST_BIASES, MOST_BIASES + 1))
     epochs = sorted(START + (END - START) * share for share in rng.uniform(0.0, 1.0, number))
-    flight = read_totals(events_path, spacecraft)
+    flight = read_totals(events, spacecraft)
     template = tuple(
         _bias(flight[int(rng.integers(len(flight)))], f"{i:03d}", epoch, rng)
         for i, epoch in enumerate(epochs)
@@ -160,7 +154,7 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
         thrusts[name] = _true_thrusts(
             own, branch.scale[0], losses[name], shares[name], shared[name], rng
         )
-    events = list(template)
+    flown = list(template)
     parameters = model.space.to_parameters(z)
     for part in model.parts:
         own = next(b for b in model.branches if b.branch == part.branch)
@@ -172,9 +166,8 @@ def fly(events_path: str, priors: Priors, rng: np.random.Generator) -> Flown:
         )  # fmt: skip
         rows = simulate_totals(part.model.totals_rows.rows, part.model, truth, rng)
         for place, row in zip(own.events[part.places], rows, strict=True):
-            events[int(place)] = row
-    flown = tuple(events)
-    return Flown(flown, table, _model(flown, table, priors), z, losses, shares, shared)
+            flown[int(place)] = row
+    return Flown(tuple(flown), table, _model(flown, table, priors), z, losses, shares, shared)
 
 
 def _bias(event: TotalsEvent, name: str, epoch: datetime, rng: np.random.Generator) -> TotalsEvent:

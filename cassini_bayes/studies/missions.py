@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import beta
 
 from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.report.study_page import markdown_table, table_of
 from cassini_bayes.results.ranks import envelope_p_values, holm
+from cassini_bayes.studies.blind.rates import interval
 from cassini_bayes.studies.mission_flights import MODULE, MissionFlights
 from cassini_bayes.studies.study import Study
 
@@ -173,12 +175,12 @@ def _rank_p(found: Arrays) -> dict[str, float]:
     return dict(zip(names, holm(p_values).tolist(), strict=True))
 
 
-def study_missions(study: Study, events: str, priors: str, numbers: Mapping[str, int]) -> bool:
+def study_missions(study: Study, events: Path, priors: Path, numbers: Mapping[str, int]) -> bool:
     """Fly and fit missions that are not kept yet, and write the page. Returns whether it passes.
 
     ``numbers`` are missions as in :data:`FULL`.
     """
-    flights = MissionFlights(events, priors, study.seed)
+    flights = MissionFlights(events, priors, seed=study.seed)
     findings = findings_of(study.repeat(MISSIONS, MISSIONS, flights, numbers[MISSIONS]))
     study.publish("Simulated missions", body_of(findings), MODULE, {"": findings.rules}, {})
     return passes(findings)
@@ -202,12 +204,15 @@ def _rate(counts: tuple[int, int]) -> float:
 
 def body_of(findings: MissionFindings) -> str:
     """Text of the results page below its heading."""
-    rows = "\n".join(
-        f"| {row['rule']} | {row['threshold']:.3g} | {row['detected']:.0%} | "
-        f"{row['median_delay_biases']:.1f} | {row['mean_delay_of_detected']:.1f} |"
-        for _, row in findings.rules.iterrows()
+    rules = table_of(
+        findings.rules,
+        "rule | threshold | detected | median delay (biases) | mean delay of those detected",
+        "{rule} | {threshold:.3g} | {detected:.0%} | {median_delay_biases:.1f}"
+        " | {mean_delay_of_detected:.1f}",
     )
-    ranks = "\n".join(f"| {name} | {p:.2g} |" for name, p in findings.rank_p.items())
+    ranks = markdown_table(
+        ("what", "p"), ((name, f"{p:.2g}") for name, p in findings.rank_p.items())
+    )
     return f"""\
 Does the trend of a mission name a failing thruster, and in time? Each of the {findings.missions}
 missions has 20 to 60 biases, a recharge and a swap of branches. Everything is drawn from the
@@ -233,15 +238,11 @@ An alarm is a probability of loss above {ALARM}. It is false if the thruster doe
 not failed yet. The next table compares rules at equal false alarms, one mission in twenty, for
 losses of 10 % or more. A delay of *inf* means that less than half are detected.
 
-| rule | threshold | detected | median delay (biases) | mean delay of those detected |
-| --- | --- | --- | --- | --- |
-{rows}
+{rules}
 
 Are ranks of the truth among posterior draws uniform? p by a simultaneous envelope, after Holm's
 correction; goal: above {LEAST_P}.
 
-| what | p |
-| --- | --- |
 {ranks}
 
 An estimate from the totals of one bias rests on three equations. So the other two rules see a
@@ -260,6 +261,5 @@ def _text(counts: tuple[int, int]) -> str:
     hits, cases = counts
     if not cases:
         return "no case"
-    low = beta.ppf(0.025, hits, cases - hits + 1) if hits else 0.0
-    high = beta.ppf(0.975, hits + 1, cases - hits) if hits < cases else 1.0
+    low, high = interval(hits, cases)
     return f"{hits} of {cases}: {hits / cases:.0%} ({low:.0%} to {high:.0%})"

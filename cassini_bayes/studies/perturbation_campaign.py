@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,6 +11,7 @@ import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report.plots.perturbation_coverage import coverage_length_figure
+from cassini_bayes.report.study_page import table_of
 from cassini_bayes.studies.perturbation_coverage import (
     BOTH,
     EVENT_MEAN,
@@ -34,7 +36,9 @@ QUICK: Final[Mapping[str, int]] = dict.fromkeys(READINGS, 10)
 """Sets of events for each reading of the sizes."""
 
 
-def compare_error_bars(study: Study, events: str, priors: str, numbers: Mapping[str, int]) -> bool:
+def compare_error_bars(
+    study: Study, events: Path, priors: Path, numbers: Mapping[str, int]
+) -> bool:
     """Simulate and estimate sets of events for each reading, and write the results.
 
     ``numbers`` are sets by reading, as in :data:`FULL`. Returns whether the posterior's intervals
@@ -42,7 +46,7 @@ def compare_error_bars(study: Study, events: str, priors: str, numbers: Mapping[
     """
     result: dict[Reading, Mapping[str, Array]] = {}
     for reading in READINGS:
-        campaign = CoverageCampaign(events, priors, study.seed, reading)
+        campaign = CoverageCampaign(events, priors, reading, seed=study.seed)
         name = reading.replace(" ", "-")
         arrays = study.repeat(name, f"sizes as {reading}", campaign, numbers[reading])
         result[reading] = {k: np.asarray(v, dtype=np.float64) for k, v in arrays.items()}
@@ -81,21 +85,22 @@ def _percent(row: pd.Series) -> str:
 def _tables(table: pd.DataFrame) -> str:
     parts = []
     for reading in READINGS:
-        parts.append(f"### Sizes drawn as {reading}\n")
-        parts.append(
-            "| estimate | interval | claims | holds the truth in | mean length [mN] | intervals |\n"
-            "| --- | --- | --- | --- | --- | --- |"
+        own, worst = (
+            table[table["reading"] == reading],
+            "all" if reading == "maximum" else "nothing",
         )
-        for _, row in table[table["reading"] == reading].iterrows():
-            if row["method"] == WORST:
-                claim = "all" if reading == "maximum" else "nothing"
-            else:
-                claim = f"{100 * row['claim']:.0f} %"
-            parts.append(
-                f"| {row['estimand']} | {row['method']} | {claim} | {_percent(row)} | "
-                f"{1e3 * row['mean_length_n']:.1f} | {row['intervals']} |"
-            )
-        parts.append("")
+        claims = own["claim"].map(lambda claim: f"{100 * claim:.0f} %")
+        shown = own.assign(
+            claims=claims.where(own["method"] != WORST, worst),
+            held=own.apply(_percent, axis=1),
+            length=1e3 * own["mean_length_n"],
+        )
+        rows = table_of(
+            shown,
+            "estimate | interval | claims | holds the truth in | mean length [mN] | intervals",
+            "{estimand} | {method} | {claims} | {held} | {length:.1f} | {intervals}",
+        )
+        parts.append(f"### Sizes drawn as {reading}\n\n{rows}\n")
     return "\n".join(parts)
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
@@ -22,7 +23,6 @@ from scipy.stats import t as student
 from cassini_bayes.balance.totals_terms import wheel_momentum
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.files.code import identity
 from cassini_bayes.model.draws import draw, draw_prior
 from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.priors.distributions import Distribution
@@ -37,6 +37,7 @@ from cassini_bayes.results.baselines import (
 )
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import TRUSTED_K, laplace, warm_start
+from cassini_bayes.studies.repeated import Repeated
 from cassini_bayes.studies.totals_calibration import simulate_totals, with_room
 
 Reading = Literal["one sigma", "maximum"]
@@ -57,7 +58,6 @@ METHODS: Final = (RSS, WORST, SQUARES, BOTH, LAPLACE, POSTERIOR)
 CLAIMS: Final = (0.68, 0.9)
 
 DRAWS: Final = 2_000
-SETS_PER_FILE: Final = 5
 MODULE: Final = "studies.perturbation_coverage"
 """Whose code, with all that it imports, a set runs through."""
 _OF_BLOCK: Final[Mapping[str, str]] = {
@@ -69,23 +69,12 @@ _OF_BLOCK: Final[Mapping[str, str]] = {
 
 
 @dataclass(frozen=True)
-class CoverageCampaign:
+class CoverageCampaign(Repeated):
     """What finished sets depend on: template events, priors, seed, and how sizes are read."""
 
-    events_path: str
-    priors_path: str
-    seed: int
+    events: Path
+    priors: Path
     reading: Reading
-
-    @property
-    def per_file(self) -> int:
-        """Sets that one file keeps."""
-        return SETS_PER_FILE
-
-    def identity(self) -> str:
-        """What finished sets depend on: seed, reading, template, priors, code."""
-        settings = ["perturbations", self.seed, self.reading]
-        return identity(settings, [self.events_path, self.priors_path], MODULE)
 
     def repetition(self, index: int) -> dict[str, Array]:
         """Simulate and estimate one set: see :func:`covered_set`."""
@@ -134,11 +123,10 @@ def covered_set(campaign: CoverageCampaign, index: int) -> dict[str, Array]:
     Keys ``<estimand>.truth`` (q,), ``<estimand>.valid`` (q,), ``<estimand>.<method>.<claim>``
     (q, 2) lower and upper ends, and ``pareto_k``, ``by_chain``.
     """
-    priors = stated_priors(read_priors(campaign.priors_path), campaign.reading)
-    read = read_totals(campaign.events_path, priors.spacecraft)
+    priors = stated_priors(read_priors(campaign.priors), campaign.reading)
+    read = read_totals(campaign.events, priors.spacecraft)
     template = tuple(with_room(event) for event in read)
-    stream = (campaign.seed, READINGS.index(campaign.reading), index)
-    rng = np.random.default_rng(np.random.SeedSequence(stream))
+    rng = campaign.stream(READINGS.index(campaign.reading), index)
     model = build_model(template, priors)
     truth = draw_prior(model, 1, rng)
     simulated = simulate_totals(template, model, truth, rng)

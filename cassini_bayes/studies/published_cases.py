@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -38,20 +38,12 @@ def flight_2004() -> EstimateCase:
     sigma), geometry and inertia 2 % together, an event repeats to 1 %; figures have two digits.
     """
     rows = bias_thrusts()
-    pulse = published_constants()
-    return estimate_case(
-        Estimates(
-            rows=tuple(
-                _estimate(f"bias {i}", row.unadjusted_n.value, {0.125: 1.0})
-                for i, row in enumerate(rows, start=1)
-            ),
-            thrust_n=rows[0].predicted_n.value,
-            event_sd=0.01,
-            rise_s=pulse.value("paper_000_pulse", "tau_rise_ms") / 1e3,
-            fall_s=pulse.value("paper_000_pulse", "tau_fall_ms") / 1e3,
-            printed=Printed(thrust_sd=0.05, fall_sd_s=0.0125, scale_sd=0.02),
-        )
-    )
+    estimates = [
+        _estimate(f"bias {i}", row.unadjusted_n.value, {0.125: 1.0})
+        for i, row in enumerate(rows, start=1)
+    ]
+    printed = Printed(thrust_sd=0.05, fall_sd_s=0.0125, scale_sd=0.02)
+    return _case(estimates, rows[0].predicted_n.value, 0.01, printed)
 
 
 def fsds() -> EstimateCase:
@@ -59,19 +51,22 @@ def fsds() -> EstimateCase:
 
     What is left to err is the closed form, geometry and the printed figure.
     """
-    constants = published_constants()
-    value = partial(constants.value, "paper_000_fsds")
+    value = partial(published_constants().value, "paper_000_fsds")
     pulses = {ms / 1e3: value(f"pulses_{ms}_ms") for ms in (125, 250, 500, 750)}
-    return estimate_case(
-        Estimates(
-            rows=(_estimate("test bed", value("estimated_thrust_n"), pulses),),
-            thrust_n=value("thrust_n"),
-            event_sd=0.002,
-            rise_s=constants.value("paper_000_pulse", "tau_rise_ms") / 1e3,
-            fall_s=constants.value("paper_000_pulse", "tau_fall_ms") / 1e3,
-            printed=Printed(thrust_sd=0.002, fall_sd_s=0.0005, scale_sd=0.002),
-        )
+    estimate = _estimate("test bed", value("estimated_thrust_n"), pulses)
+    printed = Printed(thrust_sd=0.002, fall_sd_s=0.0005, scale_sd=0.002)
+    return _case([estimate], value("thrust_n"), 0.002, printed)
+
+
+def _case(
+    rows: Sequence[Estimate], thrust_n: float, event_sd: float, printed: Printed
+) -> EstimateCase:
+    """Estimates of one predicted thrust, pulses as paper 000 has them."""
+    rise_s, fall_s = (
+        published_constants().value("paper_000_pulse", f"tau_{which}_ms") / 1e3
+        for which in ("rise", "fall")
     )
+    return estimate_case(Estimates(tuple(rows), thrust_n, event_sd, rise_s, fall_s, printed))
 
 
 def _estimate(name: str, thrust_n: float, pulses: Mapping[float, float]) -> Estimate:

@@ -49,7 +49,7 @@ def estimate_section(key: str, case: EstimateCase, seed: int, more: str = "") ->
     left = case.residual_n(verdict.best)
     share, rms = float(np.abs(left / case.estimate_n).max()), float(np.sqrt((left**2).mean()))
     details = [
-        estimate_gain(case, verdict, seed),
+        held_out_gain(case, verdict, seed, f"{len(case.estimate_n)} estimates", "N")[0],
         _draws([w for verdict in verdicts.values() for w in verdict.weighed]),
         *([more] if more else []),
     ]
@@ -84,25 +84,23 @@ def _draws(weighed: Sequence[Candidate]) -> str:
     return f"{text} **{doubt}**" if doubt else text
 
 
-def _scores(case: Case[Any], verdict: Verdict[Any], seed: int) -> dict[str, HeldOut] | None:
-    """Of ``none``, the best cause and ``unknown``, each with the same draws."""
+def held_out_gain(
+    case: Case[Any], verdict: Verdict[Any], seed: int, pieces: str, unit: str
+) -> tuple[str, HeldOut | None]:
+    """What the best cause and ``unknown`` gain over ``none`` on pieces that were left out.
+
+    Each with the same draws. In words, with the score of ``none``; none where there are too few.
+    """
     assert verdict.best_cause is not None
     scores: dict[str, HeldOut] = {}
     for name in (NONE, verdict.best_cause.name, UNKNOWN):
         score = case.held_out(verdict.named(name), np.random.default_rng(seed))
         if score is None:
-            return None
+            kind = pieces.split()[-1]
+            return f"Held-out gain: not measurable (fewer than {LEAST_PIECES} {kind}).", None
         scores[name] = score
-    return scores
-
-
-def estimate_gain(case: EstimateCase, verdict: Verdict[Any], seed: int) -> str:
-    """What the most probable cause gains over ``none`` on estimates that were left out."""
-    scores = _scores(case, verdict, seed)
-    if scores is None:
-        return f"Held-out gain: not measurable (fewer than {LEAST_PIECES} estimates)."
-    what = f"each of {len(case.estimate_n)} estimates"
-    return gain_table(what, "N", scores.pop(NONE), scores)
+    base = scores.pop(NONE)
+    return gain_table(f"each of {pieces}", unit, base, scores), base
 
 
 def pair_table(branch: Branch, case: EstimateCase, seed: int) -> str:
@@ -154,16 +152,14 @@ def flight_section(totals: Path, priors: Path, seed: int, log: Log = silent) -> 
 
 
 def flight_gain(case: BalanceCase, verdict: Verdict[Any], seed: int) -> str:
-    """What the best cause and ``unknown`` gain over ``none`` on totals rows that were left out."""
-    scores = _scores(case, verdict, seed)
-    if scores is None:
-        return f"Held-out gain: not measurable (fewer than {LEAST_PIECES} events)."
-    base, count = scores.pop(NONE), len(case.event_ids)
+    """What is gained on totals rows that were left out, and how often ``none`` holds them."""
+    text, base = held_out_gain(case, verdict, seed, f"{len(case.event_ids)} events", "N m s")
+    if base is None:
+        return text
     assert base.coverage_90 is not None
     return (
-        gain_table(f"each of {count} events", "N m s", base, scores) + "\n\n"
-        f"Central 90 % intervals of `none` hold {100 * base.coverage_90:.0f} % of the {3 * count} "
-        "held-out components."
+        f"{text}\n\nCentral 90 % intervals of `none` hold {100 * base.coverage_90:.0f} % of the "
+        f"{3 * len(case.event_ids)} held-out components."
     )
 
 

@@ -15,6 +15,7 @@ their most likely values what is left to minimise is
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -26,6 +27,7 @@ from cassini_bayes.balance.statistics.preparation import channel_step
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published.attitude import AttitudeRecord, attitude_records
+from cassini_bayes.report.study_page import markdown_table, table_of
 from cassini_bayes.studies.study import Study
 
 MODULE: Final = "studies.real_attitude"
@@ -33,6 +35,11 @@ BLOCK_ROWS: Final = 16  # 64 s: the turn of a block is known ten times better th
 LARGEST_ERROR: Final = 0.1  # standard error of a scale beyond which a record says nothing of it
 NORMAL_MEDIAN: Final = 0.6745  # of |x|, in standard deviations
 AXES: Final = "xyz"
+NOISES: Final[Mapping[str, str]] = {
+    "rates, µrad/s": "rate_noise_rad_s",
+    "attitudes, µrad, third differences": "attitude_noise_third_rad",
+    "attitudes, µrad, fourth differences": "attitude_noise_fourth_rad",
+}
 
 
 def high_difference_noise(values: Array, order: int) -> Array:
@@ -129,33 +136,33 @@ def _scale_text(scale: float, error: float) -> str:
 def study_real_attitude(study: Study) -> None:
     """Measure all records and write page and table."""
     table = pd.concat([measured(record) for record in attitude_records()], ignore_index=True)
-    rows = [
-        f"| {row.record} | {row.axis} | {row.rows} | {1e6 * row.rate_noise_rad_s:.1f} "
-        f"| {1e6 * row.attitude_noise_third_rad:.1f}, {1e6 * row.attitude_noise_fourth_rad:.1f} "
-        f"| {_scale_text(float(row.rate_scale), float(row.rate_scale_se))} "
-        f"| {1e6 * row.rate_bias_rad_s:+.2f} ± {1e6 * row.rate_bias_se_rad_s:.2f} "
-        f"| {1e3 * row.naive_scale:+.2f} |"
-        for row in table.itertuples()
-    ]
-    noise = [
-        " | ".join(f"{1e6 * value:.0f}" for value in (item.min(), item.median(), item.max()))
-        for item in (
-            table["rate_noise_rad_s"],
-            table["attitude_noise_third_rad"],
-            table["attitude_noise_fourth_rad"],
-        )
-    ]
+    scales = zip(table["rate_scale"], table["rate_scale_se"], strict=True)
+    micro = table.filter(regex="_rad(_s)?$") * 1e6
+    rows = table_of(
+        table.assign(
+            **micro, scale=[_scale_text(*both) for both in scales], naive=1e3 * table["naive_scale"]
+        ),
+        "record | axis | rows | rate noise, µrad/s"
+        " | attitude noise, µrad (third, fourth differences) | gyro scale, 10⁻³"
+        " | gyro bias, µrad/s | scale by naive regression, 10⁻³",
+        "{record} | {axis} | {rows} | {rate_noise_rad_s:.1f} | {attitude_noise_third_rad:.1f},"
+        " {attitude_noise_fourth_rad:.1f} | {scale} | {rate_bias_rad_s:+.2f} ±"
+        " {rate_bias_se_rad_s:.2f} | {naive:+.2f}",
+    )
+    noise = markdown_table(
+        ("noise", "least", "median", "most"),
+        (
+            [what, *(f"{micro[column].quantile(share):.0f}" for share in (0.0, 0.5, 1.0))]
+            for what, column in NOISES.items()
+        ),
+    )
     body = f"""\
 How noisy are real rates and attitudes? Measured on three stretches of reconstructed Cassini
 records, every 4 s (US Geological Survey, public domain; `cassini_bayes.published.attitude` says
 where they come from). Noise is one standard deviation of white noise, by high differences. Gyro
 errors are ± one standard error.
 
-| noise | least | median | most |
-| --- | --- | --- | --- |
-| rates, µrad/s | {noise[0]} |
-| attitudes, µrad, third differences | {noise[1]} |
-| attitudes, µrad, fourth differences | {noise[2]} |
+{noise}
 
 The higher the difference, the less motion is in it, and the more of the records' own smoothing. The
 shipped priors of `rate_noise_rad_s` and `attitude_noise_rad` are of this size.
@@ -163,9 +170,6 @@ shipped priors of `rate_noise_rad_s` and `attitude_noise_rad` are of this size.
 No record shows a gyro error. A plain regression on measured turns agrees where the body turns;
 where it hardly does, it takes noise for a scale.
 
-| record | axis | rows | rate noise, µrad/s | attitude noise, µrad (third, fourth differences) \
-| gyro scale, 10⁻³ | gyro bias, µrad/s | scale by naive regression, 10⁻³ |
-| --- | --- | --- | --- | --- | --- | --- | --- |
-{chr(10).join(rows)}
+{rows}
 """
     study.publish("Noise of real attitude records", body, MODULE, {"": table}, {})

@@ -9,9 +9,10 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +46,6 @@ from cassini_bayes.simulation import (
 )
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
-
-if TYPE_CHECKING:
-    pass
 
 TRUTH_FILE: Final = "truth.json"
 TOTALS_FILE: Final = "totals.csv"
@@ -141,29 +139,23 @@ def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> T
     thrusters = spacecraft.thruster_names(scenario.spacecraft.branch)
     if priors is None and file.draw_from is not None:
         priors = read_priors(file.draw_from)
-    if priors is not None:
-        _check_priors(file, priors)
-    given = file.given()
-    drawn: dict[str, float] = {}
-    if priors is not None:
-        for name in priors.parameters:
-            if name not in given and name not in (*ZERO_CENTRED, CLOSE_SHARE, LATE_FACTOR):
-                drawn[name] = _draw(priors, name, seed)
-    individual = file.individual_n()
+    given, individual = file.given(), file.individual_n()
     events = {event.id: dict(event.truth) for event in scenario.event}
+    drawn: dict[str, float] = {}
     jitter: dict[str, dict[str, float]] = {}
     if priors is not None:
-        if not individual and "thrust_individual_n" in priors.parameters:
-            individual = {k: _draw(priors, "thrust_individual_n", seed, k) for k in thrusters}
-        if "thrust_event_n" in priors.parameters:
+        _check_priors(file, priors)
+        draw, known = partial(_draw, priors, seed), priors.parameters
+        kept = {*given, *ZERO_CENTRED, CLOSE_SHARE, LATE_FACTOR}
+        drawn = {name: draw(name) for name in known if name not in kept}
+        if not individual and "thrust_individual_n" in known:
+            individual = {k: draw("thrust_individual_n", k) for k in thrusters}
+        if "thrust_event_n" in known:
             for event in ids:
-                events[event].setdefault(
-                    "thrust_event_n", _draw(priors, "thrust_event_n", seed, event)
-                )
-        if "thrust_jitter_n" in priors.parameters:
+                events[event].setdefault("thrust_event_n", draw("thrust_event_n", event))
+        if "thrust_jitter_n" in known:
             jitter = {
-                event: {k: _draw(priors, "thrust_jitter_n", seed, event, k) for k in thrusters}
-                for event in ids
+                event: {k: draw("thrust_jitter_n", event, k) for k in thrusters} for event in ids
             }
     truth = Truth({**drawn, **given}, events, individual, jitter)
     _check_truth(file, truth)
@@ -192,7 +184,7 @@ def _check_priors(file: ScenarioFile, priors: Priors) -> None:
             )
 
 
-def _draw(priors: Priors, name: str, seed: int, *labels: str) -> float:
+def _draw(priors: Priors, seed: int, name: str, *labels: str) -> float:
     prior = priors.parameters[name]
     if prior.distribution is None:
         assert prior.fixed is not None

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -22,23 +21,10 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.pieces import finished, run_pieces
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.study_page import Made, write_page
+from cassini_bayes.studies.repeated import Repeated
 
 Arrays = dict[str, NDArray[np.generic]]
 Progress = Callable[[str, int, int], None]
-
-
-class Repeated(Protocol):
-    """What is repeated: one variant, control or reading of a study; sent to the workers."""
-
-    @property
-    def per_file(self) -> int:
-        """Repetitions that one file keeps: a minute's work or so."""
-
-    def identity(self) -> str:
-        """Hash of all that a repetition depends on: :func:`cassini_bayes.files.code.identity`."""
-
-    def repetition(self, index: int) -> Mapping[str, NDArray[Any] | float | bool]:
-        """One repetition, its random stream given by its number: arrays by name."""
 
 
 @dataclass(frozen=True)

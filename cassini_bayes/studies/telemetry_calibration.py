@@ -9,10 +9,10 @@ sampled and how noisy the wheels are; controls are likelihoods that must fail.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from cassini_bayes.balance.statistics import reduce_chunks
 from cassini_bayes.balance.statistics.reduction import Preparation
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.code import identity
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.event_reduction import ReducedEvent, reduce_samples, sampling_of
@@ -30,11 +29,11 @@ from cassini_bayes.model.terms import TORQUE
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.ranks import rank
-from cassini_bayes.sampling.ensembles import SamplerSettings, sample
-from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
 from cassini_bayes.studies.conditions import CONTROLLERS
+from cassini_bayes.studies.posterior_draws import LogDensity, posterior_draws
+from cassini_bayes.studies.repeated import Repeated
 from cassini_bayes.studies.scenario import (
     Simulation,
     draw_wheel_rates,
@@ -42,11 +41,6 @@ from cassini_bayes.studies.scenario import (
     simulated_samples,
 )
 
-LogDensity = Any
-Control = Literal["none", "balance-residual", "pulse-blind", "rounding-ignored", "cuts-ignored"]
-
-TRUSTED_K: Final = 0.5
-RANK_DRAWS: Final = 999
 # Degrees of freedom, pilots and number of importance draws, cheap first: the noise levels have long
 # tails that a heavier proposal covers. A chain stands in when all fail.
 EFFORTS: Final = ((15.0, 1, 2_500), (6.0, 3, 6_000), (5.0, 4, 12_000))
@@ -70,12 +64,12 @@ class Variant:
     events: tuple[str, ...]
     telemetry: Mapping[str, float]
     wheel_noise_rpm: float | None = None
-    control: Control = "none"
     rcs: Mapping[str, float | str] = field(default_factory=dict)
 
 
 _ALL: Final = ("bias-1", "bias-2", "slews")
 _SLOW: Final = {"attitude_every_s": 4.0, "rate_every_s": 4.0, "wheel_every_s": 4.0}
+_ADAPTED: Final = dict(CONTROLLERS["widths adapted"])
 VARIANTS: Final = (
     Variant("joint", "two biases and slews, 1 Hz", _ALL, {}),
     Variant("bias", "one bias, 1 Hz", _ALL[:1], {}),
@@ -85,57 +79,29 @@ VARIANTS: Final = (
     Variant("quiet-wheels", "wheel noise 0.2 rpm", _ALL, {}, 0.2),
     Variant("noisy-wheels", "wheel noise 1 rpm", _ALL, {}, 1.0),
     # its pulses are short and follow each other closely: many tails are cut
-    Variant(
-        "adapted", "one bias, widths adapted", _ALL[:1], {}, rcs=dict(CONTROLLERS["widths adapted"])
-    ),
+    Variant("adapted", "one bias, widths adapted", _ALL[:1], {}, rcs=_ADAPTED),
 )
+_EXACT: Final = "rounding-ignored"
+_UNCUT: Final = "cuts-ignored"
+_BLIND: Final = "pulse-blind"
+_NAIVE: Final = "balance-residual"
 CONTROLS: Final = (
-    replace(
-        VARIANTS[6],
-        name="balance-residual",
-        label="control: Gaussian balance residual",
-        control="balance-residual",
+    Variant(_NAIVE, "control: Gaussian balance residual", _ALL, {}, 1.0),
+    Variant(_BLIND, "control: rows during pulses kept", _ALL, {}),
+    Variant(
+        _EXACT, "control: counters of 10 ms taken as exact", _ALL, {"on_time_resolution_s": 0.01}
     ),
-    replace(
-        VARIANTS[0],
-        name="pulse-blind",
-        label="control: rows during pulses kept",
-        control="pulse-blind",
-    ),
-    replace(
-        VARIANTS[0],
-        name="rounding-ignored",
-        label="control: counters of 10 ms taken as exact",
-        telemetry={"on_time_resolution_s": 0.01},
-        control="rounding-ignored",
-    ),
-    replace(
-        VARIANTS[7],
-        name="cuts-ignored",
-        label="control: cut tails ignored",
-        control="cuts-ignored",
-    ),
+    Variant(_UNCUT, "control: cut tails ignored", _ALL[:1], {}, rcs=_ADAPTED),
 )
 
 
 @dataclass(frozen=True)
-class TelemetryCampaign:
+class TelemetryCampaign(Repeated):
     """Repetitions of one variant: scenario, priors, seed."""
 
-    scenario_path: str
-    priors_path: str
-    seed: int
+    scenario: Path
+    priors_file: Path
     variant: Variant
-
-    @property
-    def per_file(self) -> int:
-        """Repetitions that one checkpoint file holds."""
-        return 5
-
-    def identity(self) -> str:
-        """What finished repetitions depend on: variant, seed, scenario, priors, model code."""
-        settings = ["telemetry-sbc", asdict(self.variant), self.seed]
-        return identity(settings, [self.scenario_path, self.priors_path], MODULE)
 
     def names(self) -> tuple[str, ...]:
         """Names of the ranked scalars: walked parameters, thrusts and torques of the events."""
@@ -156,7 +122,7 @@ class TelemetryCampaign:
 
     def priors(self) -> Priors:
         """The priors file, with the variant's own wheel noise."""
-        priors = read_priors(self.priors_path)
+        priors = read_priors(self.priors_file)
         if self.variant.wheel_noise_rpm is None:
             return priors
         narrow = Distribution("lognorm", {"s": 0.3, "scale": self.variant.wheel_noise_rpm})
@@ -168,15 +134,15 @@ class TelemetryCampaign:
         Where the package declines the events ranks and k̂ are not a number. What it declines
         depends on the data alone, so the ranks of the others are as even as those of all.
         """
-        rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
-        priors = self.priors()
+        rng, priors = self.stream(index), self.priors()
         simulation = self.simulate(priors, rng)
         try:
             model = model_of(simulation, self.variant, priors)
         except InputError:
             unknown = np.full(len(self.names()), np.nan)
             return {"ranks": unknown, "pareto_k": np.nan, "by_chain": False}
-        z, pareto_k, by_chain = posterior_draws(log_density_of(model, self.variant), model, rng)
+        density, dimension = log_density_of(model, self.variant), model.space.dimension
+        z, pareto_k, by_chain = posterior_draws(density, dimension, rng, EFFORTS, CHAIN_STEPS)
         drawn = flat_draws(model, z, rng)
         truth = flat_truth(simulation)
         ranks = [rank(drawn[name], truth[name], rng) for name in self.names()]
@@ -184,14 +150,13 @@ class TelemetryCampaign:
 
     def simulate(self, priors: Priors, rng: np.random.Generator) -> Simulation:
         """Fly the scenario once, with wheel rates and truth of this repetition."""
-        path = Path(self.scenario_path)
-        document = read_toml(path, "a scenario file")
+        document = read_toml(self.scenario, "a scenario file")
         document["telemetry"] |= self.variant.telemetry
         document["rcs"] |= self.variant.rcs
         document["torque_noise"] = True
         document["event"] = [e for e in document["event"] if e["id"] in self.variant.events]
         draw_wheel_rates(document["event"], rng)
-        scenario = scenario_of(document, path.parent, str(path))
+        scenario = scenario_of(document, self.scenario.parent, str(self.scenario))
         return simulate_file(scenario, int(rng.integers(2**62)), priors=priors)
 
 
@@ -206,14 +171,14 @@ def _walked(priors: Priors, fires: bool) -> tuple[str, ...]:
 
 
 def model_of(simulation: Simulation, variant: Variant, priors: Priors) -> Model:
-    """The model of a simulation's telemetry, or that of a control.
+    """The model of a simulation's telemetry, or that of a control, told by its name.
 
     One that is blind to pulses keeps every row; one that ignores cut tails has no close pulses.
     """
-    if variant.control == "cuts-ignored":
+    if variant.name == _UNCUT:
         priors = priors.with_fixed(CLOSE_SHARE, 0.0)
-    guard_s = 0.0 if variant.control == "pulse-blind" else None
-    exact = variant.control == "rounding-ignored"
+    guard_s = 0.0 if variant.name == _BLIND else None
+    exact = variant.name == _EXACT
     events = [
         reduced_simulation(event, priors, guard_s, exact_counters=exact)
         for event in simulation.events
@@ -256,7 +221,7 @@ def reduced_simulation(
 
 def log_density_of(model: Model, variant: Variant) -> LogDensity:
     """The log posterior; for the balance-residual control without its Jacobian."""
-    if variant.control == "balance-residual":
+    if variant.name == _NAIVE:
         return partial(without_jacobian, model)
     return partial(log_posterior, model)
 
@@ -269,24 +234,6 @@ def without_jacobian(model: Model, z: Array) -> Array:
     rows = sum(term.event.statistics.rows for term in model.telemetry)
     inertia = model.points(z).physics(()).inertia_kg_m2
     return np.asarray(log_posterior(model, z) - rows * np.linalg.slogdet(inertia)[1])
-
-
-def posterior_draws(
-    log_density: LogDensity, model: Model, rng: np.random.Generator
-) -> tuple[Array, float, bool]:
-    """Draws (n, d) by importance where Pareto k̂ allows, else of a chain; k̂; whether a chain's."""
-    dimension = len(model.space.names)
-    for dof, pilots, draws in EFFORTS:
-        warm = warm_start(log_density, dimension, rng, dof=dof, pilots=pilots, draws=draws)
-        if warm.draws.pareto_k < TRUSTED_K:
-            return warm.draws.resample(rng, RANK_DRAWS), warm.draws.pareto_k, False
-    settings = SamplerSettings(
-        target_ess=RANK_DRAWS, max_steps=CHAIN_STEPS, seed=int(rng.integers(2**31))
-    )
-    chains = sample(log_density, warm.proposal, settings)
-    z, _ = chains.thinned(4 * RANK_DRAWS)
-    flat = z.reshape(-1, dimension)
-    return flat[rng.permutation(len(flat))[:RANK_DRAWS]], warm.draws.pareto_k, True
 
 
 def flat_draws(model: Model, z: Array, rng: np.random.Generator) -> dict[str, Array]:

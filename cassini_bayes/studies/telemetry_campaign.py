@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -53,7 +54,7 @@ class Judgement:
 
 
 def calibrate_telemetry(
-    study: Study, scenario: str, priors: str, numbers: Mapping[str, int]
+    study: Study, scenario: Path, priors: Path, numbers: Mapping[str, int]
 ) -> bool:
     """Run all variants and controls and write page, table and figure.
 
@@ -64,7 +65,7 @@ def calibrate_telemetry(
     declined: dict[str, int] = {}
     variants = (*VARIANTS, *CONTROLS)
     for variant in variants:
-        campaign = TelemetryCampaign(scenario, priors, study.seed, variant)
+        campaign = TelemetryCampaign(scenario, priors, variant, seed=study.seed)
         result = study.repeat(variant.name, variant.label, campaign, numbers[variant.name])
         was_declined = np.isnan(result["ranks"]).all(axis=1)
         declined[variant.name] = int(was_declined.sum())

@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final, Literal
+from pathlib import Path
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from scipy.stats import kstest, norm
@@ -21,27 +22,22 @@ from cassini_bayes.balance.totals_terms import wheel_momentum
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.files.code import identity
 from cassini_bayes.model.draws import Draws, draw, draw_prior
 from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.model.totals import software_of
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.ranks import Ranks, rank
-from cassini_bayes.sampling.ensembles import SamplerSettings, sample
-from cassini_bayes.sampling.warmstart import warm_start
-from cassini_bayes.spacecraft import (
-    thruster_directions,
-)
+from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.pulses import effective_on_time
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
+from cassini_bayes.studies.posterior_draws import posterior_draws
+from cassini_bayes.studies.repeated import Repeated
 
 Control = Literal["none", "hold-rates-ignored", "rectangular-pulses"]
 CONTROLS: Final[tuple[Control, ...]] = ("none", "hold-rates-ignored", "rectangular-pulses")
 
 LEAST_ON_TIME_S: Final = 4.0
-TRUSTED_K: Final = 0.5
-RANK_DRAWS: Final = 999
-REPETITIONS_PER_FILE: Final = 20
+EFFORTS: Final = ((15.0, 1, 2_000),)
 CONTROL_HOLD_RATE: Final = 1e-7
 COVERAGE_TOLERANCE: Final = 0.03
 LEAST_P_VALUE: Final = 0.01
@@ -52,37 +48,27 @@ MODULE: Final = "studies.totals_calibration"
 
 
 @dataclass(frozen=True)
-class Campaign:
+class Campaign(Repeated):
     """What a calibration campaign runs: template events, priors, control, seed."""
 
-    events_path: str
-    priors_path: str
-    seed: int
+    events: Path
+    priors: Path
     control: Control = "none"
 
-    def identity(self) -> str:
-        """What finished repetitions depend on: control, seed, events, priors, model code."""
-        settings = ["totals-sbc", self.control, self.seed]
-        return identity(settings, [self.events_path, self.priors_path], MODULE)
-
-    @property
-    def per_file(self) -> int:
-        """Repetitions that one checkpoint file holds."""
-        return REPETITIONS_PER_FILE
+    per_file: ClassVar[int] = 20
 
     def names(self) -> tuple[str, ...]:
         """Names of the ranked scalars, in the order of the ranks."""
-        model = build_model(self._template(), read_priors(self.priors_path))
+        model = build_model(self._template(), read_priors(self.priors))
         return tuple(_flatten(draw_prior(model, 1, np.random.default_rng(0)), model))
 
     def _template(self) -> tuple[TotalsEvent, ...]:
-        spacecraft = read_priors(self.priors_path).spacecraft
-        return tuple(with_room(event) for event in read_totals(self.events_path, spacecraft))
+        spacecraft = read_priors(self.priors).spacecraft
+        return tuple(with_room(event) for event in read_totals(self.events, spacecraft))
 
     def repetition(self, index: int) -> dict[str, Array | float | bool]:
         """Draw, simulate, fit, rank: ranks (P,), Pareto k̂, and whether a chain stood in for it."""
-        priors, template = read_priors(self.priors_path), self._template()
-        rng = np.random.default_rng(np.random.SeedSequence((self.seed, index)))
+        priors, template, rng = read_priors(self.priors), self._template(), self.stream(index)
         model = build_model(template, priors)
         truth = draw_prior(model, 1, rng)
         simulated = simulate_totals(template, model, truth, rng)
@@ -91,24 +77,14 @@ class Campaign:
             _controlled(priors, self.control),
             pulse_shape="rectangular" if self.control == "rectangular-pulses" else "first_order",
         )
-        dimension = len(fitted.space.names)
         density = partial(log_posterior, fitted)
-        warm = warm_start(density, dimension, rng, pilots=1, draws=2_000)
-        by_chain = not warm.draws.pareto_k < TRUSTED_K
-        if by_chain:
-            settings = SamplerSettings(target_ess=RANK_DRAWS, seed=int(rng.integers(2**31)))
-            chains = sample(density, warm.proposal, settings)
-            z, _ = chains.thinned(4 * RANK_DRAWS)
-            z = rng.permutation(z.reshape(-1, dimension))[:RANK_DRAWS]
-        else:
-            z = warm.draws.resample(rng, RANK_DRAWS)
+        z, k, by_chain = posterior_draws(density, fitted.space.dimension, rng, EFFORTS)
         drawn = _flatten(draw(fitted, z, rng), fitted)
         true_values = _flatten(truth, model)
         ranks = [
             rank(drawn[name], true_values[name][0], rng) if name in drawn else np.nan
             for name in true_values
         ]
-        k = warm.draws.pareto_k
         return {"ranks": np.array(ranks), "pareto_k": k, "by_chain": by_chain}
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from cassini_bayes.report.plots.calibration import coverage_figure
+from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.results.ranks import Ranks, ranks_of
 from cassini_bayes.studies.study import Study
 from cassini_bayes.studies.totals_calibration import (
@@ -24,8 +26,8 @@ FULL: Final[Mapping[str, int]] = {c: 2_000 if c == "none" else 200 for c in CONT
 QUICK: Final[Mapping[str, int]] = {c: 200 if c == "none" else 60 for c in CONTROLS}
 """Repetitions of the model and of each control."""
 HEADER: Final = (
-    "| fit | repetitions | coverage, lowest … highest | parameters outside "
-    "| tolerance | smallest rank-uniformity p (Holm) | verdict |"
+    *("fit", "repetitions", "coverage, lowest … highest", "parameters outside"),
+    *("tolerance", "smallest rank-uniformity p (Holm)", "verdict"),
 )
 LABELS: Final[Mapping[Control, str]] = {
     "none": "the model",
@@ -34,7 +36,7 @@ LABELS: Final[Mapping[Control, str]] = {
 }
 
 
-def calibrate_totals(study: Study, events: str, priors: str, numbers: Mapping[str, int]) -> bool:
+def calibrate_totals(study: Study, events: Path, priors: Path, numbers: Mapping[str, int]) -> bool:
     """Run the totals calibration with both negative controls and write its results.
 
     ``numbers`` are repetitions as in :data:`FULL`. Returns whether the model passes and both
@@ -42,7 +44,7 @@ def calibrate_totals(study: Study, events: str, priors: str, numbers: Mapping[st
     """
     collected: dict[Control, Ranks] = {}
     for control in CONTROLS:
-        campaign = Campaign(events, priors, study.seed, control)
+        campaign = Campaign(events, priors, control, seed=study.seed)
         result = study.repeat(control, LABELS[control], campaign, numbers[control])
         collected[control] = ranks_of(campaign.names(), result)
     verdicts = {control: judge(ranks) for control, ranks in collected.items()}
@@ -68,14 +70,14 @@ def calibrate_totals(study: Study, events: str, priors: str, numbers: Mapping[st
 def _body(
     stem: str, collected: Mapping[Control, Ranks], verdicts: Mapping[Control, Verdict]
 ) -> str:
-    rows = "\n".join(
-        f"| {LABELS[control]} | {len(ranks.ranks)} | {verdicts[control].lowest:.3f} … "
-        f"{verdicts[control].highest:.3f} | {len(verdicts[control].failing)} of "
-        f"{len(ranks.of_fitted().names)} | ± {verdicts[control].tolerance:.3f} | "
-        f"{verdicts[control].smallest_p_value:.2g} | "
-        f"{'passes' if verdicts[control].passed else 'fails'} |"
-        for control, ranks in collected.items()
-    )
+    rows = []
+    for control, ranks in collected.items():
+        verdict = verdicts[control]
+        failing = f"{len(verdict.failing)} of {len(ranks.of_fitted().names)}"
+        coverage = f"{verdict.lowest:.3f} … {verdict.highest:.3f}"
+        fit = (LABELS[control], str(len(ranks.ranks)), coverage, failing)
+        p_value, word = f"{verdict.smallest_p_value:.2g}", "passes" if verdict.passed else "fails"
+        rows.append((*fit, f"± {verdict.tolerance:.3f}", p_value, word))
     main = collected["none"]
     chains = int(main.by_chain.sum())
     return f"""\
@@ -85,9 +87,7 @@ each true value kept. A 90 % interval (central) has to hold the truth in 90 ± 3
 repetitions, for every parameter (wider where few repetitions scatter more than that), and no rank
 distribution may be skewed; the negative controls have to fail.
 
-{HEADER}
-| --- | --- | --- | --- | --- | --- | --- |
-{rows}
+{markdown_table(HEADER, rows)}
 
 ![Coverage and rank distributions]({stem}.png)
 

@@ -7,7 +7,7 @@ import datetime
 import pytest
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.published.anchors import anchors, parse_anchors, thrust_anchors
+from cassini_bayes.published.anchors import anchors, text_anchors, thrust_anchors
 
 
 def test_every_thrust_that_is_printed_is_there() -> None:
@@ -39,4 +39,4 @@ def test_an_unknown_kind_is_refused() -> None:
     """The kind decides what a figure may be used for."""
     header = "date,branch,quantity,value,unit,kind,paper,place\n"
     with pytest.raises(InputError, match="kind: expected measurement"):
-        parse_anchors(header + "1997-10-15,A,thrust,0.97,N,guess,000,here\n")
+        text_anchors(header + "1997-10-15,A,thrust,0.97,N,guess,000,here\n")

@@ -25,7 +25,10 @@ from cassini_bayes.published.wheel_bias import WheelBiasTable
 def test_contradicting_cells_are_exactly_these() -> None:
     """The complete list of printed figures that no unrounded operands can give."""
     found = [
-        (c.source, c.event, c.row, c.column, c.printed, c.recomputed_low, c.recomputed_high)
+        (
+            *(c.source, c.event, c.row, c.column, c.printed.nominal),
+            *(c.recomputed.interval.low, c.recomputed.interval.high),
+        )
         for c in contradictions(all_checks(published()))
     ]
     expected = [
@@ -76,9 +79,9 @@ def test_every_table_is_covered() -> None:
 def test_published_skill_is_the_mean_over_thruster_rows() -> None:
     """0.59 s, 0.79 mm/s, 1.05 g: exact means over six on-time rows, ΔVz and hydrazine."""
     exact = {c.row: c for c in all_checks(published()) if c.source == "001 text"}
-    assert exact["on_time_s"].nominal_recomputed == pytest.approx(28.25 / 48)  # 0.5885
-    assert exact["delta_v_z_mm_s"].nominal_recomputed == pytest.approx(6.33 / 8)  # 0.79125
-    assert exact["hydrazine_g"].nominal_recomputed == pytest.approx(8.4 / 8)  # 1.05
+    assert exact["on_time_s"].recomputed.nominal == pytest.approx(28.25 / 48)  # 0.5885
+    assert exact["delta_v_z_mm_s"].recomputed.nominal == pytest.approx(6.33 / 8)  # 0.79125
+    assert exact["hydrazine_g"].recomputed.nominal == pytest.approx(8.4 / 8)  # 1.05
     assert all(c.matches_printed_operands for c in exact.values())
     # the totals or the Z thrusters alone would not round to 0.59
     tables = published().wheel_bias
@@ -281,17 +284,13 @@ def _edit(name: str, old: str, new: str) -> object:
     text = package_text(name)
     assert old in text
     parsers: dict[str, Callable[[str], object]] = {
-        "inertia_tensors.csv": source_tables.parse_inertia_tensors,
-        "inertia_000_table_1.csv": source_tables.parse_inertia_comparisons,
-        "thrust_000_table_2.csv": source_tables.parse_bias_thrusts,
-        "pulses_000_day_28.csv": source_tables.parse_day_28_pulses,
-        "torque_000_table_a1.csv": source_tables.parse_torques,
-        "thrust_003_table_1.csv": lambda t: source_tables.parse_thrust_comparisons(
-            t, "navigation", name
-        ),
-        "thrust_003_table_2.csv": lambda t: source_tables.parse_thrust_comparisons(
-            t, "flight_software", name
-        ),
+        "inertia_tensors.csv": source_tables.inertia_tensors,
+        "inertia_000_table_1.csv": source_tables.inertia_comparisons,
+        "thrust_000_table_2.csv": source_tables.bias_thrusts,
+        "pulses_000_day_28.csv": source_tables.day_28_pulses,
+        "torque_000_table_a1.csv": source_tables.torque_estimates,
+        "thrust_003_table_1.csv": source_tables.a_branch_thrusts,
+        "thrust_003_table_2.csv": source_tables.b_branch_thrusts,
     }
     return parsers[name](text.replace(old, new, 1))
 

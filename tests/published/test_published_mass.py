@@ -94,11 +94,11 @@ def test_simulation_counts_10_9_ms_per_pulse() -> None:
     """FSDS: |ΔVz| = (F/M)(T + 10.90 ms × pulses), to the rounding of the table."""
     tables = wheel_bias_tables()
     acceleration = consistent_accelerations(tables)
-    fixed = fit_pulse_term(tables, ["fsds"], acceleration, unit_slope=True)
+    fixed = fit_pulse_term(tables, "fsds", acceleration, unit_slope=True)
     assert fixed.extra_on_time_s == pytest.approx(0.01090, abs=1e-5)
     assert fixed.extra_on_time_se_s == pytest.approx(2.1e-5, abs=1e-6)
     assert fixed.residual_sd_s < 0.01 / 0.315  # one unit of the last digit of ΔVz
-    free = fit_pulse_term(tables, ["fsds"], acceleration, unit_slope=False)
+    free = fit_pulse_term(tables, "fsds", acceleration, unit_slope=False)
     assert (free.slope, free.slope_se) == pytest.approx((1.0037, 0.0035), abs=1e-4)
     assert (free.extra_on_time_s, free.extra_on_time_se_s) == pytest.approx(
         (0.01034, 0.00053), abs=1e-5
@@ -116,11 +116,11 @@ def test_flight_follows_the_same_rule_with_scatter() -> None:
     consistent = consistent_accelerations(tables)
     through = fit_predicted_delta_v(tables, "flight", consistent, PULSE_TERM_S, intercept=False)
     assert (through.slope, through.slope_se) == pytest.approx((0.9944, 0.0023), abs=1e-4)
-    free = fit_pulse_term(tables, ["flight"], consistent, unit_slope=False)
+    free = fit_pulse_term(tables, "flight", consistent, unit_slope=False)
     assert abs(free.slope - 1.0) < 2 * free.slope_se
     assert free.extra_on_time_se_s > 0.01
-    simulation = fit_pulse_term(tables, ["fsds"], consistent, unit_slope=True)
-    flight = fit_pulse_term(tables, ["flight"], consistent, unit_slope=True)
+    simulation = fit_pulse_term(tables, "fsds", consistent, unit_slope=True)
+    flight = fit_pulse_term(tables, "flight", consistent, unit_slope=True)
     # the scatter of flight exceeds the rounding of the table
     assert flight.residual_sd_s > 10 * simulation.residual_sd_s
 
@@ -129,7 +129,7 @@ def test_pulse_term_recovered_from_made_up_tables() -> None:
     """With ΔVz computed from a known pulse term both parameters come back."""
     tables = tuple(_with_pulse_term(table, 0.0234) for table in wheel_bias_tables())
     acceleration = {table.event: 3.2e-4 for table in tables}
-    fit = fit_pulse_term(tables, ["flight"], acceleration, unit_slope=False)
+    fit = fit_pulse_term(tables, "flight", acceleration, unit_slope=False)
     assert fit.slope == pytest.approx(1.0, abs=1e-9)
     assert fit.extra_on_time_s == pytest.approx(0.0234, abs=1e-9)
     line = fit_predicted_delta_v(tables, "flight", acceleration, 0.0234, intercept=True)
@@ -137,7 +137,7 @@ def test_pulse_term_recovered_from_made_up_tables() -> None:
     wrong = fit_predicted_delta_v(tables, "flight", acceleration, 0.0, intercept=False)
     assert abs(wrong.slope - 1.0) > 5 * wrong.slope_se
     with pytest.raises(InputError, match="events"):
-        fit_pulse_term(tables[:2], ["flight"], acceleration, unit_slope=False)
+        fit_pulse_term(tables[:2], "flight", acceleration, unit_slope=False)
 
 
 def _with_pulse_term(table: WheelBiasTable, extra_s: float) -> WheelBiasTable:

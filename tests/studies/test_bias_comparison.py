@@ -30,7 +30,7 @@ def simulated() -> Comparison:
     scenario = scenario.model_copy(
         update={"telemetry": scenario.telemetry.model_copy(update={"delta_v": "none"})}
     )
-    return simulate_biases(replace(FILE, scenario=scenario), scenario, TABLES, (1, 2, 3))
+    return simulate_biases(replace(FILE, scenario=scenario), TABLES, (1, 2, 3))
 
 
 def test_the_calibrated_column_has_the_skill_that_paper_001_prints(simulated: Comparison) -> None:

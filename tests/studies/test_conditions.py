@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.studies import telemetry_calibration
+from cassini_bayes.studies import conditions_calibration, posterior_draws
 from cassini_bayes.studies.conditions import LEVELS, Condition, draw_condition, scenario_under
 from cassini_bayes.studies.conditions_calibration import SCALARS, ConditionTrials, judged
 
@@ -68,9 +68,9 @@ def test_a_repetition_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None
 
     Few draws, and any are taken: what is asked for are the bits.
     """
-    monkeypatch.setattr(telemetry_calibration, "EFFORTS", ((15.0, 1, 500),))
-    monkeypatch.setattr(telemetry_calibration, "TRUSTED_K", np.inf)
-    trials = ConditionTrials(str(SCENARIO), str(ROOT / "priors"), 5)
+    monkeypatch.setattr(conditions_calibration, "EFFORTS", ((15.0, 1, 500),))
+    monkeypatch.setattr(posterior_draws, "TRUSTED_K", np.inf)
+    trials = ConditionTrials(SCENARIO, ROOT / "priors", seed=5)
     first, again = trials.repetition(2), trials.repetition(2)
     for key, value in first.items():
         np.testing.assert_array_equal(value, again[key])

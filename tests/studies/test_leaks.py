@@ -119,7 +119,7 @@ def test_an_alarm_needs_rows_in_a_row() -> None:
 
 def test_the_residual_is_as_wide_as_it_says() -> None:
     """Whitened, the residual of flown events without a leak has χ²/n near one; a leak is seen."""
-    campaign = LeakTrials(SCENARIO, PRIORS, 20_050_128)
+    campaign = LeakTrials(SCENARIO, PRIORS, seed=20_050_128)
     squares = []
     seen: list[Residual] = []
 

@@ -123,13 +123,13 @@ def test_what_finished_missions_depend_on(tmp_path: Path) -> None:
     """Another seed, other priors, other events: another identity; the same ones elsewhere: not."""
     copy = tmp_path / "priors.toml"
     copy.write_bytes(PRIORS.read_bytes())
-    flights = MissionFlights(str(FLIGHT), str(PRIORS), 1)
-    same = replace(flights, priors_path=str(copy))
+    flights = MissionFlights(FLIGHT, PRIORS, seed=1)
+    same = replace(flights, priors=copy)
     assert same.identity() == flights.identity()
     others = (
         replace(flights, seed=2),
-        replace(flights, events_path=str(copy)),
-        replace(flights, priors_path=str(FLIGHT)),
+        replace(flights, events=copy),
+        replace(flights, priors=FLIGHT),
     )
     assert len({own.identity() for own in (flights, *others)}) == 4
 

@@ -31,8 +31,8 @@ from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS, RowChange, c
 from cassini_bayes.studies.mistakes.oracle import (
     TELLS,
     Physics,
-    answer_of_rows,
-    physics_of_rows,
+    answer_of,
+    physics_of,
 )
 from cassini_bayes.studies.mistakes.page import outcome
 from cassini_bayes.studies.study import Arrays, Study
@@ -43,7 +43,7 @@ SCENARIO, PRIORS = ROOT / "runs" / "scenarios" / "calibration.toml", ROOT / "pri
 
 def test_an_honest_draw_passes_twice_alike() -> None:
     """A draw has a random stream of its own; without mistakes nothing is refused."""
-    first, again = (Honest(SCENARIO, PRIORS, 3).repetition(0) for _ in range(2))
+    first, again = (Honest(SCENARIO, PRIORS, seed=3).repetition(0) for _ in range(2))
     assert first["effect"] == -1
     verdicts = np.asarray(first["verdict"])
     assert set(verdicts[verdicts != NO_EVENT]) == {VERDICTS.index("passed")}
@@ -108,15 +108,15 @@ def test_the_oracle_sees_what_matters() -> None:
     Longer on-times are a weaker thrust: with what the catalogue holds nothing tells.
     """
     rows, priors = flight()
-    honest = physics_of_rows(rows, priors)
+    honest = physics_of(rows, priors)
     assert honest is not None
     for name, tells in (("first two wheels exchanged", True), ("on-times × 1.2", False)):
         wrong = [TOTALS[name].change(row) for row in rows]
-        found = physics_of_rows(wrong, priors)
+        found = physics_of(wrong, priors)
         assert found is not None
         assert (honest.best - found.best > 20.0) == tells
         assert (judge_rows(wrong, priors) == "wheel-order") == tells
-    answer = answer_of_rows(rows, priors)
+    answer = answer_of(rows, priors)
     assert answer is not None
     assert answer.moved(answer) == 0.0
 
@@ -131,7 +131,7 @@ def test_one_effect_is_physics_to_the_oracle() -> None:
     rows = [replace(row, delta_v_m_s=None, delta_v_source=None) for row in rows[:4]]
 
     def physics(change: RowChange) -> Physics:
-        found = physics_of_rows([change(row) for row in rows], priors)
+        found = physics_of([change(row) for row in rows], priors)
         assert found is not None
         return found
 

@@ -130,7 +130,7 @@ def test_coverage_and_length_are_counted_over_valid_estimates() -> None:
 
 def test_a_set_has_every_interval_and_repeats_itself() -> None:
     """One simulated set: ends in order, truths near, the same numbers from the same seed."""
-    campaign = CoverageCampaign(str(FLIGHT), str(B_BRANCH), 5, "maximum")
+    campaign = CoverageCampaign(FLIGHT, B_BRANCH, "maximum", seed=5)
     found = covered_set(campaign, 2)
     again = covered_set(campaign, 2)
     assert all(np.array_equal(found[key], again[key]) for key in found)

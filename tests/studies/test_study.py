@@ -18,15 +18,15 @@ from study_cases import study_in
 
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import identity
+from cassini_bayes.studies.repeated import Repeated
 from cassini_bayes.studies.study import Study
 
 
 @dataclass(frozen=True)
-class Coin:
+class Coin(Repeated):
     """Repetitions that are plain random numbers."""
 
-    seed: int
-    per_file: int = 2
+    per_file = 2
 
     def identity(self) -> str:
         return identity(["coin", self.seed], [], "errors")
@@ -38,7 +38,7 @@ class Coin:
 
 def repeated(study: Study, seed: int = 5) -> dict[str, NDArray[np.generic]]:
     """Seven repetitions, in whole files."""
-    return study.repeat("coin", "a coin", Coin(seed), 7)
+    return study.repeat("coin", "a coin", Coin(seed=seed), 7)
 
 
 def test_order_and_number_of_workers_change_nothing(tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_order_and_number_of_workers_change_nothing(tmp_path: Path) -> None:
         files.append([(path.name, path.read_bytes()) for path in paths])
     assert files[0] == files[1] == files[2]
     assert len(files[0]) == 4
-    expected = [Coin(5).repetition(i)["ranks"] for i in range(8)]
+    expected = [Coin(seed=5).repetition(i)["ranks"] for i in range(8)]
     np.testing.assert_array_equal(found[0]["ranks"], expected)
 
 

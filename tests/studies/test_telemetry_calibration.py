@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,14 +22,14 @@ from cassini_bayes.studies.telemetry_calibration import (
 )
 from cassini_bayes.studies.telemetry_campaign import FULL, QUICK, judge
 
-SCENARIO = "runs/scenarios/calibration.toml"
-PRIORS = "priors/cassini_b_branch_telemetry.toml"
+SCENARIO = Path("runs/scenarios/calibration.toml")
+PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 
 
 def campaign(name: str, seed: int = 5) -> TelemetryCampaign:
     """The campaign of one variant."""
     variant = next(v for v in (*VARIANTS, *CONTROLS) if v.name == name)
-    return TelemetryCampaign(SCENARIO, PRIORS, seed, variant)
+    return TelemetryCampaign(SCENARIO, PRIORS, variant, seed=seed)
 
 
 def test_a_repetition_repeats_and_ranks_every_name() -> None:
@@ -91,10 +92,10 @@ def test_the_pulse_blind_control_keeps_more_rows() -> None:
     priors = one.priors()
     simulation = one.simulate(priors, np.random.default_rng(3))
     rows = [
-        model_of(simulation, replace(one.variant, control=control), priors)
+        model_of(simulation, replace(one.variant, name=control), priors)
         .telemetry[0]
         .event.statistics.rows
-        for control in ("none", "pulse-blind")
+        for control in ("bias", "pulse-blind")
     ]
     assert rows[1] > rows[0] + 50
 

@@ -21,7 +21,7 @@ from cassini_bayes.studies.totals_calibration import (
     with_room,
 )
 
-CAMPAIGN = Campaign(str(FLIGHT), str(B_BRANCH), seed=3)
+CAMPAIGN = Campaign(FLIGHT, B_BRANCH, seed=3)
 
 
 @cache
@@ -126,7 +126,7 @@ def test_a_campaign_depends_on_all_that_changes_its_repetitions(tmp_path: Path) 
     """Seed, control, events and priors, by their content, are in its identity."""
     priors = tmp_path / "priors.toml"
     priors.write_bytes(B_BRANCH.read_bytes())
-    same = replace(CAMPAIGN, priors_path=str(priors))
+    same = replace(CAMPAIGN, priors=priors)
     assert same.identity() == CAMPAIGN.identity()
     priors.write_bytes(B_BRANCH.read_bytes() + b"# changed\n")
     others = [replace(CAMPAIGN, seed=4), replace(CAMPAIGN, control="rectangular-pulses"), same]

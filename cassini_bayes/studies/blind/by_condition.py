@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binom, binomtest
 
+from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.results.ranks import holm
 from cassini_bayes.studies.blind.rates import (
     Record,
@@ -117,20 +118,22 @@ def _counted(asked: Asked, records: Sequence[Record]) -> dict[str, float]:
 def condition_lines(table: pd.DataFrame) -> str:
     """The same as a Markdown table, one line per level; what is rejected is bold."""
     of_null, of_clear = ([r for r, asked in RATES.items() if asked.part == p] for p in PARTS)
-    head = ("condition", "level", PARTS[0], *of_null, PARTS[1], *of_clear)
-    lines = [f"| {' | '.join(head)} |", "| --- " * len(head) + "|"]
+    head, lines = ("condition", "level", PARTS[0], *of_null, PARTS[1], *of_clear), []
     for (name, level), rows in table.groupby(["condition", "level"], sort=False):
         by_rate = rows.set_index("rate")
         cells = {rate: _cell(row) for rate, row in by_rate.iterrows()}
         null, clear = by_rate.loc[of_null[0]], by_rate.loc[of_clear[0]]
-        parts = [
-            f"{null['trials'] + null['declined']} ({null['declined']})",
-            *(cells[rate] for rate in of_null),
-            f"{clear['trials']} ({clear['declined']})",
-            *(cells[rate] for rate in of_clear),
-        ]
-        lines.append(f"| {name.replace('_', ' ')} | {level} | {' | '.join(parts)} |")
-    return "\n".join(lines)
+        lines.append(
+            [
+                name.replace("_", " "),
+                level,
+                f"{null['trials'] + null['declined']} ({null['declined']})",
+                *(cells[rate] for rate in of_null),
+                f"{clear['trials']} ({clear['declined']})",
+                *(cells[rate] for rate in of_clear),
+            ]
+        )
+    return markdown_table(head, lines)
 
 
 def _cell(row: pd.Series) -> str:

@@ -21,17 +21,9 @@ from cassini_bayes.files.pieces import run_pieces
 from cassini_bayes.files.storage import write_bytes, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.report.plots import encode
-from cassini_bayes.report.plots.blind import (
-    blind_figure,
-    conditions_figure,
-    confusion_figure,
-)
-from cassini_bayes.studies.blind.by_condition import (
-    LEVEL,
-    POOLED,
-    by_condition,
-    condition_lines,
-)
+from cassini_bayes.report.plots.blind import blind_figure, conditions_figure, confusion_figure
+from cassini_bayes.report.study_page import table_of
+from cassini_bayes.studies.blind.by_condition import LEVEL, POOLED, by_condition, condition_lines
 from cassini_bayes.studies.blind.flights import Blind
 from cassini_bayes.studies.blind.rates import (
     COVERAGE,
@@ -184,11 +176,11 @@ def _against_goal(row: Mapping[str, Any]) -> str:
 def _failures(table: pd.DataFrame) -> str:
     wrong = table[~table["named"].astype(bool) & (table["stratum"] != "uncatalogued")]
     odd = table[(table["stratum"] == "uncatalogued") & (table["first"] != "unknown")]
-    return "\n".join(
-        f"| {r['index']} | {r['stratum']} | {r['hidden']} | "
-        f"{r['sigma']} | {r['first']} | {r['probability']:.3f} | "
-        f"{r['confounded_with']} |"
-        for r in pd.concat([wrong, odd]).to_dict(orient="records")
+    return table_of(
+        pd.concat([wrong, odd]),
+        "trial | part | hidden | size (σ) | named first | its probability | cannot be told from",
+        "{index} | {stratum} | {hidden} | {sigma} | {first} | {probability:.3f}"
+        " | {confounded_with}",
     )
 
 
@@ -253,18 +245,17 @@ def _body(
     told: str,
     levels: str,
 ) -> str:
-    rows = "\n".join(
-        f"| {r['rate']} | {r['hits']} of {r['trials']} | {r['value']:.3f} | "
-        f"{r['low_95']:.3f} … {r['high_95']:.3f} | "
-        f"{_against_goal(r)} |"
-        for r in headline.to_dict(orient="records")
-        if r["trials"] > 0  # parts that were not run have no rates
+    run = headline[headline["trials"] > 0]  # parts that were not run have no rates
+    rows = table_of(
+        run.assign(goal=[_against_goal(row) for row in run.to_dict(orient="records")]),
+        "rate | count | value | 95 % interval (binomial) | goal",
+        "{rate} | {hits} of {trials} | {value:.3f} | {low_95:.3f} … {high_95:.3f} | {goal}",
     )
-    bins = "\n".join(
-        f"| {r['stated_from']:.2f} … {r['stated_to']:.2f} | {r['trials']} | "
-        f"{r['mean_stated']:.3f} | {r['right']:.3f} | {r['low_95']:.3f} … {r['high_95']:.3f} | "
-        f"{'yes' if r['inside'] else 'no'} |"
-        for r in stated.to_dict(orient="records")
+    bins = table_of(
+        stated.assign(inside=np.where(stated["inside"], "yes", "no")),
+        "stated | trials | mean stated | right | 95 % interval (binomial) | holds what was stated",
+        "{stated_from:.2f} … {stated_to:.2f} | {trials} | {mean_stated:.3f} | {right:.3f}"
+        " | {low_95:.3f} … {high_95:.3f} | {inside}",
     )
     times = timing_table(records)
     broken = _errors(records) if any(map(failed, records)) else ""
@@ -274,8 +265,6 @@ def _body(
 planned: {strata}. [The method](../../topics/criticism.md) says what the parts are,
 [what campaigns found](../diagnosis-campaigns.md) why trials failed.
 
-| rate | count | value | 95 % interval (binomial) | goal |
-| --- | --- | --- | --- | --- |
 {rows}
 
 {_faint_sentence(records, headline)}
@@ -284,8 +273,6 @@ planned: {strata}. [The method](../../topics/criticism.md) says what the parts a
 
 Stated probability of the first cause against how often it is the hidden one (stratum `prior`):
 
-| stated | trials | mean stated | right | 95 % interval (binomial) | holds what was stated |
-| --- | --- | --- | --- | --- | --- |
 {bins}
 
 ![Confusion]({"confusion.png"})
@@ -293,8 +280,6 @@ Stated probability of the first cause against how often it is the hidden one (st
 Trials in which the first cause is wrong, with confounded groups counted as right. `prior` and
 `faint` also hold effects that are too small to be told from none.
 
-| trial | part | hidden | size (σ) | named first | its probability | cannot be told from |
-| --- | --- | --- | --- | --- | --- | --- |
 {_failures(table)}
 
 {broken}

@@ -80,14 +80,10 @@ def in_noise_of(quiet: View, flown: Events, truth: Truth) -> View:
     linear = with_unknowns(seen.linear, opened, seen.factors)
     ours, theirs, times = _common_rows(quiet.times, seen.times)
     momentum = _in_momentum(quiet.left, quiet.linear, quiet.factors)
-    whitened = [
-        (part @ np.linalg.inv(factor).T).reshape(-1)
-        for part, factor in zip(momentum, seen.factors, strict=True)
-    ]
     return replace(
         quiet,
         linear=_rows_of(linear, theirs, times),
-        left=np.concatenate(whitened)[ours],
+        left=_whitened(momentum, seen.factors)[ours],
         factors=seen.factors,
         times=times,
     )
@@ -134,19 +130,20 @@ def modelled_size(view: View, effect: Effect, values: Mapping[str, float]) -> fl
     other, factors = linearise(changed, view.point, smooth_channels=False)
     before = _in_momentum(view.linear.target, view.linear, view.factors)
     after = _in_momentum(other.target, other, tuple(factors))
-    shift = np.concatenate(
-        [
-            ((b - a) @ np.linalg.inv(factor).T).reshape(-1)
-            for a, b, factor in zip(before, after, view.factors, strict=True)
-        ]
-    )
-    return float(np.sqrt(squared_size(view.linear, shift)))
+    change = [b - a for a, b in zip(before, after, strict=True)]
+    return float(np.sqrt(squared_size(view.linear, _whitened(change, view.factors))))
 
 
 def _in_momentum(white: Array, linear: Linear, factors: tuple[Array, ...]) -> list[Array]:
     """Whitened values (m,) of a linear model's rows as momentum (n, 3) of every event."""
     parts = zip(linear.parts, factors, strict=True)
     return [white[part].reshape(-1, 3) @ factor.T for part, factor in parts]
+
+
+def _whitened(momentum: Sequence[Array], factors: Sequence[Array]) -> Array:
+    """Values (m,) of momentum (n, 3) of every event, in units of its noise."""
+    parts = zip(momentum, factors, strict=True)
+    return np.concatenate([(part @ np.linalg.inv(factor).T).reshape(-1) for part, factor in parts])
 
 
 def changed_size(shown: View, plain: View) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,21 +15,20 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MISTAKES, MistakeError, TelemetryCheck
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.files.code import identity
 from cassini_bayes.model.nominal import check_rows, nominal_values
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.studies.conditions import CRAFTS, LEVELS, draw_condition
+from cassini_bayes.studies.conditions import CRAFTS, draw_condition
 from cassini_bayes.studies.mistakes.flights import EFFECTS, fly, with_events
 from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS
 from cassini_bayes.studies.mistakes.oracle import (
     MATTERS,
     Answer,
     Physics,
+    Recorded,
     answer_of,
-    answer_of_rows,
     physics_of,
-    physics_of_rows,
 )
+from cassini_bayes.studies.repeated import Repeated
 
 MODULE: Final = "studies.mistakes.campaign"
 FULL: Final[Mapping[str, int]] = {"honest": 500, "mistaken": 5}
@@ -80,21 +79,26 @@ def _verdict(ask: Callable[[], Sequence[str]], sought: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True)
-class Honest:
-    """Draws over the conditions, every second one with a clear effect of the catalogue."""
+class Sets(Repeated):
+    """Sets of events over conditions: scenario whose events are flown, and folder of priors."""
 
     scenario: Path
     priors: Path
-    seed: int
-    per_file: int = 10
 
-    def identity(self) -> str:
-        """Hash of all that a repetition depends on."""
-        return identity(["honest", self.seed], _inputs(self.scenario, self.priors), MODULE)
+    def inputs(self) -> list[Path]:
+        """The scenario, and the priors files of telemetry and totals of all crafts."""
+        files = (*(file for file, *_ in CRAFTS.values()), *TOTALS_PRIORS.values())
+        return [self.scenario, *(self.priors / file for file in files)]
+
+
+class Honest(Sets):
+    """Draws over the conditions, every second one with a clear effect of the catalogue."""
+
+    per_file = 10
 
     def repetition(self, index: int) -> Mapping[str, NDArray[Any] | float]:
         """Levels of the conditions, place of the effect in :data:`EFFECTS`, verdict by event."""
-        rng = np.random.default_rng([self.seed, 0, index])
+        rng = self.stream(0, index)
         condition = draw_condition(rng)
         if condition.events == "six biases":  # as good as three here, at half the time
             condition = with_events(condition, "three biases")
@@ -107,26 +111,17 @@ class Honest:
             verdicts.append(judge_rows(flight.rows, totals))
         numbers = np.full(MOST_EVENTS, NO_EVENT)
         numbers[: len(verdicts)] = [VERDICTS.index(verdict) for verdict in verdicts]
-        levels = [LEVELS[name].index(level) for name, level in condition.strata.items()]
-        return {"levels": np.array(levels), "effect": effect, "verdict": numbers}
+        return {"levels": condition.places, "effect": effect, "verdict": numbers}
 
 
-@dataclass(frozen=True)
-class WithMistakes:
+class WithMistakes(Sets):
     """Sets without effects: every mistake in turn in a bias, in slews, and in six totals rows."""
 
-    scenario: Path
-    priors: Path
-    seed: int
-    per_file: int = 1
-
-    def identity(self) -> str:
-        """Hash of all that a repetition depends on."""
-        return identity(["mistaken", self.seed], _inputs(self.scenario, self.priors), MODULE)
+    per_file = 1
 
     def repetition(self, index: int) -> Mapping[str, NDArray[Any]]:
         """Verdict, largest shift of a scalar and nats, of :data:`CASES` and :data:`ROW_CASES`."""
-        rng = np.random.default_rng([self.seed, 1, index])
+        rng = self.stream(1, index)
         while True:
             condition = draw_condition(rng)
             flight = fly(with_events(condition, "bias and slews"), self.scenario, self.priors, rng)
@@ -151,42 +146,18 @@ Found = tuple[str, float, float]
 def _of_telemetry(
     events: Sequence[tuple[TelemetryEvent, Chunk]], priors: Priors
 ) -> Iterator[Found]:
-    honest: dict[str, tuple[TelemetryEvent, Chunk]] = {
-        event.kind: (event, chunk) for event, chunk in events
-    }
-    oracles = {
-        kind: Oracle(
-            partial(_answer_of_event, event, priors),
-            partial(_physics_of_event, event, priors),
-            chunk,
-        )
-        for kind, (event, chunk) in honest.items()
-    }
+    honest: dict[str, tuple[TelemetryEvent, Chunk]] = {each[0].kind: each for each in events}
+    oracles = {kind: Oracle((recorded,), priors) for kind, recorded in honest.items()}
     for name, kind in CASES:
         event, chunk = honest[kind]
         each = TELEMETRY[name]
         wrong = each.change(chunk)
         verdict = judge(event, wrong, priors, each.names)
-        asked = verdict == "passed"
-        yield verdict, *(oracles[kind].ask(wrong, each.spread(kind)) if asked else _UNASKED)
-
-
-def _answer_of_event(event: TelemetryEvent, priors: Priors, chunk: Chunk) -> Answer | None:
-    return answer_of([(event, chunk)], priors)
-
-
-def _physics_of_event(event: TelemetryEvent, priors: Priors, chunk: Chunk) -> Physics | None:
-    return physics_of([(event, chunk)], priors)
+        yield oracles[kind].found(verdict, ((event, wrong),), each.spread(kind))
 
 
 def _of_rows(rows: Sequence[TotalsEvent], priors: Priors) -> Iterator[Found]:
-    def answer(given: Sequence[TotalsEvent]) -> Answer | None:
-        return answer_of_rows(given, priors)
-
-    def physics(given: Sequence[TotalsEvent]) -> Physics | None:
-        return physics_of_rows(given, priors)
-
-    table, alone = Oracle(answer, physics, tuple(rows)), Oracle(answer, physics, (rows[2],))
+    table, alone = Oracle(tuple(rows), priors), Oracle((rows[2],), priors)
     for name, form in ROW_CASES:
         each = TOTALS[name]
         oracle, wrong, changed = table, tuple(each.change(row) for row in rows), len(rows)
@@ -195,40 +166,36 @@ def _of_rows(rows: Sequence[TotalsEvent], priors: Priors) -> Iterator[Found]:
         elif form == "a row alone":
             oracle, wrong, changed = alone, (wrong[2],), 1
         verdict = judge_rows(wrong, priors, each.names)
-        asked = verdict == "passed"
-        yield verdict, *(oracle.ask(wrong, each.spread * changed) if asked else _UNASKED)
+        yield oracle.found(verdict, wrong, each.spread * changed)
 
 
-_UNASKED: Final = (np.nan, np.nan)
-
-
+@dataclass(frozen=True, eq=False)
 class Oracle:
     """Answers and physics of one set of honest data, made when first asked for."""
 
-    def __init__(
-        self,
-        answer: Callable[[Any], Answer | None],
-        physics: Callable[[Any], Physics | None],
-        honest: Any,
-    ) -> None:
-        self._answer, self._physics, self._honest = answer, physics, honest
+    honest: tuple[Recorded, ...]
+    priors: Priors
 
     @cached_property
     def _right(self) -> Answer | None:
-        return self._answer(self._honest)
+        return answer_of(self.honest, self.priors)
 
     @cached_property
     def _true(self) -> Physics | None:
-        return self._physics(self._honest)
+        return physics_of(self.honest, self.priors)
 
-    def ask(self, wrong: Any, spread: float) -> tuple[float, float]:
+    def found(self, verdict: str, wrong: tuple[Recorded, ...], spread: float) -> Found:
+        """The verdict on wrong data, and what :meth:`ask` says where nothing was said of them."""
+        return verdict, *(self.ask(wrong, spread) if verdict == "passed" else _UNASKED)
+
+    def ask(self, wrong: tuple[Recorded, ...], spread: float) -> tuple[float, float]:
         """How far a mistake moves a scalar, in σ, and the nats by which data speak for it.
 
         ``spread``: logarithm of the volume that a row of telemetry, or all of totals, gains by it.
 
         NaN where the package declines the honest data; infinite where it declines the wrong ones.
         """
-        right, found = self._right, self._answer(wrong)
+        right, found = self._right, answer_of(wrong, self.priors)
         if right is None:
             return _UNASKED
         if found is None:
@@ -236,12 +203,10 @@ class Oracle:
         moved = right.moved(found)
         if moved <= MATTERS:
             return moved, np.nan
-        true, physics = self._true, self._physics(wrong)
+        true, physics = self._true, physics_of(wrong, self.priors)
         if true is None or physics is None:
             return moved, np.inf
         return moved, true.best - spread * true.rows - physics.best
 
 
-def _inputs(scenario: Path, priors: Path) -> list[Path]:
-    files = [file for file, *_ in CRAFTS.values()]
-    return [scenario, *(priors / file for file in (*files, *TOTALS_PRIORS.values()))]
+_UNASKED: Final = (np.nan, np.nan)

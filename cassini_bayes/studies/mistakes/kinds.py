@@ -43,64 +43,87 @@ class Mistaken:
         return self.rate_spread + (0.0 if kind == "slew" else self.wheel_spread)
 
 
+def by(function: Callable[[Array], Array], *channels: str) -> Change:
+    """Channels as a function of each."""
+
+    def change(chunk: Chunk) -> Chunk:
+        changed: dict[str, Any] = {name: function(getattr(chunk, name)) for name in channels}
+        return replace(chunk, **changed)
+
+    return change
+
+
 def times(channel: str, factor: float | Sequence[float]) -> Change:
     """A channel, or each of its columns, times a factor."""
-    return lambda chunk: replace(chunk, **{channel: getattr(chunk, channel) * np.asarray(factor)})
+    return by(lambda values: values * np.asarray(factor), channel)
 
 
 def plus(channel: str, offset: Sequence[float]) -> Change:
     """A channel's columns with constant errors."""
-    return lambda chunk: replace(chunk, **{channel: getattr(chunk, channel) + np.asarray(offset)})
+    return by(lambda values: values + np.asarray(offset), channel)
 
 
 def ordered(channel: str, order: Sequence[int]) -> Change:
     """Columns of a channel in another order."""
-    return lambda chunk: replace(chunk, **{channel: getattr(chunk, channel)[:, list(order)]})
+    return by(lambda values: values[:, list(order)], channel)
 
 
-def exchanged(*pairs: tuple[int, int]) -> Change:
-    """Counters of pairs of thrusters exchanged."""
+def swapped(*pairs: tuple[int, int]) -> Callable[[Array], Array]:
+    """Values (…, K) with those of some pairs exchanged."""
 
-    def change(chunk: Chunk) -> Chunk:
-        order = list(range(chunk.on_time_s.shape[1]))
+    def change(values: Array) -> Array:
+        order = list(range(values.shape[-1]))
         for a, b in pairs:
             order[a], order[b] = order[b], order[a]
-        return replace(chunk, on_time_s=chunk.on_time_s[:, order], pulses=chunk.pulses[:, order])
+        return values[..., order]
 
     return change
+
+
+def exchanged(*pairs: tuple[int, int]) -> Mistaken:
+    """Counters of pairs of thrusters exchanged."""
+    return Mistaken(by(swapped(*pairs), *COUNTERS), THRUSTERS, BIAS)
+
+
+def log_volume(factor: float | Sequence[float]) -> float:
+    """What three columns gain in volume by a factor of all, or one of each."""
+    return float(np.log(np.abs(np.broadcast_to(factor, 3))).sum())
+
+
+def wheels_times(factor: float | Sequence[float], names: tuple[str, ...]) -> Mistaken:
+    """Wheel rates, or each wheel's, times a factor."""
+    return Mistaken(times("wheel_rpm", factor), names, wheel_spread=log_volume(factor))
+
+
+def rates_times(factor: float | Sequence[float], *names: str) -> Mistaken:
+    """Body rates, or each axis's, times a factor."""
+    return Mistaken(times("rate_rad_s", factor), names, rate_spread=log_volume(factor))
 
 
 def moved(late_s: float, *channels: str) -> Change:
     """Channels that come late: rows slip down; what was before the first is repeated."""
 
-    def slipped(chunk: Chunk, channel: str) -> Array:
-        values = getattr(chunk, channel)
+    def slipped(values: Array, time_s: Array) -> Array:
         there = np.flatnonzero(~np.isnan(values).any(axis=1))
-        time = chunk.time_s[there]
+        time = time_s[there]
         source = np.searchsorted(time, time - late_s + 1e-9, side="right") - 1
         result: Array = values.copy()
         result[there] = values[there[np.clip(source, 0, len(there) - 1)]]
         return result
 
-    def change(chunk: Chunk) -> Chunk:
-        for name in channels:
-            late: dict[str, Any] = {name: slipped(chunk, name)}
-            chunk = replace(chunk, **late)
-        return chunk
-
-    return change
+    return lambda chunk: by(lambda values: slipped(values, chunk.time_s), *channels)(chunk)
 
 
-def with_column(channel: str, column: int, value: Callable[[Array], Array | float]) -> Change:
-    """One column of a channel as a function of the channel."""
+def wheel(column: int, value: Callable[[Array], Array | float]) -> Change:
+    """The rates of one wheel as a function of those of all."""
 
-    def change(chunk: Chunk) -> Chunk:
-        values = getattr(chunk, channel).copy()
-        known = ~np.isnan(values[:, column])
-        values[known, column] = np.broadcast_to(value(values[known]), known.sum())
-        return replace(chunk, **{channel: values})
+    def changed(rpm: Array) -> Array:
+        result = rpm.copy()
+        known = ~np.isnan(result[:, column])
+        result[known, column] = np.broadcast_to(value(result[known]), known.sum())
+        return result
 
-    return change
+    return by(changed, "wheel_rpm")
 
 
 def stuck(column: int) -> Callable[[Array], Array]:
@@ -120,11 +143,15 @@ def jump(column: int, size: float) -> Callable[[Array], Array]:
 
 
 CONJUGATE: Final = (-1.0, -1.0, -1.0, 1.0)
+SCALAR_FIRST: Final = (3, 0, 1, 2)
 COUNTERS: Final = ("on_time_s", "pulses")
 ORDER: Final = ("wheel-order",)
 SIGN: Final = ("wheel-sign",)
 UNIT: Final = ("wheel-unit",)
+FACTOR: Final = ("wheel-factor",)
+SILENT: Final = ("wheel-silent",)
 THRUSTERS: Final = ("thruster-order",)
+CONVENTION: Final = ("attitude-convention",)
 
 _WHEELS: Final[Mapping[str, Mistaken]] = {
     "first two wheels exchanged": Mistaken(ordered("wheel_rpm", (1, 0, 2)), ORDER),
@@ -132,56 +159,38 @@ _WHEELS: Final[Mapping[str, Mistaken]] = {
     "first and last wheel exchanged": Mistaken(ordered("wheel_rpm", (2, 1, 0)), ORDER),
     "wheels rotated": Mistaken(ordered("wheel_rpm", (1, 2, 0)), ORDER),
     "wheels rotated the other way": Mistaken(ordered("wheel_rpm", (2, 0, 1)), ORDER),
-    "all wheel signs": Mistaken(times("wheel_rpm", -1.0), SIGN),
-    "sign of the first wheel": Mistaken(times("wheel_rpm", (-1.0, 1.0, 1.0)), SIGN),
-    "sign of the second wheel": Mistaken(times("wheel_rpm", (1.0, -1.0, 1.0)), SIGN),
-    "signs of the last two wheels": Mistaken(times("wheel_rpm", (1.0, -1.0, -1.0)), SIGN),
-    "wheels in rad/s": Mistaken(
-        times("wheel_rpm", RAD_S_PER_RPM), UNIT, wheel_spread=3.0 * np.log(RAD_S_PER_RPM)
-    ),
-    "wheels in deg/s": Mistaken(times("wheel_rpm", 6.0), UNIT, wheel_spread=3.0 * np.log(6.0)),
-    "wheels in rev/s": Mistaken(
-        times("wheel_rpm", 1 / 60.0), UNIT, wheel_spread=-3.0 * np.log(60.0)
-    ),
-    "wheels turned to rad/s twice": Mistaken(
-        times("wheel_rpm", 1 / RAD_S_PER_RPM), UNIT, wheel_spread=-3.0 * np.log(RAD_S_PER_RPM)
-    ),
-    "first wheel doubled": Mistaken(
-        times("wheel_rpm", (2.0, 1.0, 1.0)), ("wheel-factor",), wheel_spread=np.log(2.0)
-    ),
-    "second wheel halved": Mistaken(
-        times("wheel_rpm", (1.0, 0.5, 1.0)), ("wheel-factor",), wheel_spread=-np.log(2.0)
-    ),
-    "last wheel × 1.2": Mistaken(
-        times("wheel_rpm", (1.0, 1.0, 1.2)), ("wheel-factor",), wheel_spread=np.log(1.2)
-    ),
+    "all wheel signs": wheels_times(-1.0, SIGN),
+    "sign of the first wheel": wheels_times((-1.0, 1.0, 1.0), SIGN),
+    "sign of the second wheel": wheels_times((1.0, -1.0, 1.0), SIGN),
+    "signs of the last two wheels": wheels_times((1.0, -1.0, -1.0), SIGN),
+    "wheels in rad/s": wheels_times(RAD_S_PER_RPM, UNIT),
+    "wheels in deg/s": wheels_times(6.0, UNIT),
+    "wheels in rev/s": wheels_times(1 / 60.0, UNIT),
+    "wheels turned to rad/s twice": wheels_times(1 / RAD_S_PER_RPM, UNIT),
+    "first wheel doubled": wheels_times((2.0, 1.0, 1.0), FACTOR),
+    "second wheel halved": wheels_times((1.0, 0.5, 1.0), FACTOR),
+    "last wheel × 1.2": wheels_times((1.0, 1.0, 1.2), FACTOR),
     "second wheel + 500 rpm": Mistaken(plus("wheel_rpm", (0.0, 500.0, 0.0)), ("wheel-offset",)),
     "first wheel − 50 rpm": Mistaken(plus("wheel_rpm", (-50.0, 0.0, 0.0)), ("wheel-offset",)),
     "second wheel jumps by 100 rpm": Mistaken(
-        with_column("wheel_rpm", 1, jump(1, 100.0)), ("wheel-offset", "bad-cell", "open-balance")
+        wheel(1, jump(1, 100.0)), ("wheel-offset", "bad-cell", "open-balance")
     ),
-    "second wheel stuck": Mistaken(
-        with_column("wheel_rpm", 1, lambda v: v[0, 1]), ("wheel-silent",)
-    ),
-    "last wheel stuck from half-way": Mistaken(
-        with_column("wheel_rpm", 2, stuck(2)), ("wheel-silent",)
-    ),
-    "second wheel repeats the first": Mistaken(
-        with_column("wheel_rpm", 1, lambda v: v[:, 0]), ("wheel-silent",)
-    ),
+    "second wheel stuck": Mistaken(wheel(1, lambda rpm: rpm[0, 1]), SILENT),
+    "last wheel stuck from half-way": Mistaken(wheel(2, stuck(2)), SILENT),
+    "second wheel repeats the first": Mistaken(wheel(1, lambda rpm: rpm[:, 0]), SILENT),
     "wheels 8 s late": Mistaken(moved(8.0, "wheel_rpm"), ("wheel-time",)),
     "wheels 20 s early": Mistaken(moved(-20.0, "wheel_rpm"), ("wheel-time",)),
 }
 _COUNTERS: Final[Mapping[str, Mistaken]] = {
-    "z1 and z3 exchanged": Mistaken(exchanged((0, 2)), THRUSTERS, BIAS),
-    "z1 and z2 exchanged": Mistaken(exchanged((0, 1)), THRUSTERS, BIAS),
-    "z2 and z4 exchanged": Mistaken(exchanged((1, 3)), THRUSTERS, BIAS),
-    "z1 and y1 exchanged": Mistaken(exchanged((0, 4)), THRUSTERS, BIAS),
-    "z3 and y4 exchanged": Mistaken(exchanged((2, 7)), THRUSTERS, BIAS),
-    "y1 and y2 exchanged": Mistaken(exchanged((4, 5)), THRUSTERS, BIAS),
-    "y1 and y3 exchanged": Mistaken(exchanged((4, 6)), THRUSTERS, BIAS),
-    "z1 with z2, z3 with z4": Mistaken(exchanged((0, 1), (2, 3)), THRUSTERS, BIAS),
-    "y1 with y2, y3 with y4": Mistaken(exchanged((4, 5), (6, 7)), THRUSTERS, BIAS),
+    "z1 and z3 exchanged": exchanged((0, 2)),
+    "z1 and z2 exchanged": exchanged((0, 1)),
+    "z2 and z4 exchanged": exchanged((1, 3)),
+    "z1 and y1 exchanged": exchanged((0, 4)),
+    "z3 and y4 exchanged": exchanged((2, 7)),
+    "y1 and y2 exchanged": exchanged((4, 5)),
+    "y1 and y3 exchanged": exchanged((4, 6)),
+    "z1 with z2, z3 with z4": exchanged((0, 1), (2, 3)),
+    "y1 with y2, y3 with y4": exchanged((4, 5), (6, 7)),
     "pulses doubled": Mistaken(times("pulses", 2.0), ("pulse-count",), BIAS),
     "pulses tripled": Mistaken(times("pulses", 3.0), ("pulse-count",), BIAS),
     "on-times in ms": Mistaken(times("on_time_s", 1e3), ("on-time-unit",), BIAS),
@@ -193,46 +202,27 @@ _RATES: Final[Mapping[str, Mistaken]] = {
     "rates zero": Mistaken(times("rate_rad_s", 0.0), ("rate-silent",)),
     "x rate zero": Mistaken(times("rate_rad_s", (0.0, 1.0, 1.0)), ("rate-silent",)),
     "z rate zero": Mistaken(times("rate_rad_s", (1.0, 1.0, 0.0)), ("rate-silent",)),
-    "all rate signs": Mistaken(times("rate_rad_s", -1.0), ("rate-sign",)),
-    "sign of y rate": Mistaken(times("rate_rad_s", (1.0, -1.0, 1.0)), ("rate-sign",)),
-    "signs of x and z rates": Mistaken(times("rate_rad_s", (-1.0, 1.0, -1.0)), ("rate-sign",)),
+    "all rate signs": rates_times(-1.0, "rate-sign"),
+    "sign of y rate": rates_times((1.0, -1.0, 1.0), "rate-sign"),
+    "signs of x and z rates": rates_times((-1.0, 1.0, -1.0), "rate-sign"),
     "x and y rates exchanged": Mistaken(ordered("rate_rad_s", (1, 0, 2)), ("rate-axes",)),
     "y and z rates exchanged": Mistaken(ordered("rate_rad_s", (0, 2, 1)), ("rate-axes",)),
     "rates rotated": Mistaken(ordered("rate_rad_s", (1, 2, 0)), ("rate-axes",)),
-    "rates in deg/s": Mistaken(
-        times("rate_rad_s", DEGREES), ("rate-unit",), rate_spread=3.0 * np.log(DEGREES)
-    ),
-    "rates in mrad/s": Mistaken(
-        times("rate_rad_s", 1e3), ("rate-unit", "time-unit"), rate_spread=3.0 * np.log(1e3)
-    ),
-    "rates turned from deg/s twice": Mistaken(
-        times("rate_rad_s", 1.0 / DEGREES),
-        ("rate-unit", "time-unit"),
-        rate_spread=-3.0 * np.log(DEGREES),
-    ),
-    "rates × 1.1": Mistaken(
-        times("rate_rad_s", 1.1), ("rate-factor",), rate_spread=3.0 * np.log(1.1)
-    ),
-    "y rate × 1.1": Mistaken(
-        times("rate_rad_s", (1.0, 1.1, 1.0)), ("rate-factor",), rate_spread=np.log(1.1)
-    ),
-    "rates × 2": Mistaken(
-        times("rate_rad_s", 2.0), ("rate-factor",), rate_spread=3.0 * np.log(2.0)
-    ),
-    "rates × 0.5": Mistaken(
-        times("rate_rad_s", 0.5), ("rate-factor",), rate_spread=-3.0 * np.log(2.0)
-    ),
+    "rates in deg/s": rates_times(DEGREES, "rate-unit"),
+    "rates in mrad/s": rates_times(1e3, "rate-unit", "time-unit"),
+    "rates turned from deg/s twice": rates_times(1.0 / DEGREES, "rate-unit", "time-unit"),
+    "rates × 1.1": rates_times(1.1, "rate-factor"),
+    "y rate × 1.1": rates_times((1.0, 1.1, 1.0), "rate-factor"),
+    "rates × 2": rates_times(2.0, "rate-factor"),
+    "rates × 0.5": rates_times(0.5, "rate-factor"),
     "rates 8 s late": Mistaken(moved(8.0, "rate_rad_s"), ("rate-time",)),
     "rates 20 s early": Mistaken(moved(-20.0, "rate_rad_s"), ("rate-time",)),
 }
 _ATTITUDES: Final[Mapping[str, Mistaken]] = {
-    "quaternions inverse": Mistaken(times("attitude", CONJUGATE), ("attitude-convention",)),
-    "quaternions scalar-first": Mistaken(
-        ordered("attitude", (3, 0, 1, 2)), ("attitude-convention",)
-    ),
+    "quaternions inverse": Mistaken(times("attitude", CONJUGATE), CONVENTION),
+    "quaternions scalar-first": Mistaken(ordered("attitude", SCALAR_FIRST), CONVENTION),
     "quaternions scalar-first and inverse": Mistaken(
-        lambda chunk: ordered("attitude", (3, 0, 1, 2))(times("attitude", CONJUGATE)(chunk)),
-        ("attitude-convention",),
+        by(lambda values: (values * np.array(CONJUGATE))[:, SCALAR_FIRST], "attitude"), CONVENTION
     ),
     "attitudes 8 s late": Mistaken(moved(8.0, "attitude"), ("attitude-time",)),
     "attitudes 20 s early": Mistaken(moved(-20.0, "attitude"), ("attitude-time",)),
@@ -262,33 +252,33 @@ class MistakenRow:
     spread: float = 0.0
 
 
-def rates_by(change: Callable[[Array], Array]) -> RowChange:
+def wheel_rates_by(change: Callable[[Array], Array]) -> RowChange:
     """Wheel rates before and after, changed alike."""
     return lambda row: replace(
         row, rwa_start_rpm=change(row.rwa_start_rpm), rwa_end_rpm=change(row.rwa_end_rpm)
     )
 
 
-def rates_times(factor: float | Sequence[float]) -> RowChange:
+def wheel_rates_times(factor: float | Sequence[float], *names: str) -> MistakenRow:
     """Wheel rates, or each wheel's, times a factor."""
-    return rates_by(lambda rpm: rpm * np.asarray(factor))
+    change = wheel_rates_by(lambda rpm: rpm * np.asarray(factor))
+    return MistakenRow(change, names, log_volume(factor))
 
 
-def rates_ordered(*order: int) -> RowChange:
+def wheels_ordered(*order: int) -> MistakenRow:
     """Wheels in another order."""
-    return rates_by(lambda rpm: rpm[list(order)])
+    return MistakenRow(wheel_rates_by(lambda rpm: rpm[list(order)]), ORDER)
 
 
-def totals_exchanged(a: int, b: int) -> RowChange:
+def totals_exchanged(a: int, b: int) -> MistakenRow:
     """Totals of two thrusters exchanged."""
+    swap = swapped((a, b))
 
     def change(row: TotalsEvent) -> TotalsEvent:
-        order = list(range(len(row.on_time_s)))
-        order[a], order[b] = order[b], order[a]
-        pulses = None if row.pulses is None else row.pulses[order]
-        return replace(row, on_time_s=row.on_time_s[order], pulses=pulses)
+        pulses = None if row.pulses is None else swap(row.pulses)
+        return replace(row, on_time_s=swap(row.on_time_s), pulses=pulses)
 
-    return change
+    return MistakenRow(change, THRUSTERS)
 
 
 def on_times_by(change: Callable[[Array], Array]) -> RowChange:
@@ -307,21 +297,19 @@ TOTALS: Final[Mapping[str, MistakenRow]] = MappingProxyType(
             lambda row: replace(row, rwa_start_rpm=row.rwa_end_rpm, rwa_end_rpm=row.rwa_start_rpm),
             ("start-end", "wheel-sign"),
         ),
-        "first two wheels exchanged": MistakenRow(rates_ordered(1, 0, 2), ORDER),
-        "last two wheels exchanged": MistakenRow(rates_ordered(0, 2, 1), ORDER),
-        "wheels rotated": MistakenRow(rates_ordered(1, 2, 0), ORDER),
-        "all wheel signs": MistakenRow(rates_times(-1.0), ("wheel-sign", "start-end")),
-        "sign of the second wheel": MistakenRow(rates_times((1.0, -1.0, 1.0)), SIGN),
-        "wheels in rad/s": MistakenRow(
-            rates_times(RAD_S_PER_RPM), UNIT, 3.0 * np.log(RAD_S_PER_RPM)
-        ),
-        "wheels in deg/s": MistakenRow(rates_times(6.0), UNIT, 3.0 * np.log(6.0)),
-        "wheels in rev/s": MistakenRow(rates_times(1.0 / 60.0), UNIT, -3.0 * np.log(60.0)),
-        "z1 and z3 exchanged": MistakenRow(totals_exchanged(0, 2), THRUSTERS),
-        "z1 and z2 exchanged": MistakenRow(totals_exchanged(0, 1), THRUSTERS),
-        "z1 and y1 exchanged": MistakenRow(totals_exchanged(0, 4), THRUSTERS),
-        "y1 and y2 exchanged": MistakenRow(totals_exchanged(4, 5), THRUSTERS),
-        "y1 and y3 exchanged": MistakenRow(totals_exchanged(4, 6), THRUSTERS),
+        "first two wheels exchanged": wheels_ordered(1, 0, 2),
+        "last two wheels exchanged": wheels_ordered(0, 2, 1),
+        "wheels rotated": wheels_ordered(1, 2, 0),
+        "all wheel signs": wheel_rates_times(-1.0, "wheel-sign", "start-end"),
+        "sign of the second wheel": wheel_rates_times((1.0, -1.0, 1.0), *SIGN),
+        "wheels in rad/s": wheel_rates_times(RAD_S_PER_RPM, *UNIT),
+        "wheels in deg/s": wheel_rates_times(6.0, *UNIT),
+        "wheels in rev/s": wheel_rates_times(1.0 / 60.0, *UNIT),
+        "z1 and z3 exchanged": totals_exchanged(0, 2),
+        "z1 and z2 exchanged": totals_exchanged(0, 1),
+        "z1 and y1 exchanged": totals_exchanged(0, 4),
+        "y1 and y2 exchanged": totals_exchanged(4, 5),
+        "y1 and y3 exchanged": totals_exchanged(4, 6),
         "on-times in ms": MistakenRow(on_times_by(lambda on: 1e3 * on), ("on-time-unit",)),
         "on-times × 1.2": MistakenRow(on_times_by(lambda on: 1.2 * on), ()),
         "z2 on-time × 10": MistakenRow(cell_times(1, 10.0), ("bad-cell", "on-time-unit")),

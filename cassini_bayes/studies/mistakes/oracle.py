@@ -19,7 +19,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import UNKNOWN
 from cassini_bayes.diagnosis.events import Events, prepare
@@ -57,6 +56,10 @@ CATALOGUE_WIDTH: Final = 5.0
 _WIDENED: Final = ("thrust_", "cm_", "rwa", "inertia_", "tau_fall", "thruster_")
 
 
+Recorded = tuple[TelemetryEvent, Chunk] | TotalsEvent
+"""An event as its reader gives it."""
+
+
 @dataclass(frozen=True)
 class Answer:
     """Means and standard deviations of inferred scalars."""
@@ -86,37 +89,22 @@ class Physics:
         return max(self.log_density, *self.causes.values())
 
 
-def answer_of(events: Sequence[tuple[TelemetryEvent, Chunk]], priors: Priors) -> Answer | None:
-    """Laplace's posterior of telemetry; None where the package declines the data."""
+def answer_of(recorded: Sequence[Recorded], priors: Priors) -> Answer | None:
+    """Laplace's posterior of telemetry or totals; None where the package declines the data."""
     try:
-        reduced = [_reduced(event, samples_of(chunk), priors) for event, chunk in events]
-        return _laplace(build_model(reduced, priors))
+        return _laplace(build_model([_taken(one, priors) for one in recorded], priors))
     except CassiniBayesError:
         return None
 
 
-def answer_of_rows(rows: Sequence[TotalsEvent], priors: Priors) -> Answer | None:
-    """Laplace's posterior of totals; None where the package declines them."""
+def physics_of(recorded: Sequence[Recorded], priors: Priors) -> Physics | None:
+    """How dense data are under the catalogue; None where the package declines them."""
     try:
-        return _laplace(build_model(list(rows), priors))
-    except CassiniBayesError:
-        return None
-
-
-def physics_of(events: Sequence[tuple[TelemetryEvent, Chunk]], priors: Priors) -> Physics | None:
-    """How dense telemetry is under the catalogue; None where the package declines the data."""
-    try:
-        reduced = [_reduced(event, samples_of(chunk), priors) for event, chunk in events]
-        rows = sum(event.statistics.rows for event in reduced)
-        return _densest(prepare(reduced, priors), rows)
-    except CassiniBayesError:
-        return None
-
-
-def physics_of_rows(rows: Sequence[TotalsEvent], priors: Priors) -> Physics | None:
-    """The same of totals."""
-    try:
-        return _densest(prepare((), priors, rows), 1)
+        events = [_taken(one, priors) for one in recorded]
+        telemetry = [event for event in events if isinstance(event, ReducedEvent)]
+        totals = [event for event in events if isinstance(event, TotalsEvent)]
+        rows = sum(event.statistics.rows for event in telemetry) if telemetry else 1
+        return _densest(prepare(telemetry, priors, totals), rows)
     except CassiniBayesError:
         return None
 
@@ -127,7 +115,11 @@ def with_catalogue(priors: Priors) -> Priors:
     return priors.scaled(free, CATALOGUE_WIDTH)
 
 
-def _reduced(event: TelemetryEvent, samples: Samples, priors: Priors) -> ReducedEvent:
+def _taken(recorded: Recorded, priors: Priors) -> ReducedEvent | TotalsEvent:
+    """An event as a model takes it."""
+    if isinstance(recorded, TotalsEvent):
+        return recorded
+    event, samples = recorded[0], samples_of(recorded[1])
     sampling = sampling_of(priors, event.thrusters, float(samples.time_s[-1]), "first_order")
     return reduce_samples(event.id, event.kind, event.wheels, event.thrusters, samples, sampling)
 

@@ -10,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.studies.conditions import LEVELS
+from cassini_bayes.computing.arrays import Flags
+from cassini_bayes.studies.conditions import strata_of
 from cassini_bayes.studies.mistakes.campaign import (
     CASES,
     MODULE,
@@ -66,12 +67,12 @@ def outcome(verdict: str, names: Sequence[str], moved: float, nats: float) -> Ou
 def run_mistakes(study: Study, scenario: Path, priors: Path, numbers: Mapping[str, int]) -> bool:
     """Fly, judge and write the page; ``numbers`` are sets by part. Whether both goals are met."""
     honest = study.repeat(
-        "honest", "honest draws", Honest(scenario, priors, study.seed), numbers["honest"]
+        "honest", "honest draws", Honest(scenario, priors, seed=study.seed), numbers["honest"]
     )
     mistaken = study.repeat(
         "mistaken",
         "sets with mistakes",
-        WithMistakes(scenario, priors, study.seed),
+        WithMistakes(scenario, priors, seed=study.seed),
         numbers["mistaken"],
     )
     outcomes = list(_outcomes(mistaken))
@@ -122,7 +123,7 @@ def _share(counted: Mapping[str, int]) -> float:
     return sum(counted[word] for word in RIGHT) / max(judged, 1)
 
 
-def _disturbed(honest: Arrays) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _disturbed(honest: Arrays) -> Flags:
     """Draws of which anything was refused or flagged."""
     quiet = (honest["verdict"] == VERDICTS.index("passed")) | (honest["verdict"] == NO_EVENT)
     return np.asarray(~quiet.all(axis=1))
@@ -131,7 +132,7 @@ def _disturbed(honest: Arrays) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
 def _opening(
     outcomes: Sequence[Row],
     counted: Mapping[str, int],
-    disturbed: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    disturbed: Flags,
 ) -> list[str]:
     kinds, sets = len({name for name, _, _ in outcomes}), len(outcomes[0][2])
     judged = sum(counted[word] for word in WORSE if word not in (HARMLESS, NOTHING))
@@ -171,15 +172,11 @@ def _by_input(outcomes: Sequence[Row]) -> list[str]:
     return [*lines, ""]
 
 
-def _by_stratum(honest: Arrays, disturbed: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[str]:
+def _by_stratum(honest: Arrays, disturbed: Flags) -> list[str]:
     lines = ["## Honest draws", "", "| condition | level | draws | disturbed |", "| --- " * 4 + "|"]
     hides = honest["effect"] != NO_EFFECT
-    strata = [("effect", "none", ~hides), ("effect", "a clear one", hides)] + [
-        (name, level, honest["levels"][:, c] == i)
-        for c, (name, own) in enumerate(LEVELS.items())
-        for i, level in enumerate(own)
-    ]
-    for name, level, chosen in strata:
+    of_effects = (("effect", "none", ~hides), ("effect", "a clear one", hides))
+    for name, level, chosen in (*of_effects, *strata_of(honest["levels"])):
         if chosen.any():
             lines.append(f"| {name} | {level} | {chosen.sum()} | {disturbed[chosen].sum()} |")
     names = list(EFFECTS)

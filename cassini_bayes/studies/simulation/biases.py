@@ -51,7 +51,7 @@ def bias_sections(
     """The eight biases: skill of every column, the scan of settings; tables (CSV) and figures."""
     file = read_scenario(SCENARIOS / "biases_2009_2010.toml")
     tables = wheel_bias_tables()
-    full = simulate_biases(file, file.scenario, tables, seeds)
+    full = simulate_biases(file, tables, seeds)
     header = ["column", *_KIND_NAMES.values(), *_SIGNATURE_NAMES]
     skill = [
         [
@@ -63,13 +63,11 @@ def bias_sections(
     ]
     scan_rows = []
     for name, updates in SCAN.items():
-        settings = file.scenario.rcs.model_copy(update=dict(updates))
-        scenario = file.scenario.model_copy(update={"rcs": settings})
-        result = simulate_biases(file, scenario, tables, scan_seeds)
-        scan_rows.append(_scan_row(name, result))
+        changed = with_settings(file, rcs=file.scenario.rcs.model_copy(update=dict(updates)))
+        scan_rows.append(_scan_row(name, simulate_biases(changed, tables, scan_seeds)))
     for tau in TAIL_OFFS_S:
         changed = with_settings(file, truth={**file.scenario.truth, "tau_fall_s": tau})
-        result = simulate_biases(changed, changed.scenario, tables, scan_seeds)
+        result = simulate_biases(changed, tables, scan_seeds)
         scan_rows.append(_scan_row(f"τ_fall {1e3 * tau:.0f} ms", result))
     scan_header = ["settings", *_KIND_NAMES.values(), *_HALVES, *_SIGNATURE_NAMES]
     event_header = ["event", "row", *PRINTED, "simulated_mean", "simulated_sd"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -14,7 +14,7 @@ from cassini_bayes.published import published_constants
 from cassini_bayes.report.study_page import markdown_table
 from cassini_bayes.simulation import Motion, SimulatedEvent, read_scenario
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
-from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated
+from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated, with_settings
 
 SEEDS: Final = range(1, 9)
 DIGITS: Final = (2, 0, 0, 0, 1, 0, 3, 4, 3)
@@ -49,15 +49,9 @@ def fsds_section() -> tuple[str, list[list[str]]]:
     rows = [["paper 000", *_paper_fsds_cells()]]
     for shape in ("first_order", "published_2005"):
         for name, updates in (("", {}), (", no hysteresis", {"hysteresis": 0.0})):
-            scenario = file.scenario.model_copy(
-                update={
-                    "propulsion": file.scenario.propulsion.model_copy(
-                        update={"pulse_shape": shape}
-                    ),
-                    "rcs": file.scenario.rcs.model_copy(update=updates),
-                }
-            )
-            changed = replace(file, scenario=scenario)
+            propulsion = file.scenario.propulsion.model_copy(update={"pulse_shape": shape})
+            rcs = file.scenario.rcs.model_copy(update=updates)
+            changed = with_settings(file, propulsion=propulsion, rcs=rcs)
             result = [_figures(simulated(changed, seed)[0], lever) for seed in SEEDS]
             rows.append([f"{shape}{name}", *_cells(np.array(result))])
     return markdown_table(header, rows), [header, *rows]
@@ -65,25 +59,15 @@ def fsds_section() -> tuple[str, list[list[str]]]:
 
 def _paper_fsds_cells() -> list[str]:
     """What paper 000 prints of its case, in the order of the table."""
-    constants = published_constants()
-    printed = {
-        key: constants.value("paper_000_fsds", key)
-        for key in ("on_time_y2_s", "estimated_thrust_n", "impulse_ratio", "corrected_thrust_n")
-    }
-    widths = [
-        round(constants.value("paper_000_fsds", f"pulses_{width}_ms"))
-        for width in (125, 250, 500, 750)
-    ]
+    value = partial(published_constants().value, "paper_000_fsds")
+    short, longer, *longest = (round(value(f"pulses_{ms}_ms")) for ms in (125, 250, 500, 750))
+    pulses = (short + longer + sum(longest), short, longer, sum(longest))
+    thrust = ("estimated_thrust_n", "impulse_ratio", "corrected_thrust_n")
     return [
-        f"{printed['on_time_y2_s']:g}",
-        str(sum(widths)),
-        str(widths[0]),
-        str(widths[1]),
-        str(widths[2] + widths[3]),
+        f"{value('on_time_y2_s'):g}",
+        *map(str, pulses),
         "–",
-        f"{printed['estimated_thrust_n']:g}",
-        f"{printed['impulse_ratio']:g}",
-        f"{printed['corrected_thrust_n']:g}",
+        *(f"{value(key):g}" for key in thrust),
     ]
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.studies.scenario import draw_truth, simulate_file
 from cassini_bayes.studies.simulation.cases import SCENARIOS, simulated
 
+Result = TypeVar("Result")
 WIDTHS_S: Final = (0.007, 0.02, 0.06, 0.125, 0.25, 0.5, 0.75)
 STREAMS: Final = ("start", "knowledge", "torque noise")
 SHAPES: Final = ("rectangular", "first_order", "first_order_held", "published_2005")
@@ -47,41 +49,33 @@ def momentum_section() -> str:
     """Momentum, integrator order, impulse and speed, as a table."""
     slews = read_scenario(SCENARIOS / "slews_2000.toml")
     biases = read_scenario(SCENARIOS / "biases_2009_2010.toml")
-    hour = simulated(slews, 1)[0].motion
-    bias = simulated(biases, 1)[0].motion
-    orders = integrator_orders(biases)
+    orders = ", ".join(f"{order:.2f}" for order in integrator_orders(biases))
+    errors = {shape: max(impulse_error(width, shape) for width in WIDTHS_S) for shape in SHAPES}
+    impulse = "largest relative error of a pulse's impulse, 7 to 750 ms"
+    drifts = {
+        "relative drift of inertial momentum, slews, 4200 s": slews,
+        "drift beyond the torque's integral, wheel bias": biases,
+    }
+    speeds = {
+        "wheel bias, 5 ms steps, one core": biases,
+        "slews with two appendages, 5 ms steps": slews,
+    }
+    in_memory = {"wheel bias of 1291 s": (biases, 1), "slews of 4200 s": (slews, 0)}
     rows = [
-        [
-            "relative drift of inertial momentum, slews, 4200 s",
-            f"{relative_drift(hour):.1e}",
-            "1e-8",
-        ],
-        [
-            "drift beyond the torque's integral, wheel bias",
-            f"{relative_drift(bias):.1e}",
-            "1e-8",
-        ],
-        [
-            "order of the integrator, tumbling, steps of 2, 1, 0.5 s",
-            ", ".join(f"{order:.2f}" for order in orders),
-            "4",
-        ],
         *(
-            [
-                f"largest relative error of a pulse's impulse, 7 to 750 ms, {shape}",
-                f"{max(impulse_error(width, shape) for width in WIDTHS_S):.1e}",
-                "1e-6",
-            ]
-            for shape in SHAPES
+            [what, f"{relative_drift(simulated(file, 1)[0].motion):.1e}", "1e-8"]
+            for what, file in drifts.items()
         ),
-        ["speed, wheel bias, 5 ms steps, one core", f"{speed(biases):,.0f} × real time", "2,000"],
-        [
-            "speed, slews with two appendages, 5 ms steps",
-            f"{speed(slews):,.0f} × real time",
-            "2,000",
-        ],
-        ["in memory, wheel bias of 1291 s to telemetry", f"{in_memory_s(biases, 1):.2f} s", "–"],
-        ["in memory, slews of 4200 s to telemetry", f"{in_memory_s(slews, 0):.2f} s", "–"],
+        ["order of the integrator, tumbling, steps of 2, 1, 0.5 s", orders, "4"],
+        *([f"{impulse}, {shape}", f"{error:.1e}", "1e-6"] for shape, error in errors.items()),
+        *(
+            [f"speed, {what}", f"{speed(file):,.0f} × real time", "2,000"]
+            for what, file in speeds.items()
+        ),
+        *(
+            [f"in memory, {what} to telemetry", f"{in_memory_s(*event):.2f} s", "–"]
+            for what, event in in_memory.items()
+        ),
     ]
     return markdown_table(["figure", "measured", "required"], rows)
 
@@ -131,11 +125,9 @@ def speed(file: ScenarioFile) -> float:
     scenario = file.scenario
     plan = make_plan(scenario, file.spacecraft, scenario.event[0], truth)
     steps = Steps.of(scenario.step_s, scenario.cycle_s, record_interval_s(scenario.telemetry))
-    best = math.inf
-    for _ in range(SPEED_RUNS):
-        began = time.process_time()
-        motion = simulate_motion(plan, steps, *(stream(1, use) for use in STREAMS))
-        best = min(best, time.process_time() - began)
+    motion, best = fastest(
+        lambda: simulate_motion(plan, steps, *(stream(1, use) for use in STREAMS)), SPEED_RUNS
+    )
     return motion.duration_s / best
 
 
@@ -143,9 +135,14 @@ def in_memory_s(file: ScenarioFile, index: int) -> float:
     """Processor time from a checked scenario to the telemetry of one event: the best of three."""
     event = file.scenario.event[index]
     single = replace(file, scenario=file.scenario.model_copy(update={"event": (event,)}))
-    best = math.inf
-    for _ in range(MEMORY_RUNS):
+    return fastest(lambda: simulate_file(single, 1), MEMORY_RUNS)[1]
+
+
+def fastest(work: Callable[[], Result], runs: int) -> tuple[Result, float]:
+    """The result of some work, and its least processor time of several runs, s."""
+    times = []
+    for _ in range(runs):
         began = time.process_time()
-        simulate_file(single, 1)
-        best = min(best, time.process_time() - began)
-    return best
+        result = work()
+        times.append(time.process_time() - began)
+    return result, min(times)
