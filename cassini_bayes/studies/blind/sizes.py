@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from scipy.stats import chi
 
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
@@ -32,7 +33,9 @@ from cassini_bayes.studies.blind.shift import (
     modelled_size,
 )
 
-LARGEST_IN_PRIOR_SCALES: Final = 4.0
+LARGEST_IN_PRIOR_SCALES: Final = 2.5
+"""What is larger is not believed: one prior draw in eighty. Truths that priors exclude measure how
+hard a prior pulls, not whether intervals are right."""
 NULL_VALUES: Final[Mapping[str, float]] = {"thrust_factor": 1.0}
 NEWTON_STEPS: Final = 3
 STEP: Final = 0.05  # standard deviations, for slopes
@@ -102,18 +105,19 @@ class Growth:
 
 
 def draw_path(effect: Effect, rng: np.random.Generator) -> Growth:
-    """A direction drawn like the prior: s = 1 is one prior scale."""
-    direction, constant = {}, {}
-    several = sum(p.distribution.name != "lognorm" for p in effect.parameters) > 1
+    """A direction drawn like the prior: s = 1 is one prior scale, of all parameters together."""
+    constant, scales = {}, {}
     for parameter in effect.parameters:
         if parameter.distribution.name == "lognorm":  # a time constant has no null
             constant[parameter.key] = float(parameter.distribution.sample(rng, 1)[0])
-            continue
-        scale = parameter.distribution.scale
-        sign = _ONE_SIDED.get(effect.kind.name) or float(rng.choice([-1.0, 1.0]))
-        share = abs(float(rng.standard_normal())) if several else 1.0
-        direction[parameter.key] = sign * scale * share
-    return Growth(effect, direction, constant)
+        else:
+            scales[parameter.key] = parameter.distribution.scale
+    shares = np.abs(rng.standard_normal(len(scales)))
+    shares /= np.linalg.norm(shares)
+    side = _ONE_SIDED.get(effect.kind.name)
+    signs = rng.choice([-1.0, 1.0], len(scales)) if side is None else np.full(len(scales), side)
+    each = zip(scales.items(), (signs * shares).tolist(), strict=True)
+    return Growth(effect, {key: scale * share for (key, scale), share in each}, constant)
 
 
 def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
@@ -219,25 +223,33 @@ def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> 
 def sized_between(
     stage: Stage, effect: Effect, low: float, high: float, rng: np.random.Generator
 ) -> Hidden | None:
-    """An effect of low to high σ; None where no size that is believable and flies is that large."""
-    sigma = float(rng.uniform(low, high))
+    """An effect of low to high σ; None where no size that is believable and flies is that large.
+
+    Between these bounds sizes are distributed as the prior has them.
+    """
     if effect.kind.search is not None:
-        return _flexible(stage, effect, (sigma, (low, high)), rng)
+        return _flexible(stage, effect, (float(rng.uniform(low, high)), (low, high)), rng)
     path = draw_path(effect, rng)
     # over conditions beside none: a kinked effect has no curvature there
     at = 0.0 if stage.scene.condition is None else BESIDE_NONE
     rate = sensitivity(stage.events, stage.base, path, at)
-    if rate <= 0.0:
+    if rate <= 0.0 or low / rate > LARGEST_IN_PRIOR_SCALES:
         return None
-    start = min(sigma / rate, LARGEST_IN_PRIOR_SCALES)
+    size = chi(len(path.direction))
+    most = min(high / rate, LARGEST_IN_PRIOR_SCALES)
+    start = float(size.isf(rng.uniform(size.sf(most), size.sf(low / rate))))
+    sigma = start * rate
     if effect.kind.name in RATE_KINDS:
-        # believable sizes only, and none that is cut off
-        return hide(path, start, stage.truth.parameters, sigma) if start * rate >= sigma else None
+        return hide(path, start, stage.truth.parameters, sigma)
     return search_size(lambda s: measured(stage, path, s), start, sigma, (low, high))
 
 
 def search_size(
-    at: Callable[[float], Hidden | None], start: float, sigma: float, span: tuple[float, float]
+    at: Callable[[float], Hidden | None],
+    start: float,
+    sigma: float,
+    span: tuple[float, float],
+    largest: float = LARGEST_IN_PRIOR_SCALES,
 ) -> Hidden | None:
     """Find s whose measured σ is within 5 % of ``sigma``, or, at the end, inside ``span``.
 
@@ -257,14 +269,14 @@ def search_size(
         if abs(reached - sigma) < SAME_SIZE * sigma:
             break
         pairs.append((s, reached))
-        following = _next(pairs, sigma)
+        following = _next(pairs, sigma, largest)
         if following is None:
             break
         s = following
     return best
 
 
-def _next(pairs: list[tuple[float, float]], sigma: float) -> float | None:
+def _next(pairs: list[tuple[float, float]], sigma: float, largest: float) -> float | None:
     """Next s: between the nearest below and above, else by proportion; None beyond belief."""
     below = [pair for pair in pairs if pair[1] < sigma]
     above = [pair for pair in pairs if pair[1] > sigma]
@@ -273,9 +285,9 @@ def _next(pairs: list[tuple[float, float]], sigma: float) -> float | None:
         share = np.log(sigma / fa) / np.log(fb / fa)
         return float(np.exp(np.log(a) + np.clip(share, 0.15, 0.85) * np.log(b / a)))
     s, value = pairs[-1]
-    if s >= LARGEST_IN_PRIOR_SCALES and value < sigma:
+    if s >= largest and value < sigma:
         return None
-    return min(s * float(np.clip(sigma / value, 0.25, 4.0)), LARGEST_IN_PRIOR_SCALES)
+    return min(s * float(np.clip(sigma / value, 0.25, 4.0)), largest)
 
 
 def moved_by(line: Oscillation, scene: Scene, events: Events, hidden: Hidden) -> Oscillation:
@@ -329,6 +341,10 @@ def _flexible(
     }
     drawn = {p.key: float(p.distribution.sample(rng, 1)[0]) for p in effect.parameters}
     amplitude = float(np.hypot(drawn["cosine_rad_s"], drawn["sine_rad_s"]))
+    scales = {p.key: p.distribution.scale for p in effect.parameters}
+    largest = LARGEST_IN_PRIOR_SCALES * min(
+        scales["cosine_rad_s"] / amplitude, scales["inertia_fraction"] / drawn["inertia_fraction"]
+    )
 
     def at(s: float) -> Hidden | None:
         parameters = {
@@ -345,7 +361,7 @@ def _flexible(
     if wanted is None:
         return at(1.0)
     sigma, span = wanted
-    return search_size(at, 1.0, sigma, span)
+    return search_size(at, min(1.0, largest), sigma, span, largest)
 
 
 def _flown_sensitivity(stage: Stage, events: Events, path: Growth, s: float) -> float:
