@@ -15,7 +15,7 @@ units of the rows' noise, and the price together are the misfit.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
 from typing import Final
@@ -162,18 +162,6 @@ class Correction:
     def is_free(self) -> bool:
         """Whether a size is free."""
         return bool(self.offset.shape[1] or self.wheel_factor or self.wheel_jump or self.wheel_lag)
-
-    def with_rate(self, rate: Array) -> Correction:
-        """The same with other rates."""
-        return replace(self, rate=rate)
-
-    def with_wheel(self, wheel: Array) -> Correction:
-        """The same with other wheels."""
-        return replace(self, wheel=wheel)
-
-    def with_thruster(self, thruster: Array) -> Correction:
-        """The same with other thrusters."""
-        return replace(self, thruster=thruster)
 
 
 def exchanged(order: Array, pairs: Sequence[tuple[int, int]]) -> Array:
