@@ -420,7 +420,7 @@ def _read_branch(where: str, value: object, spacecraft: Spacecraft) -> str:
 
 
 def _read_wheels(where: str, value: object, spacecraft: Spacecraft) -> tuple[int, ...]:
-    known = [wheel.number for wheel in spacecraft.wheels]
+    known = spacecraft.wheel_numbers
     wanted = f"a list of different wheels out of {known}"
     fix = f"write e.g. wheels = {known[:3]}"
     if not isinstance(value, list) or not value:

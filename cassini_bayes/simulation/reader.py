@@ -189,7 +189,7 @@ def _check_wheels(where: str, scenario: Scenario, spacecraft: Spacecraft) -> Non
             repr(table.branch),
             nearest(table.branch, spacecraft.branches),
         )
-    known = [wheel.number for wheel in spacecraft.wheels]
+    known = spacecraft.wheel_numbers
     for i, number in enumerate(table.wheels):
         if number not in known or number in table.wheels[:i]:
             raise InputError(

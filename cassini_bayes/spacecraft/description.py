@@ -209,6 +209,11 @@ class Spacecraft:
                     f"add {wheel.number} to spacecraft.wheels, or leave the angle out",
                 )
 
+    @property
+    def wheel_numbers(self) -> list[int]:
+        """Numbers of all wheels, in file order."""
+        return [wheel.number for wheel in self.wheels]
+
     def geometry_of(self, branch: str) -> BranchGeometry:
         """Arrays of a branch's thrusters.
 
@@ -250,7 +255,7 @@ class Spacecraft:
 
     def wheel_parameters(self, numbers: Iterable[int] | None = None) -> tuple[str, ...]:
         """Names of the parameters of some wheels, or of all, in file order."""
-        chosen = {wheel.number for wheel in self.wheels} if numbers is None else set(numbers)
+        chosen = set(self.wheel_numbers if numbers is None else numbers)
         return tuple(
             name for wheel in self.wheels if wheel.number in chosen for name in wheel.parameters
         )
@@ -268,7 +273,7 @@ class Spacecraft:
                 return wheel
         raise InputError(
             f"spacecraft {self.name}: wheel",
-            f"one of {', '.join(str(wheel.number) for wheel in self.wheels)}",
+            f"one of {', '.join(map(str, self.wheel_numbers))}",
             str(number),
             "choose a wheel of this spacecraft",
         )

@@ -107,7 +107,7 @@ class Nominal:
         fires: bool,
     ) -> Nominal:
         """From parameters by name; events that do not fire need none of the thrusters'."""
-        places = [[w.number for w in spacecraft.wheels].index(number) for number in wheels]
+        places = [spacecraft.wheel_numbers.index(number) for number in wheels]
         spins = wheel_axes(spacecraft, parameters) * wheel_inertias(spacecraft, parameters)
         torques = pushes = np.zeros((3, 0))
         if fires:

@@ -270,10 +270,7 @@ def _sources(
 
 def _turned(names: Sequence[str], table: ChannelTable) -> Iterator[str]:
     """Our names in the order in which the sources are listed."""
-    if table.order is None:
-        yield from names
-        return
-    places = _ORDERS[table.order]
+    places = _ORDERS[table.order] if table.order else range(len(names))
     yield from (names[places.index(i)] for i in range(len(names)))
 
 

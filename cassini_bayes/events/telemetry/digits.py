@@ -77,24 +77,18 @@ def _number(text: NDArray[np.uint8], start: int, powers: Array) -> tuple[int, fl
     if negative or text[place] == 43:
         place += 1
     digits: Any = np.int64(0)
-    count, used, exponent = 0, 0, 0
-    while _is_digit(text[place]):
-        digits = digits * 10 + (np.int64(text[place]) - 48)
-        used += digits != 0
-        count += 1
-        place += 1
-        if used > MOST_DIGITS:
-            return -1, 0.0
-    if text[place] == 46:
-        place += 1
-        while _is_digit(text[place]):
+    count, used, exponent, point = 0, 0, 0, 0
+    while _is_digit(text[place]) or (text[place] == 46 and not point):
+        if text[place] == 46:
+            point = 1
+        else:
             digits = digits * 10 + (np.int64(text[place]) - 48)
             used += digits != 0
             count += 1
-            exponent -= 1
-            place += 1
-            if used > MOST_DIGITS:
-                return -1, 0.0
+            exponent -= point
+        place += 1
+        if used > MOST_DIGITS:
+            return -1, 0.0
     if count == 0:
         return -1, 0.0
     if text[place] == 101 or text[place] == 69:
