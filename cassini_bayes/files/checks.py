@@ -30,18 +30,23 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def check_known(
-    where: str, name: object, known: Collection[str], expected: str | None = None
+    where: str,
+    name: object,
+    known: Collection[str],
+    expected: str | None = None,
+    got: str | None = None,
 ) -> None:
     """Refuse a name that is none of those known, with a hint at the nearest.
 
     Raises
     ------
     InputError
-        It is not; ``expected`` says what would be, the known names by default.
+        It is not; ``expected`` says what would be, the known names by default, and ``got`` what it
+        is, the name itself by default.
     """
     if name not in known:
-        wanted = expected or f"one of {', '.join(known)}"
-        raise InputError(where, wanted, repr(name), nearest(str(name), known))
+        wanted = expected or f"one of {', '.join(known) or 'none'}"
+        raise InputError(where, wanted, got or repr(name), nearest(str(name), known))
 
 
 def finite_number(where: str, value: object, unit: str = "") -> float:

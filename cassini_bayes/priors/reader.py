@@ -149,10 +149,8 @@ class Priors:
         specs = known_parameters(self.spacecraft)
         for name in (name for name in names if name not in self.parameters):
             where = f"{self.path}: parameters.{name}"
-            if name not in specs:
-                expected = f"a parameter of {self.spacecraft.name}, asked for by {why}"
-                got = f"the unknown name {name!r}"
-                raise InputError(where, expected, got, nearest(name, specs))
+            expected = f"a parameter of {self.spacecraft.name}, asked for by {why}"
+            check_known(where, name, specs, expected, f"the unknown name {name!r}")
             spec = specs[name]
             raise InputError(
                 where,
@@ -270,9 +268,7 @@ def read_priors(path: str | Path) -> Priors:
     document = toml_of(content, str(path))
     expected = "the tables spacecraft, parameters and branch, or from_fit"
     for key in document:
-        if key not in _TABLES:
-            got = f"the unknown key {key!r}"
-            raise InputError(f"{path}: {key}", expected, got, nearest(key, _TABLES))
+        check_known(f"{path}: {key}", key, _TABLES, expected, f"the unknown key {key!r}")
     table_of_file = _table(f"{path}: spacecraft", document.get("spacecraft"))
     spacecraft = _read_spacecraft(Path(path), table_of_file)
     parameters = _read_parameters(f"{path}: parameters", document.get("parameters"), spacecraft)
@@ -304,9 +300,8 @@ def _read_parameters(
     parameters = {}
     for name, entry in _table(where, value).items():
         key = f"{where}.{name}"
-        if name not in specs:
-            expected, got = f"a parameter of {spacecraft.name}", f"the name {name!r}"
-            raise InputError(key, expected, got, nearest(name, specs))
+        expected = f"a parameter of {spacecraft.name}"
+        check_known(key, name, specs, expected, f"the name {name!r}")
         parameters[name] = _read_parameter(key, specs[name], _table(key, entry))
     return parameters
 

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known, nearest
 from cassini_bayes.simulation.limits import (
     Limit,
     is_not_negative,
@@ -266,10 +266,7 @@ def choose_effect(
         Unknown name or target, a parameter that is missing, unknown or impossible.
     """
     kind, _, target = request.name.partition(":")
-    if kind not in known:
-        raise InputError(
-            f"{where}.name", "the name of an effect", repr(request.name), nearest(kind, known)
-        )
+    check_known(f"{where}.name", kind, known, "the name of an effect", repr(request.name))
     effect = known[kind]
     targets = possible_targets(effect, spacecraft, branch, wheels)
     if effect.targets is None and target:
@@ -280,9 +277,7 @@ def choose_effect(
     required = tuple(key.format(target=target) for key in effect.keys)
     keys = (*required, *effect.optional, *effect.further)
     for key in request.parameters:
-        if key not in keys:
-            place, expected = f"{where}.parameters.{key}", f"one of {', '.join(keys) or 'none'}"
-            raise InputError(place, expected, "an unknown parameter", nearest(key, keys))
+        check_known(f"{where}.parameters.{key}", key, keys, got="an unknown parameter")
     for key in required:
         if key not in request.parameters:
             raise InputError(f"{where}.parameters.{key}", "a number", "nothing", f"add {key} = …")

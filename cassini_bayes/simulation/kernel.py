@@ -450,20 +450,14 @@ def profile(
     if time <= 0.0 or peak == 0.0:
         return 0.0, 0.0, 0.0
     if time < ramp:
-        return (
-            sign * 0.5 * acceleration * time * time,
-            sign * acceleration * time,
-            sign * acceleration,
-        )
+        climbed = sign * 0.5 * acceleration * time * time
+        return climbed, sign * acceleration * time, sign * acceleration
     if time < ramp + cruise:
         return sign * peak * (time - 0.5 * ramp), sign * peak, 0.0
     left = 2.0 * ramp + cruise - time
     if left > 0.0:
-        return (
-            sign * (size - 0.5 * acceleration * left * left),
-            sign * acceleration * left,
-            -sign * acceleration,
-        )
+        reached = sign * (size - 0.5 * acceleration * left * left)
+        return reached, sign * acceleration * left, -sign * acceleration
     return sign * size, 0.0, 0.0
 
 
@@ -588,6 +582,15 @@ def demanded_widths(law: RcsLaw, error: Array, rate: Array, time: float, memory:
 
 
 @compiled
+def is_shared(law: RcsLaw, widths: Array, row: int, k: int) -> bool:
+    """Whether another direction than that of a row demands a thruster as well."""
+    for other in range(6):
+        if other != row and widths[other] > 0.0 and law.pairs[other, k] > 0.0:
+            return True
+    return False
+
+
+@compiled
 def thruster_widths(law: RcsLaw, widths: Array, burning: bool, out: Array) -> None:
     """Width commanded to every thruster, from the widths demanded of the six directions.
 
@@ -603,22 +606,11 @@ def thruster_widths(law: RcsLaw, widths: Array, burning: bool, out: Array) -> No
             continue
         overlaps = False
         for k in range(n_thrusters):
-            for other in range(6):
-                if (
-                    other != row
-                    and widths[other] > 0.0
-                    and law.pairs[row, k] > 0.0
-                    and law.pairs[other, k] > 0.0
-                ):
-                    overlaps = True
+            overlaps = overlaps or (law.pairs[row, k] > 0.0 and is_shared(law, widths, row, k))
         for k in range(n_thrusters):
             if law.pairs[row, k] == 0.0:
                 continue
-            common = False
-            for other in range(6):
-                if other != row and widths[other] > 0.0 and law.pairs[other, k] > 0.0:
-                    common = True
-            if common or not (overlaps and law.shared_only):
+            if is_shared(law, widths, row, k) or not (overlaps and law.shared_only):
                 out[k] = max(out[k], widths[row])
     if not burning:
         return
@@ -823,14 +815,10 @@ def advance(
                     rwa, body, loop, y, seen_error, rate_command, acceleration, motor, wheel_work
                 )
             if rcs.active and i < n_steps and time < rwa.free_from_s:
-                late = rcs.latency_cycles > 0 and cycle > 0
-                demanded_widths(
-                    rcs,
-                    old_error if late else seen_error,
-                    old_rate if late else seen_rate,
-                    time,
-                    memory,
-                )
+                if rcs.latency_cycles > 0 and cycle > 0:
+                    demanded_widths(rcs, old_error, old_rate, time, memory)
+                else:
+                    demanded_widths(rcs, seen_error, seen_rate, time, memory)
                 burning = burned < rcs.burn_delta_v_m_s and time >= rcs.burn_start_s
                 thruster_widths(rcs, memory[0], burning, widths)
                 log_pulses(pulses, time, widths)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import check_known, nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.toml_file import toml_bytes, toml_of
 from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.description import (
@@ -150,12 +150,8 @@ def _build(content: bytes, where: str) -> Spacecraft:
 def _spec(name: str, table: _ParameterTable, place: str) -> ParameterSpec:
     check_known(f"{place}.block", table.block, BLOCKS)
     if name in {spec.name for spec in generic_parameters()}:
-        raise InputError(
-            place,
-            "a name of the spacecraft's own",
-            f"{name!r}, which every spacecraft has",
-            "rename it, or leave it out",
-        )
+        expected, got = "a name of the spacecraft's own", f"{name!r}, which every spacecraft has"
+        raise InputError(place, expected, got, "rename it, or leave it out")
     return ParameterSpec(name, table.unit, table.block, table.meaning)
 
 
@@ -250,27 +246,20 @@ def _axis_pairs(file: _File, where: str) -> dict[str, tuple[str, ...]]:
     names = [thruster.name for thruster in file.thruster]
     for demand, pair in file.axis_pairs.items():
         place = f"{where}: axis_pairs.{demand}"
-        if demand not in AXIS_DEMANDS:
-            known = f"one of {', '.join(AXIS_DEMANDS)}"
-            raise InputError(place, known, "an unknown key", nearest(demand, AXIS_DEMANDS))
+        check_known(place, demand, AXIS_DEMANDS, got="an unknown key")
         _unique(pair, place)
         for name in pair:
             check_known(place, name, names, "names of thrusters")
             if name in file.axis_pairs.get(_OPPOSITE[demand[0]] + demand[1], ()):
-                raise InputError(
-                    place,
-                    "thrusters that do not serve the opposite demand as well",
-                    repr(name),
-                    "name it on one side only",
-                )
+                expected = "thrusters that do not serve the opposite demand as well"
+                raise InputError(place, expected, repr(name), "name it on one side only")
     for demand in AXIS_DEMANDS:
         if not file.axis_pairs.get(demand):
-            raise InputError(
+            place, fix = (
                 f"{where}: axis_pairs.{demand}",
-                "names of thrusters",
-                "nothing",
                 "name the thrusters fired for this torque demand",
             )
+            raise InputError(place, "names of thrusters", "nothing", fix)
     return {demand: tuple(file.axis_pairs[demand]) for demand in AXIS_DEMANDS}
 
 

@@ -144,9 +144,7 @@ class Counter:
                 )
 
     def _check_pace(self, block: Block, rows: Rows, growth: Array, step_s: Array) -> None:
-        wrong = np.argwhere((growth > 1.01 * step_s + SLACK_S).T)
-        if wrong.size:
-            i, k = wrong[0].tolist()
+        for i, k in np.argwhere((growth > 1.01 * step_s + SLACK_S).T).tolist():
             raise block.refuse(
                 int(rows[i]),
                 self._columns[k],
@@ -192,9 +190,7 @@ class Agreement:
         marks[0] = np.maximum(marks[0], self._since)
         since = np.maximum.accumulate(marks, axis=0)
         self._since = since[-1].copy()
-        wrong = np.argwhere(counts - since >= FROZEN_PULSES)
-        if wrong.size:
-            i, k = wrong[0].tolist()
+        for i, k in np.argwhere(counts - since >= FROZEN_PULSES).tolist():
             raise block.refuse(
                 int(rows[i]),
                 self._on_time_columns[k],
@@ -204,12 +200,7 @@ class Agreement:
             )
 
     def _check_uncounted(
-        self,
-        block: Block,
-        rows: Rows,
-        seconds: Array,
-        longer: Flags,
-        more: Flags,
+        self, block: Block, rows: Rows, seconds: Array, longer: Flags, more: Flags
     ) -> None:
         assert self._last is not None
         idle = ~longer & ~more
@@ -221,9 +212,7 @@ class Agreement:
         growth = np.diff(seconds, axis=0, prepend=self._last[0][None])
         total = self._uncounted + np.cumsum(np.where(odd, growth, 0.0), axis=0)
         self._uncounted = total[-1].copy()
-        wrong = np.argwhere(total > SLACK_S)
-        if wrong.size:
-            i, k = wrong[0].tolist()
+        for i, k in np.argwhere(total > SLACK_S).tolist():
             raise block.refuse(
                 int(rows[i]),
                 self._pulse_columns[k],

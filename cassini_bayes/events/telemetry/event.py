@@ -23,7 +23,7 @@ from cassini_bayes.events.telemetry.files import open_table
 from cassini_bayes.events.telemetry.memory import MemoryTable
 from cassini_bayes.events.totals import DELTA_V_SOURCES, DeltaVSource
 from cassini_bayes.files.cells import check_once
-from cassini_bayes.files.checks import check_known, in_utc, nearest
+from cassini_bayes.files.checks import check_known, in_utc
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
@@ -195,21 +195,17 @@ def _described(
 
 def _parse(path: Path) -> dict[str, Any]:
     folder = path.parent
+    what = "a description of the event"
     if not exists(folder):
         raise InputError(str(folder), "an event folder", "nothing there", "check the path")
     if not folder.is_dir():
-        raise InputError(
-            str(folder), "an event folder", "a file", f"name the folder that holds {DESCRIPTION}"
-        )
+        fix = f"name the folder that holds {DESCRIPTION}"
+        raise InputError(str(folder), "an event folder", "a file", fix)
     if not path.exists():
         names = sorted(entry.name for entry in folder.iterdir())
-        raise InputError(
-            str(path),
-            "a description of the event",
-            "no such file",
-            f"write {DESCRIPTION}; the folder holds {', '.join(names[:5]) or 'nothing'}",
-        )
-    return read_toml(path, "a description of the event")
+        fix = f"write {DESCRIPTION}; the folder holds {', '.join(names[:5]) or 'nothing'}"
+        raise InputError(str(path), what, "no such file", fix)
+    return read_toml(path, what)
 
 
 def _channels_of(folder: Path, keys: _Keys) -> ChannelMap | None:
@@ -234,9 +230,8 @@ def _telemetry_of(folder: Path, keys: _Keys) -> Path:
             f'put the telemetry beside {DESCRIPTION}, or name it there: telemetry = "…"',
         )
     if len(there) > 1:
-        raise InputError(
-            str(folder), f"either {' or '.join(FILES)}", "both", "keep the one that counts"
-        )
+        expected = f"either {' or '.join(FILES)}"
+        raise InputError(str(folder), expected, "both", "keep the one that counts")
     if there[0].is_dir():
         raise InputError(str(there[0]), "a file", "a folder", "put the file in its place")
     return there[0]
@@ -246,14 +241,11 @@ class _Keys:
     """Values of ``event.toml``, checked one by one."""
 
     def __init__(self, file: str, table: Mapping[str, Any]) -> None:
-        self._file = file
-        self.table = table
+        self._file, self.table = file, table
         for key in table:
             if key not in _KEYS:
                 left = [name for name in _KEYS if name not in table] or _KEYS
-                raise InputError(
-                    f"{file}: {key}", "a known key", "an unknown key", nearest(key, left)
-                )
+                check_known(f"{file}: {key}", key, left, "a known key", "an unknown key")
         for key in _NEEDED:
             if key not in table:
                 raise InputError(f"{file}: {key}", "a value", "nothing", f"add {key} = …")
