@@ -41,7 +41,7 @@ IMPLAUSIBLE_RPM: Final = 10_000.0
 _DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TotalsEvent:
     """Totals of one bias event, from one source. Arrays are copied and read-only.
 
@@ -60,12 +60,12 @@ class TotalsEvent:
     duration_s: float
     thrusters: tuple[str, ...]
     on_time_s: Array  # (K,)
-    pulses: Array | None  # (K,)
-    delta_v_m_s: Array | None  # (3,)
-    delta_v_source: DeltaVSource | None
-    hydrazine_g: float | None
-    mass_kg: float | None
-    thrust_predicted_n: float | None
+    pulses: Array | None = None  # (K,)
+    delta_v_m_s: Array | None = None  # (3,)
+    delta_v_source: DeltaVSource | None = None
+    hydrazine_g: float | None = None
+    mass_kg: float | None = None
+    thrust_predicted_n: float | None = None
     source: str
 
     def __post_init__(self) -> None:

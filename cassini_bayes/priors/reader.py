@@ -33,16 +33,6 @@ from cassini_bayes.spacecraft.parameters import (
 )
 from cassini_bayes.spacecraft.reader import check_either
 
-__all__ = [
-    "ZERO_CENTRED",
-    "Distribution",
-    "ParameterPrior",
-    "ParameterSpace",
-    "Priors",
-    "known_parameters",
-    "read_priors",
-]
-
 ZERO_CENTRED: Final = (
     "thrust_individual_n",
     "thrust_event_n",

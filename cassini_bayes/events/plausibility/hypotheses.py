@@ -123,7 +123,7 @@ class Evidence:
     @cached_property
     def as_recorded(self) -> Correction:
         """Nothing corrected."""
-        return Correction.nothing(self.nominal.spins.shape[1], self.nominal.torques.shape[1])
+        return Correction.nothing(self.nominal)
 
     def balance(self, correction: Correction | None = None) -> MomentumFit | None:
         """The momentum balance with a correction."""

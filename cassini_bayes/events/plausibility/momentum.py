@@ -154,8 +154,9 @@ class Correction:
     on_time: float = 1.0
 
     @classmethod
-    def nothing(cls, wheels: int, thrusters: int) -> Correction:
-        """Everything as recorded."""
+    def nothing(cls, nominal: Nominal) -> Correction:
+        """Everything as recorded, of these wheels and thrusters."""
+        wheels, thrusters = nominal.spins.shape[1], nominal.torques.shape[1]
         return cls(np.eye(3), np.eye(wheels), np.eye(thrusters))
 
     @property
@@ -246,7 +247,7 @@ class Momentum:
 
     def swing_hz(self, nominal: Nominal, time_s: Array) -> float:
         """The frequency at which what stays open oscillates most, 0 where rows are too few."""
-        correction = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        correction = Correction.nothing(nominal)
         target, _, design, strength, axes, pull, _ = self._closed(nominal, correction)
         left = (self.flat @ (target + design @ (axes @ (pull / (strength + 1.0))))).reshape(-1, 3)
         span_s, row_s = float(time_s[-1] - time_s[0]), float(np.median(np.diff(time_s)))
@@ -309,7 +310,7 @@ class Momentum:
         A correction moves what is to be closed by a column, once or, where its size is free, by as
         much as fits best; a factor is 1 and the size.
         """
-        nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        nothing = Correction.nothing(nominal)
         noise = self.noise(nominal, nothing)
         target = nominal.exchanges[:, 0]
         moves = np.stack([self._move(nominal, target, each) for each in corrections], axis=1)
@@ -332,7 +333,7 @@ class Momentum:
         weights = np.concatenate([design, moves, nominal.exchanges[:, :1]], axis=1)
         inner = weights.T @ (self.gram @ weights) / noise**2
         number, wanders = len(names), np.array(names) == "drift"
-        nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        nothing = Correction.nothing(nominal)
         share, spread = self._impulse(names, nominal, nothing)
         right = np.column_stack([inner[:number, number:], share])
         for level in DRIFT_LEVELS:
@@ -363,16 +364,10 @@ class Momentum:
     def _impulse(
         self, names: Sequence[str], nominal: Nominal, correction: Correction
     ) -> tuple[Array, float]:
-        """What 1 σ of each departure (J,) adds to the impulse of all firings, and its variance."""
-        share = self._share_of_impulse(names, nominal, correction)
-        # a tail may grow by more than there is of it, but not shrink
-        less = np.where(np.array(names) == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
-        return share, float(np.sum((less * share) ** 2))
+        """What 1 σ of each departure (J,) adds to the impulse of all firings, and its variance.
 
-    def _share_of_impulse(
-        self, names: Sequence[str], nominal: Nominal, correction: Correction
-    ) -> Array:
-        """What 1 σ of each departure (J,) adds to the impulse of all firings, as a share of it."""
+        Both as shares of the impulse.
+        """
         size = np.linalg.norm(nominal.torques, axis=0)
         pulses = size * (correction.thruster @ self.pulses)
         on = correction.on_time * size * (correction.thruster @ self.on_time_s)
@@ -383,7 +378,10 @@ class Momentum:
         share[kinds == "tail"] = WIDTHS["tail"] * pulses.sum()
         share[kinds == "thrust"] = WIDTHS["thrust"] * on
         share[kinds == "own tail"] = WIDTHS["own tail"] * pulses
-        return share / max(float(on.sum()), LEAST_IMPULSE)
+        share /= max(float(on.sum()), LEAST_IMPULSE)
+        # a tail may grow by more than there is of it, but not shrink
+        less = np.where(kinds == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
+        return share, float(np.sum((less * share) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
