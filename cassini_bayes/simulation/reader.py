@@ -133,12 +133,9 @@ def _check_events(where: str, scenario: Scenario) -> tuple[str, ...]:
         place = f"{where}: event.{event.id}"
         _check_event(place, event, scenario)
         if event.id in taken:
-            raise InputError(
-                f"{place}.id",
-                f"a name other than {', '.join(taken)}",
-                repr(event.id),
-                "rename it: these stand beside the event folders",
-            )
+            expected = f"a name other than {', '.join(taken)}"
+            fix = "rename it: these stand beside the event folders"
+            raise InputError(f"{place}.id", expected, repr(event.id), fix)
         if event.id in seen:
             raise InputError(f"{place}.id", "each id once", f"{event.id!r} again", "rename it")
         seen.append(event.id)

@@ -90,7 +90,7 @@ class TelemetryCheck:
         parameters: Mapping[str, float],
         policy: Policy = STRICT,
     ) -> None:
-        self._event, self._policy = event, policy
+        self._event, self._policy, self._where = event, policy, str(event.telemetry)
         self._nominal = Nominal.of(
             spacecraft, event.branch, event.wheels, parameters, fires=bool(event.thrusters)
         )
@@ -137,7 +137,7 @@ class TelemetryCheck:
         if misfit > SUSPECT:
             self._explain(evidence, misfit, findings)
         elif best := self._likeliest(evidence):
-            findings.refuse_best(str(self._event.telemetry), ONE_MOTION, misfit, best)
+            findings.refuse_best(self._where, ONE_MOTION, misfit, best)
         self._check_on_times(findings)
         self._check_cells(findings)
         count = 0 if rows is None else len(rows.time_s)
@@ -152,21 +152,17 @@ class TelemetryCheck:
         what = "1 cell that does" if count == 1 else f"{count} cells that do"
         said = f"{what} not fit: " + "; ".join(map(str, worst))
         if self._policy.leave_out:
-            findings.sentences.append(f"{self._event.telemetry}: left out {said}")
+            findings.sentences.append(f"{self._where}: left out {said}")
             return
-        findings.refuse(
-            "bad-cell",
-            str(self._event.telemetry),
-            "cells that fit those before and after them",
-            said,
-            "empty the row's cells of that channel, or leave them out with --leave-out",
-        )
+        expected = "cells that fit those before and after them"
+        fix = "empty the row's cells of that channel, or leave them out with --leave-out"
+        findings.refuse("bad-cell", self._where, expected, said, fix)
 
     def _check_pulses(self, findings: Findings) -> None:
         if self._pulses.counted > 1:
             findings.refuse(
                 "pulse-count",
-                f"{self._event.telemetry}: columns pulses_…",
+                f"{self._where}: columns pulses_…",
                 "every pulse counted once",
                 f"counts that all grow by multiples of {self._pulses.counted}",
                 f"divide them by {self._pulses.counted}",
@@ -180,7 +176,7 @@ class TelemetryCheck:
         thruster = self._event.thrusters[int(np.argmax(excess_s))]
         findings.refuse(
             "on-time-unit",
-            f"{self._event.telemetry}: column on_time_{thruster}_s",
+            f"{self._where}: column on_time_{thruster}_s",
             "at most the time that passes between two readings",
             f"{excess_s.max():.6g} s more: on-times that look like ms",
             "give on_time_…_s in seconds",
@@ -197,7 +193,7 @@ class TelemetryCheck:
             turned = np.abs(wobble[:, axis]).max()
             findings.refuse(
                 "rate-silent",
-                f"{self._event.telemetry}: column rate_{AXES[axis]}_rad_s",
+                f"{self._where}: column rate_{AXES[axis]}_rad_s",
                 f"the body rate of an attitude that turns to and fro by {turned:.3g} rad",
                 f"{motion.rate_rad_s[0, axis]:.6g} in every row",
                 "give the body rate about that axis",
@@ -209,8 +205,7 @@ class TelemetryCheck:
         return likelier_rates(evidence) or likeliest(evidence, event.wheels, event.thrusters)
 
     def _explain(self, evidence: Evidence, misfit: float, findings: Findings) -> None:
-        event = self._event
-        where = str(event.telemetry)
+        event, where = self._event, self._where
         sharper = with_noise_of_lags(evidence)
         found = list(explanations(sharper, event.wheels, event.thrusters))
         physical = min((each.score for each in found if each.mistake == PHYSICS), default=np.inf)

@@ -200,18 +200,14 @@ def _named(
 def _check_keys(channel: str, key: str, table: ChannelTable, where: str) -> None:
     """Refuse keys that say nothing of this channel."""
     dates = table.time_system == "iso8601"
-    whole = key == "attitude"
+    elapsed = channel == "time" and table.time_system in (None, "elapsed")
+    whole, of_whole = key == "attitude", "of the whole channel, [channels.attitude]"
     rules = (
-        ("order", table.order, whole, "of the whole channel, [channels.attitude]"),
-        ("direction", table.direction, whole, "of the whole channel, [channels.attitude]"),
+        ("order", table.order, whole, of_whole),
+        ("direction", table.direction, whole, of_whole),
         ("kind", table.kind, channel in COUNTERS, f"of {', '.join(COUNTERS)}"),
         ("time_system", table.time_system, channel == "time", "of the time"),
-        (
-            "epoch",
-            table.epoch,
-            channel == "time" and table.time_system in (None, "elapsed"),
-            "of a time that has elapsed since then",
-        ),
+        ("epoch", table.epoch, elapsed, "of a time that has elapsed since then"),
         ("negate", table.negate or None, channel not in ("time", *GROWING), "of what has a sign"),
         ("unit", table.unit, not dates and table.time_system not in DAYS, "of no date or day"),
         ("scale", table.scale, not dates, "of numbers"),

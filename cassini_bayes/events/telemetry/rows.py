@@ -51,14 +51,11 @@ class Times:
         time = block.cells[self._column]
         fix = "give every row its time, or drop it"
         block.check(np.isnan(time), self._column, "a time in s", fix)
-        if self._last is None:
-            if time[0] != 0.0:
-                said = f"starts at {time[0]:.10g} s, not at 0: is epoch the time of the first row?"
-                self._mends.add("late_start", "time_s", block.lines[:1], said)
-            before = np.concatenate([[-np.inf], time[:-1]])
-        else:
-            before = np.concatenate([self._last[self._column : self._column + 1], time[:-1]])
-        late = time <= before
+        if self._last is None and time[0] != 0.0:
+            said = f"starts at {time[0]:.10g} s, not at 0: is epoch the time of the first row?"
+            self._mends.add("late_start", "time_s", block.lines[:1], said)
+        first = -np.inf if self._last is None else self._last[self._column]
+        late = time <= np.concatenate([[first], time[:-1]])
         repeated = self._repeated(block, late) if late.any() else late
         self._last = block.cells[:, -1].copy()
         return block.without(repeated) if repeated.any() else block
