@@ -69,13 +69,11 @@ class Block:
         shown = "an empty cell" if np.isnan(value) else f"{value:.10g}"
         return InputError(self.where(row, column), expected, got or shown, fix)
 
-    def check(
-        self, wrong: NDArray[np.bool_], column: int, expected: str, fix: str, got: str | None = None
-    ) -> None:
+    def check(self, wrong: NDArray[np.bool_], column: int, expected: str, fix: str) -> None:
         """Refuse a column's cell of the first row that is ``wrong``, if one is."""
         rows = np.flatnonzero(wrong)
         if rows.size:
-            raise self.refuse(int(rows[0]), column, expected, fix, got)
+            raise self.refuse(int(rows[0]), column, expected, fix)
 
     def check_finite(self, fix: str) -> None:
         """Refuse infinite cells."""
